@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carla_recap.model.motion import neighbours, possible_step, slope
+from carla_recap.model.motion import neighbours, place_in_metres, possible_step, slope
 
 
 @pytest.mark.parametrize(
@@ -53,3 +53,13 @@ def test_a_slope_ends_where_frames_do_not_belong_together() -> None:
 def test_over_a_long_time_there_is_no_slope() -> None:
     assert np.isnan(slope(np.array([0.0, 1.5, 3.0]), np.array([[1.0, 2.0, 3.0]]), 0.125)).all()
     assert slope(np.array([0.0, 0.9]), np.array([[0.0, 1.8]]), 0.125)[0] == pytest.approx([2, 2])
+
+
+def test_places_in_metres() -> None:
+    assert place_in_metres(100.0, 200.0, -300.0) == (1.0, -2.0, -3.0)
+    assert str(place_in_metres(0.0, 0.0, 0.0)) == "(0.0, 0.0, 0.0)"  # not -0.0
+    assert [each.tolist() for each in place_in_metres(*np.array([[100.0, 0.0], [50.0, -50.0], [1.0, 2.0]]))] == [
+        [1.0, 0.0],
+        [-0.5, 0.5],
+        [0.01, 0.02],
+    ]

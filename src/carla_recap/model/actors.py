@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, Generic, Literal, TypeVar
 import numpy as np
 
 from carla_recap.errors import RecapError
+from carla_recap.model.motion import place_in_metres
 from carla_recap.model.records import CM, NO_ACTOR, ActorKind, Spawn
 from carla_recap.util.text import readable
 
@@ -114,7 +115,7 @@ class ActorLife:
     @property
     def place(self) -> tuple[float, float, float]:
         """The place of its spawn, in m, right-handed; in the parent's axes if it is `attached`."""
-        return self.spawn.x * CM, -self.spawn.y * CM, self.spawn.z * CM
+        return place_in_metres(self.spawn.x, self.spawn.y, self.spawn.z)
 
     @property
     def spawn_pose(self) -> NDArray[np.float64]:

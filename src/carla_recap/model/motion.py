@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
+
+from carla_recap.model.records import CM
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -12,6 +14,8 @@ if TYPE_CHECKING:
     Booleans = NDArray[np.bool_]
     Floats = NDArray[np.float64]
     Indices = NDArray[np.intp]
+
+Value = TypeVar("Value", float, "Floats")
 
 JUMP: Final = 5.0
 """The shortest step that can be a jump, in m."""
@@ -22,6 +26,11 @@ LONGEST_STEP: Final = 1.0
 
 _SLACK: Final = 3.0  # a jump is longer than the recorded velocity explains by more than this factor
 _ROUNDING: Final = 1e-6  # s
+
+
+def place_in_metres(x: Value, y: Value, z: Value) -> tuple[Value, Value, Value]:
+    """Return a place, or places, in m and right-handed axes; CARLA has them in cm, left-handed: y is turned around."""
+    return x * CM, 0.0 - y * CM, z * CM
 
 
 def possible_step(seconds: Floats | float, speed: Floats | float = np.nan, *, least: float = JUMP) -> Floats:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.records import CM
+from carla_recap.model.motion import place_in_metres
 from carla_recap.roads.corridors import POSE, corridor_map, corridor_opendrive
 from carla_recap.roads.find import find_map, plain_name
 from carla_recap.tables.trajectories import actor_rows
@@ -121,6 +121,7 @@ def _poses(recording: Recording, ids: set[int] | None, start: float, stop: float
         poses = np.empty(len(found.records), POSE)
         poses["time"] = found.time
         with np.errstate(invalid="ignore"):  # a signaling NaN
-            for name, unit in (("x", CM), ("y", -CM), ("z", CM), ("yaw", -1.0)):
-                poses[name] = found.records[name].astype(np.float64) * unit
+            x, y, z, yaw = (found.records[name].astype(np.float64) for name in ("x", "y", "z", "yaw"))
+            poses["x"], poses["y"], poses["z"] = place_in_metres(x, y, z)
+            poses["yaw"] = -yaw
         yield poses

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, get_args
 import numpy as np
 
 from carla_recap.errors import RecapError
+from carla_recap.model.motion import neighbours
 from carla_recap.model.records import CM
 from carla_recap.tables import Columns, Tabular
 
@@ -195,8 +196,7 @@ def _slope(values: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[n
     """Return the change per second between the neighbours of each sample; 0 if no time passes between them."""
     if len(values) < 2:
         return np.zeros(len(values))
-    before = np.maximum(np.arange(len(values)) - 1, 0)
-    after = np.minimum(np.arange(len(values)) + 1, len(values) - 1)
+    before, after = neighbours(np.ones(len(values) - 1, np.bool_))
     span = times[after] - times[before]
     return np.divide(values[after] - values[before], span, out=np.zeros(len(values)), where=span > 0)
 

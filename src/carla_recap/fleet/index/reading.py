@@ -13,7 +13,7 @@ from carla_recap.fleet.index.tables import CHILDREN
 from carla_recap.formats import open_reader
 from carla_recap.model.actors import TYPES as ACTOR_TYPES
 from carla_recap.model.frame import SAME_TIME, Frame
-from carla_recap.model.records import CM
+from carla_recap.model.motion import place_in_metres
 from carla_recap.model.stationary import MIN_DISTANCE, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 from carla_recap.queries.actors import actors
@@ -125,7 +125,7 @@ def _actor_row(actor: ActorLife) -> tuple[Any, ...]:
 
 
 def _stop(row: BlockedRow) -> tuple[Any, ...]:
-    return row.start, row.duration, row.id, row.type_id, row.x * CM, 0.0 - row.y * CM, row.z * CM
+    return row.start, row.duration, row.id, row.type_id, *place_in_metres(row.x, row.y, row.z)
 
 
 def _columns(rows: Iterable[tuple[Any, ...]], count: int) -> Columns:

@@ -10,8 +10,7 @@ import numpy as np
 
 from carla_recap.model.actors import ROAD_USERS, BoundingBox
 from carla_recap.model.blueprints import blueprint_sizes
-from carla_recap.model.motion import LONGEST_STEP, possible_step
-from carla_recap.model.records import CM
+from carla_recap.model.motion import LONGEST_STEP, place_in_metres, possible_step
 from carla_recap.model.segment import SegmentBuffer, segments
 
 if TYPE_CHECKING:
@@ -256,7 +255,7 @@ def _margin(time: Floats, direction: int) -> int:
 @np.errstate(all="ignore")
 def _motion(time: Floats, pose: Floats, velocity: Floats) -> tuple[Floats, ...]:
     """Return positions in m, headings in radians and velocities in m/s, right-handed, of CARLA's own; NaN where unusable."""
-    x, y, z = pose[0] * CM, pose[1] * -CM, pose[2] * CM
+    x, y, z = place_in_metres(*pose[:3])
     yaw = np.deg2rad(np.remainder(-pose[3], 360.0))
     vx, vy = velocity[0], -velocity[1]
     absent = ~((np.abs(x) < _FAR) & (np.abs(y) < _FAR) & (np.abs(z) < _FAR) & np.isfinite(yaw))

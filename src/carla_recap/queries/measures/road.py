@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.model.blueprints import blueprint_sizes
-from carla_recap.model.motion import possible_step
-from carla_recap.model.records import CM
+from carla_recap.model.motion import place_in_metres, possible_step
 from carla_recap.queries.measures.table import Extreme
 from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.roads import network as roads
@@ -144,8 +143,7 @@ class RoadSearch:
         chosen = taken[frame, record]
         samples["vehicle"] = column[frame, record]
         samples["time"] = batch.elapsed[rows][frame]
-        for axis, factor in (("x", CM), ("y", -CM), ("z", CM)):
-            samples[axis] = chosen[axis].astype(np.float64) * factor
+        samples["x"], samples["y"], samples["z"] = place_in_metres(*(chosen[axis].astype(np.float64) for axis in "xyz"))
         samples["yaw"] = np.radians(-chosen["yaw"].astype(np.float64))
         finite = np.all([np.isfinite(samples[name]) for name in ("x", "y", "z", "yaw")], axis=0)
         self._samples.append(samples[finite])

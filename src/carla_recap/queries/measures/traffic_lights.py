@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.records import CM, ActorKind
+from carla_recap.model.motion import place_in_metres
+from carla_recap.model.records import ActorKind
 from carla_recap.roads import network as roads
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ class LightHistory:
             taken: set[int] = set()  # lights of one frame are different signals
             for spawn in frame["spawned"]:
                 if spawn.kind == ActorKind.TRAFFIC_LIGHT:
-                    apart = np.hypot(*(positions - (spawn.x * CM, -spawn.y * CM)).T)
+                    apart = np.hypot(*(positions - place_in_metres(spawn.x, spawn.y, spawn.z)[:2]).T)
                     near = [number for number in np.argsort(apart).tolist() if apart[number] <= _NEAR]
                     signal = next((number for number in near if number not in taken), None)
                     if signal is not None:
