@@ -30,6 +30,7 @@ _READING: Final = "read_only"
 _WRITING: Final = "recovery_mode no_wal_writes, storage_version 'v1.5.0', block_size 65536"
 _CONFIG: Final[dict[str, Any]] = {
     "memory_limit": "1GB",
+    "threads": 4,  # whose stacks count as memory of the process
     "temp_directory": "",
     "autoinstall_known_extensions": "false",
     "autoload_known_extensions": "false",
