@@ -237,7 +237,7 @@ def test_a_traffic_light_has_its_foot_on_the_ground_and_faces_the_cars():
 @pytest.mark.parametrize(
     "roads",
     [
-        [road(length=1e5)],
+        [road(length=4e4)],
         [road(x=1e300)],
         [road(sections=section(0, right=lane(-1, 1e8)))],
         [road(1), road(2, x=9e5)],

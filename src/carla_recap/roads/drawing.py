@@ -30,6 +30,7 @@ _STUB: Final = 1.0  # m; shorter parts of borders at the edge of a junction are 
 _SPACING: Final = 0.15  # m between the points that cover a lane, from left to right
 _DENSITY: Final = 4  # points that cover a lane for each of its points, along it
 _MOST_ACROSS: Final = 400
+_MOST_HEIGHTS: Final = 10_000  # points of a junction that are looked at
 _SAME_STOP: Final = 0.5  # m between equal stop lines
 _SAME_PAINT: Final = 6.0  # m from a painted stop line, within which no other one is drawn
 
@@ -131,8 +132,9 @@ def _cover(lane: LaneGeometry) -> Floats:
 def _outlines(surface: Surface, points: Floats) -> Iterator[Floats]:
     """Yield the outlines of a junction, at the height of the nearest lane."""
     for outline in surface.outlines():
-        distances = np.linalg.norm(outline[:, None] - points[None, :, :2], axis=2)
-        yield np.column_stack((outline, points[distances.argmin(axis=1), 2]))
+        known = points[:: len(points) // _MOST_HEIGHTS + 1]
+        nearest = [int(np.hypot(*(known[:, :2] - corner).T).argmin()) for corner in outline]
+        yield np.column_stack((outline, known[nearest, 2]))
 
 
 def _borders(lanes: list[LaneGeometry], surfaces: dict[int, Surface]) -> Iterator[Floats]:

@@ -33,18 +33,20 @@ STOP: Final = "206"
 YIELD: Final = "205"
 SPEED_LIMIT: Final = "274"
 
-_MOST_ROADS: Final = 20_000
+_MOST_ROADS: Final = 5_000  # of a file; each of CARLA's towns has about 100
 _MOST_ELEMENTS: Final = 1_000_000  # of a file; CARLA's towns have up to 15,000 in a megabyte
 _MOST_OF_ROAD: Final = 200_000  # elements of a road
-_MOST_SECTIONS: Final = 2_000  # of a road
+_MOST_SECTIONS: Final = 8_000  # of a file
 _MOST_LANES: Final = 40  # on one side
 _MOST_RECORDS: Final = 20_000  # of one kind, of a road
 _MOST_CORNERS: Final = 100
 _LIMIT_OBJECT: Final = re.compile(r"Speed_?(\d{1,3})")
 _CHUNK: Final = 1 << 20  # characters of a file that are parsed at once
-_LONGEST: Final = 100_000.0  # m of a road
-_LONGEST_LANES: Final = 20_000_000.0  # m of all lanes
-_WIDEST: Final = 200.0  # m of a lane
+_MOST_IN_JUNCTION: Final = 500  # lanes; CARLA's junctions have up to 60
+_LONGEST: Final = 40_000.0  # m of a road
+_LONGEST_LANES: Final = 1_000_000.0  # m of all lanes; those of each of CARLA's towns are about 20 km
+_WIDEST: Final = 50.0  # m of a lane
+_TIGHTEST: Final = 100.0  # 1/m of a curve
 _FARTHEST: Final = 1e6  # m from the origin
 _CONTENT: Final = ("road", "junction", "controller")
 _UNITS: Final = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704}
@@ -443,17 +445,24 @@ def read_opendrive(text: str) -> OpenDrive:
     """
     found = OpenDrive()
     controllers: list[tuple[float, str, list[str]]] = []
-    length = 0.0
+    sections, length, in_junction = 0, 0.0, defaultdict[str, int](int)
     for element in _elements(text):
         if element.tag == "road":
             road = _road(element)
             if road is None:
                 continue
-            if len(found.roads) >= _MOST_ROADS:
-                raise ValueError(f"it has more than {_MOST_ROADS} roads, and no town has")
+            sections += len(road.sections)
+            if len(found.roads) >= _MOST_ROADS or sections > _MOST_SECTIONS:
+                raise ValueError(
+                    f"it has more than {_MOST_ROADS} roads or {_MOST_SECTIONS} sections of lanes, and no town has"
+                )
             length += sum((section.end - section.start) * len(section.lanes) for section in road.sections)
             if length > _LONGEST_LANES:
                 raise ValueError(f"its lanes are longer than {_LONGEST_LANES / 1000:.0f} km, and no town's are")
+            if road.in_junction:
+                in_junction[road.junction] += sum(len(section.lanes) for section in road.sections)
+                if in_junction[road.junction] > _MOST_IN_JUNCTION:
+                    raise ValueError(f"a junction has more than {_MOST_IN_JUNCTION} lanes, and no town's has")
             found.roads.append(road)
         elif element.tag == "junction":
             id = _integer(element.get("id"))
@@ -517,7 +526,7 @@ def _road(element: ElementTree.Element) -> Road | None:
         raise ValueError(f"a road is {length:.0f} m long, and none is longer than {_LONGEST / 1000:.0f} km")
     if not length > 0.01 or not pieces:
         return None
-    sections = _sections(element.findall("lanes/laneSection")[:_MOST_SECTIONS], length)
+    sections = _sections(element.findall("lanes/laneSection")[: _MOST_SECTIONS + 1], length)
     if not sections:
         return None
     return Road(
@@ -551,6 +560,8 @@ def _piece(element: ElementTree.Element) -> _Piece | None:
     if names is None:
         return None
     parameters = tuple(_number(shape, name, 0.0) for name in names)
+    if shape.tag in ("arc", "spiral") and max(map(abs, parameters)) > _TIGHTEST:
+        return None
     if shape.tag == "paramPoly3":
         parameters = (float(shape.get("pRange") != "arcLength"), *parameters)
     start, x, y, heading, length = values

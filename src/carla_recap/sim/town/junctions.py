@@ -258,7 +258,7 @@ _TOUCHING: Final = 0.7  # of half of both widths: nearer than that, two vehicles
 _ONCOMING: Final = np.cos(np.radians(135))
 _ALIKE: Final = np.cos(np.radians(45))
 _RANKS: Final = {"straight": 0, "right": 1, "left": 2}
-_MOST: Final = 2000  # lanes in a junction
+_MOST: Final = 1_000_000  # pairs of lanes in all junctions
 
 
 def make_junctions(lanes: Sequence[Lane], signals: Sequence[Signal], content: OpenDrive) -> list[Junction]:
@@ -272,12 +272,12 @@ def make_junctions(lanes: Sequence[Lane], signals: Sequence[Signal], content: Op
         if lane.junction is not None:
             within[lane.junction].append(lane)
     slowed = {lane for signal in signals if signal.kind in (SignalKind.STOP, SignalKind.YIELD) for lane in signal.governs}
+    if sum(len(group) ** 2 for group in within.values()) > 2 * _MOST:
+        raise ValueError("more lanes cross each other in its junctions than in any town")
     return [_junction(junction, within[junction], slowed, signals, content) for junction in sorted(within)]
 
 
 def _junction(junction: int, lanes: list[Lane], slowed: set[int], signals: Sequence[Signal], content: OpenDrive) -> Junction:
-    if len(lanes) > _MOST:
-        raise ValueError(f"junction {junction} has more than {_MOST} lanes")
     priorities = content.priorities.get(junction, set())
     conflicts = [
         conflict for one, other in combinations(lanes, 2) for conflict in _conflicts(one, other, slowed, priorities)

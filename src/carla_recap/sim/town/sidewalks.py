@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -87,7 +87,7 @@ class Ground:
 
     def _cover(self, left: Floats, right: Floats) -> None:
         width = float(np.linalg.norm((left - right)[:, :2], axis=1).max())
-        across = np.linspace(0, 1, min(int(width / self._cell * 1.5), 200) + 2)[:, None, None]
+        across = np.linspace(0, 1, min(int(width / self._cell * 1.5), 100) + 2)[:, None, None]
         along = np.linspace(0, len(left) - 1, 2 * len(left))
         given = np.arange(len(left))
         left, right = (np.stack([np.interp(along, given, axis) for axis in side.T], axis=1) for side in (left, right))
@@ -151,7 +151,10 @@ _WIDTH: Final = 3.0  # m: of a crossing that the map does not have
 _BEYOND: Final = 2.5  # m: between the line where cars stop and the middle of such a crossing
 _SAME_MOUTH: Final = 15.0  # m: a crossing of the map as near as that to where a road meets a junction is the one there
 _WIDEST: Final = 40.0  # m: roads wider than that are not crossed
-_MOST_NODES: Final = 200_000
+_MOST_NODES: Final = 50_000
+_MOST_CORNERS: Final = 50_000  # pairs of ends of sidewalks near each other
+_MOST_PARTS: Final = 300  # that are connected
+_AROUND: Final = list(product((-1, 0, 1), repeat=3))
 
 
 @dataclass
@@ -215,10 +218,10 @@ def make_walks(roads: TownRoads) -> Walks:
 def _along_sidewalks(walks: Walks) -> list[Ends]:
     """Add nodes and edges along the sidewalks, and return the nodes at the ends of each."""
     tips = np.array([line[end] for line in walks.sidewalks for end in (0, -1)]).reshape(-1, 3)
-    near = np.linalg.norm(tips[:, None] - tips, axis=2) < _SAME
+    before = {later: earlier for earlier, later in reversed(_near(tips, _SAME))}
     nodes: list[int] = []
     for number, tip in enumerate(tips):
-        first = int(near[number].argmax())  # of those that are one
+        first = before.get(number, number)  # of those that are one
         nodes.append(walks.add(tip) if first == number else nodes[first])
     ends = list(zip(nodes[::2], nodes[1::2], strict=True))
     for line, (first, last) in zip(walks.sidewalks, ends, strict=True):
@@ -235,13 +238,30 @@ def _around_corners(walks: Walks, road: Ground) -> None:
     counts = np.bincount(np.array(list(walks.edges), np.int64).ravel(), minlength=len(walks.nodes))
     ends = np.flatnonzero(counts == 1)
     places = np.array(walks.nodes).reshape(-1, 3)[ends]
-    distances = np.linalg.norm(places[:, None] - places, axis=2)
-    pairs = np.argwhere(np.triu(distances < _CORNER, 1))
+    pairs = sorted(_near(places, _CORNER), key=lambda pair: float(np.linalg.norm(places[pair[0]] - places[pair[1]])))
     linked: set[int] = set()
-    for one, other in pairs[np.argsort(distances[tuple(pairs.T)], kind="stable")].tolist():
+    for one, other in pairs:
         if not linked & {one, other} and not road.crossed_by(places[one], places[other]):
             walks.link(int(ends[one]), int(ends[other]))
             linked |= {one, other}
+
+
+def _near(places: Floats, reach: float) -> list[tuple[int, int]]:
+    """Return the pairs of places that are nearer than a distance, in ascending order.
+
+    Raises:
+        ValueError: There are too many.
+    """
+    cells: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    pairs: list[tuple[int, int]] = []
+    for number, cell in enumerate(map(tuple, np.floor(places / reach).astype(np.int64).tolist())):
+        around = [other for step in _AROUND for other in cells[cell[0] + step[0], cell[1] + step[1], cell[2] + step[2]]]
+        apart = np.linalg.norm(places[around] - places[number], axis=1)
+        pairs += [(other, number) for other, distance in zip(around, apart.tolist(), strict=True) if distance < reach]
+        if len(pairs) > _MOST_CORNERS:
+            raise ValueError("more sidewalks meet than in any town")
+        cells[cell].append(number)
+    return sorted(pairs)
 
 
 def _over(walks: Walks, outline: Floats, sidewalks: Floats) -> None:
@@ -316,7 +336,7 @@ def _connect(walks: Walks, road: Ground) -> None:
     apart = _components(len(places), list(walks.edges))
     if not apart:
         return
-    whole, *apart = sorted(apart, key=len, reverse=True)
+    whole, *apart = sorted(apart, key=len, reverse=True)[:_MOST_PARTS]
     links = [_nearest(places, whole, part) for part in apart]
     while apart:
         number = links.index(min(links))
