@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.differences import Differences
     from carla_recap.queries.incidents import Incidents
     from carla_recap.queries.measures import Measures
-    from carla_recap.queries.measures.extremes import Subjects
+    from carla_recap.queries.measures.over_time import Subjects
     from carla_recap.queries.measures.table import MeasureSeries
     from carla_recap.queries.summary import RecordingSummary
 

@@ -241,6 +241,27 @@ class _JsonPrinter:
         self._out.flush()
 
 
+class _CsvPrinter:
+    """Prints a line for each row, with the recording in front, and one with the names of the columns above the first."""
+
+    def __init__(self, bar: SourcesBar) -> None:
+        self._out = _Output(bar)
+        self._is_headed = False
+
+    def add(self, given: RecordingAnswer) -> None:
+        for piece in given.pieces:
+            if not self._is_headed and given.kind is not None:
+                from carla_recap.queries.output.csv import heading
+
+                self._is_headed = True
+                self._out.write(heading(given.kind.row_type, "recording"))
+            self._out.write(str(piece))
+        self._out.pause()
+
+    def end(self) -> None:
+        self._out.flush()
+
+
 class _TablePrinter:
     """Prints tables of some rows each, tables of the errors between them, and a line with the numbers of all."""
 
@@ -324,5 +345,6 @@ class _Output:
 _PRINTERS: Final[dict[str, Callable[[SourcesBar], Any]]] = {
     "text": _TextPrinter,
     "json": _JsonPrinter,
+    "csv": _CsvPrinter,
     "table": _TablePrinter,
 }

@@ -183,6 +183,7 @@ destination = click.argument("destination", type=click.Path(), metavar="DST")
 folder = click.argument("folder", type=click.Path(), metavar="DIR")
 force = click.option("--force", is_flag=True, help="Overwrite what exists.")
 json = click.option("--json", "form", flag_value="json", help="Print JSON.")
+csv = click.option("--csv", "form", flag_value="csv", help="Print CSV.")
 written = click.option(
     "--json",
     is_flag=True,

@@ -34,10 +34,10 @@ def form_of(form: str | None, *, compat: bool) -> Form:
         form: The form that was asked for; None: a table on a terminal, else text.
         compat: Whether the answer has the mistakes of CARLA 0.9.16, which are about its text.
     """
-    if form == "json" and compat:
-        raise click.UsageError("--compat is about CARLA's text: it does not go with --json.")
+    if form in ("json", "csv") and compat:
+        raise click.UsageError(f"--compat is about CARLA's text: it does not go with --{form}.")
     if form is not None:
-        return "json" if form == "json" else "text"
+        return "json" if form == "json" else "csv" if form == "csv" else "text"
     return "text" if compat or not sys.stdout.isatty() else "table"
 
 
@@ -58,6 +58,10 @@ def show(answer: Any, form: str | None, max_rows: int | None = None) -> NoReturn
         from carla_recap.queries.output.json import json
 
         print_pieces(json(answer))
+    elif form == "csv":
+        from carla_recap.queries.output.csv import csv
+
+        print_pieces(csv(answer))
     else:
         from carla_recap.queries.output.table import table
 

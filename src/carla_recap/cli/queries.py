@@ -13,6 +13,7 @@ from carla_recap.cli.many import answer, is_one
 from carla_recap.cli.output import form_of, note
 
 if TYPE_CHECKING:
+    from carla_recap.model.actors import ActorName
     from carla_recap.queries.incidents import IncidentOptions
 
 _EPILOG = "Each SOURCE is a recording, a folder, a glob in quotes, or a URL; - is a list of them on stdin, one in a line."
@@ -160,19 +161,31 @@ def incidents(
     metavar="ID|hero|all",
     help="The actor to measure, may be repeated; else the hero, or if there is none, all vehicles.",
 )
+@click.option("--over-time", is_flag=True, help="Print the measures in each frame instead of their extremes.")
+@click.option(
+    "--pair",
+    type=options.FOLLOW,
+    nargs=2,
+    metavar="A B",
+    help="Two actors, each measured over time as if the other were the only one.",
+)
+@options.csv
 @options.road_map
 @_many
 def measures(
     sources: tuple[str, ...],
     form: str | None,
     actors: tuple[int | Literal["hero", "all"], ...],
+    over_time: bool,
+    pair: tuple[ActorName, ActorName] | None,
     road_map: str | None,
     jobs: int | None,
     dask: str | None,
 ) -> None:
     """Print how close others came, how hard and how fast an actor drives.
 
-    These are the extreme values of its measures, such as the least time to collision, and when they occur.
+    These are the extreme values of its measures, such as the least time to collision, and when they occur; with --over-time
+    or --pair, the values in each frame.
     """
     from carla_recap.queries.measures import measures_on_roads as query
 
@@ -180,5 +193,14 @@ def measures(
     if words and len(actors) > 1:
         raise click.BadParameter("hero and all go with no other actor.", param_hint="'--actor'")
     ids = [actor for actor in actors if isinstance(actor, int)]
+    if over_time or pair:
+        if pair and actors:
+            raise click.UsageError("--pair and --actor say the same in two ways.")
+        if road_map is not None:
+            raise click.UsageError("--map is about the extremes: it does not go with --over-time or --pair.")
+        from carla_recap.queries.measures import measures_over_time
+
+        moments = partial(measures_over_time, actors=words[0] if words else ids or None, pair=pair)
+        answer(moments, sources, form, jobs=jobs, dask=dask)
     asked = partial(query, actors=words[0] if words else ids or None, road_map=road_map)
     answer(asked, sources, form, jobs=jobs, dask=dask)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from carla_recap.model.frame import Extent, Header
 
     Query = Callable[[Reader], Any]
-    Form = Literal["text", "json", "table"]
+    Form = Literal["text", "json", "csv", "table"]
     Piece = str | tuple[str, ...]
 
 _MOST: Final = 1 << 20  # characters of records, which info reads as it prints them, that a worker process returns
@@ -33,8 +33,8 @@ class RecordingAnswer:
 
     Attributes:
         source: The recording.
-        pieces: For each row, the cells of a table, or a JSON object; or lines of text. They can be iterated over once; what
-            is below is known afterwards.
+        pieces: For each row, the cells of a table, a JSON object, or a line of CSV; or lines of text. They can be iterated
+            over once; what is below is known afterwards.
         kind: The class of the answer; None if the recording cannot be read.
         header: The header of the recording; None if it cannot be read.
         extent: The extent of the recording; None after an error.
@@ -118,6 +118,10 @@ def _rendered(found: Any, form: Form, location: str) -> Iterator[Piece]:
         from carla_recap.queries.output.json import rows
 
         return rows(found, recording=location)
+    if form == "csv":
+        from carla_recap.queries.output import csv
+
+        return csv.rows(found, location)
     if form == "table":
         from carla_recap.queries.output.table import cells
 

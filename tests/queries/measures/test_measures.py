@@ -10,7 +10,7 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.formats import open_reader
-from carla_recap.queries.measures import measures, time_series
+from carla_recap.queries.measures import measures, measures_over_time, time_series
 from carla_recap.queries.output.json import json
 from carla_recap.queries.output.text import text
 from tests.queries.measures.conftest import Mover, straight
@@ -240,6 +240,20 @@ def test_over_time(drive: Drive) -> None:
     assert np.isinf(alone.time_to_collision).all()
     with pytest.raises(RecapError, match="no vehicle or walker 4"):
         time_series(reader, 4)
+
+
+def test_rows_over_time_are_those_of_the_series(drive: Drive) -> None:
+    reader = drive([straight(1, 0, 0, 15, role_name="hero"), straight(2, 40, 0, 10), straight(3, 0, 6, 15)], seconds=1.0)
+    series, rows = time_series(reader, 1), list(measures_over_time(reader))
+    assert [(row.time, row.actor, row.gap, row.leader) for row in rows] == list(
+        zip(series.time, [1] * 21, series.gap, series.leader, strict=True)
+    )
+    both = measures_over_time(reader, pair=("hero", 2))
+    assert (len(both), list(both.series)) == (42, [1, 2])
+    assert {row.nearest for row in both} == {1, 2}
+    assert {row.leader for row in both if row.actor == 2} == {None}
+    with pytest.raises(RecapError, match="no vehicle or walker 4"):
+        measures_over_time(reader, [4])
 
 
 def test_the_least_post_encroachment_time(drive: Drive) -> None:

@@ -12,7 +12,7 @@ from carla_recap.queries.measures.boxes import (
 )
 from carla_recap.queries.measures.encroachment import Path, post_encroachment_time
 from carla_recap.queries.measures.extremes import Measures, MeasureSearch, measures, measures_on_roads
-from carla_recap.queries.measures.over_time import time_series
+from carla_recap.queries.measures.over_time import MeasuresOverTime, measures_over_time, time_series
 from carla_recap.queries.measures.table import MEASURES, Measure, MeasureRow, MeasureSeries
 
 __all__ = [
@@ -23,10 +23,12 @@ __all__ = [
     "MeasureSearch",
     "MeasureSeries",
     "Measures",
+    "MeasuresOverTime",
     "Path",
     "gap",
     "measures",
     "measures_on_roads",
+    "measures_over_time",
     "overlaps",
     "post_encroachment_time",
     "required_deceleration",

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
-from typing import TYPE_CHECKING, ClassVar, Final, Literal
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
-from carla_recap.errors import RecapError
-from carla_recap.model.actors import HERO, ROAD_USERS, ActorLives, find_actor
 from carla_recap.model.actors import TYPES as ACTOR_TYPES
+from carla_recap.model.actors import ActorLives
 from carla_recap.model.contacts import Contacts
 from carla_recap.queries import Answer
 from carla_recap.queries.measures.encroachment import STEP, encroachments, path_of, refined
 from carla_recap.queries.measures.motion import TYPES, MotionCollector
 from carla_recap.queries.measures.near_misses import paths_meet
+from carla_recap.queries.measures.over_time import measured_actors
 from carla_recap.queries.measures.pairs import near_pairs
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
@@ -27,17 +26,14 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-    from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
     from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.queries.measures.over_time import Subjects
     from carla_recap.queries.measures.series import Criticality
     from carla_recap.queries.measures.table import Measure, MeasureSeries
     from carla_recap.roads.network import RoadNetwork
 
     Floats = NDArray[np.float64]
-
-Subjects = Collection[int] | Literal["hero", "all"] | None
-"""The actors to measure: their ids, the heroes, all vehicles and walkers; None: the heroes, without one all vehicles."""
 
 POST_ENCROACHMENT_TIME: Final = 3.0
 """The longest post-encroachment time that is measured, in s."""
@@ -127,7 +123,7 @@ class MeasureSearch:
             self._contacts.add(frame)
             for packet in frame.packets:
                 lives.add(packet, frame.elapsed)
-        self._subjects = _subjects(source, lives, actors)
+        self._subjects = measured_actors(source, lives, actors)
         self._motion = MotionCollector(lives)
         self._roads = None if roads is None else RoadSearch(source, roads, lives)
         self._extremes: dict[int, dict[str, Extreme]] = {id: {} for id in self._subjects}
@@ -241,28 +237,3 @@ class MeasureSearch:
                     if before is None or time < before.value:
                         extreme = Extreme(time, float(block.time[arrived]), block.actors[int(others[index])])
                         known["post_encroachment_time"] = extreme
-
-
-def _subjects(source: Reader, recorded: ActorLives, wanted: Subjects) -> dict[int, ActorLife]:
-    """Return the actors to measure by id; of those that had one id, the first.
-
-    Raises:
-        RecapError: There is no such vehicle or walker, or no hero.
-    """
-    movers: dict[int, ActorLife] = {}
-    for actor in recorded:
-        if actor.kind in ROAD_USERS:
-            movers.setdefault(actor.id, actor)
-    heroes = {id: actor for id, actor in movers.items() if actor.is_hero}
-    if wanted is None:
-        return heroes or {id: actor for id, actor in movers.items() if actor.kind == "vehicle"}
-    if wanted == "all":
-        return movers
-    if wanted == "hero":
-        find_actor(source.location, movers.values(), HERO, "vehicle or walker", "to measure")
-        return heroes
-    if isinstance(wanted, str):
-        raise RecapError(f"actors to measure must be ids, 'hero' or 'all', not {wanted!r}")
-    for id in wanted:
-        find_actor(source.location, movers.values(), id, "vehicle or walker", "to measure")
-    return {id: movers[id] for id in wanted}

@@ -3,22 +3,97 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from collections.abc import Collection
+from dataclasses import fields, make_dataclass
+from itertools import chain
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from carla_recap.model.actors import ROAD_USERS, ActorLives, ActorName, find_actor
-from carla_recap.queries.actors import actors
+from carla_recap.errors import RecapError
+from carla_recap.model.actors import HERO, ROAD_USERS, ActorLives, ActorName, find_actor
+from carla_recap.queries.actors import actors as recorded_actors
 from carla_recap.queries.measures.motion import TYPES, MotionCollector
-from carla_recap.queries.measures.series import criticality
+from carla_recap.queries.measures.series import NOBODY, criticality
 from carla_recap.queries.measures.table import MeasureSeries, series_of
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
+    from carla_recap.model.actors import ActorLife
     from carla_recap.queries.measures.motion import MotionBlock
+
+
+Subjects = Collection[int] | Literal["hero", "all"] | None
+"""The actors to measure: their ids, the heroes, all vehicles and walkers; None: the heroes, without one all vehicles."""
+
+MeasureMoment: Final = make_dataclass(
+    "MeasureMoment",
+    [
+        ("time", float),
+        ("actor", int),
+        *((each.name, float if each.type == "Floats" else int | None) for each in fields(MeasureSeries)[1:]),
+    ],
+    frozen=True,
+    slots=True,
+    namespace={"__module__": __name__},
+)
+"""The measures of an actor at a moment: the columns of `MeasureSeries`; ids are None instead of -1."""
+
+
+class MeasuresOverTime:
+    """The measures of actors over time: a row for each actor and moment, by actor, then time.
+
+    Attributes:
+        series: The measures by the id of the actor.
+        header: The header of the recording.
+        extent: The extent of the recording.
+    """
+
+    row_type = MeasureMoment
+    compat = False
+
+    def __init__(self, series: Mapping[int, MeasureSeries], source: Reader) -> None:
+        self.series = series
+        self.header = source.header
+        self.extent = source.extent()
+
+    def __len__(self) -> int:
+        return sum(map(len, self.series.values()))
+
+    def __iter__(self) -> Iterator[Any]:
+        for actor, series in self.series.items():
+            time, *columns = (column.tolist() for column in series.columns().values())
+            for moment, *values in zip(time, *columns, strict=True):
+                known = (None if type(value) is int and value == NOBODY else value for value in values)
+                yield MeasureMoment(moment, actor, *known)
+
+
+def measures_over_time(
+    source: Reader, actors: Subjects = None, *, pair: tuple[ActorName, ActorName] | None = None
+) -> MeasuresOverTime:
+    """Return the measures of actors over time.
+
+    Args:
+        source: The recording.
+        actors: The actors to measure; see `measures`.
+        pair: Two actors instead, each measured as if the other were the only one.
+
+    Raises:
+        RecapError: There is no such vehicle or walker, or no hero.
+        FormatError: The file contradicts its format.
+    """
+    lives = recorded_actors(source)
+    if pair is None:
+        collectors = [SeriesCollector(id) for id in measured_actors(source, ActorLives(lives), actors)]
+    else:
+        first, second = (_find(source, lives, name) for name in pair)
+        collectors = [SeriesCollector(first, second), SeriesCollector(second, first)]
+    _collect(source, lives, collectors)
+    return MeasuresOverTime({each.actor: each.finish() for each in collectors}, source)
 
 
 def time_series(
@@ -37,24 +112,62 @@ def time_series(
         RecapError: There is no such vehicle or walker.
         FormatError: The file contradicts its format.
     """
-    known = actors(source)
-    movers = [each for each in known if each.kind in ROAD_USERS]
-
-    def find(name: ActorName) -> int:
-        return find_actor(source.location, movers, name, "vehicle or walker", "to measure").id
-
-    series = SeriesCollector(find(actor), None if other is None else find(other))
-    motion = MotionCollector(ActorLives(known))
-    for batch in source.batches(TYPES, start=start, stop=stop):
-        for block in motion.add(batch):
-            series.add(block)
-    for block in motion.finish():
-        series.add(block)
+    lives = recorded_actors(source)
+    series = SeriesCollector(_find(source, lives, actor), None if other is None else _find(source, lives, other))
+    _collect(source, lives, [series], start, stop)
     return series.finish()
+
+
+def measured_actors(source: Reader, recorded: ActorLives, wanted: Subjects) -> dict[int, ActorLife]:
+    """Return the actors to measure by id; of those that had one id, the first.
+
+    Raises:
+        RecapError: There is no such vehicle or walker, or no hero.
+    """
+    movers: dict[int, ActorLife] = {}
+    for actor in recorded:
+        if actor.kind in ROAD_USERS:
+            movers.setdefault(actor.id, actor)
+    heroes = {id: actor for id, actor in movers.items() if actor.is_hero}
+    if wanted is None:
+        return heroes or {id: actor for id, actor in movers.items() if actor.kind == "vehicle"}
+    if wanted == "all":
+        return movers
+    if wanted == "hero":
+        find_actor(source.location, movers.values(), HERO, "vehicle or walker", "to measure")
+        return heroes
+    if isinstance(wanted, str):
+        raise RecapError(f"actors to measure must be ids, 'hero' or 'all', not {wanted!r}")
+    for id in wanted:
+        find_actor(source.location, movers.values(), id, "vehicle or walker", "to measure")
+    return {id: movers[id] for id in wanted}
+
+
+def _find(source: Reader, lives: Iterable[ActorLife], name: ActorName) -> int:
+    movers = [each for each in lives if each.kind in ROAD_USERS]
+    return find_actor(source.location, movers, name, "vehicle or walker", "to measure").id
+
+
+def _collect(
+    source: Reader,
+    lives: Iterable[ActorLife],
+    collectors: Sequence[SeriesCollector],
+    start: float = -math.inf,
+    stop: float = math.inf,
+) -> None:
+    """Add the motion of a recording to collectors."""
+    motion = MotionCollector(ActorLives(lives))
+    blocks = chain.from_iterable(map(motion.add, source.batches(TYPES, start=start, stop=stop)))
+    for block in chain(blocks, motion.finish()):
+        for series in collectors:
+            series.add(block)
 
 
 class SeriesCollector:
     """Collects the measures of an actor over time from blocks of motion.
+
+    Attributes:
+        actor: The id of the actor.
 
     Args:
         actor: The id of the actor.
@@ -62,13 +175,13 @@ class SeriesCollector:
     """
 
     def __init__(self, actor: int, other: int | None = None) -> None:
-        self._actor, self._other = actor, other
+        self.actor, self._other = actor, other
         self._parts: list[dict[str, NDArray[Any]]] = []
 
     def add(self, block: MotionBlock) -> None:
         """Add a block."""
-        rows = np.flatnonzero(block.ids == self._actor)
-        others = np.flatnonzero(block.ids == (self._actor if self._other is None else self._other))
+        rows = np.flatnonzero(block.ids == self.actor)
+        others = np.flatnonzero(block.ids == (self.actor if self._other is None else self._other))
         if not len(rows) or not len(others):
             return
         series = series_of(block, rows, criticality(block, rows, None if self._other is None else int(others[0])))

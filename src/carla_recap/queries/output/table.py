@@ -12,8 +12,9 @@ from carla_recap.queries.actors import RecordedActors
 from carla_recap.queries.blocked import Blocked, BlockedRow
 from carla_recap.queries.collisions import CollisionRow, Collisions
 from carla_recap.queries.incidents import Incident
-from carla_recap.queries.info import Info, InfoRow
+from carla_recap.queries.info import InfoRow
 from carla_recap.queries.kinds import KINDS
+from carla_recap.queries.measures.over_time import MeasureMoment
 from carla_recap.queries.measures.table import MeasureRow
 from carla_recap.queries.output.terminal import TableColumn, actor_style, brief_actor, print_table
 from carla_recap.queries.output.text import incident_counts, local_date
@@ -52,7 +53,7 @@ def table(answer: AnyAnswer, console: Console | None = None) -> None:
     console.print(Text(f"{visible(header.map_name)}, {local_date(header.date)}, version {header.version}"))
     count = 0
     rows = iter(in_order(answer))
-    while page := list(islice(rows, _PAGE if isinstance(answer, Info) else None)):
+    while page := list(islice(rows, None if isinstance(answer, list) else _PAGE)):
         columns = _COLUMNS[answer.row_type]
         cells = [[column.cell(row) for column in columns] for row in page]
         print_table(console, [column.looks for column in columns], cells, headed=not count)
@@ -98,6 +99,10 @@ def print_rows(console: Console, row_type: type | None, rows: Sequence[Sequence[
     print_table(console, columns, rows)
 
 
+def _known(value: float) -> str:
+    return f"{value:.2f}" if math.isfinite(value) else ""
+
+
 def _seconds(value: float) -> str:
     return f"{value:.2f}" if abs(value) < 1e9 else number(value)
 
@@ -106,8 +111,8 @@ def _speed(value: float) -> str:
     return "" if math.isnan(value) else _seconds(value)
 
 
-def _id(id: int) -> str:
-    return "" if id == NO_ACTOR else str(id)
+def _id(id: int | None) -> str:
+    return "" if id is None or id == NO_ACTOR else str(id)
 
 
 def _actor(id: int, type_id: str, hero: bool = False) -> str:
@@ -182,6 +187,19 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
         _number("Time (s)", lambda row: _seconds(row.time)),
         _number("Id", lambda row: "" if row.other is None else str(row.other), rank=1),
         _name("Other", lambda row: "" if row.other is None else row.other_type_id, rank=3),
+    ),
+    MeasureMoment: (
+        _number("Time (s)", lambda row: _seconds(row.time), least=8),
+        _number("Id", lambda row: str(row.actor), least=6),
+        _number("Speed (m/s)", lambda row: _known(row.speed), least=11),
+        _number("Acceleration (m/s²)", lambda row: _known(row.acceleration), least=11, rank=3),
+        _number("Gap (m)", lambda row: _known(row.gap), least=7),
+        _number("To", lambda row: _id(row.nearest), least=5, rank=1),
+        _number("TTC (s)", lambda row: _known(row.time_to_collision), least=7),
+        _number("With", lambda row: _id(row.threat), least=5, rank=1),
+        _number("Headway (m)", lambda row: _known(row.distance_headway), least=11),
+        _number("Headway (s)", lambda row: _known(row.time_headway), least=11, rank=2),
+        _number("Leader", lambda row: _id(row.leader), least=6, rank=1),
     ),
     RecordingSummary: (
         _column("Map", lambda row: readable(row.map), narrowed="middle", rank=3),

@@ -22,9 +22,10 @@ if TYPE_CHECKING:
     from carla_recap.queries.incidents import Incidents
     from carla_recap.queries.info import Info
     from carla_recap.queries.measures import Measures
+    from carla_recap.queries.measures.over_time import MeasuresOverTime
     from carla_recap.queries.summary import Summaries
 
-    AnyAnswer = RecordedActors | Info | Collisions | Blocked | Incidents | Measures | Summaries
+    AnyAnswer = RecordedActors | Info | Collisions | Blocked | Incidents | Measures | MeasuresOverTime | Summaries
 
 _NAME_WIDTH: Final = 35
 _KMH: Final = 3.6  # km/h in a m/s
@@ -105,6 +106,15 @@ def _measures(answer: Measures) -> Iterator[str]:
         )
 
 
+def _over_time(answer: MeasuresOverTime) -> Iterator[str]:
+    for row in answer:
+        values = (row.speed, row.acceleration, row.gap, row.time_to_collision, row.distance_headway, row.time_headway)
+        others = ("" if id is None else id for id in (row.nearest, row.threat, row.leader))
+        numbers = " ".join(f"{value:>8.2f}" if math.isfinite(value) else " " * 8 for value in values)
+        line = f"{row.time:>8.2f} {row.actor:>6} {numbers} {' '.join(f'{id:>7}' for id in others)}"
+        yield f"{line.rstrip()}\n"
+
+
 def _blocked(answer: Blocked) -> Iterator[str]:
     for row in answer:
         yield f"{_whole(row.start):>8} {row.id:>6} {_padded(row.type_id)} {_whole(row.duration):>10}\n"
@@ -182,6 +192,7 @@ _BODIES: Final[Mapping[str, Callable[[Any], Iterator[str]]]] = {
     "RecordedActors": _actors,
     "Incidents": _incidents,
     "Measures": _measures,
+    "MeasuresOverTime": _over_time,
     "Summaries": _summaries,
 }
 """By the name of the answer's class: the modules of other queries are not imported."""
@@ -193,6 +204,8 @@ _HEADINGS: Final = {
     "Collisions": f"{'Time':>8} {'Types':>6} {'Id':>6} {'Actor 1':<35} {'Id':>6} {'Actor 2':<35}\n",
     "Incidents": f"{'Time':>8} {'Duration':>10} {'Incident':<12} What happens\n",
     "Measures": f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Measure':<22} {'Value':>10} {'Unit':<5} {'Id':>6} Other\n",
+    "MeasuresOverTime": f"{'Time':>8} {'Id':>6} {'m/s':>8} {'m/s²':>8} {'Gap (m)':>8} {'TTC (s)':>8} {'Ahead m':>8}"
+    f" {'Ahead s':>8} {'Nearest':>7} {'Threat':>7} {'Leader':>7}\n",
     "Summaries": f"{'Duration':>8} {'Frames':>8} {'Vehicles':>8} {'Walkers':>7} {'Others':>6} {'Hero (m)':>8} {'km/h':>5}"
     f" {'Map':<12} Incidents\n",
     "Blocked": f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Duration':>10}\n",

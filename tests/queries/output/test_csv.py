@@ -1,0 +1,59 @@
+"""Answers as CSV: of one recording, and of many."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+
+import pytest
+
+from carla_recap import open_recording
+from tests.cli.command import CROSSING, answer, error
+
+AVOIDED = CROSSING.with_name("avoided.mcap")
+
+
+def table(*arguments):
+    return list(csv.DictReader(io.StringIO(answer("measures", *arguments, "--csv"))))
+
+
+def test_the_columns_are_the_measures_over_time():
+    with open_recording(AVOIDED) as recording:
+        series = recording.time_series("hero")
+    rows = table(AVOIDED, "--over-time")
+    assert len(rows) == len(series)
+    for name, values in series.columns().items():
+        known = [math.isfinite(value) and not (name in ("leader", "threat", "nearest") and value < 0) for value in values]
+        assert [row[name] for row in rows] == [
+            str(value) if is_known else "" for value, is_known in zip(values, known, strict=True)
+        ]
+
+
+def test_of_a_pair_each_is_measured_with_the_other_alone():
+    rows = table(AVOIDED, "--pair", "hero", "44")
+    assert {row["actor"] for row in rows} == {"41", "44"}
+    assert {row["nearest"] for row in rows if row["actor"] == "44"} == {"41"}
+
+
+def test_of_many_recordings_the_first_column_is_the_recording():
+    rows = table(AVOIDED, CROSSING.with_name("crash.mcap"), "--over-time")
+    assert list(rows[0])[:3] == ["recording", "time", "actor"]
+    assert {row["recording"] for row in rows} == {str(AVOIDED), str(AVOIDED.with_name("crash.mcap"))}
+
+
+def test_extremes_are_a_table_too():
+    rows = table(AVOIDED)
+    assert {row["measure"] for row in rows} >= {"gap", "time_to_collision"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--pair", "hero", "44", "--actor", "44"), "--pair and --actor"),
+        (("--over-time", "--map", "town.xodr"), "--map is about the extremes"),
+        (("--pair", "hero", "7"), "no vehicle or walker 7"),
+    ],
+)
+def test_what_does_not_go_together_is_an_error(arguments, message):
+    assert message in error("measures", AVOIDED, *arguments)
