@@ -247,7 +247,7 @@ def test_a_row_is_a_line_in_80_columns(invoke, command):
 
 def test_a_narrow_table_says_what_is_left_out(invoke, monkeypatch):
     narrow = lines_of(invoke("collisions", CRASH, terminal=True))
-    assert "(Relative (m/s): in a wider terminal, or with --json)" in narrow
+    assert "(Contact, Relative (m/s): in a wider terminal, or with --json)" in narrow
     monkeypatch.setenv("COLUMNS", "120")
     wide = lines_of(invoke("collisions", CRASH, terminal=True))
     assert "Relative (m/s)" in wide[1]

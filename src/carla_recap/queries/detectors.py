@@ -12,7 +12,7 @@ from carla_recap.model.actors import ROAD_USERS
 from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, BrakingDetector
 from carla_recap.model.braking import TYPES as BRAKING_TYPES
 from carla_recap.model.contacts import MOTION, UNKNOWN, Contact, Impact
-from carla_recap.model.motion import place_in_metres
+from carla_recap.model.records import CM
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 from carla_recap.queries.blocked import longest_first
@@ -166,7 +166,7 @@ class Detector(Protocol):
         ...
 
 
-class ContactDetector:
+class CollisionIncidents:
     """Finds collisions: the contacts of actors, with the place and the speed at which they begin."""
 
     types: Collection[str] = ()
@@ -203,7 +203,7 @@ class ContactDetector:
             contact.stop,
             ids,
             actors.type_ids(ids, contact.start),
-            *place_in_metres(*next((known[id] for id in ids if is_known(known[id])), UNKNOWN)),
+            *_metres(*next((known[id] for id in ids if is_known(known[id])), UNKNOWN)),
             measure=RELATIVE_SPEED.name,
             value=impact.relative_speed,
             unit=RELATIVE_SPEED.unit,
@@ -230,7 +230,7 @@ class ContactDetector:
         return contact.ids[first], contact.ids[second]
 
 
-class LongStopDetector:
+class LongStopIncidents:
     """Finds vehicles and walkers that do not move for long."""
 
     also: Collection[str] = ()
@@ -262,7 +262,7 @@ class LongStopDetector:
             row.start + row.duration,
             (row.id,),
             (row.type_id,),
-            *place_in_metres(row.x, row.y, row.z),
+            *_metres(row.x, row.y, row.z),
             measure=DURATION.name,
             value=row.duration,
             unit=DURATION.unit,
@@ -272,7 +272,7 @@ class LongStopDetector:
         )
 
 
-class HardBrakingDetector:
+class HardBrakingIncidents:
     """Finds vehicles that brake hard, but not because of a contact."""
 
     also: Collection[str] = ()
@@ -302,7 +302,7 @@ class HardBrakingDetector:
                 stop,
                 (row.id,),
                 search.actors.type_ids((row.id,), row.start),
-                *place_in_metres(row.x, row.y, row.z),
+                *_metres(row.x, row.y, row.z),
                 measure=deceleration.name,
                 value=value,
                 unit=deceleration.unit,
@@ -333,7 +333,7 @@ class HardBrakingDetector:
         return detector
 
 
-class NearMisses:
+class NearMissIncidents:
     """Finds near misses."""
 
     types = MOTION_TYPES
@@ -381,7 +381,7 @@ class NearMisses:
             )
 
 
-class RoadRules:
+class RoadIncidents:
     """Finds vehicles that break a rule of the road."""
 
     types = ROAD_TYPES
@@ -415,3 +415,7 @@ class RoadRules:
                     time=event.time,
                     text=f"{actors.name(event.id, event.start)} {event.text}",
                 )
+
+
+def _metres(x: float, y: float, z: float) -> Position:
+    return x * CM, 0.0 - y * CM, z * CM

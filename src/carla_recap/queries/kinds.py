@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from carla_recap.errors import RecapError
 from carla_recap.queries.detectors import (
-    ContactDetector,
-    HardBrakingDetector,
-    LongStopDetector,
-    NearMisses,
-    RoadRules,
+    CollisionIncidents,
+    HardBrakingIncidents,
+    LongStopIncidents,
+    NearMissIncidents,
+    RoadIncidents,
 )
 from carla_recap.queries.measures.table import DURATION, MEASURES, RELATIVE_SPEED, Measure
 
@@ -73,7 +73,7 @@ KINDS: Final = _named(
             light="#cf2230",
             style="red",
             icon="M4.5 4.5l7 7m0-7l-7 7",
-            detector=ContactDetector,
+            detector=CollisionIncidents,
         ),
         IncidentKind(
             name="red light",
@@ -87,7 +87,7 @@ KINDS: Final = _named(
             light="#b3125f",
             style="magenta",
             icon="M5.5 2.5h5v11h-5zM8 5.2v.1M8 8v.1M8 10.8v.1",
-            detector=RoadRules,
+            detector=RoadIncidents,
             every_frame=True,
             needs_roads=True,
         ),
@@ -102,7 +102,7 @@ KINDS: Final = _named(
             light="#a8380f",
             style="magenta",
             icon="M13 8H3.5M7 4.5L3.5 8 7 11.5",
-            detector=RoadRules,
+            detector=RoadIncidents,
             every_frame=True,
             needs_roads=True,
         ),
@@ -116,7 +116,7 @@ KINDS: Final = _named(
             light="#7a5a12",
             style="magenta",
             icon="M5 13.5V9c0-2 1-3 3-3h4M9.5 3.5L12 6 9.5 8.5",
-            detector=RoadRules,
+            detector=RoadIncidents,
             every_frame=True,
             needs_roads=True,
         ),
@@ -131,7 +131,7 @@ KINDS: Final = _named(
             light="#96308a",
             style="magenta",
             icon="M6 3h4l3 3v4l-3 3H6l-3-3V6z",
-            detector=RoadRules,
+            detector=RoadIncidents,
             every_frame=True,
             needs_roads=True,
         ),
@@ -148,7 +148,7 @@ KINDS: Final = _named(
             light="#806300",
             style="yellow",
             icon="M3.5 3.5l3 3M12.5 12.5l-3-3M12.5 3.5l-3 3M3.5 12.5l3-3",
-            detector=NearMisses,
+            detector=NearMissIncidents,
             every_frame=True,
         ),
         IncidentKind(
@@ -161,7 +161,7 @@ KINDS: Final = _named(
             light="#b45a00",
             style="yellow",
             icon="M4 4l4 4 4-4M4 8.5l4 4 4-4",
-            detector=HardBrakingDetector,
+            detector=HardBrakingIncidents,
         ),
         IncidentKind(
             name="speeding",
@@ -173,7 +173,7 @@ KINDS: Final = _named(
             light="#0b6fa8",
             style="magenta",
             icon="M3 11.5a5.2 5.2 0 0 1 10 0M8 11.5l3-4",
-            detector=RoadRules,
+            detector=RoadIncidents,
             every_frame=True,
             needs_roads=True,
         ),
@@ -187,7 +187,7 @@ KINDS: Final = _named(
             light="#6a45c9",
             style="cyan",
             icon="M5.5 4v8M10.5 4v8",
-            detector=LongStopDetector,
+            detector=LongStopIncidents,
         ),
     )
 )
