@@ -12,7 +12,7 @@ from carla_recap.model.actors import ROAD_USERS
 from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, BrakingDetector
 from carla_recap.model.braking import TYPES as BRAKING_TYPES
 from carla_recap.model.contacts import MOTION, UNKNOWN, Contact, Impact
-from carla_recap.model.records import CM
+from carla_recap.model.motion import place_in_metres
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 from carla_recap.queries.blocked import longest_first
@@ -203,7 +203,7 @@ class CollisionIncidents:
             contact.stop,
             ids,
             actors.type_ids(ids, contact.start),
-            *_metres(*next((known[id] for id in ids if is_known(known[id])), UNKNOWN)),
+            *place_in_metres(*next((known[id] for id in ids if is_known(known[id])), UNKNOWN)),
             measure=RELATIVE_SPEED.name,
             value=impact.relative_speed,
             unit=RELATIVE_SPEED.unit,
@@ -262,7 +262,7 @@ class LongStopIncidents:
             row.start + row.duration,
             (row.id,),
             (row.type_id,),
-            *_metres(row.x, row.y, row.z),
+            *place_in_metres(row.x, row.y, row.z),
             measure=DURATION.name,
             value=row.duration,
             unit=DURATION.unit,
@@ -302,7 +302,7 @@ class HardBrakingIncidents:
                 stop,
                 (row.id,),
                 search.actors.type_ids((row.id,), row.start),
-                *_metres(row.x, row.y, row.z),
+                *place_in_metres(row.x, row.y, row.z),
                 measure=deceleration.name,
                 value=value,
                 unit=deceleration.unit,
@@ -415,7 +415,3 @@ class RoadIncidents:
                     time=event.time,
                     text=f"{actors.name(event.id, event.start)} {event.text}",
                 )
-
-
-def _metres(x: float, y: float, z: float) -> Position:
-    return x * CM, 0.0 - y * CM, z * CM
