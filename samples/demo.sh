@@ -19,12 +19,12 @@ rm -rf "$out"/{crash,crossing,avoided,foxglove,compared}.* "$out/page.html"
 export SOURCE_DATE_EPOCH=1767261600 # the date that the recordings get
 
 simulates=true
-python -c 'import carla' 2>/dev/null || simulates=false # not published for every system and Python
+python -c 'import pymunk' 2>/dev/null || simulates=false # the extra sim
 if $simulates; then
     say 'Simulate a minute: the hero hits a walker, and then a van that blocks its lane. The same seed gives the same bytes.'
     run carla-recap record "$mcap" --crash --vehicles 12 --walkers 8 --seed 7 --additional-data
 else
-    say "Simulating needs CARLA's library (Python up to 3.12, Linux or Windows), which is missing: take a sample instead."
+    say "Simulating needs the extra sim, which is missing: take a sample instead."
     run cp samples/crash.mcap "$mcap"
 fi
 

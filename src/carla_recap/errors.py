@@ -71,9 +71,6 @@ class RecordError(RecapError):
     """Records cannot be written as given."""
 
 
-_WITH_CARLA = ("carla", "sim", "server")  # the extras that need CARLA's library
-
-
 def _has_carla() -> bool:
     """Return whether CARLA publishes its library for this Python and machine."""
     import platform  # which every start would wait for
@@ -104,7 +101,7 @@ class MissingExtra(NotSetUp):
         self.extra = extra
 
     def __str__(self) -> str:
-        if self.extra in _WITH_CARLA and not _has_carla():
+        if self.extra == "carla" and not _has_carla():
             return f"{self.what} needs CARLA's library, which exists for Python up to 3.12 on Linux (x86-64) and Windows"
         return f"{self.what} needs an optional dependency: pip install '.[{self.extra}]' in a clone of carla-recap"
 

@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import os
 import random
+import subprocess
+import sys
 from contextlib import suppress
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -14,7 +16,7 @@ from carla_recap import RecapError
 from carla_recap.roads import files, load_map
 from tests.roads.towns import lane, opendrive, road, section, town
 from tests.samples import carla_log
-from tests.waiting import time_limit
+from tests.waiting import PATIENCE, time_limit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -196,3 +198,19 @@ def test_something_other_than_a_file_is_an_error(tmp_path):
         load_map(tmp_path / "pipe.xodr")
     with pytest.raises(RecapError):
         load_map("a\0b.xodr")
+
+
+def test_maps_need_no_library_of_carla(tmp_path):
+    code = "import sys; sys.modules['carla'] = None\n" + "\n".join(
+        (
+            "from carla_recap import load_map",
+            "from carla_recap.rendering.town import load_town_mesh",
+            "from carla_recap.roads import find_map",
+            "from carla_recap.sim.town.town import load_town",
+            "path = find_map('Brickfield')",
+            "print(len(load_map(path).centre_lines), len(load_town().lanes), len(load_town_mesh(path).lights))",
+        )
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.stderr == ""
+    assert done.stdout.split()[1:] == ["96", "17"]
