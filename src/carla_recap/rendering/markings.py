@@ -12,6 +12,7 @@ from carla_recap.rendering.building import UP
 from carla_recap.rendering.glyphs import arrow, glyphs
 from carla_recap.rendering.materials import Material
 from carla_recap.rendering.surfaces import PAVED
+from carla_recap.roads.lanes import stop_line
 from carla_recap.roads.opendrive import LIGHT, STOP
 
 if TYPE_CHECKING:
@@ -283,7 +284,7 @@ def paint_objects(painter: Painter, road: Road) -> None:
         if thing.kind == "crosswalk":
             _paint_crossing(painter, road, thing)
         elif thing.name == "StopLine":
-            start, stop = stop_line_ends(road, thing)
+            start, stop = stop_line(road, thing)
             _paint_stop_line(painter, start, stop)
         elif thing.name.startswith("Stencil_"):
             point, heading = road.at(thing.station, thing.offset)
@@ -349,14 +350,6 @@ def _split(bar: Floats) -> Iterator[Floats]:
             yield part[:, ::-1]
 
 
-def stop_line_ends(road: Road, thing: RoadObject) -> tuple[Floats, Floats]:
-    """Return the ends of a painted stop line."""
-    point, heading = road.at(thing.station, thing.offset)
-    direction = heading + thing.heading
-    half = thing.length / 2 * np.array((np.cos(direction), np.sin(direction), 0.0))
-    return point - half, point + half
-
-
 def _paint_stop_line(painter: Painter, start: Floats, stop: Floats) -> None:
     length = float(np.linalg.norm(stop - start))
     if not 0.2 < length < 60.0:
@@ -372,7 +365,7 @@ def _paint_stop_line(painter: Painter, start: Floats, stop: Floats) -> None:
 def paint_stops(painter: Painter, roads: Sequence[Road], sections: Sequence[SampledSection]) -> None:
     """Paint a stop line on each lane with a light or stop sign, unless the map has painted one there."""
     painted = [
-        np.mean(stop_line_ends(road, thing), axis=0) for road in roads for thing in road.objects if thing.name == "StopLine"
+        np.mean(stop_line(road, thing), axis=0) for road in roads for thing in road.objects if thing.name == "StopLine"
     ]
     kinds = {signal.id: signal.kind for road in roads for signal in road.signals if signal.kind}
     by_road: dict[int, list[SampledSection]] = {}

@@ -6,8 +6,6 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import FormatError, RecapError
-from carla_recap.roads.lanes import TownRoads
-from carla_recap.roads.opendrive import read_opendrive
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -50,17 +48,3 @@ def expecting_map(path: Path) -> Iterator[None]:
         yield
     except (ValueError, ArithmeticError) as error:
         raise FormatError(path, None, f"an OpenDRIVE map was expected: {error}") from None
-
-
-def load_roads(path: Path, content: bytes | None = None) -> TownRoads:
-    """Return the roads of an OpenDRIVE file.
-
-    Args:
-        path: The file.
-        content: Its content, if it has been read.
-
-    Raises:
-        RecapError: The file cannot be read, or is no OpenDRIVE map.
-    """
-    with expecting_map(path):
-        return TownRoads(read_opendrive(decode(read_content(path) if content is None else content)))
