@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from carla_recap.queries.measures.over_time import SeriesCollector
     from carla_recap.roads.network import RoadNetwork
 
-    Position = tuple[float, float, float]
 
 _KMH: Final = 3.6  # km/h in m/s
 _AROUND: Final = 2.5  # s around hard braking that are read to compute its deceleration
