@@ -154,6 +154,12 @@ def test_clips_need_no_rerun(tmp_path, option):
 # --- pictures, the page, the viewer ----------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("at", ["-1e9", "-53.1", "-inf"])
+def test_a_snapshot_before_the_beginning_is_an_error(tmp_path, at):
+    expected = f"{CROSSING}: nothing {float(at) * -1:g} s before the end; the recording has 53 s"
+    assert expected in error("snapshot", CROSSING, tmp_path / "out.png", "--at", at)
+
+
 def test_a_snapshot_outside_the_recording_is_an_error(tmp_path):
     assert "nothing at 99 s" in error("snapshot", CROSSING, tmp_path / "out.png", "--at", "99")
     assert "'12' is no size" in error("snapshot", CROSSING, tmp_path / "out.png", "--at", "1", "--size", "12")

@@ -13,6 +13,7 @@ from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.export.video.encoding import check_size
 from carla_recap.export.video.film import Film, followed_of, opened_renderer, recorded_size, submit
 from carla_recap.export.video.video import SIZE
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay import Player
 from carla_recap.util.files import WholeFile
 
@@ -103,7 +104,10 @@ def picture(
     follow = followed_of(source, view, follow)
     size = size or recorded_size(source, view) or SIZE
     check_size(size)
-    time = Player(source, start=at).start
+    whole = Player(source, start=at)
+    if at < -whole.total - SAME_TIME:
+        raise RecapError(f"{source.location}: nothing {-at:g} s before the end; the recording has {whole.total:g} s")
+    time = whole.start
     start = max(0.0, time - _BEFORE)
     player = Player(source, start=start, duration=max(time - start, _SHORTEST), follow=follow)
     if follow is None and player.followed is None:
