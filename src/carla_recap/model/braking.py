@@ -78,7 +78,7 @@ class BrakingDetector:
 
     def __init__(self, vehicles: Collection[int], deceleration: float) -> None:
         self._deceleration = deceleration
-        self._vehicles: Ids = np.array(sorted(vehicles), np.uint32)
+        self._vehicles = set(vehicles)
         self._others: set[int] = set()  # other ids that frames have listed
         self._listed = b""  # the ids of the latest segment
         self._transforms, self._velocities = SegmentBuffer(), SegmentBuffer()
@@ -91,9 +91,8 @@ class BrakingDetector:
 
     def add_spawns(self, spawns: Iterable[Spawn]) -> bool:
         """Add the vehicles among spawned actors; return False if one of them had records before, which were left out."""
-        new = {spawn.id for spawn in spawns if spawn.kind == ActorKind.VEHICLE}.difference(self._vehicles.tolist())
-        if new:
-            self._vehicles = np.array(sorted({*self._vehicles.tolist(), *new}), np.uint32)
+        new = {spawn.id for spawn in spawns if spawn.kind == ActorKind.VEHICLE}.difference(self._vehicles)
+        self._vehicles.update(new)
         return new.isdisjoint(self._others)
 
     def batch(self, batch: Batch) -> None:
@@ -146,7 +145,7 @@ class BrakingDetector:
         """Add the records of some frames, and return how many are of vehicles."""
         found = []
         for segment in segments(records):
-            is_vehicle = np.isin(segment.ids, self._vehicles)
+            is_vehicle = np.array([id in self._vehicles for id in segment.ids.tolist()], bool)
             listed = segment.ids.tobytes()
             if listed != self._listed:
                 self._listed = listed
