@@ -7,7 +7,7 @@ import pytest
 from carla_recap.errors import RecapError
 from carla_recap.model.records import NO_ACTOR, Spawn
 from carla_recap.queries.collisions import CollisionRow, collisions
-from carla_recap.queries.incidents import incidents
+from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.output.text import text
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def test_rows_say_which_contact_they_belong_to(make: Make) -> None:
     answer = collisions(reader)
     assert [(row.elapsed, row.contact) for row in answer] == [(0.25, 1), (0.75, 1), *[(1.0, 2)] * 2, *[(1.5, 2)] * 2]
     assert answer.contacts == 2
-    found = incidents(reader, kinds=["collision"])
+    found = incidents(reader, IncidentOptions(kinds=["collision"]))
     assert [(row.start, row.stop) for row in found] == [(0.25, 0.75), (1.0, 1.5)]
     assert [row.contact and row.contact.number for row in found] == [1, 2]
     assert [row.contact for row in collisions(reader, "w", "a")] == [2, 2]
