@@ -42,7 +42,6 @@ def load_corridors(path: Path, map_name: str) -> Town:
 
     Raises:
         RecapError: The recording cannot be read.
-        MissingExtra: CARLA's client library is not installed.
     """
     status = path.stat()
     key = (str(path.absolute()), status.st_mtime_ns, status.st_size)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     Integers = NDArray[np.int64]
     Turn = Literal["straight", "left", "right"]
 
-SPACING: Final = 1.0  # m
+_SPACING: Final = 1.0  # m between points
 DEFAULT_LIMIT: Final = 30 / 3.6  # m/s: CARLA's, where a map says nothing
 _BEND: Final = np.radians(35)  # what bends less goes straight on
 _TO_LEFT_HANDED: Final = np.array((1.0, -1, 1, -1, 1))
@@ -140,7 +140,7 @@ def _rows(course: LaneGeometry) -> Floats:
     at = np.concatenate(((0.0,), np.cumsum(np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1))))
     if not np.isfinite(rows).all():
         raise ValueError("a lane has places that are no numbers")
-    even = np.linspace(0, at[-1], max(int(np.ceil(at[-1] / SPACING)), 1) + 1)
+    even = np.linspace(0, at[-1], max(int(np.ceil(at[-1] / _SPACING)), 1) + 1)
     spaced: Floats = np.stack([np.interp(even, at, column) for column in rows.T], axis=1)
     return spaced
 
