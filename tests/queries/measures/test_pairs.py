@@ -1,0 +1,102 @@
+"""Pairs of actors: which are near each other, and which are on one level; and where an actor is that is off its box."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from carla_recap.model.actors import ActorLife
+from carla_recap.model.records import Spawn
+from carla_recap.queries.measures.encroachment import encroachments
+from carla_recap.queries.measures.motion import MotionBlock
+from carla_recap.queries.measures.pairs import FRAMES, PairFrames, near_pairs
+
+
+def block_of(x, y=0.0, z=0.0, heights=1.0, parents=(), offset=(0.0, 0.0, 0.0), yaw=0.0, is_vehicle=True):
+    """Return a block of one actor for each x, whose other numbers are the same for all or one for each; three frames."""
+    count, frames = len(x), 3
+
+    def rows(values):
+        return np.repeat(np.broadcast_to(np.asarray(values, float), count)[:, None], frames, axis=1)
+
+    ids = np.arange(1, count + 1)
+    lives = tuple(
+        ActorLife(id, "vehicle.audi.tt", "vehicle", "", 0.0, parent=dict(parents).get(id), spawn=Spawn(id))
+        for id in ids.tolist()
+    )
+    return MotionBlock(
+        index=0,
+        first=0,
+        last=frames,
+        time=np.arange(frames) / 20,
+        ids=ids,
+        actors=lives,
+        is_vehicle=np.broadcast_to(is_vehicle, count),
+        x=rows(x),
+        y=rows(y),
+        z=rows(z),
+        yaw=rows(yaw),
+        vx=rows(0.0),
+        vy=rows(0.0),
+        length=np.full(count, 4.0),
+        width=np.full(count, 2.0),
+        height=np.broadcast_to(np.asarray(heights, float), count),
+        offset=np.broadcast_to(np.asarray(offset, float), (count, 3)),
+    )
+
+
+def pairs_of(block, reach, subjects=True):
+    found = near_pairs(block, np.broadcast_to(subjects, len(block.ids)), reach)
+    return {tuple(sorted(pair)) for _, one, other in found for pair in zip(one.tolist(), other.tolist(), strict=True)}
+
+
+@pytest.mark.parametrize(("dz", "count"), [(2.5, 3), (2.51, 0), (-2.5, 3), (-2.51, 0)])
+def test_boxes_are_on_one_level_up_to_half_a_metre_between_them(dz, count):
+    block = block_of([0, 5], z=[0, dz], heights=[1, 3])
+    assert len(PairFrames.of(block, 0, np.array([0]), np.array([1])).frame) == count
+
+
+@pytest.mark.parametrize(("dz", "meet"), [(1.9, True), (2.1, False), (-1.9, True), (-2.1, False)])
+def test_paths_cross_if_boxes_reach_the_same_level(dz, meet):
+    time = np.arange(FRAMES) / 20
+    still = np.zeros(FRAMES)
+    block = replace(
+        block_of([0, 0], z=[0, dz], heights=[1, 3]),
+        last=FRAMES,
+        time=time,
+        x=np.stack([10 * (time - 1), still]),
+        y=np.stack([still, 10 * (time - 2)]),
+        z=np.stack([still, still + dz]),
+        yaw=np.stack([still, still + np.pi / 2]),
+        vx=np.stack([still + 10, still]),
+        vy=np.stack([still, still + 10]),
+    )
+    found = encroachments(block, 0, np.array([0]), np.array([1]), 3.0)
+    assert (len(found.time) > 0) == meet
+    if meet:
+        assert (found.first.tolist()[0], found.second.tolist()[0]) == (0, 1)
+        assert found.time.min() == pytest.approx(0.4, abs=0.11)  # the boxes are 4 m long, samples 0.1 s apart
+
+
+@pytest.mark.parametrize(("distance", "are_near"), [(20.0, True), (20.1, False)])
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_actors_are_near_if_their_reaches_meet(axis, distance, are_near):
+    block = block_of([0, distance if axis == "x" else 0], y=[0, distance if axis == "y" else 0])
+    assert pairs_of(block, 10.0) == ({(0, 1)} if are_near else set())
+
+
+def test_pairs_have_a_subject_and_a_vehicle_and_no_one_is_attached():
+    block = block_of([0, 1, 2], parents=[(3, 1)], is_vehicle=[True, True, False])
+    assert pairs_of(block, 10.0) == {(0, 1), (1, 2)}
+    assert pairs_of(block, 10.0, subjects=[True, False, False]) == {(0, 1)}
+    assert pairs_of(block_of([0, 1], is_vehicle=False), 10.0) == set()
+
+
+@pytest.mark.parametrize(
+    ("yaw", "expected"), [(0.0, (9, 18, 27)), (np.pi / 2, (12, 19, 27)), (np.pi, (11, 22, 27)), (-np.pi / 2, (8, 21, 27))]
+)
+def test_the_location_of_an_actor_is_off_the_centre_of_its_box(yaw, expected):
+    block = block_of([10], y=20, z=30, offset=(1, 2, 3), yaw=yaw)
+    assert block.location(0, 1) == pytest.approx(expected)
