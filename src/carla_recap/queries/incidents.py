@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 from carla_recap.model.actors import TYPES as ACTOR_TYPES
@@ -9,7 +10,7 @@ from carla_recap.model.actors import ActorLives
 from carla_recap.model.contacts import Contacts
 from carla_recap.queries import Answer
 from carla_recap.queries.detectors import Incident, IncidentOptions, Search
-from carla_recap.queries.kinds import KINDS, kinds_named
+from carla_recap.queries.kinds import KINDS, kinds_named, kinds_without_roads
 from carla_recap.queries.roads import roads_of, warn_without_roads
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from carla_recap.model.batch import Batch
     from carla_recap.queries.measures.over_time import SeriesCollector
 
-__all__ = ["Incident", "IncidentOptions", "IncidentSearch", "Incidents", "incidents"]
+__all__ = ["Incident", "IncidentOptions", "IncidentSearch", "Incidents", "incidents", "with_roads"]
 
 
 class Incidents(Answer[Incident]):
@@ -51,6 +52,25 @@ def incidents(source: Reader, options: IncidentOptions | None = None) -> Inciden
     return search.finish()
 
 
+def with_roads(source: Reader, options: IncidentOptions) -> IncidentOptions:
+    """Return options with the roads that their kinds need, looked up by the map of a recording; else without these kinds.
+
+    Raises:
+        RecapError: There is no such kind; all kinds need roads, and the map is unknown; or it is damaged.
+
+    Warns:
+        RecapWarning: The map is unknown, and kinds that need roads are left out.
+    """
+    kinds = kinds_named(options.kinds)
+    others = kinds & kinds_without_roads()
+    if kinds == others or options.roads is not None:
+        return options
+    roads = roads_of(source, options.road_map, needed=not others)
+    if roads is None:
+        warn_without_roads(source)
+    return replace(options, kinds=others if roads is None else kinds, roads=roads)
+
+
 class IncidentSearch:
     """Finds the incidents of a recording in its batches, which are read for something else, too.
 
@@ -71,23 +91,16 @@ class IncidentSearch:
         near: Collection[int] | None = None,
         series: SeriesCollector | None = None,
     ) -> None:
-        options = options or IncidentOptions()
+        options = with_roads(source, options or IncidentOptions())
         self._source, self._options = source, options
         self._kinds = kinds_named(options.kinds)
-        roads = options.roads
-        of_road = {name for name in self._kinds if KINDS[name].needs_roads}
-        if of_road and roads is None:
-            roads = roads_of(source, options.road_map, needed=of_road == self._kinds)
-            if roads is None:
-                warn_without_roads(source)
-                self._kinds = self._kinds - of_road
         actors, contacts = ActorLives(), Contacts()
         for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=options.stop):
             contacts.add(frame)
             for packet in frame.packets:
                 actors.add(packet, frame.elapsed)
         search = Search(
-            source=source, options=options, actors=actors, contacts=contacts, roads=roads, near=near, series=series
+            source=source, options=options, actors=actors, contacts=contacts, roads=options.roads, near=near, series=series
         )
         makers = dict.fromkeys(kind.detector for name, kind in KINDS.items() if name in self._kinds)
         self._detectors = [make(search) for make in makers]

@@ -19,7 +19,7 @@ from carla_recap.export.report.sampling import sample
 from carla_recap.export.report.single import data_address, single_page
 from carla_recap.export.style import LIGHTS, OTHER, STYLES
 from carla_recap.model.actors import ROAD_USERS
-from carla_recap.queries.incidents import Incident, IncidentOptions, incidents
+from carla_recap.queries.incidents import Incident, IncidentOptions, incidents, with_roads
 from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import Recording
 from carla_recap.replay.player import Player
@@ -178,6 +178,7 @@ def write_report(
     if viewer and (single or len(recordings) > 1):
         raise RecapError(f"{path}: the viewer goes with a folder and one recording, not with a single file or a comparison")
     options = replace(options, roads=options.roads or road_network_of_map(road_map))
+    options = with_roads(recordings[0].reader, options)  # of both, since they are of one map
     reported = [_Reported(recording, options, (before, after), progress) for recording in recordings]
     if viewer and not reported[0].whole:
         raise RecapError(f"{recordings[0].location}: is too long for the viewer in a page; clips of its incidents are not")
