@@ -120,3 +120,15 @@ def test_actors_that_are_not_present_do_not_count(record: Record) -> None:
     assert choose_followed(recording.reader) == 2
     assert choose_followed(recording.reader, stop=2) == 1
     assert choose_followed(recording.reader, start=2) == 3
+
+
+def test_an_actor_whose_end_is_the_start_is_not_there(record: Record) -> None:
+    recording = record(
+        {"spawned": [spawn(1, role_name="hero"), spawn(2)], "transforms": [pose(1), pose(2)]},
+        {"destroyed": [(1,)], "transforms": [pose(2)]},
+        {"transforms": [pose(2)]},
+    )
+    end = recording.actors[1].destroyed_at
+    assert end is not None
+    assert choose_followed(recording.reader, start=end - 0.5) == 1
+    assert choose_followed(recording.reader, start=end) == 2
