@@ -195,7 +195,7 @@ text = click.option("--text", "form", flag_value="text", help="Print CARLA's tex
 compat = click.option(
     "--compat",
     is_flag=True,
-    help="Answer and print as CARLA 0.9.16 does, its slips included; implies --text.",
+    help="Answer and print as CARLA 0.9.16 does, its errors included; implies --text.",
 )
 max_rows = click.option(
     "--max-rows", type=click.IntRange(min=0), metavar="N", help="End with exit code 1 if there are more rows."

@@ -223,8 +223,8 @@ MEASURES: Final = _named(
             name="required_deceleration",
             unit="m/s²",
             extreme="greatest",
-            text="the squared difference of speeds over twice the distance to the leader (DRAC) [1]; it grows beyond all "
-            "bounds before a contact",
+            text="the squared difference of speeds over twice the distance to the leader (DRAC) [1]; it grows without "
+            "bound before a contact",
             values=lambda series: _where(series.leader >= 0, series.required_deceleration),
             other="leader",
         ),
