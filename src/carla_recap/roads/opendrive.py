@@ -34,7 +34,7 @@ YIELD: Final = "205"
 SPEED_LIMIT: Final = "274"
 
 # 5,000 roads with 1,000 km of lanes need 100 MB and 3 s of CPU to be read; with that, 190 MB and 9 s as a road network,
-# 290 MB and 33 s as lines to draw, 750 MB and 36 s as a town to drive in, and 1,600 MB and 33 s as meshes, on a busy machine.
+# 290 MB and 33 s as lines, 750 MB and 36 s as a town to drive in, and 1,600 MB and 33 s as meshes (on a busy machine).
 _MOST_ROADS: Final = 5_000  # of a file; each of CARLA's small towns has about 100
 _MOST_ELEMENTS: Final = 1_000_000  # of a file; CARLA's towns have up to 15,000 in a megabyte
 _MOST_OF_ROAD: Final = 200_000  # elements of a road
