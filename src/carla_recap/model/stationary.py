@@ -274,10 +274,10 @@ class StationaryTracker:
     def _limits(self, records: NDArray[np.void], walks: Booleans) -> NDArray[Any]:
         """Return the squared distances at which actors have moved, (frames, actors): 0 for walkers on the ground."""
         limits = np.full(records.shape, self._limit)
-        walkers = np.flatnonzero(walks)
-        for name in ("pitch", "roll") if len(walkers) else ():
-            frames, lying = np.nonzero(np.abs(records[name][:, walkers]) > _LYING)
-            limits[frames, walkers[lying]] = 0.0
+        for name in ("pitch", "roll") if walks.any() else ():
+            lying = np.abs(records[name]) > _LYING
+            if lying.any():
+                limits[lying & walks] = 0.0
         return limits
 
 
