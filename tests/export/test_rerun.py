@@ -677,7 +677,7 @@ def test_sensors_are_not_drawn(tmp_path: Path) -> None:
     sensor, prop, car = spawn(1, "sensor.camera.rgb"), spawn(2, "static.prop.bin"), spawn(3)
     there = [pose(id) for id in (1, 2, 3)]
     rrd = export(write(tmp_path / "x.log", [{"spawned": [sensor, prop, car], "transforms": there}]), tmp_path / "x.rrd")
-    assert sensor.kind == "other"
+    assert sensor.kind == ActorKind.OTHER
     assert [rrd.at(f"/world/actors/{id}", "Mesh3D:vertex_positions", 0) is None for id in (1, 2, 3)] == [True, False, False]
     assert rrd.at("/world/actors/1", "Boxes3D:half_sizes", 0) is None
     assert rrd.at("/world/actors/1", "name", 0) == ["camera.rgb 1"]

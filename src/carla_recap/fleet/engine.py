@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Final, Literal, TypeVar
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.fleet.outcomes import Outcome, outcome_of
 from carla_recap.fleet.sources import find_sources
-from carla_recap.recording import Recording, open_recording
 from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from carla_recap.fleet.sources import SourceFile
+    from carla_recap.recording import Recording
 
     Sources = str | Path | Iterable[str | Path]
 
@@ -96,6 +96,8 @@ def open_recordings(sources: Sources, *, errors: Literal["raise", "warn"] = "rai
         FormatError: A file is damaged.
         RecapError: A file cannot be read, or a folder or a glob means no recording.
     """
+    from carla_recap.recording import open_recording
+
     for source in find_sources(_as_list(sources), errors="yield"):
         try:
             if source.error is not None:
@@ -139,5 +141,7 @@ def _as_list(sources: Sources) -> Iterable[str | Path]:
 
 
 def _call(function: Callable[[Recording], T], source: SourceFile) -> T:
+    from carla_recap.recording import open_recording
+
     with open_recording(source.address) as recording:
         return function(recording)
