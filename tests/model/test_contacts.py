@@ -12,10 +12,11 @@ from carla_recap.model.frame import Frame
 Pair = tuple[int, int]
 
 
-def collected(*touched: tuple[float, Pair]) -> Contacts:
+def collected(*touched: tuple[float, Pair], frames_between: int = 1) -> Contacts:
     """Return the contacts of pairs that touch at some elapsed seconds, each in a frame of its own."""
     contacts = Contacts()
-    for number, (elapsed, pair) in enumerate(touched):
+    for order, (elapsed, pair) in enumerate(touched):
+        number = order * (frames_between + 1)
         contacts.add(Frame(number, number + 1, elapsed, 0.05, []).replace(collisions=[(0, *pair, 1, 0)]))
     return contacts
 
@@ -27,10 +28,16 @@ def test_records_of_a_pair_belong_together_if_less_than_a_second_is_between_them
         (2, (2, 1), 3.25, 3.25),
         (3, (1, 3), 3.5, 3.5),
     ]
-    assert [each.key for each in contacts] == [(0, 1, 2), (3, 2, 1), (4, 1, 3)]
+    assert [each.key for each in contacts] == [(0, 1, 2), (6, 2, 1), (8, 1, 3)]
     assert [each.heroes for each in contacts] == [(True, False)] * 3
     assert [each.number for each in contacts.of(2, 1)] == [1, 2]
     assert contacts.of(2, 3) == []
+
+
+def test_records_of_adjacent_frames_belong_together_whatever_the_time_between_them() -> None:
+    touched = [(1.5 * number, (1, 2)) for number in range(10)]
+    assert [(each.number, each.start, each.stop) for each in collected(*touched, frames_between=0)] == [(1, 0.0, 13.5)]
+    assert len(list(collected(*touched))) == 10
 
 
 def test_motion_is_affected_until_half_a_second_after_a_contact() -> None:

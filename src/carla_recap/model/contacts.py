@@ -28,7 +28,7 @@ MOTION: Final = ("transforms", "velocities")
 TYPES: Final = ("collisions", *MOTION)
 """The record types that contacts are found by."""
 SAME_CONTACT: Final = 1.0
-"""Records of a pair with a shorter interval between them, in seconds, belong to one contact."""
+"""Records of a pair in adjacent frames, or less than this many seconds apart, belong to one contact."""
 AT_FAULT: Final = 0.1
 """The speed in m/s from which on an actor has caused a contact, as in CARLA's criteria."""
 UNKNOWN: Final[Vector] = (math.nan, math.nan, math.nan)
@@ -99,7 +99,7 @@ class Impact(NamedTuple):
 
 @dataclass(slots=True)
 class Contact:
-    """Two actors touching: the collision records of a pair, each less than a second after the one before.
+    """Two actors touching: collision records of a pair, each in the next frame or less than a second after the one before.
 
     Attributes:
         number: The number of the contact, from 1.
@@ -141,6 +141,7 @@ class Contacts:
     def __init__(self) -> None:
         self._all: list[Contact] = []
         self._of_pair: dict[frozenset[int], list[Contact]] = {}
+        self._latest: dict[frozenset[int], int] = {}  # the index of the latest frame with a record, by pair
         self._of_actor: dict[int, list[Contact]] = {}
 
     def __iter__(self) -> Iterator[Contact]:
@@ -153,14 +154,16 @@ class Contacts:
 
     def touch(self, frame: Frame, ids: tuple[int, int], heroes: tuple[bool, bool]) -> Contact:
         """Add a collision record of a frame, and return the contact that it belongs to."""
-        known = self._of_pair.setdefault(frozenset(ids), [])
-        if known and abs(frame.elapsed - known[-1].stop) < SAME_CONTACT:
+        pair = frozenset(ids)
+        known, latest = self._of_pair.setdefault(pair, []), self._latest.get(pair)
+        self._latest[pair] = frame.index
+        if latest is not None and (frame.index - latest <= 1 or abs(frame.elapsed - known[-1].stop) < SAME_CONTACT):
             known[-1].stop = frame.elapsed
             return known[-1]
         contact = Contact(len(self._all) + 1, ids, heroes, frame.index, frame.elapsed, frame.elapsed)
         self._all.append(contact)
         known.append(contact)
-        for id in frozenset(ids):
+        for id in pair:
             self._of_actor.setdefault(id, []).append(contact)
         return contact
 
