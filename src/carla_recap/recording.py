@@ -12,7 +12,7 @@ import numpy as np
 
 from carla_recap.errors import Closed, RecapError
 from carla_recap.formats import open_reader
-from carla_recap.model.actors import ActorLife, ActorName, find_actor
+from carla_recap.model.actors import ActorLife, ActorName, find_actor, heroes_of
 from carla_recap.queries.actors import RecordedActors, actors
 from carla_recap.tables import Rows, Tabular
 from carla_recap.tables.records import RecordTable, record_table
@@ -177,8 +177,8 @@ class Recording:
 
     @property
     def heroes(self) -> list[ActorLife]:
-        """The actors whose role_name is hero."""
-        return [actor for actor in self.actors.values() if actor.is_hero]
+        """The actors whose role_name is hero, vehicles and walkers first."""
+        return heroes_of(self.actors.values())
 
     def frames(self, start: float = -math.inf, stop: float = math.inf) -> Iterator[Frame]:
         """Yield the frames.

@@ -14,6 +14,7 @@ import pytest
 from carla_recap import ActorKind, RecapError, Spawn, create_recording, open_index, open_recording, write_index
 from carla_recap.fleet.index.tables import TABLES
 from carla_recap.fleet.sources import SourceFile
+from carla_recap.model.records import attributes
 from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.roads import find_map, find_road_network
 from tests.waiting import PATIENCE
@@ -123,6 +124,25 @@ def test_near_misses_are_incidents_of_recordings_that_are_measured(tmp_path):
     assert open_index(tmp_path / "index").table("incidents").num_rows == 0
     write_index([tmp_path / "own.mcap"], tmp_path / "index", jobs=1, measures=True)
     assert open_index(tmp_path / "index").table("incidents")["kind"].to_pylist() == ["near miss"]
+
+
+def test_heroes_that_never_drive_are_not_measured(tmp_path):
+    role = attributes(role_name="hero")
+    spectator = Spawn(2, ActorKind.OTHER, type_id="spectator", attributes=role)
+    camera = Spawn(3, ActorKind.SENSOR, type_id="sensor.camera.rgb", attributes=role)
+    car = Spawn(4, ActorKind.VEHICLE, type_id="vehicle.audi.tt", attributes=role)
+    for name, heroes in (("all", [spectator, camera, car]), ("alone", [camera])):
+        with create_recording(tmp_path / f"{name}.mcap", map_name="Town01") as recorder:
+            for index in range(40):
+                poses = [(hero.id, 50.0 * index, 0.0, 0.0, 0.0, 0.0, 0.0) for hero in heroes]
+                recorder.add_frame(index / 20, transforms=poses, **({"spawned": heroes} if index == 0 else {}))
+    assert write_index([tmp_path], tmp_path / "index", jobs=1, measures=True).failed == 0
+    assert {row["heroes"] for row in recordings(tmp_path / "index").values()} == {1, 3}
+    measured = open_index(tmp_path / "index").sql("select distinct actor from measures")
+    assert measured["actor"].to_pylist() == [4]
+    with open_recording(tmp_path / "all.mcap") as recording:
+        assert [hero.id for hero in recording.heroes] == [4, 2, 3]
+        assert recording.trajectory("hero").x[-1] == recording.trajectory(4).x[-1]
 
 
 def test_an_index_is_not_written_to_a_url(tmp_path):

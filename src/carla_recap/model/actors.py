@@ -27,7 +27,7 @@ A = TypeVar("A")
 
 HERO: Final = "hero"
 ActorName = int | Literal["hero"]
-"""An actor: its id, or "hero", the first one with that role name."""
+"""An actor: its id, or "hero", the first one with that role name, vehicles and walkers before others."""
 ROAD_USERS: Final = ("vehicle", "walker")
 """The kinds of actors that take part in traffic, the most important first."""
 STATIC_OBJECT: Final = "a static object"
@@ -229,7 +229,8 @@ def find_actor(
     known, end = list(known), f" {purpose}" if purpose else ""
     if wanted != HERO and not isinstance(wanted, Integral):
         raise RecapError(f"{location}: an actor id or 'hero' was expected{end}, found {wanted!r}")
-    found = next((actor for actor in known if (actor.is_hero if wanted == HERO else actor.id == wanted)), None)
+    matching = heroes_of(known) if wanted == HERO else (actor for actor in known if actor.id == wanted)
+    found = next(iter(matching), None)
     if found is not None:
         return found
     if wanted == HERO:
@@ -242,6 +243,11 @@ def find_actor(
     names = {actor.id: f"{actor.id} ({HERO if actor.is_hero else actor.kind.replace('_', ' ')})" for actor in near}
     some = ", ".join(list(names.values())[:3]) or "none"
     raise RecapError(f"{location}: no {what} {wanted}{end}; known ids are {some}")
+
+
+def heroes_of(known: Iterable[ActorLife]) -> list[ActorLife]:
+    """Return the actors whose role_name is hero, vehicles and walkers first."""
+    return sorted((actor for actor in known if actor.is_hero), key=lambda actor: actor.kind not in ROAD_USERS)
 
 
 class PresentActors(Generic[A]):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.actors import ROAD_USERS, heroes_of
 from carla_recap.model.motion import possible_step
 from carla_recap.queries import Answer
 from carla_recap.queries.actors import actors
@@ -86,7 +86,7 @@ def summary(source: Reader, options: IncidentOptions | None = None) -> Summaries
     found = Counter(incident.kind for incident in incidents(source, options or IncidentOptions(kinds="all")))
     lives = actors(source)
     kinds = Counter(life.kind for life in lives)
-    heroes = (_hero(source, life) for life in lives if life.is_hero)
+    heroes = (_hero(source, life) for life in heroes_of(lives))
     extent = source.extent()
     row = RecordingSummary(
         readable(source.header.map_name),

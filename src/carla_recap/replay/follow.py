@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.actors import HERO, ROAD_USERS, ActorName, find_actor
+from carla_recap.model.actors import HERO, ROAD_USERS, ActorName, find_actor, heroes_of
 from carla_recap.model.motion import possible_step
 from carla_recap.model.records import CM
 from carla_recap.queries.actors import actors
@@ -69,9 +69,9 @@ def choose_followed(reader: Reader, *, start: float = 0.0, stop: float = math.in
     present = [actor for actor in actors(reader) if _is_present(actor, start, stop)]
     if ignore_hero:
         present = [actor for actor in present if not actor.is_hero]
-    hero = next((actor.id for actor in present if actor.is_hero), None)
-    if hero is not None:
-        return hero
+    heroes = heroes_of(present)
+    if heroes:
+        return heroes[0].id
     kinds = {actor.id: actor.kind for actor in present if actor.type_id != "spectator"}
     collided = _first_to_collide(reader, {id for id in kinds if kinds[id] in ROAD_USERS}, start, stop)
     if collided is not None:

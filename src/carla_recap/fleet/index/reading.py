@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 from carla_recap.errors import RecapError
 from carla_recap.fleet.index.tables import CHILDREN
 from carla_recap.formats import open_reader
+from carla_recap.model.actors import ROAD_USERS
 from carla_recap.model.actors import TYPES as ACTOR_TYPES
 from carla_recap.model.frame import SAME_TIME, Frame
 from carla_recap.model.motion import place_in_metres
@@ -85,7 +86,7 @@ def _content(recording: Recording, measured: bool, road_map: str | None) -> tupl
     found = actors(reader)
     roads = _roads(info.map_name, road_map) if measured else None
     kinds = None if not measured else "all" if roads is not None else kinds_without_roads()
-    heroes = [actor.id for actor in found if actor.is_hero] if measured else []
+    heroes = [actor.id for actor in found if actor.is_hero and actor.kind in ROAD_USERS] if measured else []
     stops = reader.stationary_intervals(SHORTEST_STOP, MIN_DISTANCE) or []
     rows: dict[str, Iterable[tuple[Any, ...]]] = {
         "actors": map(_actor_row, found),
