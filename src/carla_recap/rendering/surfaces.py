@@ -9,7 +9,7 @@ import numpy as np
 
 from carla_recap.rendering.heights import TriangleGrid
 from carla_recap.rendering.materials import Material
-from carla_recap.roads.opendrive import sparse_stations
+from carla_recap.roads.opendrive import borders_at, sparse_stations
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -54,7 +54,6 @@ _LAYERS: Final = {
 
 _DENSE: Final = 1.0  # m between the points at which the course of a road is examined
 _MOST_POINTS: Final = 400_000  # at which roads are examined
-_BEFORE_END: Final = 1e-6  # m
 _NARROW: Final = 0.02  # m
 
 
@@ -126,23 +125,14 @@ def _sample(road: Road, number: int, section: RoadSection, spacing: float) -> It
     lanes = (*section.left[::-1], *section.right)
     if not lanes:
         return
-    start, end = section.start, section.end - _BEFORE_END
-    dense = np.linspace(start, end, max(int((end - start) / spacing), 3) + 1)
-    stations = sparse_stations(dense, _borders(road, section, dense)[1][[0, len(section.left), -1]])
-    offsets, borders, lefts = _borders(road, section, stations)
+    stations = sparse_stations(road, section, spacing)
+    borders, offsets, lefts, _ = borders_at(road, section, stations)
     along = np.gradient(borders[len(section.left)], axis=0)
     normals = np.cross(along, lefts)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     yield SampledSection(
         road, number, section, stations, lefts, normals, offsets, borders, lanes, tuple(_materials(road, lanes))
     )
-
-
-def _borders(road: Road, section: RoadSection, stations: Floats) -> tuple[Floats, Floats, Floats]:
-    points, headings = road.reference(stations)
-    lefts = np.stack((-np.sin(headings), np.cos(headings), np.zeros(len(headings))), axis=1)
-    offsets = section.borders(stations) + road.lane_offset(stations)
-    return offsets, points + offsets[..., None] * lefts, lefts
 
 
 def _materials(road: Road, lanes: Sequence[RoadLane]) -> Iterator[Material | None]:

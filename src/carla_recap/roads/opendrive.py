@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 OUTSIDE: Final = "-1"
 """The junction of a road that is in none."""
 
+BEFORE_END: Final = 1e-6
+"""How far before the end of a section its last station is, in m."""
+
 # The types of signals in CARLA's maps.
 LIGHT: Final = "1000001"
 STOP: Final = "206"
@@ -404,13 +407,41 @@ class Road:
         return [station for station in found if 0.0 <= station <= self.length]
 
 
-def sparse_stations(stations: Floats, lines: Floats) -> Floats:
-    """Return stations between which lines are nearly straight.
+class Borders(NamedTuple):
+    """The borders of the lanes of a section as points.
+
+    Attributes:
+        points: The points, from the left, (lanes + 1, n, 3).
+        offsets: How far to the left of the reference line each border is, (lanes + 1, n).
+        lefts: The directions to the left, (n, 3).
+        headings: The directions of the road, (n,).
+    """
+
+    points: Floats
+    offsets: Floats
+    lefts: Floats
+    headings: Floats
+
+
+def borders_at(road: Road, section: RoadSection, stations: Floats) -> Borders:
+    """Return the borders of the lanes of a section at stations."""
+    points, headings = road.reference(stations)
+    lefts = np.stack((-np.sin(headings), np.cos(headings), np.zeros(len(headings))), axis=1)
+    offsets = section.borders(stations) + road.lane_offset(stations)
+    return Borders(points + offsets[..., None] * lefts, offsets, lefts, headings)
+
+
+def sparse_stations(road: Road, section: RoadSection, spacing: float) -> Floats:
+    """Return stations along a section, between which its outer borders and its middle are nearly straight.
 
     Args:
-        stations: Stations at equal distances, (n,).
-        lines: Lines with a point at each of them, (lines, n, 3).
+        road: The road.
+        section: The section.
+        spacing: The distance in m between the points at which the course is examined.
     """
+    start, end = section.start, section.end - BEFORE_END
+    stations = np.linspace(start, end, max(int((end - start) / spacing), 3) + 1)
+    lines = borders_at(road, section, stations).points[[0, len(section.left), -1]]
     step = stations[1] - stations[0]
     bends = np.linalg.norm(lines[:, 2:] - 2 * lines[:, 1:-1] + lines[:, :-2], axis=2).max(axis=0) / step**2
     bends = np.maximum(bends[:-1], bends[1:])  # of the parts between two stations

@@ -18,7 +18,7 @@ from carla_recap.roads.corridors import is_of_corridors
 from carla_recap.roads.files import decode, expecting_map, read_content
 from carla_recap.roads.find import find_map
 from carla_recap.roads.network import RoadNetwork
-from carla_recap.roads.opendrive import in_metres_per_second, read_opendrive, sparse_stations
+from carla_recap.roads.opendrive import BEFORE_END, borders_at, in_metres_per_second, read_opendrive, sparse_stations
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -48,7 +48,6 @@ _MOST_PIECES: Final = 1_000_000
 _MOST_LINES: Final = 20_000
 _MOST_PLACES: Final = 200  # at which a signal applies
 _NARROW: Final = 0.02  # m
-_BEFORE_END: Final = 1e-6  # m
 _AT_SIGN: Final = 1.0  # m beyond the ends of a section within which a signal belongs to it
 _TO_JUNCTION: Final = 30.0  # m from a signal to the junction at whose border its stop line is
 _SAME_LINE: Final = 0.5  # m between the middles of stop lines of a signal that are one
@@ -172,14 +171,12 @@ class _LaneMaker:
         lanes = (*section.left[::-1], *section.right)
         if not any(lane.kind in _KINDS for lane in lanes):
             return
-        start, end = section.start, section.end - _BEFORE_END
-        dense = np.linspace(start, end, max(int((end - start) / spacing), 3) + 1)
-        points, _, _, offsets = _courses(road, section, dense)
-        stations = sparse_stations(dense, points[[0, len(section.left), -1]])
+        start, end = section.start, section.end - BEFORE_END
+        stations = sparse_stations(road, section, spacing)
         changes = [*(station for station, _ in road.limits), *(sign.station for sign in signs)]
         changes = [station for station in changes if start + 0.1 < station < end - 0.1]
         stations = np.union1d(stations, changes)
-        points, lefts, _headings, offsets = _courses(road, section, stations)
+        points, offsets, lefts, _ = borders_at(road, section, stations)
         junction = self.junctions[road.junction] if road.in_junction else roads.NONE
         for lane, (left, right, wide) in zip(
             lanes, zip(points[:-1], points[1:], offsets[:-1] - offsets[1:], strict=True), strict=True
@@ -200,14 +197,6 @@ class _LaneMaker:
                 self._lanes.append((number, index, lane.id, kind, junction))
                 self._pieces.append(pieces[good])
                 self._count += int(good.sum())
-
-
-def _courses(road: Road, section: RoadSection, stations: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the points of all borders, (lanes + 1, n, 3), the directions to the left, the headings, and the offsets."""
-    points, headings = road.reference(stations)
-    lefts = np.stack((-np.sin(headings), np.cos(headings), np.zeros(len(headings))), axis=1)
-    offsets = section.borders(stations) + road.lane_offset(stations)
-    return points + offsets[..., None] * lefts, lefts, headings, offsets
 
 
 def _pieces(stations: Floats, middles: Floats, lefts: Floats, halves: Floats, *, reverse: bool) -> NDArray[np.void]:
@@ -347,8 +336,8 @@ class _Signals:
         sections = sorted(road.sections, key=lambda section: max(section.start - station, station - section.end))
         numbers = [*(section for section in sections if _has(section, lane)), road.sections[index]]
         section = numbers[0]
-        station = min(max(station, section.start), section.end - _BEFORE_END)
-        points, _, headings, _ = _courses(road, section, np.array((station, station)))
+        station = min(max(station, section.start), section.end - BEFORE_END)
+        points, _, _, headings = borders_at(road, section, np.array((station, station)))
         position = [other.id for other in (*section.left[::-1], *section.right)].index(lane)
         left, right = points[position, 0], points[position + 1, 0]
         if not np.isfinite((left, right)).all() or np.hypot(*(left - right)[:2]) < _NARROW:
