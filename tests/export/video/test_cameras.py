@@ -142,6 +142,12 @@ def test_speed_is_as_recorded(tmp_path: Any) -> None:
     assert [actor.speed for actor, _ in followed(tmp_path, frames)] == [7, 7, 7]
 
 
+def test_an_actor_that_stands_in_the_first_frame_is_measured_without_a_warning(tmp_path: Any) -> None:
+    frames = [{"transforms": [pose(1)], "velocities": [velocity(1, 0)], "spawned": [spawn(1)] * (n == 0)} for n in range(2)]
+    with np.errstate(invalid="raise"):
+        assert [actor.speed for actor, _ in followed(tmp_path, frames)] == [0, 0]
+
+
 def test_speed_is_measured_where_none_is_recorded(tmp_path: Any) -> None:
     frames = [{"transforms": [pose(1, 100.0 * n)], "spawned": [spawn(1)] * (n == 0)} for n in range(20)]
     assert [actor.speed for actor, _ in followed(tmp_path, frames)][-1] == pytest.approx(10, abs=0.1)

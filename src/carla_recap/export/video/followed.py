@@ -76,7 +76,7 @@ class FollowedActor:
         before, delta = self.subject, scene.time - self._time
         step = math.inf if before is None else float(np.linalg.norm(ground - before.ground))
         recorded = self._recorded_speed(scene)
-        jumped = delta <= 0 or step > possible_step(delta, math.nan if recorded is None else recorded)
+        jumped = before is None or delta <= 0 or step > possible_step(delta, math.nan if recorded is None else recorded)
         speed = recorded
         if speed is None and before is not None and not jumped:
             share = -math.expm1(-delta / 0.2)
