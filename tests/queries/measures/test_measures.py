@@ -242,6 +242,16 @@ def test_over_time(drive: Drive) -> None:
         time_series(reader, 4)
 
 
+@pytest.mark.parametrize("pair", [("hero", "hero"), ("hero", 1), (1, "hero"), (2, 2)])
+def test_a_pair_is_two_different_actors(drive: Drive, pair: tuple[Any, Any]) -> None:
+    reader = drive([straight(1, 0, 0, 15, role_name="hero"), straight(2, 40, 0, 10)], seconds=0.5)
+    expected = f"{pair[0]} and {pair[1]} are one actor; two different ones were expected"
+    with pytest.raises(RecapError, match=expected):
+        measures_over_time(reader, pair=pair)
+    with pytest.raises(RecapError, match=expected):
+        time_series(reader, *pair)
+
+
 def test_rows_over_time_are_those_of_the_series(drive: Drive) -> None:
     reader = drive([straight(1, 0, 0, 15, role_name="hero"), straight(2, 40, 0, 10), straight(3, 0, 6, 15)], seconds=1.0)
     series, rows = time_series(reader, 1), list(measures_over_time(reader))

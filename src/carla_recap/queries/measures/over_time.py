@@ -83,14 +83,14 @@ def measures_over_time(
         pair: Two actors instead, each measured as if the other were the only one.
 
     Raises:
-        RecapError: There is no such vehicle or walker, or no hero.
+        RecapError: There is no such vehicle or walker, or no hero, or both of a pair are one actor.
         FormatError: The file contradicts its format.
     """
     lives = recorded_actors(source)
     if pair is None:
         collectors = [SeriesCollector(id) for id in measured_actors(source, ActorLives(lives), actors)]
     else:
-        first, second = (_find(source, lives, name) for name in pair)
+        first, second = _find_pair(source, lives, *pair)
         collectors = [SeriesCollector(first, second), SeriesCollector(second, first)]
     _collect(source, lives, collectors)
     return MeasuresOverTime({each.actor: each.finish() for each in collectors}, source)
@@ -109,11 +109,12 @@ def time_series(
         stop: The elapsed seconds until which to measure.
 
     Raises:
-        RecapError: There is no such vehicle or walker.
+        RecapError: There is no such vehicle or walker, or both are one actor.
         FormatError: The file contradicts its format.
     """
     lives = recorded_actors(source)
-    series = SeriesCollector(_find(source, lives, actor), None if other is None else _find(source, lives, other))
+    ids = (_find(source, lives, actor), None) if other is None else _find_pair(source, lives, actor, other)
+    series = SeriesCollector(*ids)
     _collect(source, lives, [series], start, stop)
     return series.finish()
 
@@ -146,6 +147,13 @@ def measured_actors(source: Reader, recorded: ActorLives, wanted: Subjects) -> d
 def _find(source: Reader, lives: Iterable[ActorLife], name: ActorName) -> int:
     movers = [each for each in lives if each.kind in ROAD_USERS]
     return find_actor(source.location, movers, name, "vehicle or walker", "to measure").id
+
+
+def _find_pair(source: Reader, lives: Iterable[ActorLife], name: ActorName, other: ActorName) -> tuple[int, int]:
+    first, second = _find(source, lives, name), _find(source, lives, other)
+    if first == second:
+        raise RecapError(f"{source.location}: {name} and {other} are one actor; two different ones were expected")
+    return first, second
 
 
 def _collect(
