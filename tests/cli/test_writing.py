@@ -117,7 +117,9 @@ def test_two_recordings_of_one_name_are_an_error(runs):
     shutil.copy(CRASH, runs / "a.mcap")
     done = run("convert", "runs/a.log", "runs/a.mcap", "out")
     assert done.returncode == 2
-    assert messages(done)[1] == "carla-recap: runs/a.mcap: out/a.mcap is already written for runs/a.log"
+    assert (
+        messages(done)[1] == "carla-recap: runs/a.mcap: has the same name as runs/a.log; both would be written to out/a.mcap"
+    )
     with open_recording("out/a.mcap") as recording:
         assert recording.info.frames == 531
 

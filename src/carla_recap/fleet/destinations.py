@@ -144,7 +144,8 @@ class DestinationFolder:
             if source.error is None and ".." in PurePath(source.name).parts:
                 source = replace(source, error=f"{source.location}: its name leads out of {self.location}")
             elif source.error is None and path in given:
-                source = replace(source, error=f"{source.location}: {path} is already written for {given[path]}")
+                same = f"has the same name as {given[path]}; both would be written to {path}"
+                source = replace(source, error=f"{source.location}: {same}")
             elif source.error is None:
                 given[path] = source.location
                 if self.newer and is_current(path, source, uploaded):
