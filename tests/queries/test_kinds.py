@@ -15,7 +15,7 @@ from carla_recap.cli import cli, options
 from carla_recap.export.report import write_report
 from carla_recap.fleet.rules import check, parse_rules
 from carla_recap.queries.incidents import Incident, IncidentOptions
-from carla_recap.queries.kinds import KINDS, kind_named
+from carla_recap.queries.kinds import KINDS, kind_named, kinds_named
 from carla_recap.queries.measures import MEASURES, measures
 from carla_recap.queries.output.table import cells
 
@@ -94,7 +94,7 @@ def test_a_kind_more_is_in_the_help_and_can_be_asked_for() -> None:
     command = cli.get_command(context, "incidents")
     assert command is not None
     assert "high-speed" in "".join(command.get_help(Context(command, context)).split())
-    assert options.KINDS.convert("high-speed,blocked", None, None) == ("high speed", "blocked")
+    assert options.KINDS.convert("high-speed,blocked", None, None) == {"high speed", "blocked"}
 
 
 def test_a_measure_more_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,6 +109,27 @@ def test_a_measure_more_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("name", ["near miss", "near-miss", "near_miss", " Near  miss"])
 def test_a_name_has_spaces_hyphens_or_underscores(name: str) -> None:
     assert kind_named(name) is KINDS["near miss"]
+
+
+def test_all_is_a_word_of_lists_and_other_words_beside_it_are_checked() -> None:
+    assert kinds_named(["near miss", "all"]) == kinds_named("all") == KINDS.keys()
+    with pytest.raises(RecapError, match="'foo' is no kind"):
+        kinds_named(["all", "foo"])
+
+
+@pytest.mark.parametrize(
+    ("given", "kinds"),
+    [
+        ((), None),
+        (("--kinds", "near-miss", "--kinds", "blocked,collision"), {"near miss", "blocked", "collision"}),
+        (("--kinds", "near_miss", "--kinds", "all"), KINDS.keys()),
+        (("--kinds", "near_miss,all"), KINDS.keys()),
+    ],
+)
+def test_kinds_of_options_that_are_repeated_are_joined(given: tuple[str, ...], kinds: Collection[str] | None) -> None:
+    command = cli.get_command(Context(cli), "incidents")
+    assert command is not None
+    assert command.make_context("incidents", ["run.log", *given]).params["kinds"] == kinds
 
 
 @pytest.mark.parametrize("name", ["", "near misses", "nearmiss"])

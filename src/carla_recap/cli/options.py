@@ -94,18 +94,22 @@ class _Kinds(click.ParamType[Any]):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         from carla_recap.errors import RecapError
-        from carla_recap.queries.kinds import kind_named
+        from carla_recap.queries.kinds import kinds_named
 
-        if value == "all" or not isinstance(value, str):
+        if not isinstance(value, str):
             return value
         try:
-            return tuple(kind_named(kind).name for kind in value.split(","))
+            return kinds_named(value.split(","))
         except RecapError as error:
             self.fail(f"{error}, and all.", param, ctx)
 
 
 class _KindsOption(click.Option):
-    """The option for kinds of incidents; the table of kinds is imported if its help is asked for."""
+    """The option for kinds of incidents, which may be repeated; the table of kinds is imported if its help is asked for."""
+
+    def process_value(self, ctx: click.Context, value: Any) -> frozenset[str] | None:
+        given: tuple[frozenset[str], ...] = super().process_value(ctx, value)
+        return frozenset[str]().union(*given) or None
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
         from carla_recap.queries.kinds import KINDS
@@ -248,6 +252,7 @@ kinds = click.option(
     "--kinds",
     cls=_KindsOption,
     type=KINDS,
+    multiple=True,
     metavar="all|KIND,...",
 )
 deceleration = click.option(
@@ -270,7 +275,7 @@ def incident_options(command: Callable[..., None]) -> Callable[..., None]:
         min_time: float,
         min_distance: float,
         deceleration: float,
-        kinds: tuple[str, ...] | Literal["all"] | None = "all",
+        kinds: frozenset[str] | Literal["all"] | None = "all",
         **given: Any,
     ) -> None:
         from carla_recap.queries.incidents import IncidentOptions

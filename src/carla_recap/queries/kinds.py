@@ -194,6 +194,10 @@ KINDS: Final = _named(
 """The kinds of incidents by name, the most important first."""
 
 
+ALL: Final = "all"
+"""The word for all kinds."""
+
+
 def kind_named(text: str) -> IncidentKind:
     """Return a kind by its name, with spaces, hyphens or underscores.
 
@@ -210,16 +214,16 @@ def kinds_named(kinds: Collection[str] | Literal["all"] | None) -> frozenset[str
     """Return the names of kinds.
 
     Args:
-        kinds: The kinds; None: those that are found without reading every frame; "all": all.
+        kinds: The kinds; None: those that are found without reading every frame; "all", alone or among them: all.
 
     Raises:
         RecapError: There is no such kind.
     """
     if kinds is None:
         return frozenset(name for name, kind in KINDS.items() if not kind.every_frame)
-    if kinds == "all":
-        return frozenset(KINDS)
-    return frozenset(kind_named(kind).name for kind in ((kinds,) if isinstance(kinds, str) else kinds))
+    wanted = (kinds,) if isinstance(kinds, str) else kinds
+    named = frozenset(kind_named(kind).name for kind in wanted if kind != ALL)
+    return frozenset(KINDS) if ALL in wanted else named
 
 
 def kinds_without_roads() -> frozenset[str]:
