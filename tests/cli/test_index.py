@@ -198,6 +198,31 @@ def test_a_query_that_is_not_utf_8_is_an_error_in_one_line(index, form):
     assert b"is not UTF-8" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        (("sql", "INDEX", "-"), b"stdin: a query of at most 1,048,576 bytes was expected"),
+        (("collisions", "-"), b"stdin: line 1: a path or a URL of at most 65,536 bytes was expected"),
+    ],
+)
+def test_stdin_without_an_end_is_an_error(index, command, message):
+    arguments = [index if argument == "INDEX" else argument for argument in command]
+    with Path("/dev/zero").open("rb") as zeros:
+        done = subprocess.run(
+            [COMMAND, *arguments], stdin=zeros, capture_output=True, env=ENVIRONMENT, timeout=PATIENCE, check=False
+        )
+    assert (done.returncode, done.stdout, done.stderr) == (2, b"", b"carla-recap: " + message + b"\n")
+
+
+@pytest.mark.parametrize("form", ["--csv", "--json"])
+@pytest.mark.parametrize("query", ["select 'infinity'::date", "select 'infinity'::timestamp as t"])
+def test_a_date_beyond_the_calendar_is_an_error(index, query, form):
+    done = run("sql", index, query, form)
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"carla-recap: a date that is not between the years 1 and 9999 cannot be printed")
+    assert done.stderr.count(b"\n") == 1
+
+
 @pytest.mark.parametrize("query", ["select range from range(2000000000)", "select repeat('x', 1900000000)"])
 def test_an_answer_that_is_too_large_for_the_memory_is_an_error(index, query):
     assert "there is not enough memory for this query" in error("sql", index, query)

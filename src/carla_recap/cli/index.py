@@ -12,6 +12,7 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.output import counted, fail, warn, wrote
+from carla_recap.errors import RecapError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -23,6 +24,7 @@ T = TypeVar("T")
 
 _LONGEST: Final = 200  # characters of the names of maps
 _MEMORY: Final = 2 << 30  # bytes, for a query and its answer
+_LONGEST_QUERY: Final = 1 << 20  # bytes
 FAILED: Final = 2
 """The exit code if a recording cannot be read."""
 
@@ -121,7 +123,7 @@ def sql(index_file: str, query: str, form: Form | None) -> NoReturn:
     from carla_recap.cli.sql_output import show_rows
     from carla_recap.fleet.index.database import open_index
 
-    text = sys.stdin.buffer.read().decode("utf-8", "surrogateescape") if query == "-" else query
+    text = _read_query() if query == "-" else query
     opened = open_index(index_file)
     _limit_memory()
     try:
@@ -134,6 +136,13 @@ def sql(index_file: str, query: str, form: Form | None) -> NoReturn:
     show_rows(rows, form or ("table" if sys.stdout.isatty() else "csv"))
     sys.stdout.flush()
     os._exit(0)  # ending the interpreter takes longer than most queries
+
+
+def _read_query() -> str:
+    text = sys.stdin.buffer.read(_LONGEST_QUERY + 1)
+    if len(text) > _LONGEST_QUERY:
+        raise RecapError(f"stdin: a query of at most {_LONGEST_QUERY:,} bytes was expected")
+    return text.decode("utf-8", "surrogateescape")
 
 
 def _limit_memory() -> None:

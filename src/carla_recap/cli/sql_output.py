@@ -12,6 +12,7 @@ from itertools import chain, islice
 from json import JSONEncoder
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+from carla_recap.errors import RecapError
 from carla_recap.util.text import number, visible
 
 if TYPE_CHECKING:
@@ -48,7 +49,10 @@ def show_rows(rows: pa.Table, form: Form) -> None:
 def _values(column: pa.Array) -> list[Any]:
     import pyarrow as pa
 
-    values: list[Any] = column.to_pylist()
+    try:
+        values: list[Any] = column.to_pylist()
+    except OverflowError:
+        raise RecapError("a date that is not between the years 1 and 9999 cannot be printed; cast it to varchar") from None
     return [value and dict(value) for value in values] if pa.types.is_map(column.type) else values
 
 

@@ -18,6 +18,7 @@ from carla_recap.util.log import log_info
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+_LONGEST_LINE: Final = 1 << 16  # bytes of a source in a list
 _PIECES: Final = re.compile(r"\[!?\]?[^\]]*\]|.", re.DOTALL)  # the parts of a glob: sets of characters, and characters
 _MAGIC: Final = re.compile(r"[*?\[]")
 _GLOB: Final = {"*": "[^/]*", "?": "[^/]"}
@@ -106,13 +107,21 @@ def _named(sources: Iterable[str | Path]) -> Iterator[str]:
         if source != "-":
             yield os.fspath(source)
         else:
-            lines = iter(sys.stdin.buffer if sys.stdin is not None else ())
-            names = (os.fsdecode(line.rstrip(b"\r\n")) for line in lines if line.strip())
+            names = (os.fsdecode(line.rstrip(b"\r\n")) for line in _lines() if line.strip())
             first = next(names, None)
             if first is None:
                 raise RecapError("stdin: no recordings; a list of them was expected, one in a line")
             yield first
             yield from names
+
+
+def _lines() -> Iterator[bytes]:
+    """Yield the lines of stdin."""
+    read = sys.stdin.buffer.readline if sys.stdin is not None else lambda _: b""
+    for number, line in enumerate(iter(lambda: read(_LONGEST_LINE + 1), b""), 1):
+        if len(line) > _LONGEST_LINE:
+            raise RecapError(f"stdin: line {number}: a path or a URL of at most {_LONGEST_LINE:,} bytes was expected")
+        yield line
 
 
 def _expanded(source: str) -> Iterator[SourceFile]:
