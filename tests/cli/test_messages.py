@@ -18,7 +18,7 @@ from typing import NamedTuple
 import click
 import pytest
 
-from carla_recap import RecapWarning, cli
+from carla_recap import RecapWarning, cli, create_recording
 from carla_recap.cli.output import BAD_INPUT
 from carla_recap.queries.output.terminal import TableColumn, print_table, shortened
 from tests.cli.command import CROSSING, wrote
@@ -304,9 +304,17 @@ def test_unknown_maps_of_many_recordings_are_one_warning(invoke, tmp_path):
     for name in ("a.log", "b.log"):
         (tmp_path / name).symlink_to(CROSSING)
     done = invoke("incidents", "--kinds", "all", "a.log", "b.log")
-    assert done.err.startswith("carla-recap: warning: the map 'Crossing' is unknown, of 2 recordings; ")
+    assert done.err.startswith("carla-recap: warning: 2 recordings are of an unknown map: 'Crossing'; ")
     assert done.err.count("\n") == 1
     assert "a.log: the map 'Crossing' is unknown" in invoke("incidents", "--kinds", "all", "a.log").err
+
+
+def test_the_warning_of_unknown_maps_says_that_one_has_no_name(invoke):
+    for path, name in (("a.mcap", ""), ("b.mcap", "Town05")):
+        with create_recording(path, map_name=name) as recorder:
+            recorder.add_frame(0.0)
+    done = invoke("incidents", "--kinds", "all", "a.mcap", "b.mcap")
+    assert done.err.startswith("carla-recap: warning: 2 recordings are of unknown maps: (no name), 'Town05'; ")
 
 
 # --- the start ---------------------------------------------------------------------------------------------

@@ -50,7 +50,7 @@ def test_names_and_folders_are_kept_and_a_failure_is_a_line(runs):
     assert messages(done)[1:] == [
         junk,
         "wrote out/deep/b.mcap: 1200 frames, 59.95 s, 444 kB",
-        "2 recordings written, 0 skipped, 1 failed",
+        "recordings: 2 done, 0 skipped, 1 failed",
     ]
 
 
@@ -96,7 +96,7 @@ def test_newer_resumes(runs):
     os.utime(runs / "a.log", (later, later))
     done = run("convert", "runs", "out", "--newer")
     assert wrote(done.stderr) == ["out/a.mcap: 531 frames, 53 s"]
-    assert messages(done)[-1] == "1 recording written, 1 skipped, 0 failed"
+    assert messages(done)[-1] == "recordings: 1 done, 1 skipped, 0 failed"
 
 
 def test_newer_goes_with_a_single_file(runs):
@@ -110,7 +110,7 @@ def test_files_of_an_earlier_run_below_the_sources_are_skipped(runs):
         done = run("convert", "runs", "runs/mcap", "--newer")
         assert done.returncode == 0
         assert files(runs) == {"a.log", "deep/b.mcap", "mcap/a.mcap", "mcap/deep/b.mcap"}
-    assert messages(done) == ["0 recordings written, 2 skipped, 0 failed"]
+    assert messages(done) == ["recordings: 0 done, 2 skipped, 0 failed"]
 
 
 def test_two_recordings_of_one_name_are_an_error(runs):
@@ -187,7 +187,7 @@ def test_folders_of_many(runs):
     assert done.returncode == 2
     assert {"a/actors.parquet", "deep/b/transforms.parquet"} <= files(Path("out"))
     done = run("export", "runs", "out", "--to", "parquet", "--newer")
-    assert messages(done)[-1] == "0 recordings written, 2 skipped, 1 failed"
+    assert messages(done)[-1] == "recordings: 0 done, 2 skipped, 1 failed"
 
 
 def test_a_page_of_each(runs):

@@ -320,7 +320,7 @@ def test_a_recovery_is_described_in_words(recovery, words):
 
 
 def test_a_recovery_of_a_file_without_an_end_says_so():
-    assert str(Recovery(5, 0, 0, 1.5, False)).endswith("never finished, or its end is damaged")
+    assert str(Recovery(5, 0, 0, 1.5, False)).endswith("; unfinished or damaged at its end")
 
 
 def test_the_error_about_an_unfinished_recording_contains_the_path_of_its_partial_file(tmp_path):

@@ -181,7 +181,7 @@ def test_a_measure_of_the_road_needs_the_map():
     assert found.status == "error"
     assert (
         found.message
-        == "the map 'Crossing' is unknown, whose roads are needed; --map or CARLA_RECAP_MAPS says where maps are"
+        == "the map 'Crossing' is unknown, but its roads are needed; --map or CARLA_RECAP_MAPS says where maps are"
     )
 
 
@@ -190,7 +190,7 @@ def test_a_measure_of_the_road_needs_the_map():
     [
         ("junction.mcap", '"red light"', "pass", "no red light runs"),
         ("crash.mcap", '["red light", "stop sign", "wrong way"]', "pass", "no red light runs, stop sign runs or drives "),
-        ("crossing.log", '"red light"', "error", "the map 'Crossing' is unknown, whose roads are needed; "),
+        ("crossing.log", '"red light"', "error", "the map 'Crossing' is unknown, but its roads are needed; "),
     ],
 )
 def test_an_incident_of_the_road_needs_the_map(sample, kind, status, message):
@@ -312,7 +312,7 @@ def test_the_description_is_the_authors_or_that_of_the_condition():
     [
         ("", "has no rules; a table of the form [rules.NAME] was expected"),
         ("[rules]", "has no rules; a table of the form [rules.NAME] was expected"),
-        ("[rule.a]", "'rule': rules were expected, as [rules.NAME]"),
+        ("[rule.a]", "'rule': is unknown; tables of the form [rules.NAME] were expected"),
         ("rules = 3", "has no rules; a table of the form [rules.NAME] was expected"),
         ("[rules.a", "Expected ']'"),
         ("[rules.a]\nframes = { min = 1 }\n[rules.a]\nframes = { min = 1 }", "Cannot declare ('rules', 'a') twice"),

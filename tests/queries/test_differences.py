@@ -372,7 +372,7 @@ def test_lives_of_other_lengths(drive: Callable[..., Reader]) -> None:
     row = row_of(found, 12)
     assert (row.destroyed_at_a, row.destroyed_at_b, row.differs) == (1.0, 1.5, True)
     assert row.first is None
-    assert "not in their positions" in found.summary
+    assert "but not in position" in found.summary
     assert differences(until(20), until(30), tolerance=0.01).equal
     assert not differences(until(20), until(30), tolerance=0.01, time_tolerance=0.4).equal
 

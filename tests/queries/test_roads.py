@@ -33,7 +33,7 @@ def test_kinds_of_the_road_are_left_out_with_a_warning(crossing, kinds):
 
 
 def test_kinds_of_the_road_alone_are_an_error(crossing):
-    with pytest.raises(RecapError, match="is unknown, whose roads are needed; --map or CARLA_RECAP_MAPS"):
+    with pytest.raises(RecapError, match="is unknown, but its roads are needed; --map or CARLA_RECAP_MAPS"):
         incidents(crossing, IncidentOptions(kinds=["red light", "speeding"]))
 
 

@@ -21,7 +21,7 @@ _format = click.option(
     "--format",
     "suffix",
     type=click.Choice(["mcap", "log"]),
-    help="Of the files in a folder, mcap if not given; that of a single file is said by its suffix.",
+    help="The format of files in a folder, by default mcap; a single file has the one of its suffix.",
 )
 
 

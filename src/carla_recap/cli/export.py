@@ -356,7 +356,7 @@ def snapshot(
     "--format",
     "suffix",
     type=click.Choice(["mp4", "gif"]),
-    help="Of the files in a folder, mp4 if not given; that of a single file is said by its suffix.",
+    help="The format of files in a folder, by default mp4; a single file has the one of its suffix.",
 )
 @options.any_view
 @_window

@@ -161,9 +161,9 @@ class Messages:
         if len(messages) == 1:
             warn(messages[0])
         elif messages:
-            maps = ", ".join(self._without_map)
-            maps = f"the map {maps} is" if len(self._without_map) == 1 else f"the maps {maps} are"
-            warn(f"{maps[:_LONGEST]} unknown, of {len(messages)} recordings; {WITHOUT_ROADS}")
+            names = ", ".join("(no name)" if name == "''" else name for name in self._without_map)
+            maps = "an unknown map" if len(self._without_map) == 1 else "unknown maps"
+            warn(f"{len(messages)} recordings are of {maps}: {names[:_LONGEST]}; {WITHOUT_ROADS}")
 
 
 def _with_location(message: str, location: str) -> str:

@@ -13,7 +13,7 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import Messages, client_of, is_one, watched
-from carla_recap.cli.output import BAD_INPUT, counted, not_written, note, wrote
+from carla_recap.cli.output import BAD_INPUT, not_written, note, wrote
 from carla_recap.fleet.destinations import DestinationFolder, WrittenFile, is_current, write_file, write_files
 from carla_recap.fleet.sources import find_sources
 from carla_recap.formats.sources import is_remote, split_time
@@ -127,7 +127,7 @@ class WriteRequest:
         messages.end()
         for hint in hints:
             note(hint)
-        note(f"{counted(written, 'recording')} written, {len(folder.skipped)} skipped, {len(failed)} failed")
+        note(f"recordings: {written} done, {len(folder.skipped)} skipped, {len(failed)} failed")
         not_written("skipped", list(folder.skipped))
         not_written("failed", failed)
         if failed:

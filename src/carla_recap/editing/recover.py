@@ -56,9 +56,9 @@ class Recovery:
         counts = ((self.lost_frames, "frames"), (self.lost_packets, "packets"), (self.lost_bytes, "bytes"))
         lost = [f"{count} {what} lost" for count, what in counts if count]
         if not self.finished:
-            lost.append("it was never finished, or its end is damaged")
+            lost.append("unfinished or damaged at its end")
         if self.headless:
-            lost.append("its header is lost: the map is unknown")
+            lost.append("header and map lost")
         return lost
 
     def __str__(self) -> str:

@@ -167,7 +167,11 @@ def parse_rules(text: str, path: Path | str) -> RuleSet:
     except ValueError:  # of `int`
         fault = f"{path}: has a number of thousands of digits; quantities and numbers of things were expected"
         raise RulesError([fault]) from None
-    faults = [f"{path}: {_shown(key)}: rules were expected, as [rules.NAME]" for key in document if key != "rules"]
+    faults = [
+        f"{path}: {_shown(key)}: is unknown; tables of the form [rules.NAME] were expected"
+        for key in document
+        if key != "rules"
+    ]
     found = document.get("rules")
     if isinstance(found, dict) and found:
         return _rules(found, path, faults)

@@ -544,7 +544,7 @@ def event_text(row: EventDifference) -> str:
 
 def _largest(rows: Sequence[ActorDifference]) -> str:
     row = max(rows, key=lambda row: row.max if row.max > 0 else 0.0)
-    return f"at most by {metres(row.max)}" if row.max > 0 else "not in their positions"
+    return f"at most by {metres(row.max)}" if row.max > 0 else "but not in position"
 
 
 def _count(number: int, noun: str) -> str:

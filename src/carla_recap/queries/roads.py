@@ -37,8 +37,10 @@ def roads_of(source: Reader, road_map: str | None = None, *, needed: bool = Fals
     found = find_road_network(name, road_map)
     if found is None and (needed or road_map is not None):
         if road_map is None:
-            raise RecapError(f"{source.location}: {_unknown(name)}, whose roads are needed; {WHERE_MAPS}")
-        raise RecapError(f"{source.location}: there is no .xodr in {road_map} for the map {name!r}, whose roads are needed")
+            raise RecapError(f"{source.location}: {_unknown(name)}, but its roads are needed; {WHERE_MAPS}")
+        raise RecapError(
+            f"{source.location}: there is no .xodr in {road_map} for the map {name!r}, but its roads are needed"
+        )
     return found
 
 

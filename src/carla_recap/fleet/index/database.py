@@ -192,7 +192,7 @@ class RecordingIndex:
             return RecapError(f"{self.path}: {_NO_INDEX}")
         damaged = (duckdb.IOException, duckdb.FatalException, duckdb.InternalException, duckdb.SerializationException)
         if isinstance(error, damaged) or type(error) is duckdb.Error:
-            return RecapError(f"{self.path}: {_one_line(error)}; if it is damaged, {_remedy(self.path)}")
+            return RecapError(f"{self.path}: {_one_line(error)}; if the index is damaged, {_remedy(self.path)}")
         return RecapError(_one_line(error))
 
 
