@@ -242,7 +242,7 @@ def test_what_is_not_finite_is_unknown(table):
     [
         ({"columns": {"east": "x"}}, "no column 'east'"),
         ({"columns": {"x": "east"}}, "no column east for x"),
-        ({"hero": "9"}, "no object 9"),
+        ({"hero": "9"}, "no object 9; ids are "),
         ({"length_unit": "ft"}, "length_unit must be one of m, cm"),
     ],
 )

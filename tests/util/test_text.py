@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from carla_recap.util.text import readable
+from carla_recap.util.text import first_of, readable
 
 
 @pytest.mark.parametrize(
@@ -32,3 +32,11 @@ from carla_recap.util.text import readable
 )
 def test_readable(raw: bytes, shown: str) -> None:
     assert readable(raw.decode("utf-8", "surrogateescape")) == shown
+
+
+@pytest.mark.parametrize(
+    ("names", "text"),
+    [([], "none"), (["a", "b", "c"], "a, b, c"), (["a", "b", "c", "d", "e"], "a, b, c, and 2 more")],
+)
+def test_the_first_of_many_names(names: list[str], text: str) -> None:
+    assert first_of(names) == text

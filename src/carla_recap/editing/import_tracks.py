@@ -19,6 +19,7 @@ from carla_recap.editing.convert import check_destination, check_new
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.layout import MAX_COUNT
 from carla_recap.model.records import CM, NO_ACTOR, UE4, ActorKind, Spawn, attributes
+from carla_recap.util.text import first_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -346,7 +347,7 @@ class _ImportedTracks:
         self._numbers, self._texts = table.numbers, table.texts
         self._names, of_row = table.texts["id"]
         if hero is not None and hero not in self._names:
-            raise RecapError(f"{path}: no object {hero}; ids are {', '.join(self._names[:3])} …")
+            raise RecapError(f"{path}: no object {hero}; ids are {first_of(self._names)}")
         self._hero = hero
         time = table.numbers["time"]
         order = np.lexsort((time, of_row))

@@ -14,7 +14,7 @@ import numpy as np
 from carla_recap.errors import RecapError
 from carla_recap.model.motion import place_in_metres
 from carla_recap.model.records import CM, NO_ACTOR, ActorKind, Spawn
-from carla_recap.util.text import readable
+from carla_recap.util.text import first_of, readable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -241,8 +241,7 @@ def find_actor(
         movers or known, key=lambda actor: (not actor.is_hero, ranks.get(actor.kind, len(ranks)), abs(actor.id - wanted))
     )
     names = {actor.id: f"{actor.id} ({HERO if actor.is_hero else actor.kind.replace('_', ' ')})" for actor in near}
-    some = ", ".join(list(names.values())[:3]) or "none"
-    raise RecapError(f"{location}: no {what} {wanted}{end}; known ids are {some}")
+    raise RecapError(f"{location}: no {what} {wanted}{end}; known ids are {first_of(list(names.values()))}")
 
 
 def heroes_of(known: Iterable[ActorLife]) -> list[ActorLife]:

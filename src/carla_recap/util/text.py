@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 def readable(text: str) -> str:
@@ -19,6 +22,12 @@ def readable(text: str) -> str:
     if text.isascii() or not re.search(_SUSPECT, text):
         return text
     return re.sub(_UTF8, lambda match: match[1] or b"?", text.encode("utf-8", "surrogateescape")).decode()
+
+
+def first_of(names: Sequence[str], count: int = 3) -> str:
+    """Return the first few names as a list in words, and how many more there are."""
+    more = [f"and {len(names) - count} more"] * (len(names) > count)
+    return ", ".join([*names[:count], *more]) or "none"
 
 
 def number(value: float) -> str:
