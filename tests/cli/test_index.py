@@ -171,7 +171,8 @@ def test_names_of_recordings_cannot_control_the_terminal(index):
     ("query", "message"),
     {
         "select nothing from recordings": "Binder Error",
-        "select 1; drop view actors": "one query that begins with 'select'",
+        "select 1; drop view actors": "one query was expected, which begins with select, with, ",
+        "explain select 1": "table, pivot, unpivot, describe, show or summarize",
         "select * from read_text('/etc/passwd')": "Permission Error",
         "select error('a\nb')": "Invalid Input Error: a",
     }.items(),
@@ -230,7 +231,9 @@ def test_an_answer_that_is_too_large_for_the_memory_is_an_error(index, query):
 
 def test_a_file_that_is_no_index_is_an_error(tmp_path):
     assert "is a folder; an index is a file" in error("sql", tmp_path, "select 1")
-    assert "is no index of recordings" in error("sql", tmp_path / "none", "select 1")
+    assert "does not exist; 'carla-recap index' makes" in error("sql", tmp_path / "none", "select 1")
+    (tmp_path / "empty").touch()
+    assert "is empty; remove it, and 'carla-recap index" in error("sql", tmp_path / "empty", "select 1")
 
 
 def test_sources_without_recordings_are_an_error(tmp_path):

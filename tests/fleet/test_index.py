@@ -280,6 +280,18 @@ def test_a_query_waits_for_a_process_that_has_the_index_open_for_a_moment(runs, 
         assert open_index(index).table("recordings").num_rows == len(NAMES)
 
 
+@pytest.mark.parametrize("query", ["with", "from", "values", "table", "pivot", "unpivot", "describe", "show", "summarize"])
+def test_queries_begin_with_one_of_several_words(index, query):
+    rest = {
+        "with": "a as (select 1) from a",
+        "values": "(1)",
+        "pivot": "recordings on frames using count(*) group by map",
+        "unpivot": "(select frames from recordings) on frames",
+        "show": "tables",
+    }
+    assert open_index(index).sql(f"{query} {rest.get(query, 'recordings')}").num_rows
+
+
 def test_a_recording_is_not_taken_for_an_index(runs):
     before = (runs / NAMES[0]).read_bytes()
     for use in (open_index, lambda path: write_index([runs / NAMES[1]], path, jobs=1)):
@@ -371,7 +383,9 @@ def test_the_memory_of_a_query_is_limited(index):
         open_index(index).sql("select list(range) from range(1000000000)")
 
 
-@pytest.mark.parametrize(("name", "message"), {"": "is a folder", "none": "is no index", "pipe": "no regular file"}.items())
+@pytest.mark.parametrize(
+    ("name", "message"), {"": "is a folder", "none": "does not exist", "pipe": "no regular file"}.items()
+)
 def test_what_is_no_index_cannot_be_opened(tmp_path, name, message):
     if name == "pipe":
         os.mkfifo(tmp_path / name)

@@ -37,6 +37,7 @@ _CONFIG: Final[dict[str, Any]] = {
 }
 _CONFINED: Final = ("set enable_external_access=false", "set lock_configuration=true")
 _NO_INDEX: Final = "is no index of recordings, which 'carla-recap index' makes"
+_QUERIES: Final = "select, with, from, values, table, pivot, unpivot, describe, show or summarize"
 _NO_DATABASE: Final = "not a valid DuckDB database file"  # in an error of DuckDB, which has no class of its own
 _BUSY: Final = re.compile("Could not set lock|file handle conflict|being used by another process")
 _PATIENCE: Final = 60.0  # s for which others may have the file open
@@ -61,7 +62,7 @@ class RecordingIndex:
         _require()
         self.path = Path(path)
         if not _is_file(self.path):
-            raise RecapError(f"{str(path)[:200]}: {_NO_INDEX}")
+            raise RecapError(f"{str(path)[:200]}: does not exist; 'carla-recap index' makes an index of recordings")
         with self._opened(_READING) as database:
             found = {name for (name,) in database.sql("select table_name from duckdb_tables()").fetchall()}
             if not found.issuperset(TABLES):
@@ -112,7 +113,7 @@ class RecordingIndex:
                 database.execute(setting)
             kinds = [statement.type for statement in database.extract_statements(query)]
             if kinds not in ([duckdb.StatementType.SELECT], [duckdb.StatementType.MULTI]):  # the latter is a pivot
-                raise RecapError(f"{_shown(query)}: one query that begins with 'select' was expected")
+                raise RecapError(f"{_shown(query)}: one query was expected, which begins with {_QUERIES}")
             return _answer(database, query)
 
     def replace(self, tables: Mapping[str, pa.Table]) -> None:
@@ -309,6 +310,8 @@ def _is_file(path: Path) -> bool:
         if not path.is_file():
             raise RecapError(f"{path}: is {'a folder' if path.is_dir() else 'no regular file'}; an index is a file")
         str(path).encode()
+        if not path.stat().st_size:
+            raise RecapError(f"{path}: is empty; {_remedy(path)}")
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise RecapError(f"{str(path)[:200]}: cannot be an index: {reason}") from None
