@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -29,6 +30,8 @@ from tests.samples import (
     write,
 )
 from tests.waiting import time_limit
+
+SAMPLES = Path(__file__).parents[2] / "samples"
 
 
 def chunk_places(data):
@@ -69,6 +72,18 @@ def test_a_file_without_an_end_is_saved_up_to_the_cut(driven, tmp_path, kept):
     assert recovery.frames == len(saved)
     assert 600 * (kept - 0.25) < len(saved) <= 600
     assert [frame[0] for frame in saved] == [frame[0] for frame in whole[: len(saved)]]
+
+
+@pytest.mark.parametrize("kept", [1.0, 0.9])
+def test_a_file_that_is_cut_before_its_events_is_said_to_have_none(tmp_path, kept):
+    data = (SAMPLES / "crash.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: int(len(data) * kept)])
+    with warnings_ignored():
+        recovery = recover(tmp_path / "cut.mcap", tmp_path / "saved.mcap")
+    with open_recording(tmp_path / "saved.mcap") as recording:
+        assert recovery.without_events == (not recording.actors)
+    assert ("no spawns, collisions and other events are left" in str(recovery)) == recovery.without_events
+    assert recovery.without_events == (kept < 1)
 
 
 def test_a_lost_chunk_costs_only_its_frames(driven, tmp_path):

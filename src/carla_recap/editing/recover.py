@@ -16,7 +16,7 @@ from carla_recap.formats.log_scan import PACKETS_LIMIT
 from carla_recap.formats.sources import LocalSource, is_remote, path_of
 from carla_recap.model.batch import Batch
 from carla_recap.model.layout import PayloadError, check
-from carla_recap.model.records import FRAME_END
+from carla_recap.model.records import FRAME_END, Group
 from carla_recap.util.files import partials
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ class Recovery:
         finished: Whether the source was complete up to its end.
         headless: Whether its header was lost, so that the map is unknown.
         lost_packets: The number of packets of saved frames that contradict their type.
+        without_events: Whether its end was lost, and no event was found: an MCAP file has most of them there.
     """
 
     frames: int
@@ -49,6 +50,7 @@ class Recovery:
     finished: bool
     headless: bool = False
     lost_packets: int = 0
+    without_events: bool = False
 
     @property
     def losses(self) -> list[str]:
@@ -57,6 +59,8 @@ class Recovery:
         lost = [f"{count} {what} lost" for count, what in counts if count]
         if not self.finished:
             lost.append("unfinished or damaged at its end")
+        if self.without_events:
+            lost.append("no spawns, collisions and other events are left")
         if self.headless:
             lost.append("header and map lost")
         return lost
@@ -91,7 +95,7 @@ def recover(
     if left and not os.path.lexists(path_of(source)):
         raise _unfinished(source, left)
     reader, finished, lost_bytes, headless = _open(source, left)
-    frames, last, duration, lost_packets = 0, -1, 0.0, 0
+    frames, last, duration, lost_packets, without_events = 0, -1, 0.0, 0, not finished
     try:
         if left and next(reader.frames(), None) is None:
             raise _unfinished(source, left)
@@ -104,6 +108,7 @@ def recover(
                 sound = [packet for packet in frame.packets if _is_sound(packet)][:PACKETS_LIMIT]
                 lost_packets += len(frame.packets) - len(sound)
                 frame.packets = sound
+                without_events = without_events and not any(map(_has_events, sound))
                 writer.write(frame)
                 frames += 1
                 last, duration = frame.index, frame.elapsed
@@ -114,7 +119,7 @@ def recover(
         expected = max(last + 1, _stated_frames(reader))
     finally:
         reader.close()
-    return Recovery(frames, expected - frames, lost_bytes, duration, finished, headless, lost_packets)
+    return Recovery(frames, expected - frames, lost_bytes, duration, finished, headless, lost_packets, without_events)
 
 
 def finish_partial(
@@ -162,6 +167,10 @@ def _is_sound(packet: Packet) -> bool:
         return True
     except (FormatError, PayloadError):
         return False
+
+
+def _has_events(packet: Packet) -> bool:
+    return packet.type is not None and packet.type.group is Group.EVENTS and len(packet.records) > 0
 
 
 def _stated_frames(reader: Reader) -> int:
