@@ -312,7 +312,8 @@ def test_the_description_is_the_authors_or_that_of_the_condition():
     [
         ("", "has no rules; a table of the form [rules.NAME] was expected"),
         ("[rules]", "has no rules; a table of the form [rules.NAME] was expected"),
-        ("[rule.a]", "'rule': is unknown; tables of the form [rules.NAME] were expected"),
+        ("[rule.a]", "'rule': is unknown; did you mean rules?"),
+        ("[limits.a]", "'limits': is unknown; tables of the form [rules.NAME] were expected"),
         ("rules = 3", "has no rules; a table of the form [rules.NAME] was expected"),
         ("[rules.a", "Expected ']'"),
         ("[rules.a]\nframes = { min = 1 }\n[rules.a]\nframes = { min = 1 }", "Cannot declare ('rules', 'a') twice"),

@@ -167,11 +167,9 @@ def parse_rules(text: str, path: Path | str) -> RuleSet:
     except ValueError:  # of `int`
         fault = f"{path}: has a number of thousands of digits; quantities and numbers of things were expected"
         raise RulesError([fault]) from None
-    faults = [
-        f"{path}: {_shown(key)}: is unknown; tables of the form [rules.NAME] were expected"
-        for key in document
-        if key != "rules"
-    ]
+    tables = "tables of the form [rules.NAME] were expected"
+    unknown = [key for key in document if key != "rules"]
+    faults = [f"{path}: {_shown(key)}: is unknown; {_hint(key, ['rules'], tables)}" for key in unknown]
     found = document.get("rules")
     if isinstance(found, dict) and found:
         return _rules(found, path, faults)
@@ -463,9 +461,9 @@ def _rule(name: str, table: Any, path: Path | str, faults: list[str]) -> Rule | 
     return Rule(name, condition, " ".join((description or condition.text()).split()))
 
 
-def _hint(name: str, known: Sequence[str]) -> str:
+def _hint(name: str, known: Sequence[str], expected: str = "") -> str:
     near = get_close_matches(name[:_SHOWN], known, 1)
-    return f"did you mean {near[0]}?" if near else f"{', '.join(known)} were expected"
+    return f"did you mean {near[0]}?" if near else expected or f"{', '.join(known)} were expected"
 
 
 def _shown(value: Any) -> str:
