@@ -48,7 +48,7 @@ run cmp samples/crossing.log "$out/crossing.log"
 say 'Make the incident page, a page that compares both drives, and a file for Foxglove.'
 run carla-recap report "$mcap" "$out/page.html"
 if $simulates; then
-    run carla-recap report "$mcap" "$out/avoided.mcap" "$out/compared.html"
+    run carla-recap report "$mcap" "$out/compared.html" --compare "$out/avoided.mcap"
 fi
 run carla-recap export "$mcap" "$out/foxglove.mcap" --quiet
 
