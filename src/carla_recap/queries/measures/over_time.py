@@ -14,7 +14,7 @@ from carla_recap.errors import RecapError
 from carla_recap.model.actors import HERO, ROAD_USERS, ActorLives, ActorName, find_actor
 from carla_recap.queries.actors import actors as recorded_actors
 from carla_recap.queries.measures.motion import TYPES, MotionCollector
-from carla_recap.queries.measures.series import NOBODY, criticality
+from carla_recap.queries.measures.series import NO_OTHER, criticality
 from carla_recap.queries.measures.table import MeasureSeries, series_of
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class MeasuresOverTime:
         for actor, series in self.series.items():
             time, *columns = (column.tolist() for column in series.columns().values())
             for moment, *values in zip(time, *columns, strict=True):
-                known = (None if type(value) is int and value == NOBODY else value for value in values)
+                known = (None if type(value) is int and value == NO_OTHER else value for value in values)
                 yield MeasureMoment(moment, actor, *known)
 
 

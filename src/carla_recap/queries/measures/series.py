@@ -26,7 +26,7 @@ SPEED_WINDOW: Final = 0.125
 JERK_WINDOW: Final = 0.25
 """The time before and after a moment, of which the accelerations count for its jerk, in s."""
 
-NOBODY: Final = -1
+NO_OTHER: Final = -1
 """The row of no actor."""
 
 _FEW: Final = 4  # actors for which pairs are looked for
@@ -108,7 +108,7 @@ class _Least:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.value = np.full(shape, np.inf)
-        self.other = np.full(shape, NOBODY)
+        self.other = np.full(shape, NO_OTHER)
 
     def add(self, row: Indices, pairs: PairFrames, values: Floats) -> None:
         """Add values of pairs, whose first actors are the subjects in some rows."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 import numpy as np
 
 from carla_recap.model.motion import slope
-from carla_recap.queries.measures.series import JERK_WINDOW, NOBODY, SPEED_WINDOW
+from carla_recap.queries.measures.series import JERK_WINDOW, NO_OTHER, SPEED_WINDOW
 from carla_recap.tables import Columns
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def series_of(block: MotionBlock, rows: Indices, found: Criticality) -> MeasureS
     """
     speed = block.speed[rows]
     acceleration = slope(block.time, speed, SPEED_WINDOW)
-    ids = np.append(block.ids, NOBODY).astype(np.int64)
+    ids = np.append(block.ids, NO_OTHER).astype(np.int64)
     return MeasureSeries(
         time=np.broadcast_to(block.time, speed.shape),
         speed=speed,
