@@ -257,13 +257,13 @@ def _trajectory(recording: Recording) -> object:
 
 
 def _rerun(recording: Recording) -> object:
-    from carla_recap.export.rerun import export_rerun
+    from carla_recap.show.rerun import export_rerun
 
     return export_rerun(recording, DIRECTORY / "use.rrd", force=True)
 
 
 def _foxglove(recording: Recording) -> object:
-    from carla_recap.export.foxglove import export_foxglove
+    from carla_recap.show.foxglove import export_foxglove
 
     return export_foxglove(recording, DIRECTORY / "use.foxglove.mcap", force=True)
 

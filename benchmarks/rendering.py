@@ -77,10 +77,10 @@ def drawing_process(_: Subject) -> Iterator[Line]:
 
 def crowded_town() -> tuple[Any, Any, Any]:
     """Return the mesh of a town, actors in it, and CARLA's poses of these."""
-    from carla_recap.rendering.actors import instances
-    from carla_recap.rendering.looks import look_of
     from carla_recap.rendering.town import load_town_mesh
     from carla_recap.roads.find import find_map, load_map
+    from carla_recap.scene.actors import instances
+    from carla_recap.scene.appearance import look_of
 
     path = TOWN if TOWN.exists() else find_map("Brickfield")
     assert path is not None

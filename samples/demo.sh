@@ -79,4 +79,4 @@ hint "pip install '.[rerun]'"
 hint "carla-recap view $mcap" 'without a display, with --web'
 say 'For Foxglove, the recording and its layout, which its menu "Layouts" imports:'
 hint "$out/foxglove.mcap"
-hint "$(python -c 'from carla_recap.export.foxglove import layout_files; print(layout_files()["Foxglove"])')"
+hint "$(python -c 'from carla_recap.show.foxglove import layout_files; print(layout_files()["Foxglove"])')"

@@ -7,8 +7,8 @@ from time import monotonic
 from typing import TYPE_CHECKING, Final, Self
 
 from carla_recap.errors import RecapError
-from carla_recap.export import viewer
-from carla_recap.export.viewer import GRPC_PORT, HOST, RerunViewer
+from carla_recap.show import viewer
+from carla_recap.show.viewer import GRPC_PORT, HOST, RerunViewer
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class ScreenshotTaker:
         Raises:
             RecapError: The viewer does not answer, or cannot draw the scene.
         """
-        from carla_recap.export.rerun.stream import SIM_TIME
+        from carla_recap.show.rerun.stream import SIM_TIME
 
         with self._process.answering():
             self._client.set_time(SIM_TIME, duration=float(time), play_state="paused")

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import pytest
 
 from carla_recap import open_recording
-from tests.export.report.conftest import data
+from tests.show.page.conftest import data
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:

@@ -31,12 +31,10 @@ if TYPE_CHECKING:
         RecapWarning,
         RecordError,
     )
-    from carla_recap.export.clips import clips
-    from carla_recap.export.openscenario import export_openscenario
-    from carla_recap.export.osi import export_osi
-    from carla_recap.export.parquet import export_parquet
-    from carla_recap.export.report import write_report
-    from carla_recap.export.tracks import export_csv
+    from carla_recap.files.openscenario import export_openscenario
+    from carla_recap.files.osi import export_osi
+    from carla_recap.files.parquet import export_parquet
+    from carla_recap.files.tracks import export_csv
     from carla_recap.fleet.engine import map_recordings, open_recordings
     from carla_recap.fleet.index.database import RecordingIndex, open_index
     from carla_recap.fleet.index.writing import IndexSummary, write_index
@@ -58,6 +56,8 @@ if TYPE_CHECKING:
     from carla_recap.recording import Recording, RecordingInfo, open_recording
     from carla_recap.replay import Player, Scene
     from carla_recap.roads import RoadMap, load_map
+    from carla_recap.show.clips import clips
+    from carla_recap.show.page import write_report
     from carla_recap.tables.records import RecordTable
     from carla_recap.tables.trajectories import Controls, LightStates, Trajectories, Trajectory
 
@@ -140,13 +140,13 @@ _get, __dir__ = lazily(
         "editing.clip": ("clip",),
         "editing.convert": ("convert",),
         "editing.import_tracks": ("import_tracks",),
-        "export.openscenario": ("export_openscenario",),
-        "export.osi": ("export_osi",),
-        "export.tracks": ("export_csv",),
+        "files.openscenario": ("export_openscenario",),
+        "files.osi": ("export_osi",),
+        "files.tracks": ("export_csv",),
         "errors": ("Closed", "FormatError", "MissingExtra", "NotARecording", "RecapError", "RecapWarning", "RecordError"),
-        "export.clips": ("clips",),
-        "export.report": ("write_report",),
-        "export.parquet": ("export_parquet",),
+        "show.clips": ("clips",),
+        "show.page": ("write_report",),
+        "files.parquet": ("export_parquet",),
         "fleet.rules": ("Rule", "RuleSet", "Verdict", "check", "load_rules"),
         "fleet.outcomes": ("Outcome",),
         "fleet.engine": ("map_recordings", "open_recordings"),

@@ -279,10 +279,10 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[Any]) -> 
 def _keep(world: CarlaWorld, config: pytest.Config, name: str, *, page: bool) -> list[str]:
     """Move the recording of a test, and write its page; return what to say of them."""
     from carla_recap.errors import RecapError
-    from carla_recap.export.report import write_report
     from carla_recap.fleet.pages import opening_of
     from carla_recap.recording import open_recording
     from carla_recap.rendering.town import load_town_of
+    from carla_recap.show.page import write_report
 
     kept, kept_page = _kept(config, name)
     lines = []

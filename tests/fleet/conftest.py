@@ -1,5 +1,5 @@
 """A browser for pages."""
 
-from tests.export.report.conftest import chromium
+from tests.show.page.conftest import chromium
 
 __all__ = ["chromium"]

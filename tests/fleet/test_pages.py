@@ -11,8 +11,8 @@ from carla_recap.fleet.pages import MOST, overview, write_pages
 from carla_recap.fleet.rules import Verdict, load_rules, parse_rules
 from carla_recap.fleet.sources import find_sources
 from carla_recap.queries.info import info
-from tests.export.report.conftest import data
 from tests.samples import names_in, reading, save
+from tests.show.page.conftest import data
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 RULES = load_rules(SAMPLES / "rules.toml")

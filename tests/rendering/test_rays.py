@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from carla_recap.rendering.instances import Instances
-from carla_recap.rendering.materials import Material, Tag
-from carla_recap.rendering.mesh import Mesh
 from carla_recap.rendering.rays import RayScene
+from carla_recap.scene.instances import Instances
+from carla_recap.scene.materials import Material, Tag
+from carla_recap.scene.mesh import Mesh
 
 pytest.importorskip("embreex")
 

@@ -10,12 +10,12 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.rendering.camera import Camera, ImageKind
-from carla_recap.rendering.instances import Instances
-from carla_recap.rendering.materials import Material, Tag
-from carla_recap.rendering.mesh import Mesh
 from carla_recap.rendering.renderer import Renderer
 from carla_recap.rendering.sky import Sky
 from carla_recap.replay.pose import right_handed, rotations
+from carla_recap.scene.instances import Instances
+from carla_recap.scene.materials import Material, Tag
+from carla_recap.scene.mesh import Mesh
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

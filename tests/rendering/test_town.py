@@ -13,10 +13,10 @@ import carla_recap.rendering.town as town_module
 from carla_recap.errors import RecapError
 from carla_recap.model.records import ActorKind, Spawn
 from carla_recap.rendering.heights import TriangleGrid
-from carla_recap.rendering.materials import Material
-from carla_recap.rendering.mesh import Mesh
 from carla_recap.rendering.town import TownMesh, build_town, corridor_town, load_town_mesh, town_mesh_of
 from carla_recap.roads.opendrive import read_opendrive
+from carla_recap.scene.materials import Material
+from carla_recap.scene.mesh import Mesh
 from carla_recap.util import cache
 from tests.roads.towns import crossing, lane, opendrive, painted_stop, road, stop_sign
 from tests.roads.towns import section as plain_section

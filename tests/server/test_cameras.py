@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from carla_recap.errors import RecapError
-from carla_recap.rendering.materials import Tag
+from carla_recap.scene.materials import Tag
 from carla_recap.util.processes import module_command, module_environment
 from tests.server.test_sensors import Data, of_frame, sensor, start, vehicle
 from tests.waiting import PATIENCE, wait_until

@@ -15,8 +15,8 @@ import pytest
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering.camera import ImageKind
-from carla_recap.rendering.materials import Material, Tag
 from carla_recap.rendering.town import TownMesh
+from carla_recap.scene.materials import Material, Tag
 from carla_recap.server.host import Host
 from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.sensors import dispatch, surfaces

@@ -17,11 +17,11 @@ from carla_recap.capture.observer import HOST, PORT, Observer
 from carla_recap.capture.recording import header_of, live_frames, until
 from carla_recap.editing.convert import check_free
 from carla_recap.errors import RecapError
-from carla_recap.export.rerun import LiveView, View, live_blueprint, piped, sent
-from carla_recap.export.viewer import GRPC_PORT, RerunViewer, has_display
-from carla_recap.export.viewer import HOST as LOOPBACK
 from carla_recap.replay.follow import HERO, Follow
 from carla_recap.roads import RoadMap, load_map
+from carla_recap.show.rerun import LiveView, View, live_blueprint, piped, sent
+from carla_recap.show.viewer import GRPC_PORT, RerunViewer, has_display
+from carla_recap.show.viewer import HOST as LOOPBACK
 from carla_recap.util.files import WholeFile
 
 if TYPE_CHECKING:

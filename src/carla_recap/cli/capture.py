@@ -11,8 +11,8 @@ from carla_recap.cli import options
 from carla_recap.cli.output import counted, note, wrote
 
 if TYPE_CHECKING:
-    from carla_recap.export.rerun.blueprint import View
     from carla_recap.replay.follow import Follow
+    from carla_recap.show.rerun.blueprint import View
 
 _follow = click.option(
     "--follow",

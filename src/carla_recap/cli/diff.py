@@ -83,7 +83,7 @@ def diff(
 
 def _write_rrd(a: Recording, b: Recording, path: str, road_map: str | None, *, force: bool) -> None:
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.export.rerun import export_rerun
+    from carla_recap.show.rerun import export_rerun
 
     roads = options.road_map_of(a, road_map)
     played = export_rerun(a, path, ghost=b, road_map=roads, force=force, progress=watch_scenes("exporting"))
@@ -92,7 +92,7 @@ def _write_rrd(a: Recording, b: Recording, path: str, road_map: str | None, *, f
 
 def _write_page(a: Recording, b: Recording, found: Differences, path: str, road_map: str | None, *, force: bool) -> None:
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.export.report import write_report
+    from carla_recap.show.page import write_report
 
     progress, town = watch_scenes("sampling"), options.town_of(a, road_map)
     written = write_report(a, path, other=b, differences=found, town=town, force=force, progress=progress)

@@ -21,11 +21,11 @@ from carla_recap.util.text import number
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
 
-    from carla_recap.export.clips import IncidentClip
-    from carla_recap.export.rerun.blueprint import View
-    from carla_recap.export.video.cameras import VideoView
     from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.replay.follow import Follow
+    from carla_recap.show.clips import IncidentClip
+    from carla_recap.show.rerun.blueprint import View
+    from carla_recap.show.video.cameras import VideoView
 
 _window = options.together(options.follow, options.start, options.duration, options.road_map)
 
@@ -99,8 +99,8 @@ def export(request: WriteRequest, to: str | None, **shown: Any) -> None:
 
 def _rerun(shown: ExportOptions, source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.export.rerun import export_rerun
     from carla_recap.recording import open_recording
+    from carla_recap.show.rerun import export_rerun
 
     source, start, duration = options.timed(source, shown.start, shown.duration)
     with open_recording(source) as recording:
@@ -121,8 +121,8 @@ def _rerun(shown: ExportOptions, source: str, destination: str, force: bool) -> 
 
 def _foxglove(shown: ExportOptions, source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.export.foxglove import export_foxglove, layout_files
     from carla_recap.recording import open_recording
+    from carla_recap.show.foxglove import export_foxglove, layout_files
 
     source, start, duration = options.timed(source, shown.start, shown.duration)
     with open_recording(source) as recording:
@@ -142,7 +142,7 @@ def _foxglove(shown: ExportOptions, source: str, destination: str, force: bool) 
 
 def _parquet(_: ExportOptions, source: str, folder: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch
-    from carla_recap.export.parquet import export_parquet
+    from carla_recap.files.parquet import export_parquet
     from carla_recap.recording import open_recording
 
     with open_recording(source) as recording:
@@ -153,7 +153,7 @@ def _parquet(_: ExportOptions, source: str, folder: str, force: bool) -> Written
 
 def _csv(shown: ExportOptions, source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.export.tracks import export_csv
+    from carla_recap.files.tracks import export_csv
     from carla_recap.recording import open_recording
 
     source, start, duration = options.timed(source, shown.start, shown.duration)
@@ -165,7 +165,7 @@ def _csv(shown: ExportOptions, source: str, destination: str, force: bool) -> Wr
 
 def _osi(shown: ExportOptions, source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.export.osi import export_osi
+    from carla_recap.files.osi import export_osi
     from carla_recap.recording import open_recording
 
     source, start, duration = options.timed(source, shown.start, shown.duration)
@@ -185,7 +185,7 @@ def _osi(shown: ExportOptions, source: str, destination: str, force: bool) -> Wr
 
 def _xosc(shown: ExportOptions, source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.export.openscenario import export_openscenario
+    from carla_recap.files.openscenario import export_openscenario
     from carla_recap.recording import open_recording
 
     source, start, duration = options.timed(source, shown.start, shown.duration)
@@ -247,8 +247,8 @@ def clips(
 ) -> None:
     """Cut a clip of each incident, into a folder."""
     from carla_recap.cli.progress import watch_incidents
-    from carla_recap.export.clips import clips as run
     from carla_recap.recording import open_recording
+    from carla_recap.show.clips import clips as run
 
     with open_recording(source) as recording:
         roads = options.road_map_of(recording, wanted.road_map) if rrd is not False else None
@@ -299,8 +299,8 @@ def view(
     SRC#t=12.1 means from 5 s before that moment to 5 s after it.
     """
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.export.viewer import view as run
     from carla_recap.recording import open_recording
+    from carla_recap.show.viewer import view as run
 
     source, start, duration = options.timed(source, start, duration)
     with open_recording(source) as recording:
@@ -340,8 +340,8 @@ def snapshot(
     force: bool,
 ) -> None:
     """Take a picture of a moment, without GPU or display."""
-    from carla_recap.export.video import snapshot as run
     from carla_recap.recording import open_recording
+    from carla_recap.show.video import snapshot as run
 
     source, time = options.moment(source, at)
     with open_recording(source) as recording:
@@ -392,8 +392,8 @@ def _video(
     force: bool,
 ) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.export.video import export_video
     from carla_recap.recording import open_recording
+    from carla_recap.show.video import export_video
 
     source, start, duration = options.timed(source, start, duration)
     with open_recording(source) as recording:
@@ -446,8 +446,8 @@ def report(
     With --compare, the page shows two recordings, side by side or one over the other. Many recordings go to a folder, a
     single file each. --before and --after are for a recording that is too long to be replayed as a whole.
     """
-    from carla_recap.export.report import serve as serve_page
-    from carla_recap.export.report.report import SINGLE
+    from carla_recap.show.page import serve as serve_page
+    from carla_recap.show.page.report import SINGLE
 
     single = Path(request.destination).suffix.lower() in SINGLE
     if port is not None and not serve:
@@ -481,8 +481,8 @@ def _report(
     force: bool,
 ) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.export.report import write_report
     from carla_recap.recording import open_recording
+    from carla_recap.show.page import write_report
 
     with ExitStack() as stack:
         recording, *others = (stack.enter_context(open_recording(each)) for each in (source, compare) if each)

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 from urllib.parse import quote
 
-from carla_recap.export import viewer_folder
-from carla_recap.export.report import Opening
-from carla_recap.export.report.single import hash_source
 from carla_recap.fleet.check import WORST_FIRST
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.sources import SourceFile
+from carla_recap.show.page import Opening
+from carla_recap.show.page.single import hash_source
+from carla_recap.util.resources import viewer_folder
 from carla_recap.util.text import number, visible
 
 if TYPE_CHECKING:
@@ -116,10 +116,10 @@ def _relative(path: Path | None, folder: Path) -> str | None:
 
 def _write_files(wanted: dict[str, _Wanted], source: SourceFile) -> None:
     from carla_recap.editing.clip import clip
-    from carla_recap.export.report import write_report
     from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import open_recording
     from carla_recap.rendering.town import load_town_of
+    from carla_recap.show.page import write_report
 
     files = wanted[source.location]
     if files.clip is not None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from carla_recap.rendering import shaders
 from carla_recap.rendering.camera import ImageKind
-from carla_recap.rendering.materials import LAMPS
+from carla_recap.scene.materials import LAMPS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.rendering.camera_view import CameraView
-    from carla_recap.rendering.instances import Instances
-    from carla_recap.rendering.mesh import Mesh
+    from carla_recap.scene.instances import Instances
+    from carla_recap.scene.mesh import Mesh
 
     Images = dict[ImageKind, NDArray[Any]]
 
@@ -32,7 +32,7 @@ class TiledMesh(Protocol):
 
 
 class ModelShape(Protocol):
-    """What is drawn of a model: `carla_recap.rendering.models.Model`."""
+    """What is drawn of a model: `carla_recap.scene.models.Model`."""
 
     @property
     def mesh(self) -> Mesh:

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.rendering.heights import TriangleGrid
-from carla_recap.rendering.mesh import Mesh
+from carla_recap.scene.mesh import Mesh
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
     from numpy.typing import NDArray
 
-    from carla_recap.rendering.materials import Material
+    from carla_recap.scene.materials import Material
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]

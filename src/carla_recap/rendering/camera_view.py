@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.rendering.camera import Camera
-    from carla_recap.rendering.instances import Instances
     from carla_recap.rendering.sky import Sky
+    from carla_recap.scene.instances import Instances
 
     Floats = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.rendering.materials import LAMPS, MATERIALS, Material
+from carla_recap.scene.materials import LAMPS, MATERIALS, Material
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.rendering.buffers import ModelShape
-    from carla_recap.rendering.instances import Instances
-    from carla_recap.rendering.mesh import Mesh
+    from carla_recap.scene.instances import Instances
+    from carla_recap.scene.mesh import Mesh
 
     Floats = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.rendering.building import UP
-from carla_recap.rendering.materials import Material
+from carla_recap.scene.materials import Material
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -10,10 +10,10 @@ import numpy as np
 
 from carla_recap.rendering.building import UP
 from carla_recap.rendering.glyphs import arrow, glyphs
-from carla_recap.rendering.materials import Material
 from carla_recap.rendering.surfaces import PAVED
 from carla_recap.roads.lanes import stop_line
 from carla_recap.roads.opendrive import LIGHT, STOP
+from carla_recap.scene.materials import Material
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

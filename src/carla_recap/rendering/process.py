@@ -26,8 +26,8 @@ import numpy as np
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering.buffers import image_format
 from carla_recap.rendering.camera import ImageKind
-from carla_recap.rendering.models import MODELS
 from carla_recap.rendering.renderer import LARGEST, Quality, Renderer
+from carla_recap.scene.models import MODELS
 from carla_recap.util.processes import close_pipes, module_command, module_environment, read_commands, wait_or_kill
 from carla_recap.util.signals import ignore_termination
 
@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 
     from carla_recap.rendering.buffers import ModelShape, TiledMesh
     from carla_recap.rendering.camera import Camera
-    from carla_recap.rendering.instances import Instances
-    from carla_recap.rendering.mesh import Mesh
     from carla_recap.rendering.sky import Sky
+    from carla_recap.scene.instances import Instances
+    from carla_recap.scene.mesh import Mesh
 
     Images = dict[ImageKind, NDArray[Any]]
 

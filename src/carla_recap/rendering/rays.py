@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 import numpy as np
 
 from carla_recap.errors import MissingExtra
-from carla_recap.rendering.materials import MATERIALS, Material
-from carla_recap.rendering.mesh import Mesh
+from carla_recap.scene.materials import MATERIALS, Material
+from carla_recap.scene.mesh import Mesh
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.rendering.instances import Instances
+    from carla_recap.scene.instances import Instances
 
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]

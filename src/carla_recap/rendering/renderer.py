@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from carla_recap.rendering.buffers import ModelShape, TiledMesh
     from carla_recap.rendering.camera import Camera
-    from carla_recap.rendering.instances import Instances
+    from carla_recap.scene.instances import Instances
 
     Images = dict[ImageKind, NDArray[Any]]
 
@@ -83,7 +83,7 @@ class Renderer:
         supersampling: int | tuple[int, int] | None = None,
     ) -> None:
         if models is None:
-            from carla_recap.rendering.models import MODELS
+            from carla_recap.scene.models import MODELS
 
             models = MODELS
         self._quality = Quality(quality)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.rendering.camera import ImageKind
-from carla_recap.rendering.materials import MATERIALS, Material, Tag
+from carla_recap.scene.materials import MATERIALS, Material, Tag
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.rendering.glyphs import glyphs
-from carla_recap.rendering.materials import Material
 from carla_recap.roads.opendrive import LIGHT, SPEED_LIMIT, STOP, YIELD
+from carla_recap.scene.materials import Material
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.rendering.heights import TriangleGrid
-from carla_recap.rendering.materials import Material
 from carla_recap.roads.opendrive import borders_at, sparse_stations
+from carla_recap.scene.materials import Material
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

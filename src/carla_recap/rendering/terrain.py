@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.rendering.building import TILE, UP
-from carla_recap.rendering.materials import Material
 from carla_recap.rendering.surfaces import KERB_HEIGHT
+from carla_recap.scene.materials import Material
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -18,8 +18,6 @@ from carla_recap.rendering.building import MeshBuilder
 from carla_recap.rendering.heights import TriangleGrid
 from carla_recap.rendering.junctions import fill_junctions
 from carla_recap.rendering.markings import Painter, add_lines, paint_objects, paint_stops
-from carla_recap.rendering.materials import Material
-from carla_recap.rendering.mesh import Mesh
 from carla_recap.rendering.signs import LightPost, add_signs, light_posts
 from carla_recap.rendering.surfaces import PAVED, add_lanes, driving_grid, sample_roads, surface_grid
 from carla_recap.rendering.terrain import Terrain, add_edges
@@ -27,6 +25,8 @@ from carla_recap.rendering.trees import add_trees
 from carla_recap.roads.corridors import is_of_corridors
 from carla_recap.roads.files import decode, expecting_map, read_content
 from carla_recap.roads.opendrive import read_opendrive
+from carla_recap.scene.materials import Material
+from carla_recap.scene.mesh import Mesh
 from carla_recap.util import cache
 
 if TYPE_CHECKING:

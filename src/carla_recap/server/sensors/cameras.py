@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.rendering.instances import Instances
+    from carla_recap.scene.instances import Instances
     from carla_recap.server.sensors.feed import Feed, FeedContext
     from carla_recap.server.sensors.images import ImageThread
     from carla_recap.sim.actors.actor import Actor

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 from weakref import WeakKeyDictionary
 
 from carla_recap.rendering.camera import ImageKind
-from carla_recap.rendering.materials import Tag
+from carla_recap.scene.materials import Tag
 from carla_recap.server import actor_records
 from carla_recap.server.rpc.codec import encoder
 from carla_recap.server.rpc.structs import ActorDescription, ActorRecord, BoxStruct
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from carla_recap.rendering.camera import Quality
-    from carla_recap.rendering.instances import Instances
     from carla_recap.rendering.rays import RayScene
+    from carla_recap.scene.instances import Instances
     from carla_recap.server.actor_records import DestroyedActor
     from carla_recap.server.sensors.feed import Feed, MakeFeed, V2xMessage
     from carla_recap.server.sensors.scene import WorldActors

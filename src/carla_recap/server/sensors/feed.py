@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from carla_recap.rendering.materials import Tag
+from carla_recap.scene.materials import Tag
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.rendering.instances import Instances
     from carla_recap.rendering.rays import RayScene
+    from carla_recap.scene.instances import Instances
     from carla_recap.sim.actors.actor import Actor
 
 _TOO_LARGE: Final = 1e10  # for any number of a sensor

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.rendering.camera import Camera, ImageKind
-    from carla_recap.rendering.instances import Instances
+    from carla_recap.scene.instances import Instances
     from carla_recap.server.streaming.streams import Streams
     from carla_recap.sim.town.town import Town
     from carla_recap.sim.weather import Weather

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.model.actors import BoundingBox
-from carla_recap.rendering.actors import (
+from carla_recap.replay.pose import LOCATION, right_handed, rotations
+from carla_recap.scene.actors import (
     BRAKE,
     REVERSE,
     instances,
@@ -16,7 +17,6 @@ from carla_recap.rendering.actors import (
     lamps_of_vehicles,
     look_of,
 )
-from carla_recap.replay.pose import LOCATION, right_handed, rotations
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.recording.poses import CM_PER_M, pose
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.rendering.instances import Instances
-    from carla_recap.rendering.looks import Look
+    from carla_recap.scene.appearance import Look
+    from carla_recap.scene.instances import Instances
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.physics.moving_bodies import MovingBodies
     from carla_recap.sim.world import World

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.rendering.camera import ImageKind, Quality
-    from carla_recap.rendering.instances import Instances
-    from carla_recap.rendering.mesh import Mesh
     from carla_recap.rendering.rays import RayScene
     from carla_recap.rendering.town import TownMesh
+    from carla_recap.scene.instances import Instances
+    from carla_recap.scene.mesh import Mesh
     from carla_recap.server.sensors.images import View
     from carla_recap.sim.town.town import Town
 
@@ -121,14 +121,14 @@ class _ModelMeshes:
     """The meshes of the models, each of which is made when it is first asked for."""
 
     def __getitem__(self, number: int) -> Mesh:
-        from carla_recap.rendering.models import MODELS
+        from carla_recap.scene.models import MODELS
 
         return MODELS[number].mesh
 
 
 def _trial() -> tuple[Camera, Instances]:
     """Return a small camera, and a vehicle in front of it."""
-    from carla_recap.rendering.actors import instances, look_of
+    from carla_recap.scene.actors import instances, look_of
 
     looks = [look] if (look := look_of(_TRIAL, ActorKind.VEHICLE, {})) is not None else []
     return _TRIAL_CAMERA, instances(range(len(looks)), looks, np.zeros((len(looks), 6)))

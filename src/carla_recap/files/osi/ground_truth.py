@@ -1,0 +1,225 @@
+"""Scenes as `osi3.GroundTruth`: moving objects with their motion, props, traffic lights.
+
+Units are m, s and radians; axes are right-handed: x forward, y left, z up, a positive yaw turns left. The position of an
+object is the centre of its box.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.files.osi.messages import GROUND_TRUTH, VERSION, message_class
+from carla_recap.model.actors import ROAD_USERS
+from carla_recap.replay.pose import LOCATION, ROTATION, right_handed, wrap
+from carla_recap.scene.appearance import look_of_present
+from carla_recap.scene.materials import Tag
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.actors import ActorLife
+    from carla_recap.replay.scene import SceneBatch
+    from carla_recap.scene.appearance import Look
+
+    Floats = NDArray[np.float64]
+
+# Values of OSI's enumerations.
+_VEHICLE, _PEDESTRIAN = 2, 3
+_CAR, _VAN, _TRUCK, _MOTORCYCLE, _BICYCLE, _BUS = 4, 6, 7, 10, 11, 12
+_OTHER: Final = 1
+_CIVIL: Final = 2
+_ROLES: Final = {"ambulance": 3, "firetruck": 4, "police": 5}
+_TYPES: Final = {Tag.TRUCK: _TRUCK, Tag.BUS: _BUS, Tag.MOTORCYCLE: _MOTORCYCLE, Tag.BICYCLE: _BICYCLE}
+_COLORS: Final = {0: 2, 1: 3, 2: 4}  # red, yellow, green
+_UNKNOWN, _OFF, _CONSTANT = 0, 2, 3
+_NO_ICON: Final = 2
+_STATE_OFF: Final = 3  # of CARLA's lights
+
+
+class GroundTruths:
+    """Makes a message of each scene.
+
+    Args:
+        host: The id of the host vehicle; None without one.
+        map_reference: The name of the map; empty without one.
+    """
+
+    def __init__(self, host: int | None, map_reference: str) -> None:
+        self._class = message_class(GROUND_TRUTH)
+        self._host = host
+        self._map_reference = map_reference
+        self._motion = _MotionEstimator()
+        self._actors: dict[int, tuple[ActorLife, Look | None]] = {}
+
+    def messages(self, batch: SceneBatch) -> Iterator[tuple[int, Any]]:
+        """Yield the time of each scene in ns since the beginning of the recording, and its message.
+
+        A scene whose time is that of the one before, or negative, has none.
+        """
+        poses = right_handed(batch.poses)
+        velocities, accelerations = self._motion.of(batch, poses)
+        rotations = np.radians(wrap(poses[..., ROTATION]))
+        finite: Any = np.isfinite(np.concatenate((poses, velocities, accelerations), axis=2)).all(axis=2)
+        objects = [(column, *found) for column, id in enumerate(batch.ids.tolist()) if (found := self._object(batch, id))]
+        centers = {column: _center(poses[:, column], look.center) for column, _, look in objects}
+        fixed = self._fixed(batch)
+        for row, time in enumerate(batch.time.tolist()):
+            if not 0 <= time < _LATEST:
+                continue
+            nanoseconds = round(time * 1e9)
+            message = self._class()
+            message.version.version_major, message.version.version_minor, message.version.version_patch = VERSION
+            _set_time(message.timestamp, nanoseconds)
+            if self._host is not None:
+                message.host_vehicle_id.value = self._host
+            if self._map_reference:
+                message.map_reference = self._map_reference
+            for column, actor, look in objects:
+                if finite[row, column]:
+                    moving = actor.kind in ROAD_USERS
+                    item = (message.moving_object if moving else message.stationary_object).add()
+                    item.id.value = actor.id
+                    _set_base(item.base, look, centers[column][row].tolist(), rotations[row, column].tolist())
+                    if moving:
+                        _set_vector(item.base.velocity, velocities[row, column].tolist())
+                        _set_vector(item.base.acceleration, accelerations[row, column].tolist())
+                        _classify(item, actor, look)
+                    else:
+                        item.classification.type = _OTHER
+            for item in fixed:
+                message.stationary_object.add().CopyFrom(item)
+            self._add_lights(message, batch, row)
+            yield nanoseconds, message
+
+    def _object(self, batch: SceneBatch, id: int) -> tuple[ActorLife, Look] | None:
+        """Return an actor with a body; None for another one."""
+        actor = batch.actors.get(id)
+        if actor is None or actor.kind in ("traffic_light", "traffic_sign"):
+            return None
+        known = self._actors.get(id)
+        if known is None or known[0] is not actor:
+            known = self._actors[id] = actor, look_of_present(actor)
+        look = known[1]
+        return None if look is None else (actor, look)
+
+    def _fixed(self, batch: SceneBatch) -> list[Any]:
+        """Return the props without recorded poses, which stay where they were spawned."""
+        found = []
+        known = set(batch.ids.tolist())
+        for id in batch.actors:
+            each = self._object(batch, id) if id not in known else None
+            pose = batch.pose_of(id, 0) if each else None
+            if each is None or pose is None or each[0].kind in ROAD_USERS:
+                continue
+            turned = right_handed(pose)
+            if np.isfinite(turned).all():
+                item = self._class().stationary_object.add()
+                item.id.value = id
+                center = _center(turned[None], each[1].center)[0]
+                _set_base(item.base, each[1], center.tolist(), np.radians(wrap(turned[ROTATION])).tolist())
+                item.classification.type = _OTHER
+                found.append(item)
+        return found
+
+    def _add_lights(self, message: Any, batch: SceneBatch, row: int) -> None:
+        for light in batch.light_states[row]:
+            id, state = int(light["id"]), int(light["state"])
+            pose = batch.pose_of(id, row)
+            turned = right_handed(pose) if pose is not None else None
+            actor = batch.actors.get(id)
+            look = look_of_present(actor) if actor is not None else None
+            if turned is None or look is None or not np.isfinite(turned).all():
+                continue
+            item = message.traffic_light.add()
+            item.id.value = id
+            center = _center(turned[None], look.center)[0]
+            _set_base(item.base, look, center.tolist(), np.radians(wrap(turned[ROTATION])).tolist())
+            item.classification.color = _COLORS.get(state, _UNKNOWN)
+            item.classification.icon = _NO_ICON
+            item.classification.mode = _CONSTANT if state in _COLORS else _OFF if state == _STATE_OFF else _UNKNOWN
+
+
+_LATEST: Final = float(1 << 33)  # s; later times are no times of a recording
+
+
+class _MotionEstimator:
+    """Velocities and accelerations of actors, from batch to batch."""
+
+    def __init__(self) -> None:
+        self._time = -np.inf
+        self._latest: dict[int, tuple[Floats, Floats]] = {}  # location, and velocity (NaN: unknown), by actor
+
+    def of(self, batch: SceneBatch, poses: Floats) -> tuple[Floats, Floats]:
+        """Return the velocities in m/s and the accelerations in m/s² of the actors with poses, (scenes, ids, 3).
+
+        Velocities are the recorded ones, else derived from the locations. An acceleration is the change of the velocity
+        since the scene before; 0 in the first scene of an actor.
+        """
+        ids = batch.ids.tolist()
+        locations = poses[..., LOCATION]
+        velocities, known = np.zeros_like(locations), np.zeros(len(ids), np.bool_)
+        accelerations = np.zeros_like(locations)
+        if not ids:
+            self._time, self._latest = float(batch.time[-1]), {}
+            return velocities, accelerations
+        before = np.stack([self._latest[id][0] if id in self._latest else locations[0, i] for i, id in enumerate(ids)])
+        spans = np.diff(batch.time, prepend=self._time if np.isfinite(self._time) else batch.time[0])[:, None, None]
+        np.divide(np.diff(locations, axis=0, prepend=before[None]), spans, out=velocities, where=spans > 0)
+        known[:] = [id in self._latest for id in ids]
+        if len(batch) > 1:  # of a new actor, the velocity of its first step is the best guess
+            velocities[0, ~known] = velocities[1, ~known]
+            known[:] = True
+        recorded = batch.records("velocities")
+        if recorded.shape[1]:
+            index = np.minimum(np.searchsorted(recorded["id"][0], batch.ids), recorded.shape[1] - 1)
+            has = recorded["id"][0][index] == batch.ids
+            columns = recorded[:, index[has]]
+            velocities[:, has] = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=2) * (1.0, -1.0, 1.0)
+            known |= has
+        earlier = np.stack([self._latest[id][1] if id in self._latest else velocities[0, i] for i, id in enumerate(ids)])
+        earlier = np.where(np.isfinite(earlier), earlier, velocities[0])
+        np.divide(np.diff(velocities, axis=0, prepend=earlier[None]), spans, out=accelerations, where=spans > 0)
+        self._time = float(batch.time[-1])
+        latest = np.where(known[:, None], velocities[-1], np.nan)
+        self._latest = {id: (locations[-1, i], latest[i]) for i, id in enumerate(ids)}
+        return velocities, accelerations
+
+
+def _center(poses: Floats, center: tuple[float, float, float]) -> Floats:
+    """Return the centres of boxes in the world, (n, 3), of right-handed poses in m and degrees, (n, 6)."""
+    roll, pitch, yaw = np.radians(poses[:, ROTATION]).T
+    x, y, z = center
+    y, z = y * np.cos(roll) - z * np.sin(roll), y * np.sin(roll) + z * np.cos(roll)
+    x, z = x * np.cos(pitch) + z * np.sin(pitch), -x * np.sin(pitch) + z * np.cos(pitch)
+    x, y = x * np.cos(yaw) - y * np.sin(yaw), x * np.sin(yaw) + y * np.cos(yaw)
+    found: Floats = poses[:, LOCATION] + np.stack((x, y, z), axis=1)
+    return found
+
+
+def _classify(item: Any, actor: ActorLife, look: Look) -> None:
+    if actor.kind == "walker":
+        item.type = _PEDESTRIAN
+        return
+    item.type = _VEHICLE
+    base = actor.spawn.attribute("base_type") or ""
+    item.vehicle_classification.type = _VAN if base == "van" else _TYPES.get(look.tag, _CAR)
+    item.vehicle_classification.role = next((role for name, role in _ROLES.items() if name in actor.type_id), _CIVIL)
+
+
+def _set_base(base: Any, look: Look, position: list[float], rotation: list[float]) -> None:
+    length, width, height = look.half_extents
+    base.dimension.length, base.dimension.width, base.dimension.height = 2 * length, 2 * width, 2 * height
+    _set_vector(base.position, position)
+    base.orientation.roll, base.orientation.pitch, base.orientation.yaw = rotation
+
+
+def _set_vector(vector: Any, values: list[float]) -> None:
+    vector.x, vector.y, vector.z = values
+
+
+def _set_time(timestamp: Any, nanoseconds: int) -> None:
+    timestamp.seconds, timestamp.nanos = divmod(nanoseconds, 1_000_000_000)

@@ -1,0 +1,108 @@
+"""An export to Foxglove: an MCAP file with the schemas that its panels show, and layouts for them.
+
+| Topic            | Schema                    | What                                                                    |
+|------------------|---------------------------|-------------------------------------------------------------------------|
+| `/map`           | foxglove.SceneUpdate      | the surfaces of the town, once; empty without a map                     |
+| `/scene/...`     | foxglove.SceneUpdate      | whenever they change: vehicles, walkers, others; lamps and signals that |
+|                  |                           | are lit; the light ahead of the followed actor; marks of collisions     |
+| `/tf`            | foxglove.FrameTransforms  | from `world` to `followed`, a calm and level frame, and to `hero`       |
+| `/tf/actors`     | foxglove.FrameTransforms  | the frames of actors that have moved so far, in each scene              |
+| `/tf/still`      | foxglove.FrameTransforms  | the frames of all others, whenever one comes, goes or moves             |
+| `/hero`          | carla_recap.v1.Followed   | pose, speed and controls of the followed actor, in each frame           |
+| `/lights`        | carla_recap.v1.ShownLights| the traffic light ahead of it, and all traffic lights                   |
+| `/log`           | foxglove.Log              | events and incidents, as text                                           |
+
+Every message is complete: a viewer that seeks reads only the latest message of each topic. Positions are in m, axes
+right-handed: x forward, y left, z up.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from carla_recap.editing.convert import check_destination
+from carla_recap.replay import Played, Player
+from carla_recap.util.resources import viewer_folder
+from carla_recap.util.text import readable
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.recording import Recording
+    from carla_recap.replay import Follow
+    from carla_recap.replay.player import Progress
+    from carla_recap.roads import RoadMap
+
+__all__ = ["export_foxglove", "layout_files"]
+
+
+def export_foxglove(
+    source: Recording,
+    destination: Path | str,
+    *,
+    follow: Follow | None = None,
+    start: float = 0.0,
+    duration: float = 0.0,
+    road_map: RoadMap | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Played:
+    """Write a recording as an MCAP file for Foxglove and Lichtblick.
+
+    Args:
+        source: The recording.
+        destination: The file; it appears when it is complete.
+        follow: The actor that the layouts follow: an id or "hero"; None: see `carla_recap.replay.choose_followed`.
+        start: The beginning, in elapsed seconds; negative: in seconds before the end.
+        duration: The number of seconds to export; 0: all of the rest.
+        road_map: The map of the town.
+        force: Overwrite the file if it exists.
+        progress: Is given the stream of scenes and their player, and passes the scenes on.
+
+    Returns:
+        The number of scenes, and the seconds that they span.
+
+    Raises:
+        MissingExtra: The extra `foxglove` is not installed.
+        RecapError: The recording has no such time or no such actor, or the file cannot be written.
+    """
+    from carla_recap.roads.surfaces import road_network_of_map
+    from carla_recap.scene.ahead import stop_points
+    from carla_recap.scene.captions import PlayedIncidents
+    from carla_recap.show.foxglove.town import town_of
+    from carla_recap.show.foxglove.writer import FoxgloveWriter
+
+    reader = source.reader
+    check_destination(reader.location, destination, force=force)
+    player = Player(source, start=start, duration=duration, follow=follow)
+    town = town_of(road_map, player, source)
+    description, stops = _description(reader, player), stop_points(reader)
+    with FoxgloveWriter(destination, reader.header, description, player.followed, town, stops) as writer:
+        incidents = PlayedIncidents(player, road_network_of_map(road_map) if town is not None else None)
+        for batch in player.batches(progress):
+            writer.write(batch)
+        played = writer.end()
+        writer.write_incidents(incidents.found())
+        return played
+
+
+def layout_files() -> dict[str, Path]:
+    """Return the layouts for such a file, by the viewers that import them."""
+    folder = viewer_folder() / "foxglove"
+    return {
+        "Foxglove": folder / "carla-recap.foxglove.json",
+        "Lichtblick and Foxglove 1.x": folder / "carla-recap.lichtblick.json",
+    }
+
+
+def _description(reader: Reader, player: Player) -> dict[str, str]:
+    header = reader.header
+    return {
+        "source": reader.path.name,
+        "map": readable(header.map_name),
+        "date": str(header.date),
+        "start": repr(player.start),
+        "stop": repr(player.stop),
+        "followed": "" if player.followed is None else str(player.followed),
+    }

@@ -1,0 +1,344 @@
+"""The incident page: what went wrong in a recording, in a browser, with or without a server; or in two, to compare them."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from urllib.request import ProxyHandler, build_opener
+
+from carla_recap.errors import RecapError
+from carla_recap.model.actors import ROAD_USERS
+from carla_recap.queries.incidents import Incident, IncidentOptions, incidents, with_roads
+from carla_recap.queries.kinds import KINDS
+from carla_recap.recording import Recording
+from carla_recap.replay.player import Player
+from carla_recap.roads.surfaces import road_network_of_map
+from carla_recap.scene.style import LIGHTS, OTHER, STYLES
+from carla_recap.show.page import script
+from carla_recap.show.page.base_map import base_map, town_of
+from carla_recap.show.page.packing import Packer
+from carla_recap.show.page.sampling import sample
+from carla_recap.show.page.single import data_address, single_page
+from carla_recap.util.files import WholeFile, check_folder, check_path, copy_files, new_folder
+from carla_recap.util.resources import viewer_folder
+from carla_recap.util.text import readable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.queries.differences import Differences
+    from carla_recap.rendering.town import TownMesh
+    from carla_recap.replay.player import Progress
+    from carla_recap.roads import RoadMap
+    from carla_recap.show.page.samples import SampledReplay
+
+Pictures = Literal["drawn", "rendered", "none"]
+"""The pictures of incidents: drawn from above, rendered from behind the first actor, or none."""
+
+SINGLE: Final = (".html", ".htm")  # the suffixes of a page that is one file
+ALL: Final = IncidentOptions(kinds="all")
+REPLAYED: Final = 200  # the most incidents with a taken picture and, of a long recording, with a replay
+PICTURE_SIZE: Final = (640, 400)
+LISTED: Final = 2000  # the most incidents in the list
+NOTES: Final = 4  # the most notes
+VIEWER_FILES: Final = ("re_viewer.js", "re_viewer_bg.wasm")
+_TIMEOUT: Final = 30.0  # s
+
+
+class Report(NamedTuple):
+    """The content of a page.
+
+    Attributes:
+        path: The folder or file.
+        incidents: The number of incidents in the list.
+        whole: Whether it replays the whole recording, not only the time around incidents.
+        seconds: The length of the replay in seconds.
+        size: The size of all files in bytes.
+    """
+
+    path: Path
+    incidents: int
+    whole: bool
+    seconds: float
+    size: int
+
+
+class Opening(NamedTuple):
+    """What a page shows first.
+
+    Attributes:
+        time: The moment, in elapsed seconds, shown from a little before; None: the beginning.
+        actors: The ids of its actors, of which the first is followed.
+        notes: What the page is about, such as broken rules, a line each.
+    """
+
+    time: float | None = None
+    actors: tuple[int, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+class _Reported:
+    """A recording in a page.
+
+    Args:
+        recording: The recording.
+        options: Which incidents to list.
+        around: The seconds before and after an incident in the replay of a long recording.
+        progress: Gets the scenes and their player, and yields the scenes.
+    """
+
+    def __init__(
+        self, recording: Recording, options: IncidentOptions, around: tuple[float, float], progress: Progress | None
+    ) -> None:
+        self.recording = recording
+        found = incidents(recording.reader, options)
+        self.incidents = found[:LISTED]
+        self.omitted = len(found) - len(self.incidents)
+        ranks = list(KINDS)
+        chosen = sorted(range(len(self.incidents)), key=lambda index: ranks.index(found[index].kind))[:REPLAYED]
+        self.chosen = {index: self.incidents[index] for index in chosen}
+        self.replay, self.whole = sample(recording, list(self.chosen.values()), *around, progress)
+        self.pictures: dict[int, bytes] = {}
+
+    def take_pictures(self, town: TownMesh | None) -> None:
+        """Render a picture of each chosen incident, from behind the first of its actors that is present."""
+        from carla_recap.show.video.film import opened_renderer
+        from carla_recap.show.video.picture import picture
+
+        with opened_renderer(None, town, self.recording, supersampling=2) as opened:
+            for index, incident in self.chosen.items():
+                followed = next((id for id in incident.actors if id in self.replay.ids(incident.start)), None)
+                if followed is not None:
+                    self.pictures[index] = picture(
+                        self.recording,
+                        at=incident.start,
+                        follow=followed,
+                        size=PICTURE_SIZE,
+                        overlay=False,
+                        renderer=opened.result(),
+                        form="JPEG",
+                    )
+
+
+def write_report(
+    source: Recording | Reader,
+    path: Path | str,
+    options: IncidentOptions = ALL,
+    *,
+    other: Recording | Reader | None = None,
+    differences: Differences | None = None,
+    opening: Opening | None = None,
+    before: float = 5.0,
+    after: float = 5.0,
+    road_map: RoadMap | None = None,
+    town: TownMesh | None = None,
+    pictures: Pictures = "drawn",
+    viewer: bool = False,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Report:
+    """Write the incident page of a recording, or of two that are compared.
+
+    Args:
+        source: The recording.
+        path: The folder to write, whose `index.html` opens from the disk, or from any server; or if its name ends in
+            `.html`, a single file.
+        options: Which incidents to list, see `carla_recap.queries.incidents`; without roads, those of `road_map` count.
+        other: Another recording of the same map, to be shown beside the first one, or over it.
+        differences: The differences of both, whose actors are the same on the page, which begins with one over the other.
+        opening: What the page shows first; None: the beginning.
+        before: The seconds before an incident in the replay of a long recording.
+        after: The seconds after it.
+        road_map: The roads to show.
+        town: Their surfaces, if they are made already.
+        pictures: "drawn": a drawing of each incident, from above; "rendered": a view from behind the first actor, which
+            takes the extra `cameras`; or "none".
+        viewer: Add Rerun's viewer, to see the scene in 3D; it needs the extra `rerun`, and a server for the page.
+        force: Write into a folder that is not empty, or over a file.
+        progress: Gets the scenes and their player, and yields the scenes; once for each recording.
+
+    Raises:
+        RecapError: A recording is damaged or empty, the two are of different maps, the folder is not empty, the file exists,
+            the viewer is wanted in a single file or a comparison, or nothing can be rendered here.
+        MissingExtra: `pictures` or `viewer` need an extra that is not installed.
+    """
+    if not (before >= 0 and after >= 0):
+        raise RecapError(f"{before:g} s before and {after:g} s after incidents cannot be shown; 0 or more were expected")
+    check_path(path)
+    path = Path(path)
+    single = path.suffix.lower() in SINGLE
+    _check_destination(path, single=single, force=force)
+    recordings = [each if isinstance(each, Recording) else Recording(each) for each in (source, other) if each is not None]
+    _check_maps(recordings)
+    if viewer and (single or len(recordings) > 1):
+        raise RecapError(f"{path}: the viewer goes with a folder and one recording, not with a single file or a comparison")
+    options = replace(options, roads=options.roads or road_network_of_map(road_map))
+    options = with_roads(recordings[0].reader, options)  # of both, since they are of one map
+    reported = [_Reported(recording, options, (before, after), progress) for recording in recordings]
+    if viewer and not reported[0].whole:
+        raise RecapError(f"{recordings[0].location}: is too long for the viewer in a page; clips of its incidents are not")
+    town = town or town_of(road_map)
+    for each in reported if pictures == "rendered" else ():
+        each.take_pictures(town)
+    packer = Packer()
+    ground = packer.pack(script.base_map_data(base_map(town, [each.replay for each in reported]), packer))
+    shown: dict[str, Any] = {"drawn": pictures == "drawn", "viewer": viewer}
+    if differences is not None:
+        shown["differences"] = _differences(differences)
+    if opening is not None:
+        shown["opening"] = _opening(opening)
+    data = {
+        "data/kinds.js": script.script("KINDS", script.kind_data()),
+        "data/ground.js": script.script("GROUND", ground),
+        "data/recordings.js": script.script("RECORDINGS", [_packed(each.replay) for each in reported]),
+    }
+    if single:
+        names = [{i: data_address(one, "image/jpeg") for i, one in each.pictures.items()} for each in reported]
+        data["data/reports.js"] = _summaries(reported, names, shown)
+        content = single_page(viewer_folder() / "page", data).encode()
+        with WholeFile(path) as file:
+            file.write(content)
+        size = len(content)
+    else:
+        with new_folder(path) as room:
+            copy_files(viewer_folder() / "page", room)
+            if viewer:
+                _add_viewer(recordings[0], room / "rerun", road_map)
+            (room / "data").mkdir()
+            data["data/reports.js"] = _summaries(reported, _write_pictures(reported, room), shown)
+            for name, text in data.items():
+                (room / name).write_text(text, "ascii")
+            size = sum(file.stat().st_size for file in room.rglob("*") if file.is_file())
+    seconds = max(sum(stop - start for start, stop in each.replay.spans) for each in reported)
+    return Report(path, sum(len(each.incidents) for each in reported), all(each.whole for each in reported), seconds, size)
+
+
+def _check_destination(path: Path, *, single: bool, force: bool) -> None:
+    """Refuse a file or folder that must not be replaced."""
+    if not single:
+        check_folder(path, force=force)
+    elif path.exists() and not path.is_file():
+        raise RecapError(f"{path}: is no file; the name of a file was expected, since it ends in {path.suffix}")
+    elif path.exists() and not force:
+        raise RecapError(f"{path}: exists already; --force (in Python, force=True) replaces it")
+
+
+def _check_maps(recordings: Sequence[Recording]) -> None:
+    """Refuse recordings of different maps; the layered variant of a map is the same."""
+    names = [readable(recording.header.map_name).rpartition("/")[2] for recording in recordings]
+    if len({name.lower().removesuffix("_opt") for name in names if name}) > 1:
+        first, second = (recording.location for recording in recordings)
+        raise RecapError(f"{first} is of the map {names[0]}, {second} of {names[1]}; recordings of one map were expected")
+
+
+def _packed(replay: SampledReplay) -> str:
+    packer = Packer()
+    return packer.pack(script.recording_data(replay, packer))
+
+
+def _write_pictures(reported: Iterable[_Reported], folder: Path) -> list[dict[int, str]]:
+    """Write the taken pictures, and return their addresses by the indices of the incidents."""
+    names: list[dict[int, str]] = []
+    for number, each in enumerate(reported, 1):
+        names.append({})
+        for index, content in each.pictures.items():
+            (folder / "pictures").mkdir(exist_ok=True)
+            names[-1][index] = f"pictures/{number}-incident-{index + 1:04}.jpg"
+            (folder / names[-1][index]).write_bytes(content)
+    return names
+
+
+def _add_viewer(recording: Recording, folder: Path, road_map: RoadMap | None) -> None:
+    """Write Rerun's viewer, a recording for it, and a blueprint for each actor that it can follow, into a new folder."""
+    from carla_recap.show.rerun import export_rerun
+
+    folder.mkdir()
+    copy_files(viewer_folder() / "page" / "rerun", folder)
+    _copy_viewer(folder)
+    export_rerun(recording, folder / "recording.rrd", road_map=road_map, cameras=folder / "cameras")
+
+
+def _copy_viewer(folder: Path) -> None:
+    """Copy the web viewer from Rerun's own server."""
+    from carla_recap.show.viewer import HOST, WEB_PORT, RerunViewer
+
+    opener = build_opener(ProxyHandler({}))
+    with RerunViewer("--serve-web", "--web-viewer-port", "0") as process:
+        port = process.port(WEB_PORT)
+        try:
+            for name in VIEWER_FILES:
+                url = f"http://{HOST}:{port}/{name}"
+                with opener.open(url, timeout=_TIMEOUT) as source, (folder / name).open("wb") as file:
+                    shutil.copyfileobj(source, file)
+        except OSError as error:
+            raise RecapError(f"the Rerun viewer does not hand out {name}: {error}") from None
+
+
+def _summaries(reported: Iterable[_Reported], pictures: Iterable[dict[int, str]], shown: dict[str, Any]) -> str:
+    """Return the script with what is known of each recording."""
+    found = [_summary(each, names) | shown for each, names in zip(reported, pictures, strict=True)]
+    return script.script("REPORTS", found)
+
+
+def _summary(reported: _Reported, pictures: dict[int, str]) -> dict[str, Any]:
+    recording = reported.recording
+    info = recording.info
+    counts = Counter(actor.kind.replace("_", " ") for actor in recording.actors.values())
+    colors = {style.name: script.hexadecimal(style.color) for style in (*STYLES.values(), OTHER)}
+    kinds = [kind for kind in colors if kind in counts] + [kind for kind in counts if kind not in colors]
+    return {
+        "program": f"carla-recap {version('carla-recap')}",
+        "source": script.shortened(recording.path.name),
+        "map": script.shortened(readable(info.map_name).rpartition("/")[2]),
+        "date": None if info.date is None else info.date.isoformat(),
+        "version": info.version,
+        "frames": info.frames,
+        "duration": script.number(info.duration),
+        "kinds": [[kind, counts[kind], colors.get(kind, colors[OTHER.name])] for kind in kinds],
+        "lights": [[name, script.hexadecimal(color)] for name, color in LIGHTS],
+        "whole": reported.whole,
+        "omitted": reported.omitted,
+        "follow": Player(recording).followed,
+        "incidents": [_incident(incident, pictures.get(index)) for index, incident in enumerate(reported.incidents)],
+    }
+
+
+def _differences(found: Differences) -> dict[str, Any]:
+    """Return what a page shows of the differences: a text, since when paths differ, and which actors are the same.
+
+    An actor is its id and the time of its spawn.
+    """
+    pairs = [
+        [row.id_a, script.number(row.spawned_at_a), row.id_b, script.number(row.spawned_at_b)]
+        for row in found.actors
+        if row.kind in ROAD_USERS
+    ]
+    reasons = found.reasons or [found.summary]
+    text = reasons[0][:1].upper() + reasons[0][1:]
+    return {"text": text[: 2 * script.LONGEST], "since": found.first and found.first.first, "pairs": pairs}
+
+
+def _opening(opening: Opening) -> dict[str, Any]:
+    notes = [note[: 2 * script.LONGEST] for note in opening.notes[:NOTES]]
+    if len(opening.notes) > NOTES:
+        notes.append(f"and {len(opening.notes) - NOTES} more")
+    time = None if opening.time is None else script.number(opening.time)
+    return {"time": time, "actors": list(opening.actors), "notes": notes}
+
+
+def _incident(incident: Incident, picture: str | None) -> dict[str, Any]:
+    return {
+        "kind": incident.kind,
+        "start": script.number(incident.start),
+        "stop": script.number(incident.stop),
+        "actors": list(incident.actors),
+        "types": [script.shortened(type_id) for type_id in incident.type_ids],
+        "place": [script.number(value, 2) for value in (incident.x, incident.y, incident.z)],
+        "text": incident.text[: 2 * script.LONGEST],
+        "picture": picture,
+    }

@@ -1,0 +1,183 @@
+"""The data of the incident page as scripts, which load from the disk, too."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.model.actors import ROAD_USERS, BoundingBox
+from carla_recap.queries.kinds import KINDS
+from carla_recap.scene.appearance import look_of_present
+from carla_recap.scene.materials import Tag
+from carla_recap.scene.style import OTHER, box_of, color_of, label_of, style_of
+from carla_recap.show.page.base_map import LAYERS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.actors import ActorLife
+    from carla_recap.scene.appearance import Look
+    from carla_recap.scene.style import Color
+    from carla_recap.show.page.base_map import BaseMap
+    from carla_recap.show.page.packing import Packer
+    from carla_recap.show.page.samples import SampledActor, SampledReplay
+
+LONGEST: Final = 120  # characters of a name
+LENGTH_UNIT: Final = 0.002  # m
+TIME_UNIT: Final = 1e-5  # s
+MAP_UNIT: Final = 0.02  # m
+_TURN: Final = 16384 / 360  # units of a yaw per degree
+_PAINT: Final = re.compile(r" *(\d{1,3}) *, *(\d{1,3}) *, *(\d{1,3}) *")
+_LONG: Final = 2.65  # m, half the length from which a vehicle is drawn as a truck
+_CYCLES: Final = (Tag.MOTORCYCLE, Tag.BICYCLE, Tag.RIDER)
+
+
+def script(name: str, value: Any) -> str:
+    """Return a script that assigns a value to a global name.
+
+    Args:
+        name: The name.
+        value: A value of JSON's types, without NaN or infinity.
+    """
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    # "<" could end the script, if it is put into a page.
+    return f"var {name}={text};\n".replace("<", "\\u003c")
+
+
+def number(value: float, digits: int = 3) -> float | None:
+    """Return a rounded number; None for NaN and infinity, which JSON does not have."""
+    return round(value, digits) if math.isfinite(value) else None
+
+
+def shortened(text: str) -> str:
+    """Return a name, cut to `LONGEST` characters."""
+    return text if len(text) <= LONGEST else text[: LONGEST - 1] + "…"
+
+
+def hexadecimal(color: Color) -> str:
+    """Return a colour in the notation of style sheets."""
+    return "#{:02x}{:02x}{:02x}".format(*color)
+
+
+def kind_data() -> dict[str, Any]:
+    """Return what the page shows of each kind of incident, by name, the most important first."""
+    return {
+        kind.name: {
+            "name": kind.name.capitalize(),
+            "many": kind.plural[:1].upper() + kind.plural[1:],
+            "icon": kind.icon,
+            "dark": kind.dark,
+            "light": kind.light,
+        }
+        for kind in KINDS.values()
+    }
+
+
+def actor_data(sampled: SampledActor) -> dict[str, Any]:
+    """Return an actor; `box` is x, y and half extents in m, in its own axes."""
+    actor = sampled.details
+    look = None if actor is None else look_of_present(actor)
+    box = BoundingBox(0, 0, 0, *OTHER.extent) if actor is None else _box(actor, look)
+    return {
+        "id": sampled.id,
+        "kind": OTHER.name if actor is None else style_of(actor).name,
+        "type": "" if actor is None else shortened(actor.type_id),
+        "role": "" if actor is None else shortened(actor.role_name),
+        "label": f"actor {sampled.id}" if actor is None else shortened(label_of(actor)),
+        "hero": actor is not None and actor.is_hero,
+        "color": hexadecimal(OTHER.color if actor is None else color_of(actor)),
+        "paint": None if actor is None else _paint(actor),
+        "shape": "box" if look is None else _shape(look),
+        "box": [number(size) or 0 for size in (box.x, box.y, box.extent_x, box.extent_y)],
+        "since": number(sampled.since),
+        "until": None if sampled.until is None else number(sampled.until),
+    }
+
+
+def _paint(actor: ActorLife) -> str | None:
+    """Return the recorded colour of a vehicle."""
+    match = _PAINT.fullmatch(actor.spawn.attribute("color") or "") if actor.kind == "vehicle" else None
+    if match is None:
+        return None
+    red, green, blue = (min(255, int(part)) for part in match.groups())
+    return hexadecimal((red, green, blue))
+
+
+def _box(actor: ActorLife, look: Look | None) -> BoundingBox:
+    """Return the box of an actor: as recorded, else that of its blueprint."""
+    if actor.bounding_box is not None or look is None or actor.kind not in ROAD_USERS:
+        return box_of(actor)
+    return BoundingBox(*look.center, *look.half_extents)
+
+
+def _shape(look: Look) -> str:
+    """Return the outline to draw: car, truck, cycle, walker or box."""
+    if look.tag == Tag.PEDESTRIANS:
+        return "walker"
+    if look.tag in _CYCLES:
+        return "cycle"
+    if look.tag in (Tag.TRUCK, Tag.BUS) or (look.tag == Tag.CAR and look.half_extents[0] > _LONG):
+        return "truck"
+    return "car" if look.tag == Tag.CAR else "box"
+
+
+def recording_data(replay: SampledReplay, packer: Packer) -> dict[str, Any]:
+    """Return the samples, with columns for the numbers.
+
+    `tracks` has five columns, with a row for each track: the actor, the first and the last sample, the index of its first
+    row in `x`, `y` and `yaw`, and the number of its rows: one for each sample, or a single one. A yaw of 16384 is a full
+    turn.
+    """
+    table, rows, begin = [], [], 0
+    for track in replay.tracks:
+        table.append((track.actor, track.first, track.last, begin, len(track.rows)))
+        turned = np.column_stack((track.rows[:, :2], np.unwrap(track.rows[:, 2] % 360, period=360)))
+        rows.append(turned)
+        begin += len(track.rows)
+    x, y, yaw = np.concatenate(rows).T if rows else np.zeros((3, 0))
+    columns = np.array(table, np.float64).reshape(-1, 5).T
+    actors, times, states = np.array(replay.lights, np.float64).reshape(-1, 3).T
+    return {
+        "times": packer.column(replay.times, TIME_UNIT, order=2),
+        "spans": [[number(start, 6), number(stop, 6)] for start, stop in replay.spans],
+        "actors": [actor_data(actor) for actor in replay.actors],
+        "tracks": [packer.column(each) for each in columns],
+        "x": packer.column(x, LENGTH_UNIT, order=2),
+        "y": packer.column(y, LENGTH_UNIT, order=2),
+        "yaw": packer.column(np.rint(yaw * _TURN), order=2),
+        "lights": {
+            "actor": packer.column(actors),
+            "time": packer.column(times, TIME_UNIT),
+            "state": packer.column(states % 256, order=0),
+        },
+    }
+
+
+def base_map_data(base_map: BaseMap, packer: Packer) -> dict[str, Any]:
+    """Return a base map: the lines of its surfaces and paths, and for each group of outlines, its layer and its size."""
+    rings = [ring for group in base_map.surfaces for ring in group.rings]
+    names = list(LAYERS)
+    return {
+        "width": base_map.width,
+        "paths": _lines(base_map.paths, packer),
+        "layers": names,
+        "layer": packer.column([names.index(group.layer) for group in base_map.surfaces]),
+        "rings": packer.column([len(group.rings) for group in base_map.surfaces]),
+        "surfaces": _lines(rings, packer),
+    }
+
+
+def _lines(lines: Sequence[NDArray[np.float64]], packer: Packer) -> dict[str, Any]:
+    """Return lines: x and y of all points, and the number of points of each line."""
+    x, y = np.concatenate(lines).T if lines else np.zeros((2, 0))
+    return {
+        "x": packer.column(x, MAP_UNIT),
+        "y": packer.column(y, MAP_UNIT),
+        "lengths": packer.column([len(line) for line in lines]),
+    }

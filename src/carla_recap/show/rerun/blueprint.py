@@ -1,0 +1,233 @@
+"""The arrangement of the viewer: the followed actor large, beside it the map, its plots, the lights and the log."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from carla_recap.model.actors import ActorLife
+from carla_recap.model.records import CM
+from carla_recap.replay import Player, camera, right_handed
+from carla_recap.replay.pose import LOCATION
+from carla_recap.scene import style
+from carla_recap.scene.appearance import look_of_present
+from carla_recap.show.rerun import paths
+from carla_recap.show.rerun.eyes import LOOK_DOWN, Triple, chase_eye
+from carla_recap.show.rerun.plots import CONTROLS, FARTHEST, LATEST
+from carla_recap.show.rerun.stream import FRAME, SIM_TIME
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from carla_recap.roads import RoadMap
+
+View = Literal["chase", "top"]
+"""The camera: behind and above the actor, or straight above it."""
+
+_TRAIL: Final = 4.0  # s; the time for which the trail is shown
+_TRAIL_FRAMES: Final = 80  # the same in frames
+_MIN_RADIUS: Final = 30.0  # m; of what an overview shows
+_ACCELERATIONS: Final = (-10.0, 6.0)  # m/s²; those of a collision are beyond
+_EYE_SPEED: Final = 20.0  # m/s, by the keyboard
+
+
+def blueprint(player: Player, *, view: View = "chase", followed: int | None = None) -> rrb.Blueprint:
+    """Return the arrangement of views for a recording.
+
+    Args:
+        player: The player of the recording.
+        view: The camera that is shown first; the other one is a tab beside it.
+        followed: The actor that they follow; None: the one that the player follows, and without one, they stand still.
+            Any other actor needs the axes that `write` adds with `cameras`.
+    """
+    return arranged(camera_views(player, followed=followed), view, player.followed)
+
+
+def arranged(cameras: Mapping[View, rrb.Spatial3DView], view: View, ego: int | None, *, live: bool = False) -> rrb.Blueprint:
+    """Return the arrangement of views around those of the cameras.
+
+    Args:
+        cameras: The views of the cameras.
+        view: The camera that is shown first.
+        ego: The actor that has plots, if any.
+        live: Whether frames are still being added: the viewer then shows the latest one.
+    """
+    log = rrb.TextLogView(
+        origin=paths.EVENTS,
+        name="Events",
+        columns=rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["loglevel", "body"]),
+    )
+    all_lights = rrb.StateTimelineView(origin=paths.STATES, name="All traffic lights")
+    lights: rrb.View | rrb.Container = all_lights
+    if ego is not None:
+        ahead = rrb.StateTimelineView(origin=paths.LIGHT_AHEAD, name=f"Light ahead of {ego}")
+        lights = rrb.Tabs(ahead, all_lights)
+    scene = rrb.Vertical(
+        rrb.Tabs(*cameras.values(), active_tab=list(cameras).index(view)),
+        rrb.Horizontal(lights, log, column_shares=[2, 3]),
+        row_shares=[4, 1],
+    )
+    beside: list[rrb.View | rrb.Container] = [rrb.Spatial2DView(origin=paths.MAP, name="Map", background=[*style.MAP, 255])]
+    if ego is not None:
+        beside += _plots(ego, live=live)
+    return rrb.Blueprint(
+        rrb.Horizontal(scene, rrb.Vertical(*beside, row_shares=[2] + [1] * (len(beside) - 1)), column_shares=[3, 1]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="following" if live else "playing"),
+    )
+
+
+def live_blueprint(
+    road_map: RoadMap | None = None,
+    *,
+    view: View = "chase",
+    followed: int | None = None,
+    half_extents: Triple | None = None,
+) -> rrb.Blueprint:
+    """Return the arrangement of views for a running simulation.
+
+    Args:
+        road_map: The map of the town, which is shown as a whole until an actor is followed.
+        view: The camera that is shown first.
+        followed: The actor that the cameras follow, if any.
+        half_extents: Half the size of its box; None if it is unknown.
+    """
+    if followed is not None:
+        return arranged(follow_views(paths.CHASE, "", followed, half_extents), view, followed, live=True)
+    locations = np.concatenate(road_map.centre_lines) if road_map is not None else np.zeros((0, 3))
+    return arranged(overviews(locations), view, None, live=True)
+
+
+def camera_views(player: Player, *, followed: int | None = None) -> dict[View, rrb.Spatial3DView]:
+    """Return the views of both cameras; see `blueprint`."""
+    followed = player.followed if followed is None else followed
+    if followed is None:
+        return overviews(first_locations(player))
+    size = _half_extents(player, followed)
+    if followed == player.followed:
+        return follow_views(paths.CHASE, "", player.followed, size)
+    return follow_views(paths.camera(followed), f" {followed}", player.followed, size)
+
+
+def _half_extents(player: Player, id: int) -> Triple | None:
+    """Return half the size of an actor's box; None if it is unknown."""
+    for frame in player.reader.frames(("spawned",), sparse=True, stop=player.stop):
+        for spawn in frame["spawned"]:
+            if spawn.id == id:
+                look = look_of_present(ActorLife.of(spawn, frame.elapsed))
+                return None if look is None else look.half_extents
+    return None
+
+
+def overviews(locations: NDArray[np.float64]) -> dict[View, rrb.Spatial3DView]:
+    """Return the views of cameras that stand still and see some locations: (n, 3) in m, right-handed."""
+    (x, y, z), radius = _extent(locations)
+    return {
+        "chase": _view("Overview", paths.WORLD, (x - 1.5 * radius, y, z + 1.2 * radius), (x, y, z), (0, 0, 1)),
+        "top": _view("Top", paths.WORLD, (x, y, z + 2.2 * radius), (x, y, z), (0, 1, 0)),
+    }
+
+
+def follow_views(
+    axes: str, suffix: str, ego: int | None, half_extents: Triple | None = None
+) -> dict[View, rrb.Spatial3DView]:
+    """Return the views of cameras that stand still in axes that move.
+
+    Args:
+        axes: The path of the axes.
+        suffix: The end of the titles.
+        ego: The actor whose trail is shown, if any.
+        half_extents: Half the size of the followed actor's box; None if it is unknown.
+    """
+    back, _, up = eye = chase_eye(half_extents)
+    ahead = up - back * math.tan(math.radians(LOOK_DOWN))
+    return {
+        "chase": _view(f"Chase{suffix}", axes, eye, (0, 0, ahead), (0, 0, 1), ego),
+        "top": _view(f"Top{suffix}", axes, (0, 0, camera.TOP_UP * CM), (0, 0, 0), (1, 0, 0), ego),
+    }
+
+
+def _plots(id: int, *, live: bool) -> list[rrb.View | rrb.Container]:
+    no_legend = rrb.PlotLegend(visible=False)  # it would cover the lines
+    others = rrb.Tabs(
+        rrb.TimeSeriesView(
+            origin=paths.TIMES,
+            name="Collision (red), headway (s)",
+            axis_y=rrb.ScalarAxis(range=(0.0, LATEST)),
+            plot_legend=no_legend,
+        ),
+        rrb.TimeSeriesView(
+            origin=paths.DISTANCES,
+            name="Gap (white), headway (m)",
+            axis_y=rrb.ScalarAxis(range=(0.0, FARTHEST)),
+            plot_legend=no_legend,
+        ),
+    )
+    return [
+        rrb.TimeSeriesView(origin=paths.SPEED, name=f"Speed of {id} (km/h)", plot_legend=no_legend),
+        rrb.TimeSeriesView(
+            origin=paths.ACCELERATION,
+            name="Acceleration (m/s²)",
+            axis_y=rrb.ScalarAxis(range=_ACCELERATIONS),
+            plot_legend=no_legend,
+        ),
+        *(() if live else (others,)),
+        rrb.TimeSeriesView(
+            origin=paths.EGO,
+            contents=[paths.CONTROLS, paths.PEDALS],
+            overrides={paths.CONTROLS: rr.SeriesLines(visible_series=[name == "steer" for name in CONTROLS])},
+            name="Throttle, brake, steer",
+            axis_y=rrb.ScalarAxis(range=(-1.05, 1.05)),
+            plot_legend=no_legend,
+        ),
+    ]
+
+
+def _view(
+    name: str,
+    origin: str,
+    position: tuple[float, float, float],
+    target: tuple[float, float, float],
+    up: tuple[float, float, float],
+    ego: int | None = None,
+) -> rrb.Spatial3DView:
+    """Return the view of a camera in some axes, with the trail of the ego."""
+    now = rr.TimeRangeBoundary.cursor_relative()
+    trail = rrb.VisibleTimeRanges(
+        [
+            rr.VisibleTimeRange(SIM_TIME, start=rr.TimeRangeBoundary.cursor_relative(seconds=-_TRAIL), end=now),
+            rr.VisibleTimeRange(FRAME, start=rr.TimeRangeBoundary.cursor_relative(seq=-_TRAIL_FRAMES), end=now),
+        ]
+    )
+    return rrb.Spatial3DView(
+        origin=origin,
+        contents=f"{paths.WORLD}/**",
+        name=name,
+        background=[*style.HORIZON, 255],
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=up, speed=_EYE_SPEED),
+        overrides={paths.trail(ego): trail} if ego is not None else None,
+    )
+
+
+def _extent(locations: NDArray[np.float64]) -> tuple[list[float], float]:
+    """Return the centre and the radius of some locations, in m, right-handed."""
+    if not len(locations):
+        return [0.0, 0.0, 0.0], _MIN_RADIUS
+    low, high = locations.min(axis=0), locations.max(axis=0)
+    return ((low + high) / 2).tolist(), max(_MIN_RADIUS, float(np.linalg.norm(high - low)) / 2)
+
+
+def first_locations(player: Player) -> NDArray[np.float64]:
+    """Return the locations of the actors at the start, (n, 3) in m, right-handed."""
+    scene = Player(player.reader).at(player.start)
+    poses = [pose for id in {*scene.ids.tolist(), *scene.actors} if (pose := scene.pose_of(id)) is not None]
+    locations = right_handed(np.array(poses).reshape(-1, 6))[:, LOCATION]
+    return locations[np.isfinite(locations).all(axis=1)]

@@ -1,0 +1,161 @@
+"""The actors of another recording as ghosts: see-through models where they are elsewhere than in the recording."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import rerun as rr
+
+from carla_recap.errors import RecapError
+from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.records import CM
+from carla_recap.queries.differences import differences
+from carla_recap.replay import Destroyed, Player, Spawned
+from carla_recap.replay.pose import LOCATION
+from carla_recap.scene import style
+from carla_recap.scene.appearance import look_of_present
+from carla_recap.show.rerun import paths
+from carla_recap.show.rerun.actors import MOST_MODELS
+from carla_recap.show.rerun.meshes import faded, mesh3d, model_mesh
+from carla_recap.show.rerun.poses import PoseBuffer
+from carla_recap.show.rerun.stream import Stream, TimeColumns, TimePoint, screen_radii
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.model.actors import ActorLife
+    from carla_recap.replay import SceneBatch
+    from carla_recap.show.rerun.poses import PoseBlock
+
+APART: Final = 0.1
+"""The distance in m from which on an actor has a ghost."""
+
+COLOR: Final = (209, 140, 255)
+_OPACITY: Final = 0.25
+_RADIUS: Final = 2.5  # points of the screen; of a ghost on the map
+
+
+def write_ghosts(
+    recording: rr.RecordingStream, source: Reader, ghost: Reader, *, start: float, duration: float, follow: int | None = None
+) -> int:
+    """Write the vehicles and walkers of another recording, each from the time on at which its path parts.
+
+    Args:
+        recording: The stream, with the scenes of the recording.
+        source: The recording.
+        ghost: The other one.
+        start: The elapsed seconds from which on it is shown.
+        duration: The seconds that are shown; 0: all of the rest.
+        follow: An actor of the recording whose ghost has a name.
+
+    Returns:
+        The number of ghosts.
+
+    Raises:
+        FormatError: A file contradicts its format.
+    """
+    found = differences(source, ghost, tolerance=APART, events=False)
+    shown = {(row.id_b, row.spawned_at_b): row.first for row in found.actors if row.first is not None}
+    shown |= {(actor.id, actor.spawned_at): -math.inf for actor in found.extra}
+    named = {(row.id_b, row.spawned_at_b) for row in found.actors if row.id_a == follow or row.role_name == "hero"}
+    try:
+        player = Player(ghost, start=start, duration=duration)
+    except RecapError:  # it ends before
+        return 0
+    writer = GhostWriter(Stream(recording), shown, named)
+    for batch in player.batches():
+        writer.write(batch)
+    writer.close()
+    return writer.count
+
+
+class GhostWriter:
+    """Writes ghosts.
+
+    Args:
+        stream: The stream.
+        shown: The elapsed seconds from which on an actor is shown, by its id and the time of its spawn.
+        named: The actors that have names, by the same.
+
+    Attributes:
+        count: The number of ghosts that were written.
+    """
+
+    def __init__(self, stream: Stream, shown: dict[tuple[int, float], float], named: set[tuple[int, float]]) -> None:
+        self.count = 0
+        self._stream = stream
+        self._shown, self._named = shown, named
+        self._waiting: dict[int, tuple[float, ActorLife]] = {}
+        self._drawn: set[int] = set()
+        self._poses = PoseBuffer()
+        self._last: TimePoint | None = None
+        stream.log_static(paths.MAP_GHOSTS, rr.Points2D.from_fields(radii=screen_radii(_RADIUS), colors=[COLOR]))
+
+    def write(self, batch: SceneBatch) -> None:
+        """Write scenes."""
+        times = TimeColumns.of(batch)
+        self._last = times.point(-1)
+        begun = []
+        for event in batch.events:
+            if isinstance(event, Spawned):
+                self._erase(event.actor.id, times)
+                key = event.actor.id, event.actor.spawned_at
+                if key in self._shown and event.actor.kind in ROAD_USERS and self.count + len(self._waiting) < MOST_MODELS:
+                    self._waiting[event.actor.id] = self._shown[key], event.actor
+            elif isinstance(event, Destroyed):
+                self._erase(event.id, times)
+        for id, (since, actor) in list(self._waiting.items()):
+            if since <= batch.time[-1] and batch.index_of(id) is not None:
+                del self._waiting[id]
+                begun.append(id)
+                self._draw(actor, times, int(np.searchsorted(batch.time, since)))
+        self._poses.add(batch, times, begun)
+        if self._poses.is_full:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what is held back."""
+        block = self._poses.take()
+        if block is not None:
+            block.write(self._stream, self._drawn, paths.ghost)
+            self._write_map(block)
+
+    def close(self) -> None:
+        """Write what is held back, and remove all ghosts."""
+        self.flush()
+        if self._last is not None:
+            self._stream.clear(paths.GHOSTS, self._last)
+            self._stream.clear(paths.MAP_GHOSTS, self._last)
+
+    def _draw(self, actor: ActorLife, times: TimeColumns, row: int) -> None:
+        look = look_of_present(actor)
+        if look is None:
+            return
+        self.count += 1
+        self._drawn.add(actor.id)
+        mesh = model_mesh(look)
+        body = mesh3d(mesh, np.full((len(mesh.vertices), 3), COLOR, np.uint8))
+        archetypes: list[rr.AsComponents] = [body, rr.Mesh3D.from_fields(albedo_factor=faded(_OPACITY))]
+        if (actor.id, actor.spawned_at) in self._named:
+            above = (look.center[0], look.center[1], look.center[2] + look.half_extents[2])
+            name = f"B: {style.label_of(actor)}"
+            archetypes.append(rr.Points3D([above], colors=[COLOR], radii=[0], labels=[name], show_labels=True))
+        self._stream.log(paths.ghost(actor.id), times.point(row), *archetypes)
+
+    def _erase(self, id: int, times: TimeColumns) -> None:
+        self._waiting.pop(id, None)
+        if id in self._drawn:
+            self.flush()
+            self._drawn.remove(id)
+            self._stream.clear(paths.ghost(id), times.point(0))
+
+    def _write_map(self, block: PoseBlock) -> None:
+        shown: NDArray[np.bool_] = block.present[1:] & np.isin(block.ids, list(self._drawn))
+        locations = block.poses[1:, :, LOCATION][..., :2][shown] * CM
+        column = rr.Points2D.columns(positions=locations.astype(np.float32))
+        lengths = shown.sum(axis=1)
+        times = block.times.take(slice(1, None))
+        self._stream.columns(paths.MAP_GHOSTS, times, [each.partition(lengths) for each in column])

@@ -1,0 +1,296 @@
+"""A recording, or the frames of a running simulation, as a Rerun stream; and the .rrd of a recording."""
+
+from __future__ import annotations
+
+import warnings
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import rerun as rr
+
+from carla_recap.editing.convert import check_destination
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.formats.sources import unsigned
+from carla_recap.model.actors import ROAD_USERS
+from carla_recap.queries.actors import actors
+from carla_recap.recording import Recording
+from carla_recap.rendering.town import town_mesh_of
+from carla_recap.replay import Played, Player, right_handed
+from carla_recap.replay.pose import LOCATION
+from carla_recap.roads.surfaces import road_network_of_map
+from carla_recap.scene.ahead import stop_points
+from carla_recap.scene.captions import PlayedIncidents
+from carla_recap.show.rerun import paths
+from carla_recap.show.rerun.actors import ActorWriter
+from carla_recap.show.rerun.blueprint import View, blueprint, first_locations
+from carla_recap.show.rerun.events import EventWriter
+from carla_recap.show.rerun.followed import FollowedWriter
+from carla_recap.show.rerun.ghosts import write_ghosts
+from carla_recap.show.rerun.ground import ground_below, write_ground
+from carla_recap.show.rerun.lights import LightAheadWriter, TrafficLightWriter
+from carla_recap.show.rerun.plots import write_measures
+from carla_recap.show.rerun.rrd import piped, rbl
+from carla_recap.show.rerun.stream import Stream, TimeColumns
+from carla_recap.show.rerun.town import is_elsewhere, write_map, write_sky, write_town
+from carla_recap.util.files import WholeFile, check_folder, new_folder
+from carla_recap.util.text import readable
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.model.frame import Header
+    from carla_recap.queries.incidents import Incident
+    from carla_recap.queries.measures import MeasureSeries
+    from carla_recap.rendering.town import TownMesh
+    from carla_recap.replay import SceneBatch
+    from carla_recap.replay.follow import Follow
+    from carla_recap.replay.player import Progress
+    from carla_recap.roads import RoadMap
+    from carla_recap.scene.ahead import StopPoints
+
+MOST_CAMERAS: Final = 500
+"""The number of actors that get a camera, the first ones."""
+
+_MAX_DATE: Final = 9_000_000_000  # s; as nanoseconds it fits into 64 bits
+
+
+def describe(stream: rr.RecordingStream, header: Header, name: str, source: str) -> None:
+    """Write the name, the date and the properties of a recording."""
+    stream.send_recording_name(readable(name))
+    if 0 <= header.date <= _MAX_DATE:
+        stream.send_recording_start_time_nanos(header.date * 1_000_000_000)
+    about = rr.AnyValues(map=readable(header.map_name), source=readable(source), recorder_version=header.version)
+    stream.send_property("recording", about)
+
+
+def town_of(road_map: RoadMap) -> TownMesh | None:
+    """Return the surfaces of a map; None if they cannot be made."""
+    if not road_map.opendrive:
+        return None
+    try:
+        return town_mesh_of(road_map.opendrive, road_map.name)
+    except RecapError as error:
+        warnings.warn(f"the roads have no surfaces: {error}", RecapWarning, stacklevel=2)
+        return None
+
+
+class SceneWriter:
+    """Writes scenes: the actors, the traffic lights, the events, and what is shown of the followed actor.
+
+    Args:
+        stream: The stream.
+        followed: The actor that the camera follows, if any.
+        road_map: The map of the town.
+        cameras: Ids of other actors that get the axes of a camera.
+        stops: The points at which traffic lights stop cars; see `carla_recap.scene.ahead`. More may be added later.
+        live: Whether all roads are on the map from the start on, and not only at the end those around the actors.
+    """
+
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        *,
+        followed: int | None = None,
+        road_map: RoadMap | None = None,
+        cameras: Iterable[int] = (),
+        stops: StopPoints | None = None,
+        live: bool = False,
+    ) -> None:
+        self._live = live
+        self._stream = Stream(stream)
+        self._stops = {} if stops is None else stops
+        self._road_map = road_map
+        town = None if road_map is None else town_of(road_map)
+        if town is not None:
+            write_town(self._stream, town)
+        if live and road_map is not None:
+            write_map(self._stream, road_map)
+        self._has_ground = town is not None
+        if town is None:
+            write_sky(self._stream, np.zeros(3), 0.0)
+            write_ground(self._stream)
+        self._is_ground_placed = town is not None
+        self._actors = ActorWriter(self._stream, followed, roads=road_map is not None, cameras=cameras, signs=town is None)
+        self._lights = TrafficLightWriter(self._stream)
+        self._events = EventWriter(self._stream)
+        self._followed: FollowedWriter | None = None
+        self._ahead: LightAheadWriter | None = None
+        if followed is not None:
+            self.follow(followed)
+
+    def follow(self, id: int) -> None:
+        """Follow another actor from the next scene on."""
+        if self._followed is not None:
+            self._followed.flush()
+        if self._ahead is not None:
+            self._ahead.flush()
+        self._actors.follow(id)
+        self._ahead = LightAheadWriter(self._stream, id, self._stops)
+        self._followed = FollowedWriter(self._stream, id, ground=not self._has_ground)
+
+    def write(self, batch: SceneBatch) -> None:
+        """Write scenes."""
+        times = TimeColumns.of(batch)
+        if self._followed is None and not self._is_ground_placed:
+            self._place_ground(batch, times)
+        self._actors.write(batch, times)
+        self._lights.write(batch, times)
+        self._events.write(batch, times)
+        if self._followed is not None:
+            self._followed.write(batch, times)
+        if self._ahead is not None:
+            self._ahead.write(batch, times)
+
+    def _place_ground(self, batch: SceneBatch, times: TimeColumns) -> None:
+        """Move the ground to the first actor, as long as none is followed."""
+        poses = [pose for id in batch.actors if (pose := batch.pose_of(id, 0)) is not None and np.isfinite(pose).all()]
+        if poses:
+            self._is_ground_placed = True
+            point = ground_below(right_handed(poses[0])[None, LOCATION])[0]
+            self._stream.log(paths.GROUND, times.point(0), rr.Transform3D(translation=point))
+
+    def write_incidents(self, found: Iterable[Incident]) -> None:
+        """Write the hard braking and the long stops that began during the scenes so far."""
+        self._events.write_incidents(found)
+
+    def write_measures(self, series: MeasureSeries) -> None:
+        """Write how close others were to the followed actor during the scenes so far."""
+        write_measures(self._stream, self._events.clock, series)
+
+    def flush(self) -> None:
+        """Write what is held back."""
+        self._actors.flush()
+        self._lights.flush()
+        self._events.flush()
+        if self._followed is not None:
+            self._followed.flush()
+        if self._ahead is not None:
+            self._ahead.flush()
+
+    def close(self) -> None:
+        """Write what is held back, and what is known only at the end.
+
+        Warns:
+            RecapWarning: There are too many actors to show all of them.
+        """
+        self.flush()
+        self._actors.close()
+        if self._road_map is not None and not self._live:
+            write_map(self._stream, self._road_map, self._actors.extent)
+
+
+def write(
+    stream: rr.RecordingStream,
+    player: Player,
+    *,
+    road_map: RoadMap | None = None,
+    progress: Progress | None = None,
+    cameras: Collection[int] = (),
+) -> Played:
+    """Play a recording into a stream, which has to be flushed afterwards.
+
+    Args:
+        stream: A file, a viewer or a pipe.
+        player: The player of the recording.
+        road_map: The map of the town.
+        progress: Is given the stream of scenes and their player, and passes the scenes on.
+        cameras: Ids of other actors than the followed one that get the axes of a camera, too.
+
+    Warns:
+        RecapWarning: The map is that of another town, or there are too many actors to show all of them.
+
+    Raises:
+        FormatError: The file contradicts its format.
+    """
+    reader = player.reader
+    describe(stream, reader.header, reader.path.name, unsigned(reader.location))
+    if road_map is not None and is_elsewhere(road_map, first_locations(player)):
+        warnings.warn(f"{road_map.name}: no actor is near this map, which is left out", RecapWarning, stacklevel=2)
+        road_map = None
+    writer = SceneWriter(stream, followed=player.followed, road_map=road_map, cameras=cameras, stops=stop_points(reader))
+    count = 0
+    incidents = PlayedIncidents(player, road_network_of_map(road_map))
+    for batch in player.batches(progress):
+        writer.write(batch)
+        count += len(batch)
+    writer.write_incidents(incidents.found())
+    series = incidents.series()
+    if series is not None:
+        writer.write_measures(series)
+    writer.close()
+    return Played(count, player.stop - player.start)
+
+
+def export_rerun(
+    source: Recording | Reader,
+    destination: Path | str,
+    *,
+    follow: Follow | None = None,
+    start: float = 0.0,
+    duration: float = 0.0,
+    view: View = "chase",
+    road_map: RoadMap | None = None,
+    cameras: Path | str | None = None,
+    ghost: Recording | Reader | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Played:
+    """Write an .rrd, which Rerun's viewer opens with a camera behind the followed actor.
+
+    Args:
+        source: The recording.
+        destination: The .rrd; it appears when it is complete.
+        follow: The actor that the camera follows: an id or "hero"; None: see `choose_followed`.
+        start: The elapsed time to begin at, in seconds; negative: before the end.
+        duration: The duration in seconds; 0: all of the rest.
+        view: The camera that is shown first.
+        road_map: The map of the town.
+        cameras: A folder for a blueprint of each vehicle and walker, `follow_<id>.rbl`: opened together with the .rrd, it
+            makes the camera follow that actor.
+        ghost: Another recording of the same scenario, whose vehicles and walkers are shown as ghosts from when on they are
+            elsewhere.
+        force: Overwrite existing files.
+        progress: See `write`.
+
+    Raises:
+        RecapError: There is no such actor or time, or the destination cannot be written.
+        FormatError: The file contradicts its format.
+    """
+    reader = source.reader if isinstance(source, Recording) else source
+    other = ghost.reader if isinstance(ghost, Recording) else ghost
+    for read in filter(None, (reader, other)):
+        check_destination(read.location, destination, force=force)
+    if cameras is not None:
+        check_folder(cameras, force=force)
+        if Path(cameras).absolute() == Path(destination).absolute():
+            raise RecapError(f"{cameras}: is the destination itself; a folder was expected")
+    player = Player(reader, start=start, duration=duration, follow=follow)
+    filmed = [] if cameras is None else _filmed(player)
+    with (
+        nullcontext(Path()) if cameras is None else new_folder(cameras) as folder,
+        WholeFile(destination) as file,
+    ):
+        with piped(blueprint(player, view=view), file.write) as stream:
+            played = write(stream, player, road_map=road_map, progress=progress, cameras=filmed)
+            if other is not None:
+                write_ghosts(stream, reader, other, start=player.start, duration=played.seconds, follow=player.followed)
+        for id in filmed:
+            (folder / f"follow_{id}.rbl").write_bytes(rbl(blueprint(player, view=view, followed=id)))
+    return played
+
+
+def _filmed(player: Player) -> list[int]:
+    """Return the vehicles and walkers that get a camera: the first ones of those present while the recording is played."""
+    ids: dict[int, None] = {}  # in their order, each once
+    for actor in actors(player.reader):
+        gone = actor.destroyed_at is not None and actor.destroyed_at <= player.start
+        if actor.kind in ROAD_USERS and actor.spawned_at <= player.stop and not gone:
+            ids[actor.id] = None
+    if len(ids) > MOST_CAMERAS:
+        warnings.warn(
+            f"{player.reader.location}: only {MOST_CAMERAS} of {len(ids)} actors get a camera", RecapWarning, stacklevel=3
+        )
+    return list(ids)[:MOST_CAMERAS]

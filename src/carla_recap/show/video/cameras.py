@@ -1,0 +1,207 @@
+"""The paths of the camera of a video: behind the followed actor, above it, at its driver's eyes, or as a recorded camera."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from carla_recap.rendering.camera import Camera
+from carla_recap.replay import right_handed
+from carla_recap.replay.pose import LOCATION, rotations
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.actors import ActorLife
+    from carla_recap.replay import Scene
+    from carla_recap.scene.instances import Instances
+    from carla_recap.show.video.encoding import Size
+    from carla_recap.show.video.followed import Subject
+
+    Floats = NDArray[np.float64]
+
+VideoView = Literal["chase", "top", "driver"] | int
+"""The view of a video: from behind, from above, that of the driver, or that of a recorded camera, by its id."""
+
+_FOV: Final = 70.0  # degrees, horizontal
+_TALLEST: Final = 58.0  # degrees; the largest vertical field of view
+_HORIZON: Final = 0.31  # of the height of the picture, from its upper edge
+_FEET: Final = 0.91  # of the height; the rear end of the followed actor touches the ground not below it
+_STEEPEST: Final = 0.51  # the tangent of the largest angle at which the camera looks down at it
+_CALM_ZOOM: Final = 1.5  # s; that of the scale of a picture from above
+_TOP_SPAN: Final = 42.0  # m, from the lower to the upper edge of a picture from above, of an actor that stands
+_TOP_AHEAD: Final = 2.2  # s; the distance of this time is added
+_TOP_SHIFT: Final = 0.16  # of the span; the actor is below the middle, since what matters is ahead of it
+
+
+class CameraPath(Protocol):
+    """The path of a camera."""
+
+    def camera(self, scene: Scene, instances: Instances, subject: Subject | None) -> Camera:
+        """Return the camera in a scene; scenes come in order."""
+
+
+def camera_path(view: VideoView, size: Size) -> CameraPath:
+    """Return the path of the camera of a view, for pictures of a size."""
+    if isinstance(view, int):
+        return _RecordedPath(view, size)
+    if view == "driver":
+        return _DriverPath(size)
+    return _TopPath(size) if view == "top" else _ChasePath(size)
+
+
+class _Lens(NamedTuple):
+    """The size of the pictures and the horizontal field of view in degrees."""
+
+    width: int
+    height: int
+    fov: float
+
+    @classmethod
+    def fitted(cls, size: Size, fov: float = _FOV) -> _Lens:
+        """Return a lens whose vertical field of view is not too large for high pictures."""
+        width, height = size
+        widest = 2 * math.degrees(math.atan(math.tan(math.radians(_TALLEST) / 2) * width / height))
+        return cls(width, height, min(fov, widest))
+
+    @property
+    def focal_length(self) -> float:
+        return self.width / 2 / math.tan(math.radians(self.fov) / 2)
+
+    def tilt(self, horizon: float) -> float:
+        """Return the pitch in degrees, upwards, at which the horizon is at a part of the height, from the upper edge."""
+        return -math.degrees(math.atan((0.5 - horizon) * self.height / self.focal_length))
+
+    def camera(self, location: Floats, heading: float, pitch: float, roll: float = 0.0) -> Camera:
+        """Return a camera; the angles are in degrees, and a positive pitch is upwards."""
+        pose = np.array((0, 0, 0, roll, -pitch, heading), np.float64)
+        return Camera(self.width, self.height, self.fov, location, rotations(pose))
+
+
+class _ChasePath:
+    """A camera behind and above the followed actor: the farther the larger it is, with the horizon in the upper third."""
+
+    def __init__(self, size: Size) -> None:
+        self._lens = _Lens.fitted(size)
+        self._tilt = self._lens.tilt(_HORIZON)
+        lowest = self._tilt - self._lens.tilt(_FEET)  # the pitch of what is seen at that height
+        self._steepness = min(-math.tan(math.radians(lowest)), _STEEPEST)
+
+    def camera(self, scene: Scene, instances: Instances, subject: Subject | None) -> Camera:
+        if subject is None:
+            return _overview(self._lens, instances, pitch=-35.0)
+        length, height = 2 * float(subject.half[0]), 2 * float(subject.half[2])
+        distance = 3.2 + 0.35 * length + 1.6 * height  # from its rear
+        back, yaw = distance + length / 2, math.radians(subject.heading)
+        offset = np.array((-back * math.cos(yaw), -back * math.sin(yaw), self._steepness * distance))
+        return self._lens.camera(subject.ground + offset, subject.heading, self._tilt)
+
+
+class _TopPath:
+    """A camera above the followed actor, whose heading is upwards; the faster the actor, the more it shows."""
+
+    def __init__(self, size: Size) -> None:
+        self._lens = _Lens.fitted(size, 50.0)
+        self._span: float | None = None
+        self._time = 0.0
+
+    def camera(self, scene: Scene, instances: Instances, subject: Subject | None) -> Camera:
+        if subject is None:
+            return _overview(self._lens, instances, pitch=-90.0)
+        span = max(_TOP_SPAN, 5 * float(subject.half[0])) + _TOP_AHEAD * (subject.speed or 0.0)
+        if self._span is not None:
+            share = -math.expm1(-max(scene.time - self._time, 0.0) / _CALM_ZOOM)
+            span = self._span + share * (span - self._span)
+        self._span, self._time = span, scene.time
+        yaw = math.radians(subject.heading)
+        up = span * self._lens.focal_length / self._lens.height
+        shift = _TOP_SHIFT * span
+        offset = np.array((shift * math.cos(yaw), shift * math.sin(yaw), up))
+        return self._lens.camera(subject.ground + offset, subject.heading, -90.0)
+
+
+class _DriverPath:
+    """A camera at the eyes of the driver, rider or walker, in front of what would be in the way."""
+
+    def __init__(self, size: Size) -> None:
+        self._lens = _Lens.fitted(size, 78.0)
+        self._tilt = self._lens.tilt(0.42)
+
+    def camera(self, scene: Scene, instances: Instances, subject: Subject | None) -> Camera:
+        if subject is None:
+            return _overview(self._lens, instances, pitch=-35.0)
+        half = subject.half
+        ahead, up = _eye(subject)
+        location = subject.ground + (0, 0, half[2]) + subject.rotation @ np.array((ahead, 0.0, up - half[2]))
+        forward, left = subject.rotation[:, 0], subject.rotation[:, 1]
+        heading = math.degrees(math.atan2(forward[1], forward[0]))
+        pitch = math.degrees(math.asin(max(-1.0, min(1.0, float(forward[2])))))
+        roll = math.degrees(math.asin(max(-1.0, min(1.0, float(left[2])))))
+        return self._lens.camera(location, heading, pitch + self._tilt, roll)
+
+
+def _eye(subject: Subject) -> tuple[float, float]:
+    """Return how far ahead of the centre of an actor, and how high above the ground, its driver's view is best."""
+    length, height = float(subject.half[0]), 2 * float(subject.half[2])
+    if subject.is_walker:
+        return length + 0.1, 0.93 * height
+    if subject.two_wheeled:
+        return 0.35 * length, 0.95 * height
+    if height > 2.0:  # of vans, trucks and buses: at the windscreen
+        return length + 0.05, 0.7 * height
+    return 0.42 * length, 0.84 * height
+
+
+class _RecordedPath:
+    """The camera that a recorded sensor was."""
+
+    def __init__(self, id: int, size: Size) -> None:
+        self._id = id
+        self._size = size
+        self._camera: Camera | None = None
+
+    def camera(self, scene: Scene, instances: Instances, subject: Subject | None) -> Camera:
+        actor, pose = scene.actors.get(self._id), scene.pose_of(self._id)
+        if actor is not None and pose is not None and np.isfinite(pose).all():
+            placed = right_handed(pose)
+            self._camera = Camera(*self._size, camera_fov(actor), placed[LOCATION], rotations(placed))
+        return self._camera or _overview(_Lens.fitted(self._size), instances, pitch=-35.0)
+
+
+def camera_fov(actor: ActorLife) -> float:
+    """Return the recorded field of view of a camera sensor, in degrees."""
+    fov = _number(actor.spawn.attribute("fov"))
+    return fov if 1 <= fov <= 170 else 90.0
+
+
+def camera_size(attributes: Mapping[str, str]) -> Size | None:
+    """Return the recorded size of the images of a camera sensor, in pixels; None without one."""
+    width, height = (_number(attributes.get(f"image_size_{axis}")) for axis in "xy")
+    return (int(width), int(height)) if width >= 1 and height >= 1 and max(width, height) < math.inf else None
+
+
+def _number(text: str | None) -> float:
+    try:
+        return float(text or "nan")
+    except ValueError:
+        return math.nan
+
+
+def _overview(lens: _Lens, instances: Instances, *, pitch: float) -> Camera:
+    """Return a camera that shows most of the actors, if none is followed."""
+    finite = instances.locations[np.isfinite(instances.locations).all(axis=1)]
+    centre = np.median(finite, axis=0) if len(finite) else np.zeros(3)
+    span = np.quantile(np.hypot(*(finite - centre)[:, :2].T), 0.8) if len(finite) else 0.0
+    distance = min(max(2.4 * float(span), 40.0), 400.0) * lens.focal_length / lens.height
+    offset = -np.array((math.cos(math.radians(pitch)), 0.0, math.sin(math.radians(pitch))))
+    return lens.camera(centre + distance * offset, 0.0, pitch)
+
+
+def pixels_per_metre(camera: Camera, ground: float) -> float | None:
+    """Return the scale of the ground at a height in m, in a picture from above; None in another view."""
+    distance = float(camera.location[2]) - ground
+    return camera.focal_length / distance if camera.rotation[2, 0] < -0.99 and distance > 0 else None

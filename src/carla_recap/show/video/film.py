@@ -1,0 +1,286 @@
+"""The pictures of a video: where the camera is in each, what it sees, and what is written on it."""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from carla_recap.errors import RecapError
+from carla_recap.recording import open_recording
+from carla_recap.rendering.camera import ImageKind
+from carla_recap.roads.find import plain_name
+from carla_recap.scene.ahead import stop_points
+from carla_recap.show.video.cameras import camera_path, camera_size, pixels_per_metre
+from carla_recap.show.video.captions import Captions, is_near, readable_name
+from carla_recap.show.video.followed import FollowedActor
+from carla_recap.show.video.overlay import Overlay, Readings
+from carla_recap.show.video.transparency import Transparency
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.actors import ActorLife
+    from carla_recap.queries.incidents import Incident
+    from carla_recap.recording import Recording
+    from carla_recap.rendering.camera import Camera
+    from carla_recap.rendering.process import RenderProcess
+    from carla_recap.rendering.town import TownMesh
+    from carla_recap.replay import Follow, Player, Scene
+    from carla_recap.scene.instances import Instances
+    from carla_recap.show.video.cameras import VideoView
+    from carla_recap.show.video.encoding import Picture, Size
+
+    Town = TownMesh | Callable[[], TownMesh | None]
+    Progress = Callable[[Iterable[Scene], Player], Iterable[Scene]]
+    Images = dict[ImageKind, NDArray[Any]]
+
+RATE: Final = 30.0
+"""The frames per second of a video, unless they are given."""
+
+
+_LONG: Final = 300.0  # s of a recording, without map, of which only a part is read for the roads
+_AROUND: Final = 60.0  # s before and after what is shown
+_ENCOUNTER: Final = 5.0  # s around what is shown in which near misses are looked for
+
+
+class VideoShot(NamedTuple):
+    """A picture to be drawn: the camera, the actors, the scene, and what is written on it."""
+
+    camera: Camera
+    instances: Instances
+    scene: Scene
+    readings: Readings
+
+
+class Film:
+    """The pictures of a video or a single one, as what is to be drawn.
+
+    Args:
+        recording: The recording.
+        player: Plays it; its start and stop are those of the video.
+        view: The view.
+        size: The size of the pictures.
+        speed: The seconds of the recording in a second of the video.
+        rate: The frames per second of the video.
+        frames: The number of frames; None: a single picture.
+        overlay: Write on the pictures.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        player: Player,
+        view: VideoView,
+        size: Size,
+        *,
+        speed: float = 1.0,
+        rate: float = RATE,
+        frames: int | None = None,
+        overlay: bool = True,
+    ) -> None:
+        from carla_recap.scene.actors import SceneActors  # here, while the renderer starts
+
+        self._player = player
+        self._rate = rate
+        self._speed = speed
+        self._frames = frames
+        self._view = view
+        self._actors = SceneActors()
+        self._actors.recall(recording, player.start)
+        self._followed = FollowedActor(player.followed, stop_points(recording.reader) if overlay else None)
+        self._path = camera_path(view, size)
+        self._transparency = Transparency()
+        self._captions: Captions | None = None
+        self._overlay: Overlay | None = None
+        if overlay:
+            self._captions = Captions(
+                _incidents(recording, player), start=player.start, stop=player.stop, speed=speed, followed=player.followed
+            )
+            marks = list(self._captions.marks()) if frames else []
+            map_name = plain_name(recording.header.map_name)
+            self._overlay = Overlay(size, map_name=map_name, speed=speed, marks=marks)
+
+    def shots(self, progress: Progress | None = None) -> Iterator[VideoShot]:
+        """Yield all pictures."""
+        scenes: Iterable[Scene] = islice(self._player.scenes(self._rate / self._speed), self._frames)
+        for index, scene in enumerate(progress(scenes, self._player) if progress else scenes):
+            yield self.shot(scene, index)
+
+    def shot(self, scene: Scene, index: int = 0) -> VideoShot:
+        """Return the picture of a scene; scenes have to come in order."""
+        instances = self._actors.at(scene)
+        subject = self._followed.update(scene, instances)
+        camera = self._path.camera(scene, instances, subject)
+        if self._view == "chase":
+            seconds = 1 / self._rate if index else math.inf
+            instances = self._transparency.apply(camera, instances, self._followed.id, seconds)
+        return VideoShot(camera, instances, scene, self._readings(scene, camera, index))
+
+    def finished(self, images: Future[Images], shot: VideoShot) -> Picture:
+        """Wait for the images of a shot, and return the picture with what is written on it."""
+        picture = images.result()[ImageKind.RGB]
+        if self._overlay is not None:
+            self._overlay.draw(picture, shot.readings)
+        return picture
+
+    def _readings(self, scene: Scene, camera: Camera, index: int) -> Readings:
+        subject, id = self._followed.subject, self._followed.id
+        if self._captions is None:
+            return Readings(scene.time)
+        centre = camera.location if subject is None else subject.ground
+        near = is_near(float(centre[0]), float(centre[1]))
+        ground = float(centre[2]) if subject is not None else 0.0
+        actor = scene.actors.get(id) if id is not None else None
+        progress = index / max(self._frames - 1, 1) if self._frames else None
+        if actor is None:
+            return Readings(scene.time, progress, captions=self._captions.at(scene.time, near))
+        return Readings(
+            scene.time,
+            progress,
+            _label(actor),
+            subject.speed if subject else None,
+            self._followed.controls(scene),
+            self._followed.light_ahead(scene),
+            self._captions.at(scene.time, near),
+            pixels_per_metre(camera, ground),
+        )
+
+
+def _label(actor: ActorLife) -> str:
+    """Return the name of the followed actor for the panel."""
+    name = "hero" if actor.is_hero else readable_name(actor.type_id)
+    return f"{name[:1].upper()}{name[1:]} ({actor.id})"
+
+
+def _check_view(recording: Recording, view: VideoView) -> None:
+    """Check that a camera exists.
+
+    Raises:
+        RecapError: It does not, or is no camera; the message lists those that exist.
+    """
+    if not isinstance(view, int):
+        return
+    cameras = [actor for actor in recording.actors.values() if actor.type_id.startswith("sensor.camera.")]
+    if view in {actor.id for actor in cameras}:
+        return
+    named = ", ".join(f"{actor.id} ({actor.type_id})" for actor in cameras[:5]) or "none"
+    raise RecapError(f"{recording.location}: no camera {view} is recorded; the recorded cameras are: {named}")
+
+
+def followed_of(recording: Recording, view: VideoView, follow: Follow | None) -> Follow | None:
+    """Return the actor that is given to be followed; of a recorded camera, else the actor that it is attached to.
+
+    Raises:
+        RecapError: There is no such camera.
+    """
+    _check_view(recording, view)
+    camera = recording.actors.get(view) if isinstance(view, int) else None
+    if follow is None and camera is not None and camera.parent in recording.actors:
+        return camera.parent
+    return follow
+
+
+def recorded_size(recording: Recording, view: VideoView) -> Size | None:
+    """Return the size of the images of a recorded camera as even numbers; None for another view."""
+    actor = recording.actors.get(view) if isinstance(view, int) else None
+    size = None if actor is None else camera_size(actor.attributes)
+    return None if size is None else (size[0] & ~1, size[1] & ~1)
+
+
+@contextmanager
+def opened_renderer(
+    renderer: RenderProcess | None,
+    town: Town | None,
+    recording: Recording,
+    *,
+    start: float = 0.0,
+    stop: float = math.inf,
+    supersampling: int = 1,
+) -> Iterator[Future[RenderProcess]]:
+    """Yield a renderer: a given one, which stays open, or a new one, which is made in another thread, and closed.
+
+    Args:
+        renderer: The given one.
+        town: The town of a new one; None: that of the recording's map, or if that is unknown, roads where its vehicles have
+            driven.
+        recording: The recording.
+        start: The elapsed seconds from which on it is shown.
+        stop: The elapsed seconds until which it is shown.
+        supersampling: How many times as wide and high pictures are drawn before they are made smaller.
+
+    Raises:
+        RecapError: There is no driver to draw with.
+        MissingExtra: An optional dependency is not installed.
+    """
+    if renderer is not None:
+        given: Future[RenderProcess] = Future()
+        given.set_result(renderer)
+        yield given
+        return
+    with ThreadPoolExecutor(1, "carla-recap-town") as thread:
+        made = thread.submit(_make_renderer, town, recording.location, start, stop, supersampling)
+        try:
+            yield made
+        finally:
+            if made.exception() is None:
+                made.result().close()
+
+
+def _make_renderer(town: Town | None, source: str, start: float, stop: float, supersampling: int) -> RenderProcess:
+    from carla_recap.rendering.process import RenderProcess
+
+    mesh = town() if callable(town) else town
+    if mesh is None:
+        mesh = _found_town(source) or _driven_town(source, start, stop)
+    return RenderProcess(mesh, supersampling=supersampling)
+
+
+def _found_town(source: str) -> TownMesh | None:
+    """Return the town of the map of a recording; None if that is unknown."""
+    from carla_recap.rendering.town import load_town_mesh
+    from carla_recap.roads import find_map
+
+    with open_recording(source) as recording:
+        path = find_map(recording.header.map_name)
+    return None if path is None else load_town_mesh(path)
+
+
+def _driven_town(source: str, start: float, stop: float) -> TownMesh:
+    """Return the roads that vehicles have driven; of a long recording, those of the time around a part of it."""
+    from carla_recap.editing.clip import clip
+    from carla_recap.rendering.town import corridor_town
+
+    with open_recording(source) as recording:  # another thread reads the caller's
+        if recording.reader.extent().duration < _LONG or not stop < math.inf:
+            return corridor_town(recording)
+    with TemporaryDirectory(prefix="carla-recap-") as folder:
+        part, begin = Path(folder) / "part.mcap", max(start - _AROUND, 0.0)
+        clip(source, part, start=begin, duration=stop + _AROUND - begin)
+        with open_recording(part) as recording:
+            return corridor_town(recording)
+
+
+def submit(renderer: RenderProcess, shot: VideoShot) -> Future[Images]:
+    """Have a picture drawn."""
+    from carla_recap.rendering.sky import Sky
+
+    future: Future[Images] = renderer.submit(
+        shot.camera, shot.instances, (ImageKind.RGB,), Sky.of_weather(shot.scene.weather)
+    )
+    return future
+
+
+def _incidents(recording: Recording, player: Player) -> list[Incident]:
+    """Return the incidents of a recording, and the near misses around the time that is shown."""
+    from carla_recap.queries.incidents import IncidentOptions, incidents
+
+    start, stop = player.start - _ENCOUNTER, player.stop + _ENCOUNTER
+    near = incidents(recording.reader, IncidentOptions(kinds=["near miss"], start=start, stop=stop))
+    return sorted([*recording.incidents(), *near], key=lambda incident: incident.start)

@@ -1,0 +1,146 @@
+"""Pictures of a recording at a time."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.editing.convert import check_destination
+from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.model.frame import SAME_TIME
+from carla_recap.replay import Player
+from carla_recap.show.video.encoding import check_size
+from carla_recap.show.video.film import Film, followed_of, opened_renderer, recorded_size, submit
+from carla_recap.show.video.video import SIZE
+from carla_recap.util.files import WholeFile
+
+if TYPE_CHECKING:
+    from carla_recap.recording import Recording
+    from carla_recap.rendering.process import RenderProcess
+    from carla_recap.replay import Follow
+    from carla_recap.show.video.cameras import VideoView
+    from carla_recap.show.video.encoding import Size
+    from carla_recap.show.video.film import Town, VideoShot
+
+_BEFORE: Final = 1.5  # s; the camera is as calm as if it had followed the actor for this time
+_RATE: Final = 10.0  # scenes in a second of it
+_SHORTEST: Final = 1e-3  # s; a duration of 0 would be the whole recording
+
+
+def snapshot(
+    source: Recording,
+    destination: Path | str,
+    *,
+    at: float,
+    follow: Follow | None = None,
+    view: VideoView = "chase",
+    town: Town | None = None,
+    size: Size | None = None,
+    overlay: bool = True,
+    force: bool = False,
+) -> None:
+    """Write a picture of a recording at a time.
+
+    Args:
+        source: The recording.
+        destination: The .png; it appears when it is complete.
+        at: The time in elapsed seconds; a negative number is counted from the end.
+        follow: The actor that the camera follows: an id or "hero"; None: see `choose_followed`, in the seconds before.
+        view: The view; see `export_video`.
+        town: The town, or a function that loads it; None: that of the recording's map if it is the built-in one or in the
+            folder that CARLA_RECAP_MAPS names, else roads where vehicles have driven.
+        size: Width and height in pixels; None: 1280 x 720, or of a recorded camera those of its images.
+        overlay: Write the map, time, speed and more on it.
+        force: Overwrite an existing file.
+
+    Raises:
+        RecapError: There is no such time, actor or camera, the destination cannot be written, or nothing can be drawn here.
+        FormatError: The file contradicts its format.
+        MissingExtra: An optional dependency is not installed.
+    """
+    path = Path(destination)
+    if path.suffix.lower() != ".png":
+        raise RecapError(f"{path}: a picture is written as .png")
+    check_destination(source.reader.location, path, force=force)
+    data = picture(source, at=at, follow=follow, view=view, town=town, size=size, overlay=overlay)
+    with WholeFile(path) as file:
+        file.write(data)
+
+
+def picture(
+    source: Recording,
+    *,
+    at: float,
+    follow: Follow | None = None,
+    view: VideoView = "chase",
+    town: Town | None = None,
+    size: Size | None = None,
+    overlay: bool = True,
+    renderer: RenderProcess | None = None,
+    form: str = "PNG",
+) -> bytes:
+    """Return a picture of a recording at a time; for the other arguments see `snapshot`.
+
+    Args:
+        source: The recording.
+        at: The time.
+        follow: The actor.
+        view: The view.
+        town: The town.
+        size: Width and height.
+        overlay: Write on it.
+        renderer: What draws it, for many pictures of one town; None: one is made and closed.
+        form: "PNG" or "JPEG".
+
+    Raises:
+        RecapError: There is no such time, actor or camera, or nothing can be drawn here.
+        FormatError: The file contradicts its format.
+        MissingExtra: An optional dependency is not installed.
+    """
+    Image = _pillow()  # noqa: N806
+    follow = followed_of(source, view, follow)
+    size = size or recorded_size(source, view) or SIZE
+    check_size(size)
+    whole = Player(source, start=at)
+    if at < -whole.total - SAME_TIME:
+        raise RecapError(f"{source.location}: nothing {-at:g} s before the end; the recording has {whole.total:g} s")
+    time = whole.start
+    start = max(0.0, time - _BEFORE)
+    player = Player(source, start=start, duration=max(time - start, _SHORTEST), follow=follow)
+    if follow is None and player.followed is None:
+        player.followed = Player(source).followed
+    with opened_renderer(renderer, town, source, start=start, stop=time, supersampling=2) as opened:
+        film = Film(source, player, view, size, overlay=overlay)
+        *_, shot = (film.shot(scene) for scene in player.scenes(_RATE))
+        if follow is not None:
+            _check_followed(source, player.followed, shot)
+        pixels = film.finished(submit(opened.result(), shot), shot)
+    file = io.BytesIO()
+    Image.fromarray(pixels[..., 2::-1]).save(file, form, quality=88, compress_level=4)
+    return file.getvalue()
+
+
+def _pillow() -> Any:
+    try:
+        from PIL import Image
+    except ImportError:
+        raise MissingExtra("a picture", "cameras") from None
+    return Image
+
+
+def _check_followed(source: Recording, followed: int | None, shot: VideoShot) -> None:
+    """Check that an actor that is to be followed has a pose in a scene.
+
+    Raises:
+        RecapError: It is not present, or its pose is not finite.
+    """
+    pose = None if followed is None else shot.scene.pose_of(followed)
+    if pose is None:
+        raise RecapError(
+            f"{source.location}: actor {followed} is not present at {shot.scene.time:g} s, so it cannot be followed"
+        )
+    if not np.isfinite(pose).all():
+        raise RecapError(f"{source.location}: the pose of actor {followed} at {shot.scene.time:g} s is not finite")

@@ -1,0 +1,131 @@
+"""Videos of recordings: a part of a recording as an MP4 or GIF, drawn by the software renderer."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from carla_recap.editing.convert import check_destination
+from carla_recap.errors import RecapError
+from carla_recap.replay import Player
+from carla_recap.show.video.encoding import LONGEST, check_video, create_video
+from carla_recap.show.video.film import RATE, Film, followed_of, opened_renderer, recorded_size, submit
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from concurrent.futures import Future
+
+    from carla_recap.recording import Recording
+    from carla_recap.rendering.process import RenderProcess
+    from carla_recap.replay import Follow
+    from carla_recap.show.video.cameras import VideoView
+    from carla_recap.show.video.encoding import Picture, Size
+    from carla_recap.show.video.film import Images, Progress, Town, VideoShot
+
+GIF_RATE: Final = 12.5
+"""The frames per second of a GIF, unless they are given."""
+SIZE: Final = (1280, 720)
+GIF_SIZE: Final = (640, 360)
+"""The size, unless it is given, or recorded with a camera."""
+_AHEAD: Final = 3  # pictures that are drawn while another one is encoded
+_SAMPLES: Final = 8  # pictures from which a GIF gets its palette
+
+
+class VideoInfo(NamedTuple):
+    """A video that was written.
+
+    Attributes:
+        frames: The number of its frames.
+        seconds: Its duration, in s.
+        size: Its width and height, in pixels.
+        size_on_disk: The size of the file, in bytes.
+    """
+
+    frames: int
+    seconds: float
+    size: tuple[int, int]
+    size_on_disk: int
+
+
+def export_video(
+    source: Recording,
+    destination: Path | str,
+    *,
+    view: VideoView = "chase",
+    follow: Follow | None = None,
+    start: float = 0.0,
+    duration: float = 0.0,
+    speed: float = 1.0,
+    size: Size | None = None,
+    rate: float | None = None,
+    smooth: bool = False,
+    overlay: bool = True,
+    town: Town | None = None,
+    renderer: RenderProcess | None = None,
+    progress: Progress | None = None,
+    force: bool = False,
+) -> VideoInfo:
+    """Write a video of a recording.
+
+    Args:
+        source: The recording.
+        destination: The .mp4 (H.264) or .gif; it appears when it is complete.
+        view: The view: "chase" from behind the followed actor, "top" from above, "driver" from its seat; or the id of a
+            recorded camera, which has its recorded field of view.
+        follow: The followed actor: an id or "hero"; None: the hero, else the first to collide, else the one that goes
+            farthest.
+        start: The elapsed seconds to begin at; negative: before the end.
+        duration: The seconds of the recording to show; 0: all of the rest.
+        speed: The seconds of the recording in a second of the video.
+        size: Width and height in pixels; None: 1280 x 720, of a GIF 640 x 360, of a recorded camera those of its images.
+        rate: The frames per second; None: 30, of a GIF 12.5.
+        smooth: Draw smooth edges, which takes about twice as long.
+        overlay: Write time, speed, controls, the light ahead and incidents on the pictures.
+        town: The town, or a function that loads it; None: that of the recording's map if it is the built-in one or in the
+            folder that CARLA_RECAP_MAPS names, else roads where vehicles have driven.
+        renderer: What draws the pictures, for several videos of one town; None: one is made and closed.
+        progress: Is given all scenes and the player, and passes the scenes on.
+        force: Overwrite an existing file.
+
+    Raises:
+        RecapError: There is no such time, actor or camera, the destination cannot be written, or nothing can be drawn here.
+        FormatError: The recording contradicts its format.
+        MissingExtra: An optional dependency is not installed.
+    """
+    path, is_gif = Path(destination), Path(destination).suffix.lower() == ".gif"
+    if not 0 < speed < math.inf:
+        raise RecapError(f"a speed of {speed:g}: a number above 0 was expected")
+    player = Player(source, start=start, duration=duration, follow=followed_of(source, view, follow))
+    size = size or recorded_size(source, view) or (GIF_SIZE if is_gif else SIZE)
+    rate = (GIF_RATE if is_gif else RATE) if rate is None else rate
+    length = player.stop - player.start
+    frames = max(1, round(min(length * rate / speed, LONGEST + 1))) if rate > 0 else 0
+    check_video(path, size, rate, frames)
+    check_destination(source.reader.location, path, force=force)
+
+    def film(rate: float, speed: float, frames: int) -> Film:
+        part = Player(source, start=player.start, duration=length, follow=player.followed)
+        return Film(source, part, view, size, speed=speed, rate=rate, frames=frames, overlay=overlay)
+
+    span = {"start": player.start, "stop": player.stop}
+    with opened_renderer(renderer, town, source, **span, supersampling=1 + smooth) as opened:
+        main = film(rate, speed, frames)
+        drawing = opened.result()
+        samples = list(_pictures(film(_SAMPLES / length, 1.0, _SAMPLES), drawing)) if is_gif and length else []
+        with create_video(path, size, rate, samples) as file:
+            for picture in _pictures(main, drawing, progress):
+                file.add(picture)
+    return VideoInfo(frames, frames / rate, size, path.stat().st_size)
+
+
+def _pictures(film: Film, renderer: RenderProcess, progress: Progress | None = None) -> Iterator[Picture]:
+    """Yield the pictures of a film; some are drawn ahead."""
+    waiting: deque[tuple[Future[Images], VideoShot]] = deque()
+    for shot in film.shots(progress):
+        waiting.append((submit(renderer, shot), shot))
+        if len(waiting) > _AHEAD:
+            yield film.finished(*waiting.popleft())
+    for images, shot in waiting:
+        yield film.finished(images, shot)

@@ -1,0 +1,253 @@
+"""Recordings as folders of Parquet files."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from carla_recap import MissingExtra, RecapError, create_recording, export_parquet, open_recording
+from carla_recap.files import parquet as exporter
+from carla_recap.model.records import UE4, Bone, Bones
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, on_terminal, run, the_line, wrote
+from tests.samples import log_header, names_in, packet, save, small_log, start
+
+pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
+from pyarrow import parquet
+
+from tests.waiting import PATIENCE
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    import pyarrow as pa
+
+ANSWERS = {"actors.parquet", "collisions.parquet", "incidents.parquet"}
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """A recording with records of each type."""
+    return save(tmp_path / "small.log", small_log())
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("parquet") / "crossing"
+    with open_recording(CROSSING) as recording:
+        files = export_parquet(recording, folder)
+    assert [file.name for file in files] == names_in(folder)
+    return folder
+
+
+def check_equal(read: pa.Table, written: pa.Table) -> None:
+    """Compare a file with a table, apart from the names of the items of lists and maps, which Parquet changes."""
+    assert read.to_pylist() == written.to_pylist()
+    assert [(field.name, field.metadata) for field in read.schema] == [(f.name, f.metadata) for f in written.schema]
+
+
+def test_each_record_type_has_a_file(tmp_path: Path, small: Path) -> None:
+    with open_recording(small) as recording:
+        export_parquet(recording, tmp_path / "out")
+        types = {type.name for type in UE4 if type.name not in ("frame_end", "collisions")} | {"collision_records"}
+        assert set(names_in(tmp_path / "out")) == ANSWERS | {f"{name}.parquet" for name in types}
+        for file in (tmp_path / "out").iterdir():
+            if file.name not in ANSWERS:
+                name = "collisions" if file.stem == "collision_records" else file.stem
+                check_equal(parquet.read_table(file), recording.table(name).to_arrow())
+
+
+def test_missing_record_types_have_no_file(exported: Path) -> None:
+    names = set(names_in(exported))
+    assert {"transforms.parquet", "spawned.parquet", "frame.parquet"} < names
+    assert not {"weather.parquet", "walker_bones.parquet", "frame_end.parquet"} & names
+
+
+def test_columns_have_their_units(exported: Path) -> None:
+    schema = parquet.read_schema(exported / "transforms.parquet")
+    units = {field.name: (field.metadata or {}).get(b"unit", b"").decode() for field in schema}
+    place, angles = dict.fromkeys("xyz", "cm"), dict.fromkeys(("roll", "pitch", "yaw"), "deg")
+    assert units == {"frame": "", "time": "s", "id": "", **place, **angles}
+    assert parquet.read_schema(exported / "incidents.parquet").field("x").metadata[b"unit"] == b"m"
+
+
+def test_the_files_of_queries_contain_their_results(exported: Path) -> None:
+    with open_recording(CROSSING) as recording:
+        hits = parquet.read_table(exported / "collisions.parquet").to_pylist()
+        assert [(hit["elapsed"], hit["id1"], hit["type_id2"]) for hit in hits] == [
+            (row.elapsed, row.id1, row.type_id2) for row in recording.collisions()
+        ]
+        found = parquet.read_table(exported / "incidents.parquet").to_pylist()
+        assert [(row["kind"], tuple(row["actors"]), row["text"]) for row in found] == [
+            (row.kind, row.actors, row.text) for row in recording.incidents()
+        ]
+        actors = parquet.read_table(exported / "actors.parquet").to_pylist()
+        assert [actor["id"] for actor in actors] == list(recording.actors)
+        for actor, row in zip(recording.actors.values(), actors, strict=True):
+            assert dict(row["attributes"]) == actor.attributes
+            assert (row["parent"], row["destroyed_at"]) == (actor.parent, actor.destroyed_at)
+            assert (row["bounding_box"] is None) == (actor.bounding_box is None)
+
+
+@pytest.mark.parametrize(("limit", "value"), [("ROWS", 1000), ("MEMORY", 30_000)])
+def test_rows_are_written_in_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str, value: int) -> None:
+    monkeypatch.setattr(exporter, limit, value)
+    monkeypatch.setattr(exporter, "_PIECE", 10_000)
+    with open_recording(CROSSING) as recording:
+        export_parquet(recording, tmp_path / "out")
+        file = parquet.ParquetFile(tmp_path / "out" / "transforms.parquet")
+        assert file.num_row_groups > 2
+        assert file.read().equals(recording.table("transforms").to_arrow())
+
+
+def test_records_that_vary_in_size_are_written_in_groups(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exporter, "MEMORY", 10_000)
+    monkeypatch.setattr(exporter, "_PIECE", 10_000)
+    with create_recording(tmp_path / "walk.log", map_name="T") as recorder:
+        for n in range(50):
+            recorder.add_frame(n / 20, walker_bones=[Bones(7, [Bone(f"b{k}", n, k, 0, 0, 0, 0) for k in range(20)])])
+    with open_recording(tmp_path / "walk.log") as recording:
+        export_parquet(recording, tmp_path / "out")
+        file = parquet.ParquetFile(tmp_path / "out" / "walker_bones.parquet")
+        assert file.num_row_groups > 5
+        assert file.read().to_pylist() == recording.table("walker_bones").to_arrow().to_pylist()
+
+
+def test_an_empty_recording_has_empty_files_of_queries(tmp_path: Path) -> None:
+    with create_recording(tmp_path / "empty.log", map_name="T"):
+        pass
+    with open_recording(tmp_path / "empty.log") as recording:
+        export_parquet(recording, tmp_path / "out")
+    assert set(names_in(tmp_path / "out")) == ANSWERS
+    table = parquet.read_table(tmp_path / "out" / "actors.parquet")
+    assert (table.num_rows, str(table.schema.field("attributes").type).partition(" (")[0]) == (0, "map<string, string")
+
+
+def test_a_folder_that_is_not_empty_is_an_error(tmp_path: Path, small: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mine.txt").write_text("mine")
+    with open_recording(small) as recording:
+        with pytest.raises(RecapError, match=r"out: is not empty; .*force=True"):
+            export_parquet(recording, tmp_path / "out")
+        assert names_in(tmp_path / "out") == ["mine.txt"]
+        export_parquet(recording, tmp_path / "out", force=True)
+        assert {"mine.txt", "transforms.parquet"} < set(names_in(tmp_path / "out"))
+
+
+def test_a_failure_leaves_no_files(tmp_path: Path) -> None:
+    broken = log_header() + start(1, 0.0) + packet(6, b"\1") + start(2, 1.0)
+    with open_recording(save(tmp_path / "broken.log", broken)) as recording, pytest.raises(RecapError, match="transforms"):
+        export_parquet(recording, tmp_path / "out")
+    assert names_in(tmp_path) == ["broken.log"]
+
+
+def test_progress_sees_each_batch(tmp_path: Path) -> None:
+    seen = []
+
+    def progress(batches, reader):
+        for batch in batches:
+            seen.append(len(batch))
+            yield batch
+
+    with open_recording(CROSSING) as recording:
+        export_parquet(recording, tmp_path / "out", progress=progress)
+        assert sum(seen) == recording.info.frames
+
+
+@pytest.mark.parametrize("ask", ["table", "trajectories", "actors", "collisions"])
+def test_tables_of_all_kinds_become_parquet_files(tmp_path: Path, ask: str) -> None:
+    with open_recording(CROSSING) as recording:
+        tables = {
+            "table": lambda: recording.table("transforms"),
+            "trajectories": recording.trajectories,
+            "actors": lambda: recording.actors,
+            "collisions": recording.collisions,
+        }
+        answer = tables[ask]()
+        answer.to_parquet(tmp_path / "out.parquet")
+        read = parquet.read_table(tmp_path / "out.parquet")
+        check_equal(read, answer.to_arrow())
+        assert {f.name: f.metadata[b"unit"].decode() for f in read.schema if f.metadata} == answer.units()
+        with pytest.raises(RecapError, match=r"no/out\.parquet: cannot be written"):
+            answer.to_parquet(tmp_path / "no" / "out.parquet")
+
+
+def test_a_table_as_a_data_frame() -> None:
+    pytest.importorskip("pandas")
+    with open_recording(CROSSING) as recording:
+        table = recording.table("transforms")
+        frame = table.to_pandas()
+        assert list(frame.columns) == ["frame", "time", "id", "x", "y", "z", "roll", "pitch", "yaw"]
+        assert (frame["x"].dtype, frame["id"].dtype) == (np.float32, np.uint32)
+        np.testing.assert_array_equal(frame["x"], table["x"])
+        frame.loc[0, "x"] = 1.0
+        assert (
+            recording.table("spawned")
+            .to_pandas()["type_id"]
+            .iloc[0]
+            .startswith(("vehicle", "spectator", "traffic", "static"))
+        )
+
+
+# --- the command ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_command(tmp_path: Path, exported: Path) -> None:
+    done = run("export", CROSSING, tmp_path / "out", "--to", "parquet")
+    count = len(names_in(exported))
+    assert (done.returncode, done.stdout) == (0, b"")
+    assert wrote(done.stderr) == [f"{tmp_path / 'out'}: 531 frames, 53 s, {count} files"]
+    assert names_in(tmp_path / "out") == names_in(exported)
+    assert "out: is not empty; --force writes over" in error("export", CROSSING, tmp_path / "out", "--to", "parquet")
+    assert run("export", CROSSING, tmp_path / "out", "--to", "parquet", "--force").returncode == 0
+
+
+@pytest.mark.parametrize(
+    "option",
+    [("--follow", "100"), ("--start", "0"), ("--view", "top"), ("--cameras", "x"), ("--map", "x.xodr")],
+    ids=lambda o: o[0],
+)
+def test_options_of_the_viewers_are_refused(tmp_path: Path, option: tuple[str, str]) -> None:
+    message = error("export", CROSSING, tmp_path / "out", "--to", "parquet", *option)
+    assert message.startswith(f"{option[0]} does not go with --to parquet.")
+    assert names_in(tmp_path) == []
+
+
+def test_a_file_as_destination_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("mine")
+    assert "out: is a file; a folder was expected" in error(
+        "export", CROSSING, tmp_path / "out", "--to", "parquet", "--force"
+    )
+
+
+def test_the_command_shows_its_progress(tmp_path: Path) -> None:
+    code, shown, _ = on_terminal("export", CROSSING, tmp_path / "out", "--to", "parquet", stream="stderr")
+    assert (code, "exporting" in shown) == (0, True)
+
+
+def test_without_pyarrow_the_error_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "pyarrow.py").write_text("raise ImportError('no pyarrow here')")
+    environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path)}
+    command = [COMMAND, "export", CROSSING, tmp_path / "out", "--to", "parquet"]
+    done = subprocess.run(command, env=environment, capture_output=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 2
+    assert "pip install '.[arrow]'" in the_line(done.stderr)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("method", ["to_arrow", "to_parquet", "export_parquet"])
+def test_in_python_the_error_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with open_recording(CROSSING) as recording:
+        table = recording.table("transforms")
+        features = {
+            "to_arrow": table.to_arrow,
+            "to_parquet": lambda: table.to_parquet(tmp_path / "out.parquet"),
+            "export_parquet": lambda: export_parquet(recording, tmp_path / "out"),
+        }
+        with pytest.raises(MissingExtra, match=r"pip install '\.\[arrow\]'"):
+            features[method]()
+    assert names_in(tmp_path) == []

@@ -1,0 +1,351 @@
+"""The instances of the actors of a recording: models, poses, lamps, what collisions leave behind."""
+
+from __future__ import annotations
+
+import math
+import struct
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+
+from carla_recap import open_recording
+from carla_recap.model.actors import BoundingBox
+from carla_recap.model.blueprints import blueprint_sizes
+from carla_recap.model.records import ActorKind
+from carla_recap.replay import Player
+from carla_recap.scene.actors import SceneActors, instances_of, lamps_of_vehicles, look_of
+from carla_recap.scene.collisions import MARKED
+from carla_recap.scene.materials import Material, Tag
+from carla_recap.scene.models import INDEX, MODELS
+from tests import samples
+
+
+def bits(*materials: Material) -> int:
+    return sum(1 << material for material in materials)
+
+
+def model_of(type_id: str, kind: ActorKind = ActorKind.VEHICLE, box: BoundingBox | None = None, **attributes: str) -> str:
+    look = look_of(type_id, kind, attributes, box)
+    assert look is not None
+    return MODELS[look.model].name
+
+
+# --- looks ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("type_id", sorted(blueprint_sizes()))
+def test_every_blueprint_has_a_model_and_its_box(type_id):
+    kind = {"vehicle": ActorKind.VEHICLE, "walker": ActorKind.WALKER}.get(type_id.split(".")[0], ActorKind.OTHER)
+    look = look_of(type_id, kind, {})
+    assert look is not None
+    assert np.array(look.half_extents) * 2 == pytest.approx(np.maximum(blueprint_sizes()[type_id], 0.01))
+    assert look.center[2] == pytest.approx(0 if kind == ActorKind.WALKER else look.half_extents[2], abs=0.01)
+
+
+def test_every_vehicle_has_a_model_of_its_class():
+    names = {type_id: model_of(type_id) for type_id in blueprint_sizes() if type_id.startswith("vehicle.")}
+    assert names["vehicle.carlamotors.firetruck"] == "fire engine"
+    assert names["vehicle.mitsubishi.fusorosa"] == "bus"
+    assert names["vehicle.gazelle.omafiets"] == "bicycle"
+    assert names["vehicle.tesla.model3"] == "sedan"
+    assert "box" not in names.values()
+
+
+@pytest.mark.parametrize(
+    ("name", "model"),
+    [
+        ("streetsign04", "board"),
+        ("streetfountain", "fountain"),
+        ("mailbox", "bin"),
+        ("creasedbox02", "debris"),
+        ("box01", "cardboard box"),
+    ],
+)
+def test_the_longest_word_in_the_name_of_a_prop_counts(name, model):
+    assert model_of(f"static.prop.{name}", ActorKind.OTHER) == model
+
+
+def test_a_recorded_box_counts_more_than_that_of_the_blueprint():
+    look = look_of("vehicle.audi.a2", ActorKind.VEHICLE, {}, BoundingBox(0.1, 0, 0.7, 2, 1, 0.6))
+    assert look is not None
+    assert (look.half_extents, look.center) == ((2, 1, 0.6), (0.1, 0, 0.7))
+
+
+@pytest.mark.parametrize("extent", [math.nan, math.inf, -1.0, 0.0, 1e30])
+def test_a_senseless_box_does_not_count(extent):
+    look = look_of("vehicle.audi.a2", ActorKind.VEHICLE, {}, BoundingBox(0, 0, 0, extent, 1, 1))
+    assert look is not None
+    assert look.half_extents[0] == pytest.approx(3.71 / 2)
+
+
+def test_older_names_have_the_same_size():
+    look = look_of("vehicle.lincoln.mkz2017", ActorKind.VEHICLE, {})
+    assert look is not None
+    assert look.half_extents[0] == pytest.approx(4.902 / 2)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "half", "expected"),
+    [
+        ({"number_of_wheels": "2"}, (0.8, 0.3, 0.8), "bicycle"),
+        ({"number_of_wheels": "2"}, (1.1, 0.4, 0.8), "motorcycle"),
+        ({"number_of_wheels": "4"}, (2.4, 1.0, 0.75), "sedan"),
+        ({"number_of_wheels": "4"}, (2.4, 1.0, 0.9), "suv"),
+        ({}, (5.2, 1.3, 1.6), "bus"),
+        ({"base_type": "van"}, (2.4, 1.0, 1.0), "van"),
+    ],
+)
+def test_unknown_vehicles_are_told_by_wheels_and_size(attributes, half, expected):
+    assert model_of("vehicle.unknown.thing", box=BoundingBox(0, 0, half[2], *half), **attributes) == expected
+
+
+def test_the_recorded_colour_is_the_paint():
+    look = look_of("vehicle.audi.a2", ActorKind.VEHICLE, {"color": "168,0,27"})
+    assert look is not None
+    assert look.color == (168, 0, 27)
+
+
+@pytest.mark.parametrize("color", ["", "red", "1,2", "1,2,300", "-1,2,3", "1,2,3,4", "nan,nan,nan"])
+def test_without_a_valid_colour_an_actor_keeps_one_of_its_own(color):
+    colors = [look_of("vehicle.audi.a2", ActorKind.VEHICLE, {"color": color}, id=id) for id in (7, 7, 8)]
+    assert colors[0] == colors[1] != colors[2]
+
+
+@pytest.mark.parametrize("type_id", ["sensor.camera.rgb", "spectator", "controller.ai.walker", "static.trigger.friction"])
+def test_what_has_no_body_is_not_drawn(type_id):
+    assert look_of(type_id, ActorKind.OTHER, {}) is None
+
+
+def test_signs_are_part_of_the_town_unless_asked_for():
+    assert look_of("traffic.stop", ActorKind.TRAFFIC_SIGN, {}) is None
+    names = {}
+    for type_id in ("traffic.stop", "traffic.yield", "traffic.speed_limit.30", "traffic.speed_limit.33", "traffic.unknown"):
+        look = look_of(type_id, ActorKind.TRAFFIC_SIGN, {}, signs=True)
+        assert look is not None
+        names[type_id] = MODELS[look.model].name
+    assert list(names.values()) == ["stop sign", "yield sign", "speed limit 30", "speed limit", "sign"]
+
+
+def test_tags_are_those_of_carla():
+    tags = {
+        "vehicle.audi.a2": Tag.CAR,
+        "vehicle.mitsubishi.fusorosa": Tag.BUS,
+        "vehicle.vespa.zx125": Tag.MOTORCYCLE,
+        "vehicle.bh.crossbike": Tag.BICYCLE,
+        "vehicle.carlamotors.firetruck": Tag.TRUCK,
+        "walker.pedestrian.0001": Tag.PEDESTRIANS,
+        "static.prop.barrel": Tag.STATIC,
+    }
+    found = {type_id: look_of(type_id, ActorKind.OTHER, {}) for type_id in tags}
+    assert {type_id: look.tag for type_id, look in found.items() if look is not None} == tags
+
+
+# --- scenes --------------------------------------------------------------------------------------------
+
+CAR, WALKER, LIGHT = 5, 6, 7
+HALF_A_TURN = 180.0
+
+
+def pose(id: int, x: float = 0, y: float = 0, z: float = 0, pitch: float = 0, yaw: float = 0) -> bytes:
+    return struct.pack("<I6f", id, x, y, z, 0, pitch, yaw)
+
+
+def frame(number: int, *packets: bytes) -> bytes:
+    return b"".join((samples.start(number, number * 0.1, 0.1), *packets, samples.END))
+
+
+SPAWNS = samples.packet(
+    2,
+    samples.listed(
+        samples.spawn(CAR, ActorKind.VEHICLE, "vehicle.audi.a2", color="10,20,30"),
+        samples.spawn(WALKER, ActorKind.WALKER, "walker.pedestrian.0001"),
+        samples.spawn(LIGHT, ActorKind.TRAFFIC_LIGHT, "traffic.traffic_light"),
+    ),
+)
+
+
+def poses(*rows: bytes) -> bytes:
+    return samples.packet(6, samples.listed(*rows))
+
+
+def control(id: int, steer: float = 0, brake: float = 0, gear: int = 1) -> bytes:
+    return samples.packet(8, samples.listed(struct.pack("<IfffBi", id, steer, 0, brake, 0, gear)))
+
+
+@pytest.fixture
+def played(tmp_path):
+    with ExitStack() as stack:
+
+        def play(*frames: bytes):
+            path = tmp_path / "recording.log"
+            path.write_bytes(samples.log_header() + b"".join(frames))
+            return Player(stack.enter_context(open_recording(path)))
+
+        yield play
+
+
+def test_instances_stand_where_their_actors_do(played):
+    (scene,) = played(frame(0, SPAWNS, poses(pose(CAR, 1000, 2000, 50, yaw=90), pose(WALKER, 300, 0, 93)))).scenes()
+    found = instances_of(scene)
+    assert found.ids.tolist() == [CAR, WALKER, LIGHT]
+    assert found.locations[0] == pytest.approx((10, -20, 0.5 + 1.55 / 2))
+    assert found.locations[1] == pytest.approx((3, 0, 0.93))
+    assert found.rotations[0, :, 0] == pytest.approx((0, -1, 0), abs=1e-6)  # right in CARLA's axes
+    assert found.colors[0].tolist() == [10, 20, 30]
+
+
+def test_a_light_stands_where_it_was_spawned(played):
+    (scene,) = played(frame(0, SPAWNS)).scenes()
+    found = instances_of(scene)
+    assert found.ids[-1] == LIGHT
+    assert found.locations[-1][:2] == pytest.approx((1, -2), abs=0.25)  # the housing is in front of the post
+
+
+def test_lamps_of_a_light_face_the_traffic_that_it_stops(played):
+    """CARLA's lights are turned by 90 degrees from the lane: x points across it, away from the road."""
+    (scene,) = played(frame(0, SPAWNS)).scenes()  # yaw 90: the lane has yaw 0
+    found = instances_of(scene)
+    mesh = MODELS[INDEX["traffic light"]].mesh
+    facing = found.rotations[-1] @ mesh.normals[mesh.materials == Material.RED_LAMP][0]
+    assert facing == pytest.approx((-1, 0, 0), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("state", "lamp"), [(0, Material.RED_LAMP), (1, Material.YELLOW_LAMP), (2, Material.GREEN_LAMP), (3, None), (9, None)]
+)
+def test_the_lamp_of_a_light_shows_its_state(played, state, lamp):
+    states = samples.packet(7, samples.listed(struct.pack("<IBfb", LIGHT, 0, 1.0, state)))
+    (scene,) = played(frame(0, SPAWNS, states)).scenes()
+    found = instances_of(scene)
+    assert int(found.lamps[-1]) == (bits(lamp) if lamp else 0)
+
+
+@pytest.mark.parametrize(
+    ("flags", "lamps"),
+    [
+        (8, (Material.TAIL_LIGHT, Material.BRAKE_LIGHT)),
+        (16, (Material.RIGHT_INDICATOR,)),
+        (32, (Material.LEFT_INDICATOR,)),
+        (64, (Material.REVERSE_LIGHT,)),
+        (2, (Material.HEADLIGHT, Material.TAIL_LIGHT)),
+        (4, (Material.HEADLIGHT, Material.TAIL_LIGHT)),
+        (1, (Material.TAIL_LIGHT,)),
+        (512, (Material.BEACON,)),
+        (0, ()),
+    ],
+)
+def test_recorded_lights_are_lit(flags, lamps):
+    assert int(lamps_of_vehicles(np.array([flags]))[0]) == bits(*lamps)
+
+
+def test_lamps_and_steering_are_those_of_the_vehicle(played):
+    lights = samples.packet(10, samples.listed(struct.pack("<II", CAR, 32)))
+    (scene,) = played(frame(0, SPAWNS, poses(pose(CAR), pose(WALKER)), control(CAR, steer=0.5, gear=-1), lights)).scenes()
+    found = instances_of(scene)
+    assert int(found.lamps[0]) == bits(Material.LEFT_INDICATOR, Material.REVERSE_LIGHT)
+    assert found.steering[0] == pytest.approx(-math.radians(20))  # to the right
+    assert not found.steering[1:].any()
+
+
+def test_brake_lights_are_lit_by_the_brake_without_recorded_lights(played):
+    (scene,) = played(frame(0, SPAWNS, poses(pose(CAR)), control(CAR, brake=0.5))).scenes()
+    assert int(instances_of(scene).lamps[0]) == bits(Material.TAIL_LIGHT, Material.BRAKE_LIGHT)
+
+
+def test_an_actor_at_no_place_is_left_out(played):
+    (scene,) = played(frame(0, SPAWNS, poses(pose(CAR, math.nan), pose(WALKER, math.inf)))).scenes()
+    assert instances_of(scene).ids.tolist() == [LIGHT]
+
+
+def test_senseless_controls_steer_nothing(played):
+    (scene,) = played(frame(0, SPAWNS, poses(pose(CAR)), control(CAR, steer=math.nan))).scenes()
+    assert instances_of(scene).steering[0] == 0
+
+
+# --- collisions ----------------------------------------------------------------------------------------
+
+
+def accident(speed: float, yaw: float = 0.0, walking: float = 0.0):
+    """Return frames in which a car drives along x into a walker, and passes over it."""
+    yield frame(0, SPAWNS, poses(pose(CAR, -100 * speed * 0.1), pose(WALKER, 200, 0, 93, yaw=yaw)))
+    hit = samples.packet(5, samples.listed(samples.collision(0, CAR, WALKER)))
+    yield frame(1, hit, poses(pose(CAR, 0), pose(WALKER, 200, 0, 93, yaw=yaw)))
+    for number in range(2, 80):
+        speeds = samples.packet(9, samples.listed(struct.pack("<If", WALKER, walking)))
+        yield frame(number, poses(pose(CAR, 0), pose(WALKER, 200, 0, 93, yaw=yaw)), speeds)
+
+
+@pytest.mark.parametrize(("yaw", "facing"), [(0.0, -1.0), (HALF_A_TURN, 1.0)])
+def test_a_walker_who_was_knocked_down_lies_in_the_direction_of_the_hit(played, yaw, facing):
+    actors = SceneActors(marks=False)
+    found = [actors.at(scene) for scene in played(*accident(5, yaw)).scenes()]
+    assert found[0].rotations[1, :, 2] == pytest.approx((0, 0, 1), abs=1e-6)
+    lying = found[-1]
+    assert lying.rotations[1, :, 2] == pytest.approx((1, 0, 0), abs=1e-6)
+    assert lying.rotations[1, 2, 0] == pytest.approx(facing)  # hit from behind, it lies on its face
+    assert np.linalg.det(lying.rotations[1]) == pytest.approx(1)
+    assert lying.locations[1, 2] == pytest.approx(lying.half_extents[1, 0])  # on the ground
+
+
+def test_a_walker_who_was_touched_stands(played):
+    actors = SceneActors(marks=False)
+    found = [actors.at(scene) for scene in played(*accident(0.5)).scenes()]
+    assert found[-1].rotations[1, 2, 2] == pytest.approx(1)
+
+
+def test_a_walker_who_walks_on_has_got_up(played):
+    actors = SceneActors(marks=False)
+    found = [actors.at(scene) for scene in played(*accident(5, walking=120)).scenes()]
+    assert found[-1].rotations[1, 2, 2] == pytest.approx(1)
+
+
+def test_a_walker_who_is_recorded_lying_lies_as_recorded(played):
+    (scene,) = played(frame(0, SPAWNS, poses(pose(CAR), pose(WALKER, 0, 0, 20, pitch=90)))).scenes()
+    found = instances_of(scene)
+    assert found.rotations[1, :, 0] == pytest.approx((0, 0, 1), abs=1e-6)  # on its back
+
+
+def test_a_collision_is_marked_on_the_ground_for_some_seconds(played):
+    actors = SceneActors()
+    mark = INDEX["collision mark"]
+    marked = {}
+    for scene in played(*accident(5)).scenes():
+        found = actors.at(scene)
+        marked[round(scene.time, 1)] = found.locations[found.models == mark]
+        assert (found.ids[1:] > found.ids[:-1]).all()
+    assert not len(marked[0.0])
+    assert marked[0.1][0] == pytest.approx((2, 0, 0.03), abs=0.02)  # at the walker's feet
+    assert len(marked[round(0.1 + MARKED - 0.1, 1)]) == 1
+    assert not len(marked[round(0.1 + MARKED + 0.1, 1)])
+
+
+@pytest.mark.parametrize(("start", "marks"), [(3.0, 1), (7.5, 0)])
+def test_collisions_before_the_beginning_are_recalled(tmp_path, start, marks):
+    path = tmp_path / "recording.log"
+    path.write_bytes(samples.log_header() + b"".join(accident(5)))
+    with open_recording(path) as recording:
+        actors = SceneActors()
+        actors.recall(recording, start)
+        found = [actors.at(scene) for scene in Player(recording, start=start).scenes()]
+    assert found[0].rotations[1, :, 2] == pytest.approx((1, 0, 0), abs=1e-6)
+    assert (found[0].models == INDEX["collision mark"]).sum() == marks
+    assert not (found[-1].models == INDEX["collision mark"]).any()
+
+
+def test_collisions_after_the_beginning_are_not_recalled(tmp_path):
+    path = tmp_path / "recording.log"
+    path.write_bytes(samples.log_header() + b"".join(accident(5)))
+    with open_recording(path) as recording:
+        actors = SceneActors()
+        actors.recall(recording, 0.0)
+        found = actors.at(Player(recording).at(0.0))
+    assert found.ids.tolist() == [CAR, WALKER, LIGHT]
+    assert found.rotations[1, 2, 2] == pytest.approx(1)
+
+
+def test_marks_are_forgotten_by_a_jump_back(played):
+    player = played(*accident(5))
+    actors = SceneActors()
+    actors.at(player.at(1.0))
+    assert instances_of(player.at(0.0)).ids.tolist() == actors.at(player.at(0.0)).ids.tolist() == [CAR, WALKER, LIGHT]

@@ -1,0 +1,137 @@
+"""What collisions leave behind, whole batches at a time: falls and marks with the rows at which they change."""
+
+from __future__ import annotations
+
+import math
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+
+from carla_recap import open_recording
+from carla_recap.replay import Player
+from carla_recap.scene.collisions import MARKED, MOST_MARKS, CollisionMarks, FallenWalkers
+from tests.replay.scripts import pose, spawn, write
+
+CAR, WALKER = 1, 2
+HIT = 2  # the frame of the collision
+
+
+@pytest.fixture
+def batches(tmp_path):
+    with ExitStack() as stack:
+
+        def played(frames):
+            return Player(stack.enter_context(open_recording(write(tmp_path / "x.log", frames, tick=0.1)))).batches()
+
+        yield played
+
+
+def accident(count=20, speed=10.0, walker=WALKER, kind="walker.pedestrian.0001"):
+    """Return frames of a car that hits a walker in the third one, and stops."""
+    step = 10 * speed  # cm
+    frames = [{"transforms": [pose(CAR, min(n - HIT, 0) * step), pose(walker, 200, z=93)]} for n in range(count)]
+    frames[0]["spawned"] = [spawn(CAR), spawn(walker, kind)]
+    frames[HIT]["collisions"] = [(0, CAR, walker, False, False)]
+    return frames
+
+
+def falls(found):
+    """Return the times of falls and risings, and whether each is a fall."""
+    walkers = FallenWalkers()
+    changes = [(float(batch.time[each.row]), each) for batch in found for each in walkers.changes(batch)]
+    return [(round(time, 3), each.id, each.fall is not None) for time, each in changes]
+
+
+def marks(found):
+    """Return the times at which marks change, and how many are shown from then on."""
+    shown = CollisionMarks()
+    return [(round(float(batch.time[row]), 3), len(at)) for batch in found for row, at in shown.changes(batch)]
+
+
+def test_a_walker_lies_from_the_hit_until_it_walks(batches):
+    frames = accident()
+    frames[12]["walker_controls"] = [(WALKER, 140.0)]
+    assert falls(batches(frames)) == [(0.2, WALKER, True), (1.2, WALKER, False)]
+
+
+def test_a_walker_that_disappears_does_not_lie_any_longer(batches):
+    frames = accident()
+    frames[12]["destroyed"] = [WALKER]
+    assert falls(batches(frames)) == [(0.2, WALKER, True), (1.2, WALKER, False)]
+
+
+def test_a_walker_that_is_recorded_lying_is_shown_as_recorded(batches):
+    frames = accident()
+    for frame in frames[12:]:
+        frame["transforms"][1] = (WALKER, 200.0, 0.0, 20.0, 0.0, 90.0, 0.0)
+    assert falls(batches(frames)) == [(0.2, WALKER, True), (1.2, WALKER, False)]
+
+
+@pytest.mark.parametrize(
+    "frames",
+    [
+        accident(speed=1.0),
+        accident(kind="vehicle.audi.a2"),
+        [{**frame, "transforms": [pose(CAR, math.nan), pose(WALKER)]} for frame in accident()],
+        [{**frame, "transforms": [pose(CAR), pose(WALKER, math.nan)]} for frame in accident()],
+    ],
+    ids=["slow", "vehicles", "no pose of the car", "no pose of the walker"],
+)
+def test_nothing_falls(batches, frames):
+    assert falls(batches(frames)) == []
+
+
+def test_a_lying_body_touches_the_ground(batches):
+    walkers = FallenWalkers()
+    (change,) = [each for batch in batches(accident()) for each in walkers.changes(batch)]
+    assert change.fall is not None
+    assert change.fall.matrix @ (0, 0, 1) == pytest.approx((1, 0, 0))  # the head points away from the car
+    assert np.linalg.det(change.fall.matrix) == pytest.approx(1)
+    assert -0.93 < change.fall.offset[2] < -0.5  # m, from the upright middle
+
+
+def test_a_seek_raises_walkers_and_removes_marks(batches):
+    frames = list(batches(accident()))
+    walkers, shown = FallenWalkers(), CollisionMarks()
+    for batch in frames:
+        walkers.changes(batch)
+        shown.changes(batch)
+    assert [(each.id, each.fall) for each in walkers.changes(frames[0])] == [(WALKER, None)]
+    assert [(row, len(at)) for row, at in shown.changes(frames[0])] == [(0, 0)]
+
+
+def test_a_mark_stays_for_some_seconds(batches):
+    assert marks(batches(accident(80))) == [(0.2, 1), (pytest.approx(0.2 + MARKED), 0)]
+
+
+def test_a_contact_that_goes_on_has_one_mark_until_some_seconds_after_it(batches):
+    frames = accident(100)
+    for frame in frames[HIT:31]:
+        frame["collisions"] = [(0, WALKER, CAR, False, False)]
+    assert marks(batches(frames)) == [(0.2, 1), (pytest.approx(3.0 + MARKED), 0)]
+
+
+def test_a_walker_is_marked_at_its_feet(batches):
+    shown = CollisionMarks()
+    for batch in batches(accident()):
+        shown.changes(batch)
+    assert shown.locations[0] == pytest.approx((2, 0, 0.03), abs=0.02)
+
+
+def test_the_latest_marks_are_kept(batches):
+    ids = range(1, MOST_MARKS + 11)
+    frames = [{"transforms": [pose(id, 100 * id) for id in ids], "spawned": [spawn(id) for id in ids]}, {}]
+    frames[0]["collisions"] = [(id, id, 2**32 - 1, False, False) for id in ids]
+    shown = CollisionMarks()
+    for batch in batches(frames):
+        shown.changes(batch)
+    assert shown.locations[:, 0] == pytest.approx(range(11, MOST_MARKS + 11))
+
+
+def test_many_contacts_that_go_on_do_not_replace_each_other(batches):
+    ids = range(1, MOST_MARKS + 11)
+    contacts = [(id, id, 2**32 - 1, False, False) for id in ids]
+    frames = [{"transforms": [pose(id, 100 * id) for id in ids], "collisions": contacts} for _ in range(10)]
+    frames[0]["spawned"] = [spawn(id) for id in ids]
+    assert marks(batches(frames)) == [(0.0, MOST_MARKS)]

@@ -1,0 +1,60 @@
+"""Fixtures for tests of exports: a recording for the viewer, and checks of temporary files."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from carla_recap.errors import RecapError
+from tests.waiting import PATIENCE
+
+SAMPLE = Path(__file__).parents[2] / "samples" / "crossing.log"
+
+
+@pytest.fixture(scope="session")
+def crossing_rrd(tmp_path_factory):
+    """Six seconds of the crossing, around the collision of the hero; skips the test if the viewer cannot draw."""
+    pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
+    from carla_recap import open_recording
+    from carla_recap.show.rerun import export_rerun
+    from tests.screenshots import ScreenshotTaker
+
+    path = tmp_path_factory.mktemp("rerun") / "crossing.rrd"
+    with open_recording(SAMPLE) as recording:
+        export_rerun(recording, path, start=20, duration=6)
+    try:
+        with ScreenshotTaker(path):
+            pass
+    except RecapError as error:
+        pytest.skip(str(error))
+    return path
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    """An empty folder for temporary files, in which the test must leave none."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    yield folder
+    assert list(folder.iterdir()) == []
+
+
+@pytest.fixture
+def limited():
+    """Runs code in a process whose files are limited to a number of bytes, as on a full disk."""
+
+    def run(code, size):
+        limit = (
+            "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+            f"resource.setrlimit(resource.RLIMIT_FSIZE, ({size}, {size}))\n"
+        )
+        command = [sys.executable, "-B", "-c", limit + code]
+        return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+
+    return run

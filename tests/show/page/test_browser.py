@@ -1,0 +1,285 @@
+"""The page in a real browser."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from carla_recap import open_recording
+from carla_recap.replay import Player, right_handed
+from carla_recap.show.page import Opening
+from tests.samples import carla_log
+from tests.show.page.conftest import CROSSING, NASTY, data, record, report, spawn
+from tests.waiting import wait_until
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from selenium.webdriver import Chrome
+
+
+class Page:
+    """An open page."""
+
+    def __init__(self, browser: Chrome, path: Path, link: str = "") -> None:
+        self.browser = browser
+        browser.get("about:blank")
+        browser.get_log("browser")
+        browser.get((path if path.is_file() else path / "index.html").as_uri() + link)
+        self.until(lambda: self.ask("performance.getEntriesByName('recap-first-frame').length") == 1)
+
+    def ask(self, expression: str, *arguments: Any) -> Any:
+        return self.browser.execute_script(f"return {expression}", *arguments)
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        wait_until(condition)
+
+    def click(self, selector: str, index: int = 0) -> None:
+        self.browser.execute_script("document.querySelectorAll(arguments[0])[arguments[1]].click()", selector, index)
+
+    def press(self, *keys: str) -> None:
+        from selenium.webdriver import ActionChains
+
+        for key in keys:
+            ActionChains(self.browser).send_keys(key).perform()
+
+    def text(self, id: str) -> str:
+        return self.ask("document.getElementById(arguments[0]).textContent", id)
+
+    @property
+    def time(self) -> float:
+        return self.ask("replay.clock.time")
+
+    @property
+    def pictures(self) -> int:
+        """The number of pictures that have been drawn."""
+        return self.ask("[...document.images].filter(image => image.naturalWidth === 480).length")
+
+    @property
+    def errors(self) -> list[Any]:
+        return self.browser.get_log("browser")
+
+
+@pytest.fixture
+def crossing(chromium: Chrome, crossing_page: Path) -> Page:
+    return Page(chromium, crossing_page)
+
+
+def test_the_list_contains_the_incidents(crossing: Page, crossing_page: Path) -> None:
+    rows = crossing.ask(
+        "[...document.querySelectorAll('.incident')].map(row => [row.dataset.kind, row.querySelector('.text').textContent])"
+    )
+    assert rows == [[one["kind"], one["text"]] for one in data(crossing_page, "report")["incidents"]]
+    breaks = "[...document.querySelectorAll('.incident .text wbr')].map(each => each.previousSibling.textContent)"
+    assert {part[-1] for part in crossing.ask(breaks)} == {"."}  # names break behind dots
+    assert crossing.text("map") == "Crossing"
+    assert "crossing.log" in crossing.text("origin")
+    crossing.until(lambda: crossing.pictures == len(rows))
+    assert crossing.errors == []
+
+
+def test_a_click_plays_through_an_incident_and_follows_its_first_actor(crossing: Page, crossing_page: Path) -> None:
+    crossing.browser.execute_script("replay.clock.pace = 0.01")  # so that it plays still whenever it is asked
+    for index, incident in enumerate(data(crossing_page, "report")["incidents"]):
+        crossing.click(".incident", index)
+        assert crossing.ask("replay.clock.playing")
+        assert incident["start"] - 3 <= crossing.time < incident["start"]
+        assert crossing.ask("replay.camera.followed") == incident["actors"][0]
+        assert crossing.ask("document.querySelectorAll('[aria-current]').length") == 1
+        assert crossing.text("caption-text") in ("", incident["text"]) or index == 0
+    goal = min(incident["stop"], incident["start"] + 6) + 3
+    crossing.browser.execute_script("replay.clock.pace = 20")
+    crossing.until(lambda: not crossing.ask("replay.clock.playing"))
+    assert crossing.time == pytest.approx(goal)
+    assert crossing.errors == []
+
+
+def test_playing_stops_at_the_end(crossing: Page) -> None:
+    crossing.click("#play")
+    crossing.until(lambda: crossing.time > 0.2)
+    crossing.browser.execute_script("replay.clock.seek(52.9)")
+    crossing.until(lambda: crossing.ask("!replay.clock.playing"))
+    assert crossing.time == 53
+    assert crossing.text("now") == "0:53.0"
+
+
+def test_all_actors_have_the_poses_of_the_player(crossing: Page) -> None:
+    with open_recording(CROSSING) as recording:
+        player = Player(recording)
+        for moment in (0.0, 3.33, 12.05, 20.9, 27.03, 41.77, 53.0):
+            scene = player.at(moment)
+            crossing.browser.execute_script("replay.clock.seek(arguments[0])", moment)
+            for id, pose in zip(scene.ids.tolist(), right_handed(scene.poses), strict=True):
+                shown = crossing.ask("replay.poseOf(arguments[0])", id)
+                assert [shown["x"], shown["y"]] == pytest.approx(pose[:2], abs=0.02), (moment, id)
+                assert abs((np.degrees(shown["yaw"]) - pose[5] + 180) % 360 - 180) < 0.3
+        assert crossing.ask("replay.poseOf(104)") is not None
+        crossing.browser.execute_script("replay.clock.seek(29)")
+        assert crossing.ask("[replay.poseOf(104), replay.poseOf(103)]") == [None, None]
+
+
+def test_yaw_is_interpolated_along_the_shorter_rotation(chromium: Chrome, tmp_path: Path) -> None:
+    frames = [{"transforms": [(1, 0, 0, 0, 0, 0, yaw)]} for yaw in (170, -170, -110)]
+    page = Page(chromium, report(record(tmp_path / "a.log", frames, tick=1), tmp_path / "page"))
+    page.browser.execute_script("replay.clock.seek(0.5)")
+    assert abs(np.degrees(page.ask("replay.poseOf(1).yaw")) % 360 - 180) < 0.1
+    page.browser.execute_script("replay.clock.seek(1.5)")
+    assert np.degrees(page.ask("replay.poseOf(1).yaw")) % 360 == pytest.approx(140, abs=0.1)
+
+
+def test_everything_works_with_the_keyboard(crossing: Page) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    crossing.press("n")
+    assert crossing.ask("replay.clock.playing")
+    crossing.press(" ")
+    first = crossing.time
+    assert first > 10
+    crossing.press(Keys.ARROW_RIGHT)
+    assert crossing.time == pytest.approx(first + 1)
+    crossing.press(" ")
+    assert crossing.ask("replay.clock.playing")
+    crossing.press(" ", ">")
+    assert crossing.ask("[replay.clock.playing, replay.clock.pace]") == [False, 2]
+    crossing.press(Keys.ESCAPE)
+    assert crossing.ask("replay.camera.followed") is None
+    crossing.ask("document.querySelectorAll('.incident')[0].focus()")
+    crossing.press(Keys.ARROW_DOWN, Keys.ENTER)
+    assert crossing.ask("replay.incidents.current") == 1
+    scale = crossing.ask("replay.camera.scale")
+    crossing.press("+", "h", "?")
+    assert crossing.ask("replay.camera.scale") > scale
+    assert crossing.ask("[replay.camera.turns, document.getElementById('help').open]") == [True, True]
+    assert crossing.errors == []
+
+
+def test_a_kind_can_be_hidden(crossing: Page) -> None:
+    crossing.click('.filter[data-kind="collision"]')
+    shown = crossing.ask("[...document.querySelectorAll('#list li:not([hidden]) .incident')].map(row => row.dataset.kind)")
+    assert sorted(shown) == ["blocked", "hard braking"]
+    crossing.press("n", "n", "n")
+    assert crossing.ask("document.querySelector('[aria-current]').dataset.kind") == "hard braking"
+
+
+def test_a_click_on_an_actor_follows_it_and_the_wheel_zooms(crossing: Page) -> None:
+    from selenium.webdriver import ActionChains
+
+    crossing.browser.execute_script("replay.clock.seek(22); replay.fit()")
+    crossing.until(lambda: not crossing.ask("replay.stale"))
+    left, top = crossing.ask(
+        "(one => [one.left, one.top])(replay.stage.shown.find(one => replay.tracks.actors[one.actor].id === 102))"
+    )
+    canvas = crossing.browser.find_element("id", "canvas")
+    middle = [canvas.size["width"] / 2, canvas.size["height"] / 2]
+    ActionChains(crossing.browser).move_to_element_with_offset(
+        canvas, int(left - middle[0]), int(top - middle[1])
+    ).click().perform()
+    assert crossing.ask("replay.camera.followed") == 102
+    scale = crossing.ask("replay.camera.scale")
+    crossing.browser.execute_script(
+        "document.getElementById('canvas').dispatchEvent(new WheelEvent('wheel', {deltaY: -200, cancelable: true}))"
+    )
+    assert crossing.ask("replay.camera.scale") > scale
+    ActionChains(crossing.browser).move_to_element(canvas).click_and_hold().move_by_offset(80, 30).release().perform()
+    assert crossing.ask("replay.camera.followed") is None
+
+
+def test_a_link_leads_to_a_time(chromium: Chrome, crossing_page: Path) -> None:
+    page = Page(chromium, crossing_page, "#t=12.3&follow=101")
+    assert page.time == pytest.approx(12.3)
+    assert page.ask("replay.camera.followed") == 101
+    page.browser.execute_script("replay.clock.seek(14)")
+    page.until(lambda: page.browser.current_url.endswith("#t=14&follow=101"))
+    assert Page(chromium, crossing_page, "#t=nonsense&follow=1e99&incident=99").time == 0
+    assert page.errors == []
+
+
+def test_a_link_to_an_incident_plays_through_it_with_its_text(chromium: Chrome, crossing_page: Path) -> None:
+    incident = data(crossing_page, "report")["incidents"][1]
+    page = Page(chromium, crossing_page, "#incident=2")
+    assert page.ask("replay.incidents.current") == 1
+    page.until(lambda: page.time > incident["start"] - 3)
+    assert page.time < min(incident["stop"], incident["start"] + 6) + 3.01
+    page.until(lambda: page.text("caption-text") == incident["text"])
+    page.browser.execute_script("replay.clock.pause()")
+    page.until(lambda: "#incident=2&t=" in page.browser.current_url)
+    again = Page(chromium, crossing_page, "#incident=4&t=24&follow=101")
+    assert again.ask("[replay.incidents.current, replay.clock.playing, replay.clock.time]") == [3, False, 24]
+    assert "in 0.6 s" in again.text("caption")
+
+
+def test_hostile_texts_are_shown_as_texts(chromium: Chrome, tmp_path: Path) -> None:
+    there = {"transforms": [(1, 0, 0, 0, 0, 0, 0), (2**32 - 2, 100, float("nan"), 0, 0, 0, 0), (3, 3e38, -3e38, 0, 0, 0, 0)]}
+    actors = [spawn(1, f"vehicle.{NASTY}", role_name=NASTY), spawn(2**32 - 2, NASTY), spawn(3, "")]
+    hits = [(1, 2**32 - 2, 1, 0, 0), (2, 3, 7, 0, 0)]
+    frames = [there | {"spawned": actors}, there | {"collisions": hits}, there]
+    source = record(tmp_path / "a.log", frames, map_name=NASTY)
+    page = Page(chromium, report(source, tmp_path / "page"))
+    for index in range(page.ask("document.querySelectorAll('.incident').length")):
+        page.click(".incident", index)
+    page.press("f", "h", "l")
+    assert page.ask("document.querySelector('.incident .text').textContent").count("onerror") >= 1
+    assert page.ask("document.querySelectorAll('img[src=x], .incident script').length") == 0
+    assert page.browser.title != "broken"
+    assert page.errors == []
+
+
+def test_a_recording_of_one_frame_without_actors(chromium: Chrome, tmp_path: Path) -> None:
+    page = Page(chromium, report(record(tmp_path / "a.log", [{}]), tmp_path / "page"))
+    assert page.ask("document.getElementById('play').disabled")
+    assert "There are no incidents" in page.text("nothing")
+    page.press(" ", "f", "n", "+")
+    assert page.errors == []
+
+
+def test_a_minute_of_dense_traffic_loads_at_once(chromium: Chrome, tmp_path: Path, record_property: Any) -> None:
+    ids = np.arange(1, 151)
+    turns = np.linspace(0, 40, 1201)[:, None] + ids
+    frames: list[dict[str, Any]] = [
+        {"transforms": {"id": ids, "x": 9000 * np.cos(turn), "y": 9000 * np.sin(turn), "yaw": np.degrees(turn) % 360}}
+        for turn in turns
+    ]
+    frames[0]["spawned"] = [spawn(id) for id in ids.tolist()]
+    folder = report(record(tmp_path / "a.mcap", frames), tmp_path / "page")
+    page = Page(chromium, folder)
+    record_property("first_frame_ms", page.ask("performance.getEntriesByName('recap-first-frame')[0].startTime"))
+    record_property("megabytes", sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6)
+    assert page.ask("replay.stage.shown.length") == 150
+    assert page.errors == []
+
+
+@pytest.mark.parametrize(
+    "name", ["carla-0.9.10-lane-center", "carla-0.9.13-lane-center", "floats", "times", "collisions", "events"]
+)
+def test_recordings_of_carla_open(chromium: Chrome, tmp_path: Path, name: str) -> None:
+    page = Page(chromium, report(carla_log(f"{name}.log"), tmp_path / "page"))
+    assert page.ask("document.querySelectorAll('.incident').length") == len(data(tmp_path / "page", "report")["incidents"])
+    page.press("n", " ", "f", "h")
+    page.until(lambda: page.ask("document.getElementById('now').textContent.length") > 0)
+    assert page.errors == []
+
+
+def test_it_opens_at_an_incident_and_names_the_broken_rules(chromium: Chrome, crossing_page: Path, tmp_path: Path) -> None:
+    incident = data(crossing_page, "report")["incidents"][0]
+    opening = Opening(incident["start"], tuple(incident["actors"]), tuple(f"rule {number}" for number in range(6)))
+    page = Page(chromium, report(CROSSING, tmp_path / "page.html", opening=opening))
+    assert page.time == pytest.approx(incident["start"] - 3)
+    assert page.ask("[replay.incidents.current, replay.camera.followed]") == [0, incident["actors"][0]]
+    assert page.ask("[...document.querySelectorAll('#notes li')].map(note => note.textContent)") == [
+        *("rule 0", "rule 1", "rule 2", "rule 3", "and 2 more"),
+    ]
+    assert page.ask("location.hash") == ""
+    assert Page(chromium, tmp_path / "page.html", "#t=20").time == 20
+    assert page.errors == []
+
+
+def test_it_opens_shortly_before_a_moment_without_an_incident(chromium: Chrome, crossing_page: Path, tmp_path: Path) -> None:
+    actor = data(crossing_page, "report")["incidents"][0]["actors"][0]
+    page = Page(chromium, report(CROSSING, tmp_path / "page.html", opening=Opening(20.0, (actor,))))
+    assert page.time == 17
+    assert page.ask("[replay.incidents.current, replay.camera.followed, document.getElementById('notes').hidden]") == [
+        *(-1, actor, True),
+    ]

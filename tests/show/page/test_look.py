@@ -1,0 +1,118 @@
+"""The look of the page: themes, narrow screens, long names, many incidents, print."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from tests.show.page.conftest import record, report, spawn
+from tests.show.page.test_browser import Page
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from selenium.webdriver import Chrome
+
+LONG = "vehicle." + "a_name_without_spaces" * 5
+INCIDENTS = 300
+
+
+@contextmanager
+def emulated(
+    browser: Chrome, *, size: tuple[int, int] | None = None, media: str = "", scheme: str = "dark"
+) -> Iterator[None]:
+    """Emulate a screen, print, and a preferred colour scheme."""
+    features = [{"name": "prefers-color-scheme", "value": scheme}]
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media, "features": features})
+    if size:
+        metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": True}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    try:
+        yield
+    finally:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+        browser.execute_script("try { localStorage.clear() } catch {}")
+
+
+@pytest.fixture(scope="module")
+def crowded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page with hundreds of incidents, and long names."""
+    frames: list[dict[str, Any]] = [
+        {"transforms": [(id, 100 * id, step, 0, 0, 0, 0) for id in range(1, 9)]} for step in range(INCIDENTS + 1)
+    ]
+    frames[0]["spawned"] = [spawn(id, LONG, role_name=LONG) for id in range(1, 9)]
+    for step in range(1, INCIDENTS + 1):
+        first = step % 7 + 1
+        frames[step]["collisions"] = [(step, first, first + 1, 0, 0)]
+    folder = tmp_path_factory.mktemp("crowded")
+    return report(record(folder / "a.mcap", frames, tick=2), folder / "page.html")
+
+
+def background(page: Page) -> str:
+    return page.ask("getComputedStyle(document.querySelector('.incidents')).backgroundColor")
+
+
+def corner(page: Page) -> list[int]:
+    """Return the colour of the canvas in a corner."""
+    return page.ask("[...replay.stage.context.getImageData(2, 2, 1, 1).data].slice(0, 3)")
+
+
+def test_the_theme_is_that_of_the_system_until_the_switch_is_used(chromium: Chrome, crossing_page: Path) -> None:
+    with emulated(chromium, scheme="light"):
+        page = Page(chromium, crossing_page)
+        assert background(page) == "rgb(255, 255, 255)"
+        assert min(corner(page)) > 180
+        page.click("#theme")
+        assert max(corner(page)) < 80
+        assert background(page) != "rgb(255, 255, 255)"
+        assert page.ask("document.documentElement.dataset.theme") == "dark"
+    with emulated(chromium, scheme="dark"):
+        page = Page(chromium, crossing_page)
+        assert max(corner(page)) < 80
+        page.press("d")
+        assert background(page) == "rgb(255, 255, 255)"
+
+
+@pytest.mark.parametrize("width", [320, 390, 768, 1024])
+def test_nothing_is_wider_than_the_screen(chromium: Chrome, crowded: Path, width: int) -> None:
+    with emulated(chromium, size=(width, 700)):
+        page = Page(chromium, crowded, "#incident=2&t=6")
+        assert page.ask("document.documentElement.scrollWidth") == width
+        rights = page.ask("[...document.querySelectorAll('.incident *')].map(node => node.getBoundingClientRect().right)")
+        assert max(rights) <= width + 1
+        assert page.ask("document.getElementById('caption').getBoundingClientRect().right") <= width
+        assert page.errors == []
+
+
+def test_hundreds_of_marks_do_not_overlap(chromium: Chrome, crowded: Path) -> None:
+    page = Page(chromium, crowded)
+    boxes = "[...document.querySelectorAll('.mark')].map(mark => mark.getBoundingClientRect())"
+    edges = page.ask(f"{boxes}.map(({{left, right}}) => [left, right])")
+    assert 5 < len(edges) < 100
+    assert all(before[1] < after[0] for before, after in pairwise(edges))
+    counts = page.ask("[...document.querySelectorAll('.mark')].map(mark => Number(mark.textContent) || 1)")
+    assert sum(counts) == INCIDENTS
+
+
+def test_a_mark_of_several_opens_one_after_the_other(chromium: Chrome, crowded: Path) -> None:
+    page = Page(chromium, crowded)
+    assert "incidents; a click plays one after the other" in page.ask("document.querySelectorAll('.mark')[1].title")
+    page.click(".mark", 1)
+    first = page.ask("replay.incidents.current")
+    page.click(".mark", 1)
+    assert page.ask("replay.incidents.current") == first + 1
+
+
+def test_print_is_light_and_has_all_pictures(chromium: Chrome, crossing_page: Path) -> None:
+    page = Page(chromium, crossing_page)
+    with emulated(chromium, media="print"):
+        page.until(lambda: page.ask("theme.name") == "light")
+        page.until(lambda: page.pictures == 4)
+        assert page.ask("getComputedStyle(document.querySelector('.transport')).display") == "none"
+        assert page.ask("getComputedStyle(document.body).overflow") == "visible"
+    page.until(lambda: not page.ask("theme.printing"))

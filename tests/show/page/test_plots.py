@@ -1,0 +1,76 @@
+"""The plots: speed, acceleration and the gap ahead of the followed actor."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from tests.show.page.conftest import record, report, spawn
+from tests.show.page.test_browser import Page
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from selenium.webdriver import Chrome
+
+
+def series(page: Page, id: int) -> dict[str, Any]:
+    """Return the series of an actor, with None where there is no value."""
+    found = page.ask(
+        f"(({{speed, acceleration, gap, leader}}) => [speed, acceleration, gap, leader].map(values => [...values]))"
+        f"(replay.recording.motion.series(replay.tracks.indexOf({id}, 0)))"
+    )
+    return dict(zip(("speed", "acceleration", "gap", "leader"), found, strict=True))
+
+
+@pytest.fixture(scope="module")
+def followed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A car that accelerates with 2 m/s² towards a truck 50 m ahead, with another car in the next lane."""
+    folder = tmp_path_factory.mktemp("plots")
+    times = np.arange(80) * 0.05
+    frames: list[dict[str, Any]] = [
+        {"transforms": [(1, 100 * t * t, 0, 0, 0, 0, 0), (2, 5000, 0, 0, 0, 0, 0), (3, 2000, 350, 0, 0, 0, 0)]}
+        for t in times.tolist()
+    ]
+    frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2, "vehicle.truck"), spawn(3)]
+    return report(record(folder / "a.mcap", frames), folder / "page.html")
+
+
+def test_speed_and_acceleration_are_those_of_the_motion(chromium: Chrome, followed: Path) -> None:
+    found = series(Page(chromium, followed), 1)
+    for sample in (10, 40, 70):
+        assert found["speed"][sample] == pytest.approx(2 * sample * 0.05, abs=0.05)
+        assert found["acceleration"][sample] == pytest.approx(2, abs=0.2)
+
+
+def test_the_gap_is_between_the_bumpers_of_the_same_lane(chromium: Chrome, followed: Path) -> None:
+    page = Page(chromium, followed)
+    found = series(page, 1)
+    front, rear = page.ask("[0, 1].map(index => replay.tracks.actors[index].box[2])")
+    for sample in (5, 40, 79):
+        assert found["gap"][sample] == pytest.approx(50 - (sample * 0.05) ** 2 - front - rear, abs=0.3)
+        assert page.ask(f"replay.tracks.actors[{found['leader'][sample]}].id") == 2
+    assert set(series(page, 3)["leader"]) == {-1}
+
+
+def test_the_values_at_the_present_time_are_shown(chromium: Chrome, followed: Path) -> None:
+    page = Page(chromium, followed)
+    page.browser.execute_script("replay.clock.seek(3)")
+    page.until(lambda: page.ask("document.querySelectorAll('#readings output')[0].textContent") == "22")
+    assert "to truck 2" in page.text("readings")
+    page.press("g")
+    assert page.ask("[replay.plots.isOpen, document.getElementById('plots').offsetHeight]") == [False, 0]
+
+
+def test_a_drag_on_the_plots_goes_to_a_time(chromium: Chrome, followed: Path) -> None:
+    from selenium.webdriver import ActionChains
+
+    page = Page(chromium, followed)
+    canvas = page.browser.find_element("id", "plot")
+    width = page.ask("replay.plots.width")
+    away = int(width / 2 - canvas.size["width"] / 2)
+    ActionChains(page.browser).move_to_element_with_offset(canvas, away, 0).click().perform()
+    assert page.time == pytest.approx(page.ask("replay.length") / 2, abs=0.05)
+    assert page.errors == []

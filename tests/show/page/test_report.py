@@ -1,0 +1,112 @@
+"""The files of an incident page."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from carla_recap import RecapError, open_recording
+from carla_recap.queries.incidents import incidents
+from carla_recap.show.page import report as module
+from carla_recap.show.page import sampling, write_report
+from tests.samples import names_in
+from tests.show.page.conftest import CROSSING, NASTY, WITHOUT_ROADS, data, record, report, spawn
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def test_the_summary_is_that_of_the_recording(crossing_page: Path) -> None:
+    summary = data(crossing_page, "report")
+    assert (summary["source"], summary["map"], summary["frames"]) == ("crossing.log", "Crossing", 531)
+    assert (summary["duration"], summary["version"], summary["whole"], summary["follow"]) == (53.0, 1, True, 100)
+    assert summary["date"] == "2026-01-01T10:00:00+00:00"
+    assert [kind[:2] for kind in summary["kinds"]] == [
+        ["vehicle", 6],
+        ["walker", 2],
+        ["traffic light", 4],
+        ["sensor", 2],
+        ["other", 3],
+    ]
+
+
+def test_the_incidents_are_those_of_the_query(crossing_page: Path) -> None:
+    with open_recording(CROSSING) as recording:
+        expected = incidents(recording.reader)
+    listed = data(crossing_page, "report")["incidents"]
+    assert [(one["kind"], one["start"], one["actors"], one["text"]) for one in listed] == [
+        (one.kind, round(one.start, 3), list(one.actors), one.text) for one in expected
+    ]
+    assert len(listed) >= 3
+
+
+def test_the_summary_of_the_call(tmp_path: Path) -> None:
+    with open_recording(CROSSING) as recording:
+        written = write_report(recording, tmp_path / "page", WITHOUT_ROADS, pictures="none")
+    assert written._replace(size=0) == (tmp_path / "page", 4, True, 53.0, 0)
+    assert written.size == sum(file.stat().st_size for file in (tmp_path / "page").rglob("*") if file.is_file())
+    assert not data(tmp_path / "page", "report")["drawn"]
+
+
+def test_a_long_recording_is_replayed_around_its_incidents(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sampling, "BUDGET", 15_000)
+    report(CROSSING, tmp_path / "page", before=2, after=1)
+    summary, recording = data(tmp_path / "page", "report"), data(tmp_path / "page", "recording")
+    assert not summary["whole"]
+    assert recording["spans"] == [[12.1, 15.1], [18.9, 25.6]]
+    for incident in summary["incidents"]:
+        assert any(start <= incident["start"] <= stop for start, stop in recording["spans"])
+
+
+def test_incidents_beyond_the_budget_are_listed_without_a_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sampling, "BUDGET", 5_000)
+    report(CROSSING, tmp_path / "page", before=2, after=1)
+    page = tmp_path / "page"
+    listed, spans = data(page, "report")["incidents"], data(page, "recording")["spans"]
+    assert [any(start <= one["start"] <= stop for start, stop in spans) for one in listed] == [True, False, False, False]
+
+
+def test_a_folder_that_is_not_empty_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(RecapError, match="is not empty"):
+        report(CROSSING, tmp_path)
+    with pytest.raises(RecapError, match="is a file"):
+        report(CROSSING, tmp_path / "mine.txt", force=True)
+    assert names_in(tmp_path) == ["mine.txt"]
+
+
+def test_force_keeps_other_files(tmp_path: Path) -> None:
+    (tmp_path / "page" / "data").mkdir(parents=True)
+    for name in ("mine.txt", "index.html", "data/mine.png"):
+        (tmp_path / "page" / name).write_text("mine")
+    page = report(CROSSING, tmp_path / "page", force=True)
+    assert (page / "mine.txt").read_text() == (page / "data" / "mine.png").read_text() == "mine"
+    assert "canvas" in (page / "index.html").read_text()
+    assert names_in(tmp_path) == ["page"]
+
+
+def test_a_failure_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module, "copy_files", fail)
+    with pytest.raises(RecapError, match="page: cannot be written: No space left"):
+        report(CROSSING, tmp_path / "page")
+    assert names_in(tmp_path) == []
+
+
+def test_hostile_texts_stay_texts_in_scripts(tmp_path: Path) -> None:
+    there = {"transforms": [(1, 0, 0, 0, 0, 0, 0), (2, 100, 0, 0, 0, 0, 0)]}
+    first = there | {"spawned": [spawn(1, f"vehicle.{NASTY}", role_name=NASTY), spawn(2, "\udc80\udcff" * 9)]}
+    source = record(tmp_path / "a.log", [first, there | {"collisions": [(1, 1, 2, 0, 0)]}, there], map_name=NASTY)
+    page = report(source, tmp_path / "page")
+    for script in (page / "data").iterdir():
+        assert b"<" not in script.read_bytes()
+    assert "onerror" in data(page, "recording")["actors"][0]["role"]
+
+
+@pytest.mark.parametrize("span", [{"before": -1}, {"after": float("nan")}])
+def test_invalid_times_are_refused(tmp_path: Path, span: dict[str, float]) -> None:
+    with pytest.raises(RecapError, match="0 or more were expected"):
+        report(CROSSING, tmp_path / "page", **span)

@@ -1,0 +1,95 @@
+"""Samples of a replay: complete and without repetition."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from carla_recap import open_recording
+from carla_recap.replay import Player, right_handed
+from carla_recap.show.page.samples import BLOCK, Sampler
+from tests.show.page.conftest import CROSSING, record, spawn
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from carla_recap.show.page.samples import SampledReplay
+
+
+def sampled(path: Path, rate: float = 20.0) -> SampledReplay:
+    with open_recording(path) as recording:
+        sampler = Sampler(rate)
+        for scene in Player(recording).scenes():
+            sampler.add(scene)
+        return sampler.finish()
+
+
+def test_poses_are_those_of_the_recording() -> None:
+    replay = sampled(CROSSING)
+    with open_recording(CROSSING) as recording:
+        player = Player(recording)
+        for time in (0.0, 8.3, 20.9, 24.6, 40.0, 53.0):
+            scene, poses = player.at(time), replay.poses(time)
+            found = {replay.actors[actor].id: pose for actor, pose in poses.items()}
+            for id, pose in zip(scene.ids.tolist(), right_handed(scene.poses), strict=True):
+                assert found[id][:2] == pytest.approx(pose[:2], abs=0.011), (time, id)
+                assert abs((found[id][2] - pose[5] + 180) % 360 - 180) < 0.21
+
+
+def test_an_actor_that_stands_still_has_one_row_and_one_that_moves_has_one_track(tmp_path: Path) -> None:
+    frames = [{"transforms": [(1, n, 0, 0, 0, 0, 0), (2, 100, 200, 0, 0, 0, 90)]} for n in range(3 * BLOCK)]
+    frames[0]["spawned"] = [spawn(1), spawn(2)]
+    replay = sampled(record(tmp_path / "a.mcap", frames))
+    assert [(track.first, track.last, len(track.rows)) for track in replay.tracks] == [
+        (0, 3 * BLOCK - 1, 3 * BLOCK),
+        (0, 3 * BLOCK - 1, 1),
+    ]
+    assert replay.tracks[1].rows.tolist() == [[1, -2, -90]]
+    assert replay.tracks[0].rows[:, 0] == pytest.approx(np.arange(3 * BLOCK) / 100, abs=1e-5)
+
+
+def test_a_jump_a_gap_and_nan_end_a_track(tmp_path: Path) -> None:
+    xs = [0, 10, 20, 90_000, 90_010, float("nan"), 90_020, 90_030, None, 90_040, float("inf"), 3e38]
+    frames = [{"transforms": [] if x is None else [(1, x, 0, 0, 0, 0, 0)]} for x in xs]
+    replay = sampled(record(tmp_path / "a.log", frames))
+    assert [(track.first, track.last) for track in replay.tracks] == [(0, 2), (3, 4), (6, 7), (9, 9)]
+
+
+def test_a_reused_id_is_another_actor(tmp_path: Path) -> None:
+    there = {"transforms": [(7, 0, 0, 0, 0, 0, 0)]}
+    frames = [there | {"spawned": [spawn(7)]}, there, {"destroyed": [7]}, there | {"spawned": [spawn(7, "walker.a")]}, there]
+    replay = sampled(record(tmp_path / "a.log", frames))
+    assert [(actor.id, actor.until, actor.details.type_id if actor.details else None) for actor in replay.actors] == [
+        (7, 0.1, "vehicle.audi.tt"),
+        (7, None, "walker.a"),
+    ]
+    assert [(track.actor, track.first, track.last) for track in replay.tracks] == [(0, 0, 1), (1, 3, 4)]
+
+
+def test_the_rate_limits_the_samples() -> None:
+    replay = sampled(CROSSING, rate=2.0)
+    assert len(replay.times) == pytest.approx(53 * 2, abs=2)
+    assert np.diff(replay.times).min() > 0.49
+
+
+def test_an_actor_spawned_between_two_samples_is_in_the_next(tmp_path: Path) -> None:
+    frames = [{}, {"spawned": [spawn(7, "static.prop")]}, {}, {"destroyed": [7], "spawned": [spawn(8)]}, {}, {}, {}]
+    replay = sampled(record(tmp_path / "a.log", frames), rate=10)
+    assert [(replay.actors[track.actor].id, track.first, track.last) for track in replay.tracks] == [(7, 1, 1), (8, 2, 3)]
+
+
+def test_each_change_of_a_light_is_recorded_once() -> None:
+    replay = sampled(CROSSING)
+    lamp = next(index for index, actor in enumerate(replay.actors) if actor.id == 20)
+    assert [(round(time), state) for actor, time, state in replay.lights if actor == lamp] == [
+        (0, 0),
+        (2, 2),
+        (12, 1),
+        (15, 0),
+        (32, 2),
+        (42, 1),
+        (45, 0),
+    ]
+    assert replay.light_states(13)[lamp] == 1

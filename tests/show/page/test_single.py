@@ -1,0 +1,103 @@
+"""The page as one file: it opens from the disk, without a network, and shows what the folder shows."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from carla_recap import RecapError
+from carla_recap.show.page.packing import Packer
+from tests.samples import names_in
+from tests.show.page.conftest import CROSSING, NASTY, data, record, report, spawn, unpack
+from tests.show.page.test_browser import Page
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from selenium.webdriver import Chrome
+
+
+def test_it_opens_without_a_network_and_asks_for_no_other_file(chromium: Chrome, tmp_path: Path) -> None:
+    single = report(CROSSING, tmp_path / "page.html")
+    assert names_in(tmp_path) == ["page.html"]
+    chromium.execute_cdp_cmd("Network.enable", {})
+    offline = {"offline": True, "latency": 0, "downloadThroughput": 0, "uploadThroughput": 0}
+    chromium.execute_cdp_cmd("Network.emulateNetworkConditions", offline)
+    try:
+        page = Page(chromium, single)
+        assert page.ask("document.querySelectorAll('.incident').length") == 4
+        page.click(".incident", 1)
+        page.until(lambda: page.ask("replay.stage.shown.length") > 5)
+        page.until(lambda: page.pictures == 4)
+        asked = page.ask("performance.getEntriesByType('resource').map(entry => entry.name)")
+        assert [name for name in asked if not name.startswith("data:")] == []
+        assert page.errors == []
+    finally:
+        chromium.execute_cdp_cmd("Network.emulateNetworkConditions", offline | {"offline": False})
+
+
+def test_its_policy_permits_only_its_own_scripts(chromium: Chrome, tmp_path: Path) -> None:
+    page = Page(chromium, report(CROSSING, tmp_path / "page.html"))
+    page.browser.execute_script(
+        "document.body.append(Object.assign(document.createElement('script'), {textContent: 'window.strange = 1'}))"
+    )
+    assert page.ask("window.strange") is None
+    assert "Content Security Policy" in page.errors[0]["message"]
+
+
+def test_hostile_texts_stay_texts(chromium: Chrome, tmp_path: Path) -> None:
+    there = {"transforms": [(1, 0, 0, 0, 0, 0, 0), (2, 100, 0, 0, 0, 0, 0)]}
+    first = there | {"spawned": [spawn(1, f"vehicle.{NASTY}", role_name=NASTY), spawn(2, NASTY)]}
+    source = record(tmp_path / "a.log", [first, there | {"collisions": [(1, 1, 2, 0, 0)]}, there], map_name=NASTY)
+    page = Page(chromium, report(source, tmp_path / "page.html"))
+    assert "onerror" in page.text("map")
+    assert page.ask("document.querySelectorAll('img[src=x]').length") == 0
+    assert page.browser.title != "broken"
+    assert page.errors == []
+
+
+def test_a_minute_of_traffic_is_less_than_one_and_a_half_megabytes(tmp_path: Path) -> None:
+    ids = np.arange(1, 101)
+    random = np.random.default_rng(0)
+    speeds, phases = random.uniform(0.02, 0.1, 100), random.uniform(0, 6, 100)
+    frames = []
+    for step in range(1200):
+        turn = phases + speeds * (step * 0.05 + np.sin(step / 90 + phases))
+        where = {"x": 9000 * np.cos(turn), "y": 9000 * np.sin(2 * turn), "yaw": np.degrees(turn) % 360}
+        frames.append({"transforms": {"id": ids, **where}})
+    frames[0]["spawned"] = [spawn(id) for id in ids.tolist()]
+    assert report(record(tmp_path / "a.mcap", frames), tmp_path / "page.html").stat().st_size < 1_500_000
+
+
+def test_a_file_that_exists_is_kept_without_force(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    page.write_text("mine")
+    with pytest.raises(RecapError, match=r"page\.html: exists already; --force"):
+        report(CROSSING, page)
+    assert page.read_text() == "mine"
+    assert "<canvas" in report(CROSSING, page, force=True).read_text("utf-8")
+    (tmp_path / "folder.html").mkdir()
+    with pytest.raises(RecapError, match="is no file"):
+        report(CROSSING, tmp_path / "folder.html", force=True)
+
+
+def test_the_data_are_those_of_the_folder(crossing_page: Path, tmp_path: Path) -> None:
+    single = report(CROSSING, tmp_path / "page.html")
+    assert data(single, "report") == data(crossing_page, "report")
+    assert data(single, "recording")["x"].tolist() == data(crossing_page, "recording")["x"].tolist()
+    assert not re.search(r'(src|href)="(?!data:|#)', single.read_text("utf-8"))
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+@pytest.mark.parametrize(
+    "values", [[], [0], [-1.5, 1e6, -1e6, 0.004], [3e9, -3e9, 0], np.cumsum(np.arange(300)), [4294967295, 0, 4294967295]]
+)
+def test_columns_keep_their_values(values: list[float], order: int) -> None:
+    packer = Packer()
+    found = unpack(packer.pack({"before": packer.column([1, 2, 3]), "it": packer.column(values, 0.002, order=order)}))
+    assert found["before"].tolist() == [1, 2, 3]
+    largest = max(np.abs(values), default=0)
+    assert found["it"] == pytest.approx(np.array(values, float), abs=max(0.0011, largest / 2**30))

@@ -1,0 +1,49 @@
+"""Rerun's viewer in the page, in a real browser."""
+
+from __future__ import annotations
+
+from threading import Thread
+from typing import TYPE_CHECKING
+
+import pytest
+
+from carla_recap import RecapError
+from carla_recap.show.page import page_server, sampling
+from tests.samples import names_in
+from tests.show.page.conftest import CROSSING, browser, data, report
+from tests.waiting import wait_until
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+pytest.importorskip("rerun", reason="the extra rerun is not installed")
+
+
+def test_the_viewer_shows_the_time_and_the_actor_of_an_incident(tmp_path: Path) -> None:
+    page = report(CROSSING, tmp_path / "page", viewer=True)
+    incident = data(page, "report")["incidents"][1]
+    small = "window-size=480,480"  # for it is drawn without a GPU
+    software = (small, "use-angle=swiftshader", "enable-unsafe-swiftshader", "ignore-gpu-blocklist")
+    with browser(*software) as chromium, page_server(page) as server:
+        thread = Thread(target=server.serve_forever, args=(0.05,))
+        thread.start()
+        try:
+            chromium.get(f"http://127.0.0.1:{server.server_port}/")
+            chromium.execute_script("replay.space.toggle(); replay.open(1, {play: false})")
+            chromium.switch_to.frame("space")
+            chromium.execute_script("starting.then(viewer => { window.viewer = viewer })")
+            before = pytest.approx(incident["start"] - 3)
+            wait_until(lambda: chromium.execute_script("return window.viewer && viewer.time") == before)
+            assert chromium.execute_script("return viewer.camera") == f"cameras/follow_{incident['actors'][0]}.rbl"
+            asked = chromium.execute_script("return performance.getEntriesByType('resource').map(entry => entry.name)")
+            assert all(name.startswith("http://127.0.0.1:") for name in asked), asked
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def test_a_long_recording_has_no_viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sampling, "BUDGET", 5_000)
+    with pytest.raises(RecapError, match="too long for the viewer"):
+        report(CROSSING, tmp_path / "page", viewer=True)
+    assert names_in(tmp_path) == []

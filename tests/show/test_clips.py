@@ -1,0 +1,197 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from carla_recap import create_recording, open_recording
+from carla_recap.editing.convert import convert
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.model.records import Spawn
+from carla_recap.queries.incidents import IncidentOptions
+from carla_recap.roads import RoadMap
+from carla_recap.show.clips import IncidentClip, clips
+from tests.samples import images, names_in, save
+
+CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
+
+
+@pytest.fixture(scope="session")
+def crossing(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The sample in each format."""
+    other = tmp_path_factory.mktemp("crossing") / "crossing.mcap"
+    convert(CROSSING, other)
+    return {".log": CROSSING, ".mcap": other}
+
+
+def test_clips(crossing: dict[str, Path], tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    from rerun.chunk import RrdReader
+
+    folder = tmp_path / "clips"
+    written = clips(crossing[".mcap"], folder, before=2.0, after=1.0)
+    names = ["01-collision-20.9s-105-110", "02-collision-24.6s-100-101"]
+    assert names_in(tmp_path) == ["clips"]
+    assert names_in(folder) == sorted(name + suffix for name in names for suffix in (".mcap", ".rrd"))
+    assert [(found.recording, found.rrd) for found in written] == [
+        (folder / f"{name}.mcap", folder / f"{name}.rrd") for name in names
+    ]
+    with open_recording(written[1].recording) as recording:
+        assert recording.info.duration == pytest.approx(24.6 - 25.1 + 2 * 0.5 + 3.0)
+        assert [row.elapsed for row in recording.collisions()] == [pytest.approx(2.0)]
+    reader = RrdReader(str(written[0].rrd))
+    assert reader is not None
+    assert b".partial" not in (folder / f"{names[0]}.rrd").read_bytes()
+
+
+def test_clips_of_all_kinds(crossing: dict[str, Path], tmp_path: Path) -> None:
+    seen: list[str] = []
+
+    def watch(found: Any) -> Any:
+        for incident in found:
+            seen.append(incident.kind)
+            yield incident
+
+    written = clips(
+        crossing[".log"], tmp_path, IncidentOptions(), before=0, after=0, suffix=".log", rerun=False, progress=watch
+    )
+    assert [found.recording.name for found in written] == names_in(tmp_path)
+    assert seen == ["blocked", "collision", "hard braking", "collision"]
+    assert written[2].recording.name == "03-hard-braking-23.5s-100.log"
+    assert all(found.rrd is None for found in written)
+    with open_recording(written[1].recording) as recording:
+        assert recording.info.duration == pytest.approx(0.8)
+
+
+def test_a_clip_of_an_instant_has_one_frame(tmp_path: Path) -> None:
+    path = tmp_path / "own.log"
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        for second in range(5):
+            recorder.add_frame(second, collisions=[(0, 1, 2, 0, 0)] if second == 2 else [])
+    (found,) = clips(path, tmp_path / "clips", before=0, after=0, rerun=False)
+    assert len(images(found.recording)) == 1
+
+
+def test_more_incidents_than_the_limit_are_a_warning(crossing: dict[str, Path], tmp_path: Path) -> None:
+    with pytest.warns(RecapWarning, match="only the first 1 of 2 incidents"):
+        written = clips(crossing[".log"], tmp_path / "clips", limit=1, rerun=False)
+    assert [type(found) for found in written] == [IncidentClip]
+
+
+@pytest.mark.parametrize(
+    ("late", "followed"),
+    [
+        ({4: {"destroyed": [1]}}, 2),  # before the clip
+        ({40: {"destroyed": [1]}}, 1),
+        ({0: {}, 42: {"spawned": [Spawn(1, 1, type_id="vehicle.a")]}}, 2),
+        ({4: {"destroyed": [1, 2]}}, None),
+    ],
+)
+def test_the_followed_actor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: dict[int, dict[str, Any]], followed: int | None
+) -> None:
+    """The first actor of the incident that is present; else the one that the player chooses."""
+    rerun = pytest.importorskip("carla_recap.show.rerun")
+    path, asked, roads = tmp_path / "own.log", [], RoadMap("Town01", [], [], [], [], [])
+
+    def export(source: Any, destination: Path, *, follow: int | None, road_map: RoadMap) -> None:
+        assert road_map is roads
+        asked.append(follow)
+        export_rerun(source, destination, follow=follow, road_map=road_map)
+
+    export_rerun = rerun.export_rerun
+    monkeypatch.setattr(rerun, "export_rerun", export)
+    cast = [Spawn(id, 1, type_id="vehicle.a") for id in ((2,) if 0 in late else (1, 2))]
+    moments = {0: {"spawned": cast}, 40: {"collisions": [(0, 1, 2, 0, 0)]}}
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        for number in range(50):
+            recorder.add_frame(number / 4, **moments.get(number, {}) | late.get(number, {}))
+    (found,) = clips(path, tmp_path / "clips", before=1.0, after=1.0, road_map=roads)
+    assert asked == [followed]
+    assert found.rrd is not None
+    assert found.rrd.exists()
+
+
+def test_the_caller_chooses_the_kinds_of_incidents(crossing: dict[str, Path], tmp_path: Path) -> None:
+    def count(**options: Any) -> int:
+        return len(clips(crossing[".mcap"], tmp_path / "clips", IncidentOptions(**options), rerun=False, force=True))
+
+    assert [count(kinds=["blocked"], min_time=seconds) for seconds in (38.0, 40.0)] == [1, 0]
+    assert count(kinds=["blocked"], min_distance=1e9) > 1
+    assert [count(kinds=["hard braking"], deceleration=limit) for limit in (6.0, 60.0)] == [1, 0]
+    with pytest.raises(RecapError, match="it must be above 0"):
+        count(kinds=["hard braking"], deceleration=0.0)
+
+
+def test_errors_contain_the_final_path_of_a_clip(
+    crossing: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, *args: Any) -> Any:
+        raise RecapError(f"{path}: cannot be written: No space left on device")
+
+    monkeypatch.setattr("carla_recap.editing.clip.create_writer", full)
+    with pytest.raises(RecapError) as raised:
+        clips(crossing[".log"], tmp_path / "clips", rerun=False)
+    path = tmp_path / "clips" / "01-collision-20.9s-105-110.mcap"
+    assert str(raised.value) == f"{path}: cannot be written: No space left on device"
+    assert names_in(tmp_path) == []
+
+
+def test_a_long_incident(tmp_path: Path) -> None:
+    path = tmp_path / "own.log"
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        for second in range(200):
+            recorder.add_frame(second, spawned=[] if second else [Spawn(1, 1)], transforms=[(1, 5, 0, 0, 0, 0, 0)])
+    (found,) = clips(path, tmp_path / "clips", IncidentOptions(kinds=["blocked"]), rerun=False, after=3)
+    assert 60 <= len(images(found.recording)) <= 66
+
+
+def test_a_folder_that_is_not_empty_is_an_error(crossing: dict[str, Path], tmp_path: Path) -> None:
+    save(tmp_path / "mine.txt", b"mine")
+    with pytest.raises(RecapError, match="not empty"):
+        clips(crossing[".log"], tmp_path, rerun=False)
+    with pytest.raises(RecapError, match="is a file"):
+        clips(crossing[".log"], tmp_path / "mine.txt", rerun=False)
+    assert names_in(tmp_path) == ["mine.txt"]
+    clips(crossing[".log"], tmp_path, rerun=False, force=True)
+    assert len(names_in(tmp_path)) == 3
+
+
+def test_clips_are_not_written_over_their_source(crossing: dict[str, Path], tmp_path: Path) -> None:
+    source = save(tmp_path / "01-collision-20.9s-105-110.mcap", crossing[".mcap"].read_bytes())
+    with pytest.raises(RecapError, match="is the source itself"):
+        clips(source, tmp_path, rerun=False, force=True)
+    assert source.read_bytes() == crossing[".mcap"].read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"before": -1.0}, "0 or more were expected"),
+        ({"after": math.nan}, "0 or more were expected"),
+        ({"suffix": ".txt"}, r"unknown format '\.txt'"),
+    ],
+)
+def test_invalid_options_are_errors(
+    crossing: dict[str, Path], tmp_path: Path, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(RecapError, match=message):
+        clips(crossing[".log"], tmp_path / "clips", rerun=False, **options)
+    assert names_in(tmp_path) == []
+
+
+def test_a_failure_leaves_no_files(crossing: dict[str, Path], tmp_path: Path) -> None:
+    def fail(found: Any) -> Any:
+        yield found[0]
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        clips(crossing[".log"], tmp_path / "clips", rerun=False, progress=fail)
+    assert names_in(tmp_path) == []
+
+
+def test_no_incidents(small: Path, tmp_path: Path) -> None:
+    assert clips(small, tmp_path / "clips", IncidentOptions(kinds=[]), rerun=False) == []
+    assert names_in(tmp_path / "clips") == []

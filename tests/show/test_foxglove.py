@@ -1,0 +1,894 @@
+"""Exports to Foxglove, read back with other libraries, and the layouts for them."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shutil
+import subprocess
+import sys
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from carla_recap import MissingExtra, NotARecording, RecapError, RecapWarning, Spawn, open_recording
+from carla_recap.model.records import UE4, ActorKind
+from carla_recap.rendering.town import town_mesh_of
+from carla_recap.show.foxglove import export_foxglove, layout_files
+from tests.replay.scripts import light, pose, spawn, velocity, write
+from tests.samples import carla_log, names_in
+
+pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
+
+from mcap_protobuf.decoder import DecoderFactory
+
+from tests.waiting import PATIENCE
+
+ROOT = Path(__file__).parents[2]
+CROSSING = ROOT / "samples" / "crossing.log"
+NODE = ROOT / "tests" / "node"
+REAL = ("carla-0.9.10-lane-center.log", "carla-0.9.13-lane-center.log")
+HERO, CYCLIST, GONE, FIRST_LIGHT = 100, 105, 103, 20  # of the crossing
+
+BODIES = ("/scene/vehicles", "/scene/walkers", "/scene/others")
+SCHEMAS = {
+    **dict.fromkeys(BODIES, "foxglove.SceneUpdate"),
+    "/scene/lamps": "foxglove.SceneUpdate",
+    "/scene/signals": "foxglove.SceneUpdate",
+    "/scene/marks": "foxglove.SceneUpdate",
+    "/scene/ahead": "foxglove.SceneUpdate",
+    "/map": "foxglove.SceneUpdate",
+    "/tf": "foxglove.FrameTransforms",
+    "/tf/actors": "foxglove.FrameTransforms",
+    "/tf/still": "foxglove.FrameTransforms",
+    "/hero": "carla_recap.v1.Followed",
+    "/lights": "carla_recap.v1.ShownLights",
+    "/log": "foxglove.Log",
+}
+
+
+def export(source: Path, destination: Path, **options):
+    with open_recording(source) as recording:
+        return export_foxglove(recording, destination, **options)
+
+
+def read(path: Path):
+    """Return the messages of each topic, each with its seconds since the first one."""
+    topics = defaultdict(list)
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        start = reader.get_summary().statistics.message_start_time
+        for found in reader.iter_decoded_messages():
+            topics[found.channel.topic].append(((found.message.log_time - start) / 1e9, found.decoded_message))
+    return topics
+
+
+def seen(messages, until: float = math.inf):
+    """Return the entities that a viewer shows after all messages until some time."""
+    entities = {}
+    for time, message in messages:
+        if time > until + 1e-6:
+            break
+        for deletion in message.deletions:
+            if deletion.type == deletion.ALL:
+                entities.clear()
+            entities.pop(deletion.id, None)
+        entities.update((entity.id, entity) for entity in message.entities)
+    return entities
+
+
+def latest(messages, time: float):
+    """Return the message that a viewer shows after it has sought a time."""
+    return [message for at, message in messages if at <= time + 1e-6][-1]
+
+
+def bodies(topics, until: float = math.inf):
+    """Return the bodies of all actors that a viewer shows at some time."""
+    return {id: entity for topic in BODIES for id, entity in seen(topics[topic], until).items()}
+
+
+def moves(topics, id: int, until: float = math.inf):
+    """Return the times and the transforms of the frame of an actor."""
+    found = [
+        (time, transform)
+        for topic in ("/tf/actors", "/tf/still")
+        for time, message in topics[topic]
+        for transform in message.transforms
+        if transform.child_frame_id == f"actor {id}" and time <= until + 1e-6
+    ]
+    return sorted(found, key=lambda pair: pair[0])
+
+
+def corners(entity):
+    """Return the points of the triangles of an entity."""
+    return np.array([xyz(point) for shape in entity.triangles for point in shape.points])
+
+
+def xyz(vector):
+    return [vector.x, vector.y, vector.z]
+
+
+@pytest.fixture(scope="module")
+def crossing(tmp_path_factory):
+    path = tmp_path_factory.mktemp("foxglove") / "crossing.mcap"
+    played = export(CROSSING, path)
+    assert played == (531, pytest.approx(53))
+    return read(path)
+
+
+@pytest.fixture
+def record(tmp_path):
+    """Return a function that writes a recording of some frames, exports it and reads the export."""
+
+    def make(*frames, tick=0.1, times=None, **options):
+        source = write(tmp_path / "source.log", frames, tick=tick, times=times)
+        export(source, tmp_path / "export.mcap", **options)
+        return read(tmp_path / "export.mcap")
+
+    return make
+
+
+# --- the file ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not shutil.which("node"), reason="node is not installed")
+@pytest.mark.parametrize("name", ["crossing", *REAL])
+def test_foxgloves_own_libraries_read_an_export(tmp_path, name):
+    if not (NODE / "node_modules").is_dir():
+        pytest.skip("the libraries of the independent reader are not installed: npm ci --prefix tests/node")
+    export(CROSSING if name == "crossing" else carla_log(name), tmp_path / "export.mcap")
+    done = subprocess.run(
+        ["node", NODE / "read.mjs", tmp_path / "export.mcap"], capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert {topic: entry["schema"] for topic, entry in found["topics"].items()} == SCHEMAS
+    assert all(entry["count"] for topic, entry in found["topics"].items())
+    assert found["topics"]["/map"]["count"] == 1
+    assert found["profile"] == ""
+    assert found["library"].startswith("carla-recap/")
+    (metadata,) = found["metadata"]
+    assert metadata["name"] == "carla_recap.export"
+    assert metadata["metadata"]["followed"] == str(found["topics"]["/hero"]["first"]["id"])
+
+
+def test_an_export_is_no_recording(tmp_path):
+    export(CROSSING, tmp_path / "export.mcap", duration=1)
+    with pytest.raises(NotARecording):
+        open_recording(tmp_path / "export.mcap")
+
+
+def test_a_file_is_overwritten_only_by_force(tmp_path):
+    (tmp_path / "out.mcap").write_bytes(b"precious")
+    with pytest.raises(RecapError, match="exists already; --force"):
+        export(CROSSING, tmp_path / "out.mcap")
+    assert (tmp_path / "out.mcap").read_bytes() == b"precious"
+    export(CROSSING, tmp_path / "out.mcap", duration=1, force=True)
+    assert read(tmp_path / "out.mcap")["/scene/vehicles"]
+
+
+def test_a_failure_leaves_no_file(tmp_path):
+    def fail(scenes, player):
+        yield next(iter(scenes))
+        raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        export(CROSSING, tmp_path / "out.mcap", progress=fail)
+    assert names_in(tmp_path) == []
+
+
+def test_a_missing_folder_is_an_error(tmp_path):
+    with pytest.raises(RecapError, match=r"nowhere.*out\.mcap: cannot be written"):
+        export(CROSSING, tmp_path / "nowhere" / "out.mcap")
+
+
+def test_an_unknown_actor_to_follow_leaves_no_file(tmp_path):
+    with pytest.raises(RecapError, match="no actor 7 to follow; known ids are"):
+        export(CROSSING, tmp_path / "out.mcap", follow=7)
+    assert names_in(tmp_path) == []
+
+
+def test_progress_is_given_every_scene(tmp_path):
+    times = []
+
+    def watch(scenes, player):
+        for scene in scenes:
+            times.append(scene.time / player.total)
+            yield scene
+
+    export(CROSSING, tmp_path / "out.mcap", start=-2, progress=watch)
+    assert (len(times), times[0], times[-1]) == (21, pytest.approx(51 / 53), 1)
+
+
+def test_without_the_extra_the_error_names_what_to_install(tmp_path):
+    code = f"""
+import sys
+sys.modules["foxglove_schemas_protobuf"] = None
+from carla_recap import MissingExtra, open_recording
+from carla_recap.show.foxglove import export_foxglove, layout_files
+assert layout_files()
+try:
+    export_foxglove(open_recording({str(CROSSING)!r}), {str(tmp_path / "out.mcap")!r})
+except MissingExtra as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE, check=True)
+    assert done.stdout.strip() == str(MissingExtra("an export to Foxglove", "foxglove"))
+    assert names_in(tmp_path) == []
+
+
+@pytest.mark.parametrize("name", ["crossing", *REAL])
+@pytest.mark.parametrize("together", [1, 7])
+def test_messages_do_not_depend_on_how_many_are_made_at_once(tmp_path, monkeypatch, name, together):
+    source = CROSSING if name == "crossing" else carla_log(name)
+    export(source, tmp_path / "many.mcap", duration=15)
+    monkeypatch.setattr("carla_recap.show.foxglove.writer._TOGETHER", together)
+    export(source, tmp_path / "few.mcap", duration=15)
+    many, few = (_serialized(tmp_path / f"{name}.mcap") for name in ("many", "few"))
+    assert many == few
+
+
+def _serialized(path):
+    with path.open("rb") as file:
+        return [(channel.topic, message.log_time, message.data) for _, channel, message in make_reader(file).iter_messages()]
+
+
+# --- the scene -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("time", [0.3, 10.0, 24.7, 53.0])
+def test_actors_have_their_recorded_poses(crossing, time):
+    with open_recording(CROSSING) as recording:
+        trajectory = recording.trajectory(HERO)
+        box = recording.actors[HERO].bounding_box
+    row = int(np.argmin(np.abs(trajectory.time - time)))
+    _, transform = moves(crossing, HERO, time)[-1]
+    assert xyz(transform.translation) == pytest.approx([trajectory.x[row], trajectory.y[row], trajectory.z[row]], abs=1e-4)
+    yaw = 2 * math.atan2(transform.rotation.z, transform.rotation.w)
+    assert math.remainder(yaw - math.radians(trajectory.yaw[row]), 2 * math.pi) == pytest.approx(0, abs=1e-5)
+    entity = bodies(crossing, time)[f"actor {HERO}"]
+    assert (entity.frame_id, entity.frame_locked) == (f"actor {HERO}", True)
+    points = corners(entity)
+    size, middle = np.ptp(points, axis=0), (points.min(axis=0) + points.max(axis=0)) / 2
+    assert size == pytest.approx([2 * box.extent_x, 2 * box.extent_y, 2 * box.extent_z], abs=1e-3)
+    assert middle == pytest.approx([box.x, box.y, box.z], abs=1e-3)
+
+
+@pytest.mark.parametrize("name", REAL)
+def test_actors_of_real_recordings_have_their_recorded_poses(tmp_path, name):
+    source = carla_log(name)
+    export(source, tmp_path / "export.mcap", follow="hero")
+    topics = read(tmp_path / "export.mcap")
+    with open_recording(source) as recording:
+        (hero,) = recording.heroes
+        trajectory = recording.trajectory(hero.id)
+    for time, transform in moves(topics, hero.id):
+        x, y = (np.interp(time, trajectory.time, getattr(trajectory, axis)) for axis in "xy")
+        assert math.dist((transform.translation.x, transform.translation.y), (x, y)) < 0.1
+    assert f"actor {hero.id}" not in bodies(topics)
+    times = [message.elapsed for _, message in topics["/hero"]]
+    np.testing.assert_allclose(times, trajectory.time[: len(times)])
+    assert len(times) >= len(trajectory.time) - 1
+
+
+def test_a_box_with_a_center_turns_with_its_actor(record):
+    box = (1, 100, 50, 75, 200, 100, 75)  # cm, left-handed: the middle is 1 m ahead and 0.5 m to the right
+    frames = [{"spawned": [spawn(1)], "transforms": [pose(1)], "bounding_boxes": [box]}]
+    frames += [{"transforms": [pose(1, x=1000 * n, y=200, yaw=90)]} for n in range(1, 3)]
+    topics = record(*frames)
+    points = corners(bodies(topics)["actor 1"])
+    assert (points.min(axis=0) + points.max(axis=0)) / 2 == pytest.approx([1, -0.5, 0.75], abs=1e-3)
+    assert np.ptp(points, axis=0) == pytest.approx([4, 2, 1.5], abs=1e-3)
+    _, transform = moves(topics, 1)[-1]
+    assert xyz(transform.translation) == pytest.approx([20, -2, 0])
+    assert math.degrees(2 * math.atan2(transform.rotation.z, transform.rotation.w)) == pytest.approx(-90)
+
+
+def test_a_destroyed_actor_is_deleted_at_its_time(crossing):
+    (time,) = [
+        time for time, message in crossing["/scene/vehicles"] for gone in message.deletions if gone.id == f"actor {GONE}"
+    ]
+    assert time == pytest.approx(27.0)
+    assert f"actor {GONE}" in bodies(crossing, 26.9)
+    assert f"actor {GONE}" not in bodies(crossing, 27.0)
+
+
+@pytest.mark.parametrize("time", [0.0, 12.0, 24.7, 37.0, 53.0])
+def test_seeking_shows_the_same_as_playing(crossing, time):
+    for topic in (*BODIES, "/scene/lamps", "/scene/signals", "/scene/ahead"):
+        sought = seen([(0, latest(crossing[topic], time))])
+        assert sought == seen(crossing[topic], time)
+
+
+@pytest.mark.parametrize("time", [0.0, 12.0, 24.7, 37.0, 53.0])
+def test_every_actor_with_a_body_is_shown_in_a_frame_of_its_own(crossing, time):
+    from carla_recap.replay import Player
+
+    with open_recording(CROSSING) as recording:
+        there = {f"actor {id}" for id, actor in Player(recording).at(time).actors.items() if actor.kind != "sensor"}
+    assert bodies(crossing, time).keys() == there
+    told = [[message for at, message in crossing[topic] if at <= time + 1e-6] for topic in ("/tf/actors", "/tf/still")]
+    frames = [transform.child_frame_id for messages in told for message in messages[-1:] for transform in message.transforms]
+    assert len(frames) == len(set(frames))
+    assert there <= set(frames)
+
+
+def test_an_actor_that_stands_still_is_not_repeated(crossing):
+    assert len(moves(crossing, 11)) < 60
+    assert all(len(crossing[topic]) < 10 for topic in BODIES)
+
+
+def test_an_actor_that_starts_to_move_changes_the_topic(record):
+    xs = [0, 0.2, 0.4, 50, 100, 100]
+    topics = record(*({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)))
+    assert [time for time, _ in topics["/tf/still"]] == pytest.approx([0, 0.3])
+    assert not topics["/tf/still"][1][1].transforms
+    found = [message.transforms[0].translation.x for _, message in topics["/tf/actors"]]
+    assert found == pytest.approx([0.5, 1, 1])
+    assert len(topics["/scene/vehicles"]) == 1
+
+
+def test_an_entity_has_the_metadata_of_its_actor(crossing):
+    entity = bodies(crossing)[f"actor {HERO}"]
+    metadata = {pair.key: pair.value for pair in entity.metadata}
+    assert metadata == {"actor": "hero 100", "type_id": "vehicle.tesla.model3", "role_name": "hero"}
+
+
+def test_a_body_has_the_recorded_colour(record):
+    topics = record({"spawned": [spawn(1, color="255,0,51")], "transforms": [pose(1)]})
+    colors = [shape.color for shape in bodies(topics)["actor 1"].triangles]
+    assert (255, 0, 51) in [tuple(round(255 * part) for part in (each.r, each.g, each.b)) for each in colors]
+
+
+def test_entities_have_the_time_of_their_message(crossing):
+    start = crossing["/log"][0][1].timestamp.ToNanoseconds()
+    for topic in (*BODIES, "/scene/lamps", "/scene/signals", "/tf/actors", "/tf/still"):
+        for time, message in crossing[topic][:200]:
+            parts = message.transforms if topic.startswith("/tf") else message.entities
+            assert {part.timestamp.ToNanoseconds() - start for part in parts} <= {round(time * 1e9)}
+
+
+def test_an_id_that_is_used_again_is_another_actor(record):
+    topics = record(
+        {"spawned": [spawn(1)], "transforms": [pose(1)]},
+        {"transforms": [pose(1, x=100)]},
+        {"destroyed": [1]},
+        {"spawned": [spawn(1, "walker.pedestrian.0001", x=900)], "transforms": [pose(1, x=900)]},
+        {"transforms": [pose(1, x=900)]},
+    )
+    (walker,) = bodies(topics).values()
+    assert {pair.key: pair.value for pair in walker.metadata}["type_id"] == "walker.pedestrian.0001"
+    assert np.ptp(corners(walker), axis=0)[2] == pytest.approx(1.86, abs=0.02)
+    assert moves(topics, 1)[-1][1].translation.x == pytest.approx(9)
+
+
+def test_actors_that_come_and_go_all_the_time_become_boxes(record, monkeypatch):
+    monkeypatch.setattr("carla_recap.show.foxglove.scene._MOST_BYTES", 200_000)
+    topics = record(
+        {"spawned": [spawn(1)], "transforms": [pose(1)]},
+        *(
+            {"spawned": [spawn(id)], "transforms": [pose(1), pose(id)], "destroyed": [id - 1] * (id > 10)}
+            for id in range(10, 60)
+        ),
+    )
+    entities = bodies(topics)
+    assert list(entities) == ["actor 1", "actor 59"]
+    assert [(len(entity.cubes), len(entity.triangles)) for entity in entities.values()] == [(1, 0), (1, 0)]
+    assert sum(message.ByteSize() for _, message in topics["/scene/vehicles"]) < 300_000
+
+
+def test_further_actors_of_a_crowd_are_boxes(record, monkeypatch):
+    monkeypatch.setattr("carla_recap.show.foxglove.scene._MOST_MODELS", 3)
+    topics = record({"spawned": [spawn(id) for id in range(1, 6)], "transforms": [pose(id) for id in range(1, 6)]})
+    assert [len(entity.cubes) for entity in bodies(topics).values()] == [0, 0, 0, 1, 1]
+
+
+def test_an_actor_without_a_spawn_is_shown(record):
+    topics = record(*({"transforms": [pose(5, x=100 * n)]} for n in range(3)))
+    assert list(bodies(topics)) == ["actor 5"]
+
+
+def test_a_box_that_is_not_recorded_is_faint(record):
+    bag = Spawn(2, ActorKind.OTHER, type_id="static.prop.bag")
+    topics = record({"spawned": [spawn(1), bag], "transforms": [pose(1), pose(2)]})
+    entities = bodies(topics)
+    assert {shape.color.a for shape in entities["actor 1"].triangles} == {1.0}
+    assert entities["actor 2"].cubes[0].color.a == 0.35
+
+
+def test_an_attached_actor_moves_with_its_parent(record):
+    bag = Spawn(2, ActorKind.OTHER, x=-100, type_id="static.prop.bag")
+    frames = [{"spawned": [spawn(1), bag], "parented": [(2, 1)]}, {}, {}]
+    topics = record(*({**frame, "transforms": [pose(1, x=1000 * n)]} for n, frame in enumerate(frames)))
+    assert moves(topics, 2)[-1][1].translation.x == pytest.approx(19)
+
+
+def test_an_actor_at_nan_is_not_shown(record):
+    xs = [0, 100, math.nan, 300]
+    topics = record(
+        *({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)), follow=1
+    )
+    assert [bool(bodies(topics, n / 10)) for n in range(4)] == [True, True, False, True]
+    assert [message.x for _, message in topics["/hero"]] == [0, 1, 3]
+    assert [message.transforms[0].translation.x for _, message in topics["/tf"]] == [0, 1, 1, 3]
+
+
+def test_an_actor_ten_thousand_kilometres_away_is_not_shown(record):
+    xs = [0, 1e9, 9.99e8]
+    topics = record(*({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)))
+    assert [bool(bodies(topics, n / 10)) for n in range(3)] == [True, False, True]
+
+
+def test_an_actor_that_stands_still_is_shown_once_its_location_is_a_number(record):
+    xs = [math.nan, 100, 100]
+    topics = record(*({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)))
+    assert [bool(bodies(topics, n / 10)) for n in range(3)] == [False, True, True]
+
+
+@pytest.mark.parametrize(
+    "name", ["times.log", "physics_0910.log", "events.log", "collisions.log", "all_packets.log", "floats.log"]
+)
+def test_odd_recordings_are_exported(tmp_path, name):
+    export(carla_log(name), tmp_path / "export.mcap")
+    topics = read(tmp_path / "export.mcap")
+    for topic in ("/tf", "/tf/actors", "/tf/still"):
+        for _, message in topics[topic]:
+            for transform in message.transforms:
+                assert np.isfinite([*xyz(transform.translation), transform.rotation.w]).all()
+    for topic in BODIES:
+        for _, message in topics[topic]:
+            assert all(np.isfinite(corners(entity)).all() for entity in message.entities)
+
+
+def test_a_fast_recording_is_thinned_except_for_the_followed_actor(record):
+    times = [n / 100 for n in range(101)]
+    frames = [{"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=10 * n)]} for n in range(101)]
+    frames[33]["spawned"] = [spawn(2)]
+    topics = record(*frames, times=times)
+    assert 15 <= len(topics["/tf"]) <= 24
+    assert len(topics["/hero"]) == 101
+    assert 0.33 in [time for time, _ in topics["/scene/vehicles"]]
+    assert topics["/tf/actors"][-1][0] == pytest.approx(1.0)
+
+
+def test_a_recording_of_empty_frames_is_exported(record):
+    topics = record({}, {}, {})
+    assert set(topics) == set(SCHEMAS) - {"/hero", "/tf/actors"}
+    (transform,) = topics["/tf"][-1][1].transforms
+    assert transform.child_frame_id == "followed"
+
+
+# --- lights --------------------------------------------------------------------------------------------------------
+
+
+def lamp(entity):
+    (pair,) = [pair.value for pair in entity.metadata if pair.key == "state"]
+    return pair, [round(255 * getattr(entity.spheres[0].color, part)) for part in "rgb"]
+
+
+def test_lamps_have_the_colour_of_their_state(crossing):
+    with open_recording(CROSSING) as recording:
+        states = recording.light_states(FIRST_LIGHT)
+    for time in (0.0, 8.0, 30.0):
+        state = states.state[int(np.argmin(np.abs(states.time - time)))]
+        name, color = lamp(seen(crossing["/scene/signals"], time)[f"actor {FIRST_LIGHT}"])
+        assert name == ("red", "yellow", "green")[state]
+        assert color == [[235, 50, 45], [245, 200, 40], [50, 205, 90]][state]
+        told = latest(crossing["/lights"], time)
+        assert [light.state for light in told.lights if light.id == FIRST_LIGHT] == [state]
+
+
+def test_lights_are_written_when_they_change_and_at_the_end(record):
+    states = [0, 0, 2, 2, 2]
+    topics = record(
+        *(
+            {"spawned": [spawn(9, "traffic.traffic_light")] if n == 0 else [], "light_states": [light(9, state)]}
+            for n, state in enumerate(states)
+        )
+    )
+    assert [(time, told.lights[0].state) for time, told in topics["/lights"]] == [
+        (0, 0),
+        (pytest.approx(0.2), 2),
+        (pytest.approx(0.4), 2),
+    ]
+    assert topics["/lights"][0][1].lights[0].entity in seen(topics["/scene/signals"])
+
+
+def test_the_light_ahead_is_the_nearest_in_front(record):
+    lights = [spawn(id, "traffic.traffic_light", x=x, yaw=90) for id, x in ((8, 3000), (9, 5000), (10, 30_000))]
+    states = [light(8, 0), light(9, 2), light(10, 1)]
+    frames = [
+        {"spawned": [spawn(1), *lights] if n == 0 else [], "transforms": [pose(1, x=x)], "light_states": states}
+        for n, x in enumerate((0, 2000, 4000, 6000))
+    ]
+    topics = record(*frames, follow=1)
+    told = [latest(topics["/lights"], n / 10).ahead for n in range(4)]
+    assert [(one.id, one.state) for one in told] == [(8, 0), (8, 0), (9, 2), (0, 4)]
+    assert [one.text for one in told] == ["light 8: red", "light 8: red", "light 9: green", "none"]
+    marked = [seen(topics["/scene/ahead"], n / 10) for n in range(4)]
+    assert [[entity.frame_id for entity in entities.values()] for entities in marked] == [
+        ["actor 8"],
+        ["actor 8"],
+        ["actor 9"],
+        [],
+    ]
+    assert marked[0]["light ahead"].texts[0].text == "light 8: red"
+
+
+def boxed(shape):
+    """Return the middle and the size of the triangles of a shape."""
+    points = np.array([xyz(point) for point in shape.points])
+    return (points.min(axis=0) + points.max(axis=0)) / 2, np.ptp(points, axis=0)
+
+
+def test_lamps_of_a_vehicle_are_shown_while_they_are_lit(record):
+    flags = [0, 8, 8, 16, 0]
+    topics = record(
+        *(
+            {"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1)], "vehicle_lights": [(1, each)]}
+            for n, each in enumerate(flags)
+        )
+    )
+    shown = [seen(topics["/scene/lamps"], n / 10) for n in range(5)]
+    assert [list(entities) for entities in shown] == [[], ["lamps 1"], ["lamps 1"], ["lamps 1"], []]
+    brake, indicator = ([boxed(shape) for shape in shown[n]["lamps 1"].triangles] for n in (1, 3))
+    assert all(middle[0] < -0.3 and max(size) < 0.6 for middle, size in brake)
+    assert {middle[1] > 0 for middle, _ in brake} == {True, False}
+    assert all(middle[1] < 0 for middle, _ in indicator)  # the right ones
+    colors = [shown[n]["lamps 1"].triangles[0].color for n in (1, 3)]
+    assert [(color.r > 0.9, 0.4 < color.g < 0.9) for color in colors] == [(True, False), (True, True)]
+    assert len(topics["/scene/lamps"]) == 4
+
+
+def test_the_brake_pedal_lights_the_brake_lamps(record):
+    controls = [(1, 0.0, 0.5, brake, 0, gear) for brake, gear in ((0.0, 1), (0.7, 1), (0.0, 1))]
+    topics = record(
+        *(
+            {"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1)], "vehicle_controls": [control]}
+            for n, control in enumerate(controls)
+        )
+    )
+    assert [bool(seen(topics["/scene/lamps"], n / 10)) for n in range(3)] == [False, True, False]
+
+
+def test_lamps_go_with_their_vehicle(record):
+    topics = record(
+        {"spawned": [spawn(1)], "transforms": [pose(1)], "vehicle_lights": [(1, 8)]},
+        {"destroyed": [1]},
+        {},
+    )
+    assert [bool(seen(topics["/scene/lamps"], n / 10)) for n in range(2)] == [True, False]
+
+
+# --- the followed actor --------------------------------------------------------------------------------------------
+
+
+def test_the_followed_actor_has_its_trajectory_and_controls(crossing):
+    with open_recording(CROSSING) as recording:
+        trajectory, controls = recording.trajectory(HERO), recording.controls(HERO)
+    rows = [message for _, message in crossing["/hero"]]
+    assert {(row.id, row.type_id) for row in rows} == {(HERO, "vehicle.tesla.model3")}
+    for axis in ("x", "y", "z", "yaw"):
+        np.testing.assert_allclose([getattr(row, axis) for row in rows], getattr(trajectory, axis), atol=1e-9)
+    for name in ("throttle", "brake", "steer", "gear", "hand_brake"):
+        assert [getattr(row, name) for row in rows] == getattr(controls, name).tolist()
+    speeds = np.array([row.speed for row in rows[1:]])
+    np.testing.assert_allclose(speeds, trajectory.speed[1:], atol=0.5)
+    np.testing.assert_allclose([row.speed_kmh for row in rows[1:]], speeds * 3.6)
+
+
+def test_the_recorded_speed_is_used(record):
+    topics = record(
+        *(
+            {"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=n)], "velocities": [velocity(1, 7.5)]}
+            for n in range(3)
+        ),
+        follow=1,
+    )
+    assert [message.speed for _, message in topics["/hero"]] == [7.5, 7.5, 7.5]
+
+
+def test_a_jump_is_no_speed(record):
+    xs = [0, 100, 90_000, 90_100]
+    topics = record(
+        *({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)), follow=1
+    )
+    told = [message.speed if message.HasField("speed") else None for _, message in topics["/hero"]]
+    assert told == [None, pytest.approx(10), None, pytest.approx(10)]
+
+
+def test_the_followed_frame_is_level_and_calm(record):
+    yaws = [0, 90, 90, 90, 90, 90, 90]
+    topics = record(
+        *(
+            {
+                "spawned": [spawn(1, role_name="hero")] if n == 0 else [],
+                "transforms": [pose(1, x=100 * n, roll=20, pitch=10, yaw=yaw)],
+            }
+            for n, yaw in enumerate(yaws)
+        )
+    )
+    views, heroes = zip(*([*message.transforms] for _, message in topics["/tf"]), strict=True)
+    assert {view.child_frame_id for view in views} == {"followed"}
+    assert {hero.child_frame_id for hero in heroes} == {"hero"}
+    assert {frame.parent_frame_id for frame in (*views, *heroes)} == {"world"}
+    assert all(abs(view.rotation.x) + abs(view.rotation.y) < 1e-12 for view in views)
+    headings = [-2 * math.degrees(math.atan2(view.rotation.z, view.rotation.w)) for view in views]
+    assert headings[0] == pytest.approx(0)
+    assert headings == sorted(headings)
+    assert 5 < headings[1] < 45 < headings[-1] < 90
+    assert [view.translation.x for view in views] == pytest.approx(range(7))
+    assert abs(heroes[0].rotation.x) > 0.1
+
+
+def test_another_actor_can_be_followed(tmp_path):
+    export(CROSSING, tmp_path / "out.mcap", follow=101, duration=5)
+    topics = read(tmp_path / "out.mcap")
+    assert {message.id for _, message in topics["/hero"]} == {101}
+    view, hero = topics["/tf"][-1][1].transforms
+    assert xyz(view.translation) != pytest.approx(xyz(hero.translation), abs=1)
+
+
+def test_pedals_do_not_chatter_at_a_standstill(record):
+    pedals = [(0.8, 0.0)] * 5 + [(0.0, 0.6), (0.3, 0.0)] * 10
+    topics = record(
+        *(
+            {
+                "spawned": [spawn(1)] if n == 0 else [],
+                "transforms": [pose(1)],
+                "vehicle_controls": [(1, 0.0, throttle, brake, 0, 1)],
+                "velocities": [velocity(1, 0.0)],
+            }
+            for n, (throttle, brake) in enumerate(pedals)
+        ),
+        follow=1,
+    )
+    told = [message for _, message in topics["/hero"]]
+    assert [message.brake for message in told[5:9]] == pytest.approx([0.6, 0, 0.6, 0])
+    assert {round(message.shown_brake, 3) for message in told[5:]} == {0.6}
+    assert {message.shown_throttle for message in told[5:]} == {0}
+    assert {round(message.shown_throttle, 3) for message in told[:5]} == {0.8}
+
+
+def test_the_acceleration_is_that_of_the_speeds(record):
+    speeds = [5.0 + 0.2 * n for n in range(20)]
+    topics = record(
+        *(
+            {"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1)], "velocities": [velocity(1, speed)]}
+            for n, speed in enumerate(speeds)
+        ),
+        follow=1,
+    )
+    told = [message.acceleration for _, message in topics["/hero"] if message.HasField("acceleration")]
+    assert told == pytest.approx([2.0] * 19)
+
+
+# --- events --------------------------------------------------------------------------------------------------------
+
+
+def test_the_log_has_each_contact_once(crossing):
+    told = [(round(time, 3), line.message) for time, line in crossing["/log"] if line.name == "collisions"]
+    assert told == [
+        (20.9, "vehicle.bh.crossbike (105) collides with walker.pedestrian.0004 (110)"),
+        (24.6, "vehicle.tesla.model3 (100) collides with vehicle.audi.a2 (101)"),
+    ]
+    levels = {line.message: line.level for _, line in crossing["/log"]}
+    assert [levels[text] for _, text in told] == [3, 4]
+
+
+def test_the_log_has_hard_braking_and_long_stops(tmp_path):
+    export(ROOT / "samples" / "crash.mcap", tmp_path / "export.mcap")
+    with open_recording(ROOT / "samples" / "crash.mcap") as recording:
+        expected = [incident for incident in recording.incidents() if incident.kind != "collision"]
+    lines = [(time, line) for time, line in read(tmp_path / "export.mcap")["/log"] if line.name == "incidents"]
+    assert expected
+    assert [line.message for _, line in lines] == [incident.text for incident in expected]
+    assert [time for time, _ in lines] == pytest.approx([incident.start for incident in expected], abs=0.06)
+    assert all(line.timestamp.ToNanoseconds() % 10**9 == round(time * 1e9) % 10**9 for time, line in lines)
+
+
+def collision_of(frames):
+    """Return the frames of a car that hits a walker at 10 m/s in the third frame, and stops."""
+    xs = [-300, -200, -100, *[-100] * (frames - 3)]
+    return [
+        {
+            "spawned": [spawn(1), spawn(2, "walker.pedestrian.0001")] if n == 0 else [],
+            "transforms": [pose(1, x=x), pose(2, z=93)],
+            "collisions": [(0, 1, 2, True, False)] if n == 2 else [],
+        }
+        for n, x in enumerate(xs)
+    ]
+
+
+def test_a_collision_leaves_a_mark_for_some_seconds(record):
+    topics = record(*collision_of(60))
+    assert [len(message.entities) for _, message in topics["/scene/marks"]] == [0, 1, 0]
+    (_, _), (time, message), (end, _) = topics["/scene/marks"]
+    assert (time, end) == pytest.approx((0.2, 5.2))
+    (entity,) = message.entities
+    assert corners(entity)[:, 2].max() < 0.2
+    assert np.abs(corners(entity)[:, :2]).max() == pytest.approx(1.1, abs=0.05)
+
+
+def test_a_walker_who_was_knocked_down_lies(record):
+    topics = record(*collision_of(5))
+    heights = [np.ptp(corners(bodies(topics, n / 10)["actor 2"]), axis=0)[2] for n in range(5)]
+    assert heights[:2] == pytest.approx([1.86, 1.86], abs=0.05)
+    assert all(height < 0.7 for height in heights[2:])
+
+
+def test_a_walker_who_walks_again_stands_from_that_scene_on(record):
+    frames = collision_of(10)
+    frames[7]["walker_controls"] = [(2, 140.0)]
+    topics = record(*frames)
+    heights = [np.ptp(corners(bodies(topics, n / 10)["actor 2"]), axis=0)[2] for n in range(10)]
+    assert [height < 0.7 for height in heights] == [2 <= n < 7 for n in range(10)]
+
+
+def test_the_log_begins_with_the_present_actors(crossing):
+    assert crossing["/log"][0][1].message == "10 actors are there: 4 traffic lights, 4 vehicles, 2 others"
+
+
+def test_the_log_has_spawns_and_destructions(crossing):
+    lines = [(time, line.message) for time, line in crossing["/log"] if line.name == "actors" and line.level == 2]
+    assert (pytest.approx(10.0), "vehicle.bh.crossbike (105) appears") in lines
+    assert (pytest.approx(27.0), "vehicle.nissan.micra (103) disappears") in lines
+
+
+def test_many_spawns_and_destructions_are_counted(record):
+    crowd = range(10, 20)
+    topics = record(
+        {},
+        {"spawned": [spawn(id, "walker.pedestrian.0001") for id in crowd]},
+        {"destroyed": list(crowd)},
+    )
+    assert [line.message for _, line in topics["/log"]] == [
+        "0 actors are there",
+        "10 actors appear: 10 walkers",
+        "10 actors disappear: 10 walkers",
+    ]
+
+
+# --- the map -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def brickfield():
+    pytest.importorskip("carla", reason="CARLA's library is not installed")
+    from carla_recap.roads import find_map, load_map
+
+    return load_map(find_map("Brickfield"))
+
+
+def test_the_town_is_written_at_the_beginning(tmp_path, brickfield):
+    crash = ROOT / "samples" / "crash.mcap"
+    export(crash, tmp_path / "export.mcap", road_map=brickfield, duration=1)
+    ((time, message),) = read(tmp_path / "export.mcap")["/map"]
+    assert time == 0
+    assert {entity.frame_id for entity in message.entities} == {"world"}
+    town = town_mesh_of(brickfield.opendrive, brickfield.name)
+    shapes = [shape for entity in message.entities for shape in entity.triangles]
+    assert sum(len(shape.indices) for shape in shapes) == sum(tile.triangles.size for tile in town.tiles)
+    assert all(max(shape.indices) < len(shape.points) for shape in shapes)
+    points = np.concatenate([corners(entity) for entity in message.entities])
+    assert points.min(axis=0) == pytest.approx(town.bounds[:, 0].min(axis=0), abs=1e-3)
+    assert points.max(axis=0) == pytest.approx(town.bounds[:, 1].max(axis=0), abs=1e-3)
+
+
+def test_a_map_of_another_town_is_left_out(tmp_path, brickfield):
+    source = write(tmp_path / "far.log", [{"spawned": [spawn(1)], "transforms": [pose(1, x=1e6)]}, {}])
+    with pytest.warns(RecapWarning, match="no actor is near this map"):
+        export(source, tmp_path / "export.mcap", road_map=brickfield)
+    ((_, message),) = read(tmp_path / "export.mcap")["/map"]
+    points = np.concatenate([corners(entity) for entity in message.entities])
+    assert points[:, 0].min() > 9000
+
+
+def test_without_a_map_the_driven_corridors_are_roads(crossing):
+    ((_, message),) = crossing["/map"]
+    points = np.concatenate([corners(entity) for entity in message.entities])[:, :2]
+    driven = [(transform.translation.x, transform.translation.y) for _, transform in moves(crossing, HERO)]
+    for x, y in driven[::50]:
+        assert np.hypot(*(points - (x, y)).T).min() < 5.0
+
+
+def test_a_map_whose_surfaces_cannot_be_made_is_left_out(tmp_path, brickfield):
+    broken = replace(brickfield, opendrive="no map")
+    with pytest.warns(RecapWarning, match="the roads have no surfaces"):
+        export(ROOT / "samples" / "crash.mcap", tmp_path / "a.mcap", road_map=broken, duration=0.2)
+    assert not read(tmp_path / "a.mcap")["/map"][0][1].entities
+
+
+# --- the layouts ---------------------------------------------------------------------------------------------------
+
+
+def panels(layout):
+    """Return kind and settings of the panels of a layout, in either form, in the order in which they are seen."""
+    if "configById" in layout:
+        return [(id.split("!")[0], layout["configById"][id]) for id in leaves(layout["layout"])]
+    return [*contents(layout["content"])]
+
+
+def leaves(node):
+    return [node] if isinstance(node, str) else leaves(node["first"]) + leaves(node["second"])
+
+
+def contents(node):
+    if node["type"] == "split":
+        for item in node["items"]:
+            yield from contents(item["content"])
+    else:
+        assert node["type"] == "panel"
+        yield node["panelType"], {**node["config"], "foxglovePanelTitle": node["title"]}
+
+
+def texts(value):
+    """Return all texts within a value, and all keys."""
+    if isinstance(value, dict):
+        return [text for pair in value.items() for part in pair for text in texts(part)]
+    if isinstance(value, list):
+        return [text for item in value for text in texts(item)]
+    return [value] if isinstance(value, str) else []
+
+
+@pytest.fixture(params=layout_files().values(), ids=lambda path: path.stem)
+def layout(request):
+    return json.loads(request.param.read_text("utf-8"))
+
+
+def test_there_are_two_layouts():
+    assert [path.name for path in layout_files().values()] == ["carla-recap.foxglove.json", "carla-recap.lichtblick.json"]
+
+
+def test_both_layouts_have_the_same_panels():
+    (new, old) = (json.loads(path.read_text("utf-8")) for path in layout_files().values())
+    kinds = {"ThreeDee": "3D", "Log": "RosOut"}
+    assert [(kinds.get(kind, kind), config) for kind, config in panels(new)] == panels(old)
+    assert new["variables"] == old["globalVariables"]
+
+
+def test_a_layout_names_only_topics_of_an_export(layout, record):
+    named = {text for text in texts(layout) if text.startswith("/")}
+    assert {re.match(r"/[a-z_/]+", text)[0] for text in named} <= set(SCHEMAS)
+    assert {topic for topic in SCHEMAS if not topic.startswith("/tf")} <= {re.match(r"/[a-z_/]+", text)[0] for text in named}
+
+
+def test_the_paths_of_a_layout_name_existing_fields(layout, crossing):
+    paths = [path["value"] for _, config in panels(layout) for path in config.get("paths", [])]
+    assert len(paths) == 7
+    for path in paths:
+        topic, *fields = re.sub(r"\[:\]\{\w+==\$\w+\}", "[:]", path).split(".")
+        value = crossing[topic][-1][1]
+        for field in fields:
+            name = field.removesuffix("[:]")
+            assert name in value.DESCRIPTOR.fields_by_name
+            value = getattr(value, name)[0] if field.endswith("[:]") else getattr(value, name)
+        for name in re.findall(r"\{(\w+)==", path):
+            assert name in crossing["/lights"][0][1].lights[0].DESCRIPTOR.fields_by_name
+
+
+def test_a_layout_follows_from_behind(layout, crossing):
+    (_, config), (_, above) = [panel for panel in panels(layout) if panel[0] in ("3D", "ThreeDee")]
+    frames = {transform.child_frame_id for _, message in crossing["/tf"] for transform in message.transforms}
+    assert config["followTf"] in frames
+    assert config["followMode"] == "follow-pose"
+    # Where Foxglove puts the camera: spherical coordinates around a target, from the y axis on.
+    camera = config["cameraState"]
+    distance, phi, theta = camera["distance"], math.radians(camera["phi"]), -math.radians(camera["thetaOffset"])
+    place = np.array([math.sin(phi) * math.sin(theta), -math.sin(phi) * math.cos(theta), math.cos(phi)]) * distance
+    assert place + camera["targetOffset"] == pytest.approx([-9, 0, 4.5], abs=0.02)
+    assert (above["followTf"], above["cameraState"]["phi"], above["cameraState"]["perspective"]) == ("followed", 0, False)
+
+
+def test_the_event_log_is_shown(layout):
+    ((_, config),) = [panel for panel in panels(layout) if panel[0] in ("RosOut", "Log")]
+    assert (config["topicToRender"], config["minLogLevel"]) == ("/log", 2)
+
+
+def test_no_topic_is_one_of_a_recording():
+    assert not {type.topic for type in UE4} & set(SCHEMAS)

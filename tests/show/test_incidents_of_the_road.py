@@ -1,0 +1,94 @@
+"""Tests that exports show incidents, and where the map is known what vehicles do against the rules of the road."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from carla_recap import create_recording, open_recording
+from carla_recap.model.records import Spawn
+from carla_recap.queries.incidents import IncidentOptions
+from carla_recap.replay import Player
+from carla_recap.roads import RoadMap
+from carla_recap.roads.surfaces import build_network, road_network_of_map
+from carla_recap.scene.captions import PlayedIncidents, incident_lines
+from carla_recap.show.page import write_report
+from tests.roads.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carla_recap.queries.incidents import Kind
+    from carla_recap.recording import Recording
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+TICK = 0.05
+RUN = "vehicle.mini.cooper_s (7) runs a red light at 36 km/h (light 3)"
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Iterator[Recording]:
+    """A car that runs a red light after 5 s."""
+    x, y = LIGHT_POSITION
+    spawned = [
+        Spawn(3, 3, 100 * x, -100 * y, type_id="traffic.traffic_light"),
+        Spawn(7, 1, type_id="vehicle.mini.cooper_s"),
+    ]
+    path = tmp_path / "run.mcap"
+    with create_recording(path, map_name="Straight", date=0) as recorder:
+        for index in range(160):
+            frame = {
+                "transforms": [(7, 5000.0 + 1000 * index * TICK, 175.0, 0.0, 0.0, 0.0, 0.0)],
+                "light_states": [(3, False, 0.0, 0)],
+            }
+            recorder.add_frame(index * TICK, **({"spawned": spawned} if index == 0 else {}), **frame)
+    with open_recording(path) as opened:
+        yield opened
+
+
+def road_map(opendrive: str = STRAIGHT_ROAD) -> RoadMap:
+    return RoadMap("Straight", [], [], [], [], [], opendrive=opendrive)
+
+
+@pytest.mark.parametrize(("start", "lines"), [(0.0, [RUN]), (4.0, [RUN]), (6.0, [])])
+def test_the_log_of_exports_has_those_that_are_played(recording: Recording, start: float, lines: list[str]) -> None:
+    player = Player(recording, start=start)
+    played = PlayedIncidents(player, road_network_of_map(road_map()))
+    for _ in player.batches():
+        pass
+    assert [line.text for _, line in incident_lines(played.found())] == lines
+
+
+def test_without_a_map_they_are_left_out(recording: Recording) -> None:
+    player = Player(recording)
+    played = PlayedIncidents(player)
+    for _ in player.batches():
+        pass
+    assert list(played.found()) == []
+
+
+def test_the_page_lists_them(recording: Recording, tmp_path: Path) -> None:
+    options = IncidentOptions(kinds="all", roads=build_network(STRAIGHT_ROAD))
+    written = write_report(recording, tmp_path / "page.html", options, pictures="none")
+    assert written.incidents == 1
+    assert "runs a red light" in (tmp_path / "page.html").read_text()
+
+
+@pytest.mark.parametrize("opendrive", ["", "no XML", "<OpenDRIVE/>"])
+def test_maps_without_lanes_have_no_network(opendrive: str) -> None:
+    assert road_network_of_map(road_map(opendrive)) is None
+    assert road_network_of_map(None) is None
+
+
+@pytest.mark.parametrize("name", ["blocked.mcap", "crash.mcap", "crossing.log"])
+def test_a_whole_replay_has_the_incidents_of_a_query(name: str) -> None:
+    with open_recording(SAMPLES / name) as recording:
+        player = Player(recording)
+        played = PlayedIncidents(player)
+        for _ in player.batches():
+            pass
+        kinds: list[Kind] = ["blocked", "hard braking"]
+        found = [incident for incident in played.found() if incident.kind in kinds]
+        assert found == list(recording.incidents(kinds=kinds))

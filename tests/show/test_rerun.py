@@ -1,0 +1,963 @@
+"""Exports to Rerun, read back with Rerun's own reader."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections import defaultdict
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import psutil
+import pytest
+
+from carla_recap import ActorKind, MissingExtra, RecapError, RecapWarning, Spawn, open_recording
+from carla_recap.model.records import NO_ACTOR
+from carla_recap.replay import Player
+from carla_recap.roads import RoadMap, load_map
+from carla_recap.scene import style
+from tests.replay.scripts import light, pose, spawn, velocity, write
+from tests.samples import CARLA_LOGS, carla_log, names_in
+
+pytest.importorskip("rerun", reason="the extra rerun is not installed")
+
+from rerun.chunk import RrdReader
+
+from carla_recap.scene.materials import MATERIALS, Material
+from carla_recap.show.rerun import APPLICATION, actors, blueprint, export_rerun, meshes, poses, writer
+from carla_recap.show.rerun.live import LiveChoice
+
+CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
+HERO, BLOCKING, GONE, LATE, CYCLIST, WALKER, LIGHT, SENSOR = 100, 101, 103, 104, 105, 110, 20, 120  # of the crossing
+REAL = ("carla-0.9.10-lane-center", "carla-0.9.13-lane-center")
+ROADS = RoadMap(
+    "Hand",
+    [np.array([(0.0, 1, 0), (9, 1, 0)])],
+    [np.array([(0.0, 0, 0), (9, 0, 0)])],
+    [],
+    [],
+    [np.array([(9.0, 0, 0), (9, 1, 0)])],
+)
+
+
+class Rrd:
+    """The content of an .rrd, as the viewer sees it."""
+
+    def __init__(self, path: Path) -> None:
+        self.reader = RrdReader(path)
+        self._rows = defaultdict(lambda: defaultdict(list))  # by entity, by component: time, order, value
+        self.static = defaultdict(dict)
+        self.chunks = self.reader.stream().to_chunks()
+        for chunk in self.chunks:
+            batch = chunk.to_record_batch()
+            columns = batch.to_pydict()
+            ids = columns.pop("rerun.controls.RowId")
+            columns.pop("frame", None)
+            times = [time.value for time in columns.pop("sim_time")] if "sim_time" in columns else None
+            for name, values in columns.items():
+                if times is None:
+                    self.static[chunk.entity_path][name] = values[-1]
+                else:
+                    self._rows[chunk.entity_path][name] += zip(times, ids, values, strict=True)
+
+    @property
+    def entities(self) -> set[str]:
+        return {chunk.entity_path for chunk in self.chunks}
+
+    def rows(self, entity: str, component: str) -> list[tuple[float, list]]:
+        """Return seconds and values."""
+        rows = sorted(row for row in self._rows[entity][component] if row[2] is not None)
+        return [(time / 1e9, value) for time, _, value in rows]
+
+    def at(self, entity: str, component: str, seconds: float) -> list | None:
+        """Return the latest value at a time; None if there is none, or it was cleared."""
+        until = round(seconds * 1e9)
+        parents = [entity, *map(str, Path(entity).parents)]
+        clears = [row[:2] for parent in parents for row in self._rows[parent]["Clear:is_recursive"] if row[0] <= until]
+        rows = [row for row in self._rows[entity][component] if row[0] <= until and row[2] is not None]
+        last = max(rows, default=None)
+        return None if last is None or last[:2] < max(clears, default=last[:2]) else last[2]
+
+    def place(self, entity: str, seconds: float) -> list[float] | None:
+        found = self.at(entity, "Transform3D:translation", seconds)
+        return found and found[0]
+
+    def angle(self, entity: str, seconds: float) -> float:
+        """Return the yaw, in degrees."""
+        ((x, y, z, w),) = self.at(entity, "Transform3D:quaternion", seconds)
+        return float(np.degrees(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))))
+
+
+class Arrangement:
+    """The content of a blueprint."""
+
+    def __init__(self, path: Path) -> None:
+        reader = RrdReader(path)
+        (self.store,) = reader.blueprints()
+        self.parts = defaultdict(dict)
+        for chunk in reader.stream(store=self.store).to_chunks():
+            self.parts[chunk.entity_path] |= chunk.to_record_batch().to_pylist()[-1]
+
+    def view(self, name: str) -> SimpleNamespace:
+        (path,) = [path for path, part in self.parts.items() if part.get("ViewBlueprint:display_name") == [name]]
+        eye = {
+            key.partition(":")[2]: value[0]
+            for key, value in self.parts[f"{path}/EyeControls3D"].items()
+            if key.startswith("EyeControls3D")
+        }
+        ranged = [part.split("/overrides")[1] for part in self.parts if part.startswith(f"{path}/ViewContents/overrides")]
+        return SimpleNamespace(origin=self.parts[path]["ViewBlueprint:space_origin"][0], **eye, ranged=ranged)
+
+    @property
+    def active_tab(self) -> str:
+        (tab,) = [
+            part["ContainerBlueprint:active_tab"][0]
+            for part in self.parts.values()
+            if part.get("ContainerBlueprint:active_tab")
+        ]
+        return self.parts[f"/{tab}".replace("//", "/")]["ViewBlueprint:display_name"][0]
+
+
+def export(source: Path, destination: Path, **options) -> Rrd:
+    with open_recording(source) as recording:
+        export_rerun(recording, destination, **options)
+    return Rrd(destination)
+
+
+def verify(path: Path) -> None:
+    import rerun_cli
+
+    program = Path(rerun_cli.__path__[0]) / "rerun"
+    subprocess.run([program, "rrd", "verify", path], check=True, capture_output=True)
+
+
+def near(angle: float, other: float) -> bool:
+    return abs((angle - other + 180) % 360 - 180) < 0.02
+
+
+@pytest.fixture(scope="module")
+def crossing(tmp_path_factory):
+    """The whole sample, with all cameras."""
+    folder = tmp_path_factory.mktemp("crossing")
+    path = folder / "crossing.rrd"
+    with open_recording(CROSSING) as recording:
+        played = export_rerun(recording, path, cameras=folder / "cameras")
+        yield SimpleNamespace(path=path, rrd=Rrd(path), played=played, recording=recording, cameras=folder / "cameras")
+
+
+# --- actors ------------------------------------------------------------------------------------------------
+
+
+def test_all_frames_are_played(crossing) -> None:
+    verify(crossing.path)
+    assert all(chunk.num_rows for chunk in crossing.rrd.chunks)
+    info = crossing.recording.info
+    assert crossing.played == (info.frames, info.duration)
+    assert [entry.application_id for entry in crossing.rrd.reader.recordings()] == [APPLICATION]
+
+
+def test_every_actor_has_an_entity(crossing) -> None:
+    expected = {
+        f"/world/actors/{id}" for id in crossing.recording.actors if crossing.recording.actors[id].type_id != "spectator"
+    }
+    shown = {path for path in crossing.rrd.entities if path.startswith("/world/actors/") and "/lamps/" not in path}
+    assert shown == expected
+
+
+@pytest.mark.parametrize("id", [HERO, BLOCKING, GONE, LATE, CYCLIST, WALKER])
+def test_actors_are_where_they_were(crossing, id: int) -> None:
+    way, path = crossing.recording.trajectory(id), f"/world/actors/{id}"
+    for time, *place, yaw in zip(way.time, way.x, way.y, way.z, way.yaw, strict=True):
+        assert crossing.rrd.place(path, time) == pytest.approx(place, abs=1e-4)
+        assert near(crossing.rrd.angle(path, time), yaw)
+
+
+def test_stationary_actors_have_few_rows(crossing) -> None:
+    rows = crossing.rrd.rows(f"/world/actors/{HERO}", "Transform3D:translation")
+    way = crossing.recording.trajectory(HERO)
+    assert 100 < len(rows) < len(way) - 100
+    times = [time for time, _ in rows]
+    waits = 1.1  # the hero drives off a second after the start: the last row before that is told as well
+    assert times[:3] == pytest.approx([0, waits - 0.1, waits])
+
+
+def test_actors_are_drawn_from_spawn_to_destruction(crossing) -> None:
+    for actor in crossing.recording.actors.values():
+        if actor.type_id == "spectator":
+            continue
+        path = f"/world/actors/{actor.id}"
+        drawn = crossing.rrd.rows(path, "name" if actor.kind == "sensor" else "Mesh3D:vertex_positions")
+        assert [time for time, _ in drawn] == pytest.approx([actor.spawned_at])
+        cleared = [time for time, _ in crossing.rrd.rows(path, "Clear:is_recursive")]
+        assert cleared == pytest.approx([] if actor.destroyed_at is None else [actor.destroyed_at])
+
+
+def size_of(rrd: Rrd, id: int, time: float) -> np.ndarray | None:
+    """Return half the size of an actor's model without its shadow; None while it is not drawn."""
+    vertices = rrd.at(f"/world/actors/{id}", "Mesh3D:vertex_positions", time)
+    if vertices is None:
+        return None
+    colors = np.array(rrd.at(f"/world/actors/{id}", "Mesh3D:vertex_colors", time))
+    solid = np.array(vertices)[colors != meshes.packed(np.array([meshes._SHADOW_COLOR], np.uint8))[0]]
+    return (solid.max(axis=0) - solid.min(axis=0)) / 2
+
+
+def test_models_fill_the_recorded_boxes(crossing) -> None:
+    for id in (HERO, CYCLIST, WALKER):
+        actor = crossing.recording.actors[id]
+        box = actor.bounding_box
+        assert size_of(crossing.rrd, id, actor.spawned_at) == pytest.approx(
+            (box.extent_x, box.extent_y, box.extent_z), abs=1e-3
+        )
+        vertices = np.array(crossing.rrd.rows(f"/world/actors/{id}", "Mesh3D:vertex_positions")[0][1])
+        assert vertices[:, 2].max() == pytest.approx(box.z + box.extent_z, abs=1e-3)
+
+
+def test_the_hero_is_named(crossing) -> None:
+    def name(id: int) -> list[str]:
+        return [label for _, (label,) in crossing.rrd.rows(f"/world/actors/{id}", "Points3D:labels")]
+
+    assert set(name(HERO)) == {f"hero {HERO}"}
+    assert name(BLOCKING) == []
+    assert crossing.rrd.rows(f"/world/actors/{BLOCKING}", "name")[0][1] == [f"audi.a2 {BLOCKING}"]
+
+
+def test_models_have_the_recorded_colour(tmp_path: Path) -> None:
+    frames = driven(2, spawned=[spawn(1, color="20,40,250"), spawn(2, color="250,40,20")])
+    rrd = export(write(tmp_path / "two.log", frames), tmp_path / "two.rrd")
+    for id, strongest in ((1, 2), (2, 0)):
+        colors = np.array(rrd.at(f"/world/actors/{id}", "Mesh3D:vertex_colors", 0), ">u4").view(np.uint8).reshape(-1, 4)
+        painted = colors[colors[:, :3].max(axis=1) > 1.5 * np.median(colors[:, :3], axis=1).clip(40)]
+        assert (painted[:, :3].argmax(axis=1) == strongest).mean() > 0.6
+
+
+def test_brake_lights_are_lit_while_it_brakes(tmp_path: Path) -> None:
+    frames = [
+        {"transforms": [pose(1, 100 * n)], "vehicle_controls": [(1, 0.0, 0.0, float(20 <= n < 30), 0, 1)]} for n in range(50)
+    ]
+    frames[0]["spawned"] = [spawn(1)]
+    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
+    changes = rrd.rows("/world/actors/1/lamps/brake_light", "Mesh3D:albedo_factor")
+    glow, dark = (MATERIALS[Material.BRAKE_LIGHT].glow, MATERIALS[Material.BRAKE_LIGHT].color)
+    assert [tuple(color.to_bytes(4, "big")[:3]) for _, (color,) in changes] == [glow, dark]
+    assert changes[0][0] == pytest.approx(2.0)
+    assert 2.9 < changes[1][0] < 3.6
+    assert not [path for path in rrd.entities if path.endswith("indicator")]
+
+
+def test_a_walker_who_was_hit_lies(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 60 * n), pose(2, 1500, z=90)]} for n in range(50)]
+    frames[0]["spawned"] = [spawn(1), spawn(2, "walker.pedestrian.0001")]
+    frames[21]["collisions"] = [(0, 1, 2, 0, 0)]
+    frames[40]["walker_controls"] = [(2, 140.0)]
+    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
+    (fell, (lying,)), (rose, (standing,)) = rrd.rows("/world/actors/2", "InstancePoses3D:mat3x3")
+    assert (fell, rose) == pytest.approx((2.1, 4.0))
+    axis = np.array(lying).reshape(3, 3)[2]  # the matrix is stored by columns: where the head points
+    assert axis == pytest.approx((1, 0, 0), abs=1e-6)
+    assert np.array(standing).reshape(3, 3) == pytest.approx(np.eye(3))
+
+
+def test_the_followed_car_is_see_through_while_it_hides_another_actor(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1), pose(2, 380 if 10 <= n < 20 else 3000, z=90)]} for n in range(50)]
+    frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2, "walker.pedestrian.0001")]
+    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
+    (hides, (first,)), (free, (second,)) = rrd.rows("/world/actors/1", "Mesh3D:albedo_factor")
+    assert (first & 255, second & 255) == (115, 255)
+    assert hides == pytest.approx(1.0, abs=0.21)
+    assert free == pytest.approx(2.9, abs=0.25)
+
+
+def test_a_sensor_is_fixed_to_its_car(crossing) -> None:
+    assert crossing.rrd.rows(f"/world/actors/{SENSOR}", "Transform3D:parent_frame")[0][1] == [f"tf#/world/actors/{HERO}"]
+
+
+def test_the_map_is_in_carlas_axes(crossing) -> None:
+    rows = crossing.rrd.rows("/map/actors", "Points2D:positions")
+    assert len(rows) == crossing.played.frames
+    time, points = rows[300]
+    there = {}
+    for id, actor in crossing.recording.actors.items():
+        if actor.kind in ("vehicle", "walker"):
+            way = crossing.recording.trajectory(id, axes="carla")
+            (found,) = np.nonzero(np.isclose(way.time, time))
+            if len(found):
+                there[id] = (way.x[found[0]], way.y[found[0]])
+    assert np.array(sorted(points)) == pytest.approx(np.array(sorted(there.values())), abs=1e-3)
+    colors = crossing.rrd.rows("/map/actors", "Points2D:colors")[300][1]
+    assert len(colors) == len(points)
+    assert crossing.rrd.at("/map/followed", "Points2D:positions", time)[0] == pytest.approx(there[HERO], abs=1e-3)
+
+
+# --- the followed actor ------------------------------------------------------------------------------------
+
+
+def test_the_camera_is_calm_and_level(crossing) -> None:
+    way = crossing.recording.trajectory(HERO)
+    rows = crossing.rrd.rows("/world/chase", "Transform3D:quaternion")
+    assert all(x == y == 0 for _, ((x, y, _, _),) in rows)
+    turns = [crossing.rrd.angle("/world/chase", time) for time in way.time]
+    for time, *place, yaw, turn in zip(way.time, way.x, way.y, way.z, way.yaw, turns, strict=True):
+        assert crossing.rrd.place("/world/chase", time) == pytest.approx(place, abs=1e-4)
+        assert abs((turn - yaw + 180) % 360 - 180) < 40
+    quickest = np.abs(np.diff(np.unwrap(way.yaw, period=360))).max()
+    assert np.abs(np.diff(np.unwrap(turns, period=360))).max() < quickest
+
+
+def test_plots_of_speed_and_controls(crossing) -> None:
+    way, controls = crossing.recording.trajectory(HERO), crossing.recording.controls(HERO)
+    assert way.velocity_recorded.all()
+    times, speeds = zip(*crossing.rrd.rows("/ego/speed_kmh", "Scalars:scalars"), strict=True)
+    assert times == pytest.approx(way.time)
+    assert np.ravel(speeds) == pytest.approx(way.speed * 3.6, abs=1e-3)
+    values = [value for _, value in crossing.rrd.rows("/ego/controls", "Scalars:scalars")]
+    assert np.array(values) == pytest.approx(np.stack((controls.throttle, controls.brake, controls.steer), axis=1))
+    assert crossing.rrd.static["/ego/controls"]["SeriesLines:names"] == ["throttle", "brake", "steer"]
+
+
+def test_the_trail_is_where_it_drove(crossing) -> None:
+    strips = [strip for _, (strip,) in crossing.rrd.rows(f"/world/trail/{HERO}", "LineStrips3D:strips")]
+    assert all(a[1] == pytest.approx(b[0], abs=1e-4) for a, b in pairwise(strips))
+    way = crossing.recording.trajectory(HERO)
+    length = sum(np.linalg.norm(np.subtract(*strip)) for strip in strips)
+    assert length == pytest.approx(np.linalg.norm(np.diff((way.x, way.y, way.z)), axis=0).sum(), rel=1e-3)
+
+
+def test_the_blueprint_follows_the_hero(crossing) -> None:
+    arrangement = Arrangement(crossing.path)
+    assert arrangement.store.application_id == APPLICATION
+    chase, top = arrangement.view("Chase"), arrangement.view("Top")
+    assert chase.origin == top.origin == "/world/chase"
+    assert chase.position == [-10, 0, 5]
+    ahead = np.subtract(chase.look_target, chase.position)
+    assert np.degrees(np.arctan2(ahead[2], np.hypot(ahead[0], ahead[1]))) == pytest.approx(-17)
+    assert (chase.eye_up, chase.ranged[0]) == ([0, 0, 1], f"/world/trail/{HERO}/visualizers")
+    assert (top.position, top.look_target, top.eye_up) == ([0, 0, 40], [0, 0, 0], [1, 0, 0])
+    assert arrangement.active_tab == "Chase"
+    assert arrangement.parts["/time_panel"]["TimePanelBlueprint:timeline"] == ["sim_time"]
+
+
+def test_a_camera_for_each_vehicle_and_walker(crossing) -> None:
+    actors = crossing.recording.actors
+    movers = {id for id in actors if actors[id].kind in ("vehicle", "walker")}
+    assert {path.name for path in crossing.cameras.iterdir()} == {f"follow_{id}.rbl" for id in movers}
+    for id in movers - {HERO}:
+        arrangement = Arrangement(crossing.cameras / f"follow_{id}.rbl")
+        assert arrangement.store.application_id == APPLICATION
+        axes = arrangement.view(f"Chase {id}").origin
+        way = crossing.recording.trajectory(id)
+        for at in (0, len(way) // 2, len(way) - 1):
+            assert crossing.rrd.place(axes, way.time[at]) == pytest.approx((way.x[at], way.y[at], way.z[at]), abs=1e-4)
+    assert Arrangement(crossing.cameras / f"follow_{HERO}.rbl").view("Chase").origin == "/world/chase"
+
+
+# --- lights and events -------------------------------------------------------------------------------------
+
+
+def test_lights_change_as_recorded(crossing) -> None:
+    states = crossing.recording.light_states(LIGHT)
+    changed = np.flatnonzero(np.diff(states.state, prepend=-1))
+    expected = [(pytest.approx(states.time[k]), [style.light(states.state[k])[0]]) for k in changed]
+    assert len(expected) > 3
+    assert crossing.rrd.rows(f"/signals/tl_{LIGHT}", "StateChange:state") == expected
+    lamps = crossing.rrd.rows(f"/world/signals/tl_{LIGHT}", "Mesh3D:vertex_colors")
+    lit = (Material.RED_LAMP, Material.YELLOW_LAMP, Material.GREEN_LAMP)
+    shown = [{tuple(color.to_bytes(4, "big")[:3]) for color in colors} for _, colors in lamps]
+    for k, colors in zip(changed, shown, strict=True):
+        glowing = {MATERIALS[material].glow for material in lit} & colors
+        assert glowing == {MATERIALS[lit[states.state[k]]].glow}
+    assert crossing.rrd.static[f"/signals/tl_{LIGHT}"]["StateConfiguration:values"][:3] == ["red", "yellow", "green"]
+
+
+def test_a_contact_is_one_marker_and_one_line(crossing) -> None:
+    first = list(crossing.recording.collisions())
+    told = [(time, text) for time, (text,) in crossing.rrd.rows("/events", "TextLog:text") if "collides" in text]
+    assert [time for time, _ in told] == pytest.approx([row.elapsed for row in first])
+    assert told[1][1] == f"vehicle.tesla.model3 ({HERO}) collides with vehicle.audi.a2 ({BLOCKING})"
+    begins = [time for time, _ in told]
+    marks = crossing.rrd.rows("/world/collisions", "LineStrips3D:strips")
+    assert [time for time, _ in marks[:2]] == begins
+    stops = [stop for stop, _ in crossing.rrd.rows("/world/collisions", "Clear:is_recursive")]
+    assert len(stops) == 1
+    assert begins[1] + 5 <= stops[0] < begins[1] + 6  # 5 s after the last frame of the contact
+    heights = [point[2] for strip in marks[0][1] for point in strip]
+    assert max(heights) < 0.2
+
+
+def test_hard_braking_and_long_stops_are_in_the_log(crossing) -> None:
+    found = crossing.recording.incidents()
+    expected = [(incident.start, incident.text) for incident in found if incident.kind != "collision"]
+    assert {incident.kind for incident in found} > {"hard braking"}
+    texts = crossing.rrd.rows("/events", "TextLog:text")
+    told = [(time, text) for time, (text,) in texts if "brakes hard" in text or "stands still" in text]
+    assert told == [(pytest.approx(time), text) for time, text in expected]
+
+
+def test_incidents_outside_of_the_exported_part_are_left_out(crossing, tmp_path: Path) -> None:
+    (hard,) = [incident.start for incident in crossing.recording.incidents() if incident.kind == "hard braking"]
+    for start, expected in ((hard - 2, [pytest.approx(hard)]), (hard + 3, [])):
+        rrd = export(CROSSING, tmp_path / "part.rrd", start=start, duration=5, force=True)
+        assert [time for time, (text,) in rrd.rows("/events", "TextLog:text") if "brakes hard" in text] == expected
+
+
+def test_many_events_at_once_are_counted(crossing) -> None:
+    time, (text,) = crossing.rrd.rows("/events", "TextLog:text")[0]
+    assert (time, text) == (0, "10 actors are there: 4 traffic lights, 4 vehicles, 2 others")
+
+
+def test_properties(crossing) -> None:
+    about, recording = crossing.rrd.static["/__properties"], crossing.rrd.static["/__properties/recording"]
+    assert about["RecordingInfo:name"] == ["crossing.log"]
+    assert about["RecordingInfo:start_time"] == [int(crossing.recording.info.date.timestamp()) * 10**9]
+    assert recording["map"] == ["Crossing"]
+    assert recording["source"] == [str(CROSSING)]
+    assert recording["recorder_version"] == [1]
+
+
+# --- real recordings ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", REAL)
+@pytest.mark.parametrize("view", ["chase", "top"])
+def test_real_recordings(name: str, view: str, tmp_path: Path) -> None:
+    log, town = carla_log(f"{name}.log"), CARLA_LOGS.parent / "maps" / "Town01.xodr"
+    try:
+        roads = load_map(town) if town.exists() else ROADS
+    except MissingExtra:
+        roads = ROADS
+    path = tmp_path / "real.rrd"
+    rrd = export(log, path, road_map=roads, view=view)
+    verify(path)
+    with open_recording(log) as recording:
+        hero = Player(recording).followed
+        for id in (hero, *list(recording.actors)[1:4]):
+            way = recording.trajectory(id)
+            for time, *place in list(zip(way.time, way.x, way.y, way.z, strict=True))[::40]:
+                assert rrd.place(f"/world/actors/{id}", time) == pytest.approx(place, abs=1e-3)
+        lights = [id for id, actor in recording.actors.items() if actor.kind == "traffic_light"]
+        for id in lights:
+            states = recording.light_states(id)
+            assert rrd.at(f"/signals/tl_{id}", "StateChange:state", 9) == [
+                style.light(states.state[np.searchsorted(states.time, 9, "right") - 1])[0]
+            ]
+    assert len(lights) == 36
+    assert Arrangement(path).active_tab == view.capitalize()
+    points = np.concatenate(rrd.static["/map/roads"]["LineStrips2D:strips"])
+    lines = np.concatenate(roads.centre_lines)[:, :2] * (1, -1)
+    assert 0 < len(points) <= len(lines)
+    assert np.abs(lines - points[0]).sum(axis=1).min() < 1e-3
+    assert ("/world/ground" in rrd.entities) == (roads is ROADS)
+    assert ("/world/map/roads" in rrd.entities) == (roads is not ROADS)
+
+
+# --- special recordings ---------------------------------------------------------------------------------------
+
+
+def driven(count: int, of: int = 1, **first):
+    """Return frames in which an actor drives."""
+    return [{"transforms": [pose(of, 100 * n)], **(first if n == 0 else {})} for n in range(count)]
+
+
+@pytest.mark.parametrize("rows", [1, 3, 7])
+def test_the_size_of_blocks_does_not_change_rows(rows: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(poses, "ROWS", rows)
+    monkeypatch.setattr("carla_recap.show.rerun.followed.ROWS", rows)
+    rrd = export(CROSSING, tmp_path / "blocks.rrd", start=12, duration=18)
+    monkeypatch.undo()
+    whole = export(CROSSING, tmp_path / "whole.rrd", start=12, duration=18)
+    assert rrd.entities == whole.entities
+    for entity in whole.entities - {"/world/ground"}:
+        for component in ("Transform3D:translation", "Transform3D:quaternion", "Scalars:scalars", "Points2D:positions"):
+            rows_of = [export.rows(entity, component) for export in (rrd, whole)]
+            assert [time for time, _ in rows_of[0]] == [time for time, _ in rows_of[1]]
+            for (_, one), (_, other) in zip(*rows_of, strict=True):
+                assert np.ravel(one) == pytest.approx(np.ravel(other), abs=1e-6, nan_ok=True)
+
+
+def test_an_id_that_is_used_again(tmp_path: Path) -> None:
+    frames = driven(8, spawned=[spawn(1)])
+    frames[3] = {"destroyed": [(1,)]}
+    frames[5] |= {"spawned": [spawn(1, "walker.pedestrian.0001", x=900)]}
+    rrd = export(write(tmp_path / "again.log", frames), tmp_path / "again.rrd")
+    path = "/world/actors/1"
+    assert [rrd.place(path, t)[0] if rrd.place(path, t) else None for t in range(8)] == [0, 1, 2, None, None, 5, 6, 7]
+    sizes = [size_of(rrd, 1, t) for t in (0, 3, 6)]
+    assert sizes[0][0] > 1.5
+    assert sizes[1] is None
+    assert sizes[2][0] < 0.5
+
+
+def test_an_id_that_is_used_again_in_the_same_frame(tmp_path: Path) -> None:
+    frames = [{"spawned": [spawn(1)], "transforms": [pose(1)]}, {"transforms": [pose(1)]}]
+    frames += [{"destroyed": [(1,)], "spawned": [spawn(1)], "transforms": [pose(1)]}, {"transforms": [pose(1)]}]
+    path = write(tmp_path / "same.log", frames)
+    with open_recording(path) as recording:
+        alive = [1 in scene.actors for scene in Player(recording).scenes()]
+    rrd = export(path, tmp_path / "same.rrd")
+    assert [size_of(rrd, 1, t) is not None for t in range(4)] == alive
+    assert [rrd.place("/world/actors/1", t) is not None for t in range(4)] == alive
+
+
+def test_the_camera_does_not_turn_slowly_after_a_jump(tmp_path: Path) -> None:
+    frames = [
+        {"spawned": [spawn(1)], "transforms": [pose(1, 100 * n)]} if n == 0 else {"transforms": [pose(1, 100 * n)]}
+        for n in range(5)
+    ]
+    frames += [{"transforms": [pose(1, 90_000 + 100 * n, yaw=90)]} for n in range(5)]
+    rrd = export(write(tmp_path / "jump.log", frames, tick=0.1), tmp_path / "jump.rrd")
+    assert near(rrd.angle("/world/chase", 0.4), 0)
+    assert near(rrd.angle("/world/chase", 0.5), -90)
+    strips = [strip for _, (strip,) in rrd.rows("/world/trail/1", "LineStrips3D:strips")]
+    assert max(abs(a[0] - b[0]) for a, b in strips) == pytest.approx(1)
+    assert max(value[0] for _, value in rrd.rows("/ego/speed_kmh", "Scalars:scalars")) == pytest.approx(36, rel=1e-3)
+
+
+def test_the_camera_waits_where_the_actor_will_appear(tmp_path: Path) -> None:
+    frames = [{"spawned": [spawn(2, "static.prop.bin")], "transforms": [pose(2)]}, {}, {"spawned": [spawn(1)]}]
+    frames += [{"transforms": [pose(1, 700)]}]
+    frames[2] |= {"transforms": [pose(1, 700, 300)]}
+    rrd = export(write(tmp_path / "late.log", frames), tmp_path / "late.rrd", follow=1)
+    assert rrd.place("/world/chase", 0) == pytest.approx([7, -3, 0])
+
+
+def test_speed_of_recorded_velocities_and_of_poses(tmp_path: Path) -> None:
+    frames = driven(4, spawned=[spawn(1)])
+    frames[2] |= {"velocities": [velocity(1, 20)]}
+    rrd = export(write(tmp_path / "speed.log", frames), tmp_path / "speed.rrd")
+    assert [value[0] for _, value in rrd.rows("/ego/speed_kmh", "Scalars:scalars")] == pytest.approx([3.6, 3.6, 72, 3.6])
+
+
+def test_invalid_numbers_are_left_out(tmp_path: Path) -> None:
+    frames = driven(5, spawned=[spawn(1)])
+    frames[2] = {"transforms": [pose(1, np.nan)]}
+    rrd = export(write(tmp_path / "nan.log", frames), tmp_path / "nan.rrd")
+    assert [rrd.place("/world/actors/1", t)[0] for t in range(5)] == [0, 1, 1, 3, 4]
+    assert rrd.place("/world/chase", 4) == [4, 0, 0]
+
+
+def test_an_actor_that_was_never_spawned(tmp_path: Path) -> None:
+    rrd = export(write(tmp_path / "stranger.log", driven(3, of=9)), tmp_path / "stranger.rrd")
+    assert rrd.at("/world/actors/9", "Boxes3D:half_sizes", 0)[0] == pytest.approx(style.OTHER.extent)
+    assert rrd.place("/world/actors/9", 2) == [2, 0, 0]
+
+
+def test_no_actor_to_follow(tmp_path: Path) -> None:
+    lamps = [spawn(id, "traffic.traffic_light", x=1000 * id) for id in (10, 30)]
+    frames = [
+        {"spawned": lamps, "light_states": [light(10, 2), light(30, 0)]},
+        {"light_states": [light(10, 1), light(30, 0)]},
+    ]
+    path = tmp_path / "nobody.rrd"
+    rrd = export(write(tmp_path / "nobody.log", frames), path)
+    assert rrd.place("/world/actors/10", 0) == [100, 0, 0]
+    assert not [entity for entity in rrd.entities if entity.startswith(("/ego", "/world/chase"))]
+    overview = Arrangement(path).view("Overview")
+    assert (overview.origin, overview.look_target) == ("/world", [200, 0, 0])
+    assert len(rrd.rows("/signals/tl_30", "StateChange:state")) == 1
+
+
+def test_a_light_that_is_destroyed_and_spawned_again(tmp_path: Path) -> None:
+    lamp = spawn(10, "traffic.traffic_light")
+    frames = [
+        {"spawned": [lamp], "light_states": [light(10, 2)]},
+        {"destroyed": [(10,)]},
+        {"spawned": [lamp], "light_states": [light(10, 2)]},
+    ]
+    rrd = export(write(tmp_path / "lamp.log", frames), tmp_path / "lamp.rrd")
+    assert [rrd.at("/world/signals/tl_10", "Mesh3D:vertex_colors", t) is not None for t in range(3)] == [True, False, True]
+    assert [rrd.at("/world/signals/tl_10", "Mesh3D:vertex_positions", t) is not None for t in range(3)] == [
+        True,
+        False,
+        True,
+    ]
+    assert [rrd.at("/signals/tl_10", "StateChange:state", t) for t in range(3)] == [["green"], None, ["green"]]
+
+
+def test_contacts_with_pauses(tmp_path: Path) -> None:
+    contacts = {0: (1, 2), 1: (2, 1), 5: (1, 2), 20: (1, 2), 21: (1, NO_ACTOR)}
+    frames = driven(30, spawned=[spawn(1), spawn(2)])
+    for number, (at, pair) in enumerate(contacts.items()):
+        frames[at] |= {"collisions": [(number, *pair, 0, 0)]}
+    rrd = export(write(tmp_path / "contacts.log", frames, tick=0.1), tmp_path / "contacts.rrd")
+    told = [text for _, (text,) in rrd.rows("/events", "TextLog:text") if "collides" in text]
+    assert told == [
+        "vehicle.audi.tt (1) collides with vehicle.audi.tt (2)",
+        "vehicle.audi.tt (1) collides with vehicle.audi.tt (2)",
+        "vehicle.audi.tt (1) collides with a static object",
+    ]
+
+
+def test_part_of_a_recording(tmp_path: Path) -> None:
+    rrd = export(CROSSING, tmp_path / "part.rrd", start=30.05, duration=5, follow=BLOCKING)
+    times = [time for time, _ in rrd.rows("/map/actors", "Points2D:positions")]
+    assert (times[0], times[-1]) == pytest.approx((30.05, 35.05))
+    assert rrd.rows("/events", "TextLog:text")[0][1][0].startswith("15 actors are there: ")
+    with open_recording(CROSSING) as recording:
+        way = recording.trajectory(LATE)
+    middle = (np.interp(30.05, way.time, way.x), np.interp(30.05, way.time, way.y))
+    assert rrd.place(f"/world/actors/{LATE}", 30.05)[:2] == pytest.approx(middle, abs=1e-3)
+
+
+def test_progress_is_given_every_scene(tmp_path: Path) -> None:
+    seen = []
+
+    def progress(scenes, player):
+        for scene in scenes:
+            seen.append(scene.time / player.stop)
+            yield scene
+
+    export(write(tmp_path / "p.log", driven(5, spawned=[spawn(1)])), tmp_path / "p.rrd", progress=progress)
+    assert seen == [0, 0.25, 0.5, 0.75, 1]
+
+
+# --- large numbers ---
+
+
+def test_boxes_are_limited_but_not_the_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(actors, "MOST_BOXES", 3)
+    frames = [{"transforms": [pose(id, 100 * id + n) for id in range(1, 9)]} for n in range(3)]
+    frames[0]["spawned"] = [spawn(id, role_name="hero" if id == 8 else "") for id in range(1, 9)]
+    with pytest.warns(RecapWarning, match="5 actors are only on the map: there are more than 3"):
+        rrd = export(write(tmp_path / "many.log", frames), tmp_path / "many.rrd")
+    assert {f"/world/actors/{id}" for id in (1, 2, 8)} == {path for path in rrd.entities if path.startswith("/world/actors")}
+    assert [len(points) for _, points in rrd.rows("/map/actors", "Points2D:positions")] == [8, 8, 8]
+
+
+def test_cameras_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(writer, "MOST_CAMERAS", 2)
+    source = write(tmp_path / "many.log", driven(2, spawned=[spawn(id) for id in range(1, 6)]))
+    with pytest.warns(RecapWarning, match="only 2 of 5 actors get a camera"):
+        export(source, tmp_path / "many.rrd", cameras=tmp_path / "cameras")
+    assert names_in(tmp_path / "cameras") == ["follow_1.rbl", "follow_2.rbl"]
+
+
+def test_only_the_latest_of_many_contacts_are_marked(tmp_path: Path) -> None:
+    contacts = [(id, id, NO_ACTOR, 0, 0) for id in range(1, 201)]
+    there = [pose(id, 100 * id) for id in range(1, 201)]
+    frames = [{"transforms": there, "spawned": [spawn(id) for id in range(1, 201)], "collisions": contacts}]
+    rrd = export(write(tmp_path / "crash.log", [*frames, *({} for _ in range(6))]), tmp_path / "crash.rrd")
+    ((time, strips),) = rrd.rows("/world/collisions", "LineStrips3D:strips")
+    assert time == 0
+    rings = [np.array(strip) for strip in strips if len(strip) > 2]
+    assert [(ring[:, 0].min() + ring[:, 0].max()) / 2 for ring in rings] == pytest.approx(range(151, 201), abs=1e-4)
+    assert rrd.at("/world/collisions", "LineStrips3D:strips", 5) is None
+    assert len(rrd.rows("/events", "TextLog:text")) == 201
+
+
+def test_threads_end_after_an_export(tmp_path: Path) -> None:
+    source = write(tmp_path / "short.log", driven(3, spawned=[spawn(1), spawn(2)]))
+
+    def threads() -> int:
+        return psutil.Process().num_threads()
+
+    counts = []
+    for number in range(5):
+        with open_recording(source) as recording:
+            export_rerun(recording, tmp_path / f"{number}.rrd", cameras=tmp_path / str(number))
+        counts.append(threads())
+    assert counts[-1] == counts[1]
+
+
+# --- the look of actors ---
+
+
+def test_the_trail_has_the_colour_of_the_actor(tmp_path: Path) -> None:
+    frames = driven(3, spawned=[spawn(1), spawn(2, role_name="hero")])
+    source = write(tmp_path / "two.log", frames)
+    for id, color in ((1, style.STYLES[ActorKind.VEHICLE].color), (2, style.HERO)):
+        rrd = export(source, tmp_path / f"{id}.rrd", follow=id)
+        (shown,) = rrd.static[f"/world/trail/{id}"]["LineStrips3D:colors"]
+        assert tuple(shown.to_bytes(4, "big")[:3]) == color
+
+
+def test_sensors_are_not_drawn(tmp_path: Path) -> None:
+    sensor, prop, car = spawn(1, "sensor.camera.rgb"), spawn(2, "static.prop.bin"), spawn(3)
+    there = [pose(id) for id in (1, 2, 3)]
+    rrd = export(write(tmp_path / "x.log", [{"spawned": [sensor, prop, car], "transforms": there}]), tmp_path / "x.rrd")
+    assert sensor.kind == ActorKind.OTHER
+    assert [rrd.at(f"/world/actors/{id}", "Mesh3D:vertex_positions", 0) is None for id in (1, 2, 3)] == [True, False, False]
+    assert rrd.at("/world/actors/1", "Boxes3D:half_sizes", 0) is None
+    assert rrd.at("/world/actors/1", "name", 0) == ["camera.rgb 1"]
+
+
+def test_without_a_map_what_was_driven_along_is_road(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 100 * n), pose(2, 3000, 50 * n)]} for n in range(40)]
+    frames[0]["spawned"] = [spawn(1), spawn(2, "walker.pedestrian.0001")]
+    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
+    corners = np.array(rrd.static["/world/map/corridors"]["Mesh3D:vertex_positions"])
+    assert corners[:, 0].min() < 4
+    assert corners[:, 0].max() > 38
+    assert np.abs(corners[:, 1]).max() == pytest.approx(1.9, abs=0.01)
+    assert "/world/ground" in rrd.entities
+
+
+def test_a_map_of_another_town_is_left_out(tmp_path: Path) -> None:
+    near = driven(2, spawned=[spawn(1, role_name="hero")])
+    far = [{"transforms": [pose(1, 1e5)], "spawned": near[0]["spawned"]}]
+    rrd = export(write(tmp_path / "near.log", near), tmp_path / "near.rrd", road_map=ROADS)
+    assert "/map/roads" in rrd.entities
+    with pytest.warns(RecapWarning, match="Hand: no actor is near this map, which is left out"):
+        rrd = export(write(tmp_path / "far.log", far), tmp_path / "far.rrd", road_map=ROADS)
+    assert "/map/roads" not in rrd.entities
+
+
+# --- bad input ---------------------------------------------------------------------------------------------
+
+
+def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:
+    path = tmp_path / "there.rrd"
+    path.write_text("precious")
+    with pytest.raises(RecapError, match="exists already"):
+        export(CROSSING, path)
+    with pytest.raises(RecapError, match="is not empty"):
+        export(CROSSING, tmp_path / "new.rrd", cameras=tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["there.rrd"]
+    export(CROSSING, path, force=True, duration=1, cameras=tmp_path)
+    verify(path)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({"follow": 102_000}, "no actor 102000 to follow; known ids are"), ({"start": 99}, "nothing at 99 s")],
+)
+def test_unknown_actors_and_times(options, message: str, tmp_path: Path) -> None:
+    with pytest.raises(RecapError, match=message):
+        export(CROSSING, tmp_path / "x.rrd", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failed_export_leaves_no_files(tmp_path: Path) -> None:
+    def progress(scenes, player):
+        yield next(iter(scenes))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export(CROSSING, tmp_path / "x.rrd", progress=progress)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("place", ["missing/x.rrd", "."])
+def test_a_destination_that_cannot_be_written(place: str, tmp_path: Path) -> None:
+    with pytest.raises(RecapError, match="cannot be written"):
+        export(CROSSING, tmp_path / place, force=True)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="there are no such limits")
+@pytest.mark.parametrize("kept", [0, 1_000, 60_000, -1])
+def test_a_full_disk(kept: int, tmp_path: Path, limited) -> None:
+    destination = tmp_path / "x.rrd"
+    export(CROSSING, destination, start=20, duration=2)
+    size = kept if kept >= 0 else destination.stat().st_size - 2_000
+    destination.unlink()
+    code = "\n".join(
+        (
+            "from carla_recap import open_recording",
+            "from carla_recap.show.rerun import export_rerun",
+            f"with open_recording({str(CROSSING)!r}) as recording:",
+            f"    export_rerun(recording, {str(destination)!r}, start=20, duration=2)",
+        )
+    )
+    done = limited(code, size)
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].endswith(f"RecapError: {destination}: cannot be written: File too large")
+    assert "\x1b" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_cameras_and_rrd_are_written_together_or_not_at_all(tmp_path: Path) -> None:
+    (tmp_path / "taken" / "follow_100.rbl").mkdir(parents=True)
+    with pytest.raises(RecapError, match="taken: cannot be written: Is a directory"):
+        export(CROSSING, tmp_path / "x.rrd", duration=1, cameras=tmp_path / "taken", force=True)
+    with pytest.raises(RecapError, match="is the destination itself; a folder was expected"):
+        export(CROSSING, tmp_path / "y.rrd", cameras=tmp_path / "y.rrd")
+    with pytest.raises(RecapError, match="cannot be written"):
+        export(CROSSING, tmp_path / "missing" / "z.rrd", cameras=tmp_path / "cameras")
+    assert not (tmp_path / "cameras").exists()
+    assert not (tmp_path / "y.rrd").exists()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere names are text")
+def test_a_destination_that_is_not_utf8(tmp_path: Path) -> None:
+    destination = tmp_path / "\udcff.rrd"
+    with open_recording(CROSSING) as recording:
+        export_rerun(recording, destination, duration=1)
+    verify(destination.rename(tmp_path / "text.rrd"))
+
+
+def test_names_that_are_not_utf8(tmp_path: Path) -> None:
+    odd = Spawn(1, ActorKind.VEHICLE, type_id="vehicle.\udcff")
+    rrd = export(write(tmp_path / "odd.log", driven(2, spawned=[odd])), tmp_path / "odd.rrd")
+    assert rrd.at("/world/actors/1", "name", 0)[0].endswith(" 1")
+
+
+def test_the_missing_extra_is_named() -> None:
+    lines = (
+        "import sys",
+        "sys.modules['rerun'] = None",
+        "try: import carla_recap.show.rerun",
+        "except Exception as error: print(error)",
+    )
+    script = "\n".join(lines)
+    printed = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    assert printed == f"{MissingExtra('an export to Rerun', 'rerun')}\n"
+
+
+def test_a_blueprint_for_any_actor(tmp_path: Path) -> None:
+    with open_recording(CROSSING) as recording:
+        player = Player(recording, follow=BLOCKING)
+        blueprint(player, view="top").save(APPLICATION, str(tmp_path / "own.rbl"))
+        blueprint(player, followed=HERO).save(APPLICATION, str(tmp_path / "other.rbl"))
+    assert Arrangement(tmp_path / "own.rbl").view("Chase").origin == "/world/chase"
+    assert Arrangement(tmp_path / "own.rbl").active_tab == "Top"
+    assert Arrangement(tmp_path / "other.rbl").view(f"Chase {HERO}").origin == f"/world/cameras/{HERO}"
+
+
+# --- plots -------------------------------------------------------------------------------------------------
+
+
+def test_the_brake_is_shown_as_held_at_a_standstill(tmp_path: Path) -> None:
+    """The driver of a car that stands presses the brake and the throttle in turn."""
+    frames = []
+    for n in range(40):
+        stands = n >= 20
+        control = (1, 0.0, 0.0 if n % 4 else 0.3, 1.0 if n % 4 else 0.0, 0, 1) if stands else (1, 0.0, 0.3, 0.0, 0, 1)
+        frames.append({"transforms": [pose(1, 100.0 * min(n, 20))], "vehicle_controls": [control]})
+    frames[0]["spawned"] = [spawn(1)]
+    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
+    recorded = [value for _, value in rrd.rows("/ego/controls", "Scalars:scalars")]
+    assert [value[1] for value in recorded[24:28]] == [0.0, 1.0, 1.0, 1.0]
+    shown = [value for _, value in rrd.rows("/ego/pedals", "Scalars:scalars")]
+    assert shown[:20] == [pytest.approx([0.3, 0.0])] * 20
+    assert shown[22:] == [[0.0, 1.0]] * 18
+
+
+def test_the_plotted_acceleration_is_that_of_the_speed(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 100 * n)], "velocities": [velocity(1, x=0.2 * n)]} for n in range(30)]
+    frames[0]["spawned"] = [spawn(1)]
+    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
+    times, values = zip(*rrd.rows("/ego/acceleration", "Scalars:scalars"), strict=True)
+    assert np.ravel(values) == pytest.approx(2.0, abs=1e-4)
+    assert times[0] < 0.2
+    assert times[-1] > 2.7
+
+
+# --- the light ahead ---------------------------------------------------------------------------------------
+
+
+def test_the_light_ahead_is_named(crossing) -> None:
+    rows = crossing.rrd.rows("/ego/light_ahead", "StateChange:state")
+    named = [(time, text) for time, (text,) in rows]
+    assert named[0] == (0, "none")
+    red = next(time for time, text in named if text == f"light {LIGHT}: red")
+    states = crossing.recording.light_states(LIGHT)
+    assert states.state[np.searchsorted(states.time, red, "right") - 1] == 0
+    (label,) = crossing.rrd.at("/world/ahead", "Points3D:labels", red)
+    assert label == f"light {LIGHT}: red"
+    assert crossing.rrd.at("/world/ahead", "LineStrips3D:strips", 5) is None
+
+
+# --- live --------------------------------------------------------------------------------------------------
+
+
+def chosen(follow: int | str, frames: list, tmp_path: Path) -> list[int | None]:
+    """Return the actor that a live view follows after each frame."""
+    choice = LiveChoice(follow)
+    with open_recording(write(tmp_path / "live.log", frames)) as recording:
+        return [choice.choose(scene) for scene in Player(recording).scenes()]
+
+
+def test_a_live_view_follows_what_moves_until_there_is_a_hero(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1), pose(2, 100 * n), pose(3, 50 * n)]} for n in range(6)]
+    frames[0]["spawned"] = [spawn(1), spawn(2, "walker.pedestrian.0001"), spawn(3)]
+    frames[4]["spawned"] = [spawn(4, role_name="hero")]
+    assert chosen("hero", frames, tmp_path) == [None, 3, 3, 3, 4, 4]
+
+
+def test_a_live_view_follows_another_actor_when_the_followed_one_disappears(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 100 * n), pose(2, 100 * n)]} for n in range(5)]
+    frames[0]["spawned"] = [spawn(1), spawn(2)]
+    frames[2]["destroyed"] = [(1,)]
+    assert chosen("hero", frames, tmp_path)[-1] == 2
+
+
+def test_a_live_view_follows_a_parked_car_where_nothing_moves(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1)]} for n in range(6)]
+    frames[0]["spawned"] = [spawn(1)]
+    assert chosen("hero", frames, tmp_path) == [None, None, None, 1, 1, 1]
+
+
+def test_a_live_view_waits_for_the_actor_that_was_asked_for(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 100 * n)]} for n in range(4)]
+    frames[0]["spawned"], frames[2]["spawned"] = [spawn(1)], [spawn(7)]
+    assert chosen(7, frames, tmp_path) == [None, None, 7, 7]
+
+
+def test_signs_are_drawn_where_no_map_has_them(tmp_path: Path) -> None:
+    sign = Spawn(1, ActorKind.TRAFFIC_SIGN, type_id="traffic.stop")
+    rrd = export(write(tmp_path / "sign.log", driven(2, of=2, spawned=[sign, spawn(2)])), tmp_path / "sign.rrd")
+    assert rrd.at("/world/actors/1", "Mesh3D:vertex_positions", 0) is not None
+
+
+# --- ghosts -----------------------------------------------------------------------------------------------------
+
+
+def parting(path: Path, shift: int, *, count: int = 8, aside: int = 0, extra: bool = False) -> Path:
+    """Write a drive of a hero, which goes aside from 4 s on, and of a walker that stands."""
+    frames = []
+    for n in range(count):
+        poses = [pose(1 + shift, 100 * n, aside if n >= 4 else 0), pose(2 + shift, 0, 500)]
+        frames.append({"transforms": [*poses, *([pose(9, 0, -700)] if extra else [])]})
+    frames[0]["spawned"] = [spawn(1 + shift, role_name="hero"), spawn(2 + shift, "walker.pedestrian.0001")]
+    if extra:
+        frames[0]["spawned"].append(spawn(9, "vehicle.mini.cooper_s"))
+    return write(path, frames)
+
+
+def with_ghost(folder: Path, **options) -> Rrd:
+    first = parting(folder / "a.log", 0)
+    with open_recording(parting(folder / "b.log", 20, **options)) as other:
+        return export(first, folder / "ghost.rrd", ghost=other)
+
+
+def test_a_ghost_is_shown_from_when_on_it_is_elsewhere(tmp_path: Path) -> None:
+    rrd = with_ghost(tmp_path, aside=300, count=7)
+    ghost = "/world/ghost/21"
+    assert not {entity for entity in rrd.entities if entity.startswith("/world/ghost/") and entity != ghost}
+    shown = [rrd.at(ghost, "Mesh3D:vertex_positions", t) is not None for t in range(8)]
+    assert shown == [False, False, False, False, True, True, False, False]  # b has ended at 6 s
+    assert rrd.place(ghost, 5) == pytest.approx((5, -3, 0))
+    assert rrd.place("/world/actors/1", 5) == pytest.approx((5, 0, 0))
+    (color,) = rrd.at(ghost, "Mesh3D:albedo_factor", 5)
+    assert color & 255 < 128
+    assert rrd.at(ghost, "Points3D:labels", 5) == ["B: hero 21"]
+    assert np.ravel(rrd.at("/map/ghosts", "Points2D:positions", 5)) == pytest.approx((5, 3))
+    verify(tmp_path / "ghost.rrd")
+
+
+def test_an_actor_of_the_other_recording_alone_is_a_ghost(tmp_path: Path) -> None:
+    rrd = with_ghost(tmp_path, extra=True)
+    assert {entity for entity in rrd.entities if entity.startswith("/world/ghost/")} == {"/world/ghost/9"}
+    assert rrd.place("/world/ghost/9", 0) == pytest.approx((0, 7, 0))
+
+
+def test_equal_recordings_have_no_ghosts(tmp_path: Path) -> None:
+    rrd = with_ghost(tmp_path)
+    assert not [entity for entity in rrd.entities if entity.startswith("/world/ghost/")]
+
+
+def test_the_other_recording_may_end_before_the_exported_part(tmp_path: Path) -> None:
+    first = parting(tmp_path / "a.log", 0)
+    with open_recording(parting(tmp_path / "b.log", 20, aside=300, count=5)) as other:
+        rrd = export(first, tmp_path / "late.rrd", ghost=other, start=6)
+    assert not [entity for entity in rrd.entities if entity.startswith("/world/ghost/")]
+
+
+def test_how_close_others_are_is_plotted(crossing) -> None:
+    times = [value for _, value in crossing.rrd.rows("/ego/times/time_to_collision", "Scalars:scalars")]
+    gaps = [value for _, value in crossing.rrd.rows("/ego/distances/gap", "Scalars:scalars")]
+    assert np.nanmin(np.concatenate([np.ravel(value) for value in times])) < 0.5  # it crashes
+    assert np.nanmin(np.concatenate([np.ravel(value) for value in gaps])) == 0

@@ -1,0 +1,159 @@
+"""Pictures taken by the viewer, and the end of its process."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+
+pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
+
+import psutil
+import rerun.blueprint as rrb
+from PIL import Image
+
+from carla_recap import open_recording
+from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.replay import Player
+from carla_recap.show import viewer
+from tests.screenshots import ScreenshotTaker
+from tests.show.conftest import SAMPLE
+from tests.waiting import PATIENCE, time_limit, wait_until
+
+
+def runs(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_one_viewer_takes_several_pictures(crossing_rrd, tmp_path, temporary):
+    from carla_recap.show.rerun import Rrd, camera_views, write
+
+    with open_recording(SAMPLE) as recording:
+        player = Player(recording, start=20, duration=6)
+        panels = (rrb.TopPanel, rrb.BlueprintPanel, rrb.SelectionPanel, rrb.TimePanel)
+        alone = rrb.Blueprint(camera_views(player)["chase"], *(panel(state="hidden") for panel in panels))
+        with Rrd(alone) as rrd:
+            write(rrd.stream, player)
+            (tmp_path / "view.rrd").write_bytes(rrd.take())
+    with ScreenshotTaker(tmp_path / "view.rrd", (640, 360), only_view=True) as screenshots:
+        first, second, again = (screenshots.take(time) for time in (21, 24.6, 21))
+        pid = screenshots._process.pid
+        assert runs(pid)
+    assert not runs(pid)
+    assert first == again != second
+    for picture in (first, second):
+        image = Image.open(io.BytesIO(picture)).convert("RGB")
+        assert image.size == (640, 360)
+        assert len(image.getcolors(1 << 24)) > 100
+
+
+def test_the_whole_window_shows_the_blueprint_of_the_recording(crossing_rrd, temporary):
+    with ScreenshotTaker(crossing_rrd, (800, 600)) as screenshots:
+        picture = screenshots.take(24.6)
+        views = screenshots.state.views
+    assert Image.open(io.BytesIO(picture)).size == (800, 600)
+    assert {"3D", "2D", "TimeSeries", "TextLog"} <= {view.view_class for view in views}
+    assert not [report for view in views for report in view.reports]
+
+
+def test_no_notices_cover_the_first_picture(crossing_rrd):
+    with ScreenshotTaker(crossing_rrd, (800, 600)) as screenshots:
+        early = screenshots.take(24.6)
+        threading.Event().wait(1.5)
+        late = screenshots.take(24.6)
+    assert early == late
+
+
+def test_without_a_graphics_driver_the_error_says_what_to_install(crossing_rrd, temporary, monkeypatch):
+    monkeypatch.setenv("VK_ICD_FILENAMES", "/nonexistent")
+    monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
+    with time_limit(), pytest.raises(RecapError, match=r"^the Rerun viewer found no graphics .* mesa-vulkan-drivers$"):
+        ScreenshotTaker(crossing_rrd).__enter__()
+
+
+def test_a_file_that_the_viewer_cannot_load_is_an_error(tmp_path, temporary, monkeypatch, crossing_rrd):
+    def port_when_it_has_failed(self, announced):
+        wait_until(lambda: "failed to read RRD metadata" in self._output())
+        monkeypatch.setattr(viewer, "TIMEOUT", 2.0)
+        return port(self, announced)
+
+    port = viewer.RerunViewer.port
+    monkeypatch.setattr(viewer.RerunViewer, "port", port_when_it_has_failed)
+    cut = tmp_path / "cut.rrd"
+    cut.write_bytes(crossing_rrd.read_bytes()[:3000])
+    with time_limit(), pytest.raises(RecapError, match="no recording within 2 s: failed to read RRD metadata"):
+        ScreenshotTaker(cut).__enter__()
+
+
+def test_a_viewer_that_hangs_is_killed(crossing_rrd, temporary, monkeypatch):
+    with ScreenshotTaker(crossing_rrd) as screenshots:
+        pid = screenshots._process.pid
+        monkeypatch.setattr(viewer, "TIMEOUT", 0.5)
+        os.kill(pid, signal.SIGSTOP)
+        with time_limit(), pytest.raises(RecapError, match="the Rerun viewer does not answer"):
+            screenshots.take(21)
+    assert not runs(pid)
+
+
+def test_an_interruption_ends_the_viewer(crossing_rrd, temporary):
+    pids = []
+
+    def interrupted() -> None:
+        with ScreenshotTaker(crossing_rrd) as screenshots:
+            pids.append(screenshots._process.pid)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert not runs(*pids)
+
+
+WAITING = """
+import sys, time
+from tests.screenshots import ScreenshotTaker
+with ScreenshotTaker(sys.argv[1]) as screenshots:
+    print(screenshots._process.pid, flush=True)
+    time.sleep(1000)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
+def test_a_terminated_process_ends_its_viewer(crossing_rrd, temporary):
+    with subprocess.Popen([sys.executable, "-c", WAITING, crossing_rrd], stdout=subprocess.PIPE, text=True) as process:
+        pid = int(process.stdout.readline())
+        assert runs(pid)
+        process.terminate()
+        assert process.wait(PATIENCE) == 128 + signal.SIGTERM
+    assert not runs(pid)
+
+
+def test_no_usage_data_and_no_settings_are_left(crossing_rrd, tmp_path, monkeypatch):
+    home = tmp_path / "home"
+    home.mkdir()
+    for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", str(home))
+    with ScreenshotTaker(crossing_rrd) as screenshots:
+        screenshots.take(21)
+    assert not [path for path in home.rglob("*") if "rerun" in path.name]
+
+
+def test_without_the_viewer_the_error_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun_cli", None)
+    with pytest.raises(MissingExtra, match=r"the Rerun viewer needs .*\.\[rerun\]"):
+        ScreenshotTaker("any.rrd").__enter__()
+
+
+def test_the_viewer_listens_on_the_loopback_alone(crossing_rrd):
+    with ScreenshotTaker(crossing_rrd) as screenshots:
+        sockets = psutil.Process(screenshots._process.pid).net_connections("inet")
+        assert {socket.laddr.ip for socket in sockets} == {viewer.HOST}

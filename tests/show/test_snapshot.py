@@ -1,0 +1,172 @@
+"""Pictures of recordings, and invalid times, destinations and actors."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("PIL", reason="the extra `cameras` is not installed")
+
+from PIL import Image
+
+from carla_recap import open_recording
+from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.rendering.town import load_town_mesh
+from carla_recap.roads import find_map
+from carla_recap.show.video import picture, snapshot
+from tests.cli.command import COMMAND, ENVIRONMENT, before_others, the_line
+from tests.replay.scripts import pose, spawn, write
+from tests.samples import carla_log, names_in
+from tests.show.conftest import SAMPLE
+from tests.waiting import PATIENCE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from carla_recap.recording import Recording
+    from carla_recap.rendering.process import RenderProcess
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Iterator[RenderProcess]:
+    """What draws; skips the test where nothing can be drawn."""
+    from carla_recap.rendering.process import RenderProcess
+
+    try:
+        process = RenderProcess(None, quality="low")
+    except (MissingExtra, RecapError) as error:
+        pytest.skip(str(error))
+    with process:
+        yield process
+
+
+@pytest.fixture
+def crossing() -> Iterator[Recording]:
+    with open_recording(SAMPLE) as recording:
+        yield recording
+
+
+def pixels(data: bytes) -> Any:
+    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB")).astype(int)
+
+
+def test_a_snapshot_is_a_png_of_the_size(crossing: Recording, tmp_path: Path, renderer: RenderProcess) -> None:
+    destination = tmp_path / "crash.png"
+    snapshot(crossing, destination, at=24.6, size=(640, 360))
+    with Image.open(destination) as image:
+        assert (image.size, image.format) == ((640, 360), "PNG")
+        assert len(image.convert("RGB").getcolors(1 << 24)) > 1000
+    assert names_in(tmp_path) == ["crash.png"]
+
+
+def test_the_map_of_the_recording_is_found_by_its_name(renderer: RenderProcess) -> None:
+    town = load_town_mesh(find_map("Brickfield"))
+    with open_recording(SAMPLE.with_name("crash.mcap")) as recording:
+        found, given = (picture(recording, at=12, size=(320, 180), **options) for options in ({}, {"town": town}))
+    assert found == given
+
+
+def test_another_time_is_another_picture(crossing: Recording, renderer: RenderProcess) -> None:
+    first, second, again = (picture(crossing, at=at, size=(320, 180), renderer=renderer) for at in (20, 21, 20))
+    assert first == again != second
+
+
+def test_the_followed_car_is_in_the_middle(crossing: Recording, renderer: RenderProcess) -> None:
+    hero, other = (
+        pixels(picture(crossing, at=20, follow=id, size=(320, 180), overlay=False, renderer=renderer)) for id in (100, 102)
+    )
+    assert np.abs(hero[110:150, 150:170] - other[110:150, 150:170]).mean() > 10  # a car; a van of another colour
+
+
+@pytest.mark.parametrize("size", [(64, 64), (333, 517), (1921, 1081)])
+def test_pictures_have_the_given_size(crossing: Recording, renderer: RenderProcess, size: tuple[int, int]) -> None:
+    assert Image.open(io.BytesIO(picture(crossing, at=24, size=size, renderer=renderer))).size == size
+
+
+def test_pictures_of_the_beginning_and_of_the_end(crossing: Recording, renderer: RenderProcess) -> None:
+    first, last, end = (
+        picture(crossing, at=at, size=(320, 180), renderer=renderer) for at in (0, 53, crossing.info.duration)
+    )
+    assert first != last == end
+
+
+def test_a_picture_from_above_has_a_scale(crossing: Recording, renderer: RenderProcess) -> None:
+    top, bare = (
+        pixels(picture(crossing, at=20, view="top", size=(640, 360), overlay=overlay, renderer=renderer))
+        for overlay in (True, False)
+    )
+    assert np.abs(top - bare)[310:350, 500:630].max() > 100
+
+
+def test_a_jpeg(crossing: Recording, renderer: RenderProcess) -> None:
+    data = picture(crossing, at=24.6, size=(320, 180), renderer=renderer, form="JPEG")
+    assert Image.open(io.BytesIO(data)).format == "JPEG"
+    assert len(data) < 30_000
+
+
+def test_a_real_recording(renderer: RenderProcess) -> None:
+    with open_recording(carla_log("carla-0.9.13-lane-center.log")) as recording:
+        assert len(picture(recording, at=-1, renderer=renderer)) > 20_000
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"at": 60}, "crossing.log: nothing at 60 s; the recording ends at 53 s"),
+        ({"at": float("nan")}, "nothing at nan s"),
+        ({"at": 5, "follow": 999}, "no actor 999 to follow; known ids are"),
+        ({"at": 5, "follow": 104}, "actor 104 is not present at 5 s, so it cannot be followed"),
+        ({"at": 5, "size": (10, 10)}, "the sides of a picture are from 64 to 4096 pixels"),
+        ({"at": 5, "view": 7}, "no camera 7 is recorded"),
+    ],
+)
+def test_invalid_arguments_are_errors_of_one_line(crossing: Recording, tmp_path: Path, options: Any, message: str) -> None:
+    with pytest.raises(RecapError, match=message) as caught:
+        snapshot(crossing, tmp_path / "out.png", **options)
+    assert "\n" not in str(caught.value)
+    assert names_in(tmp_path) == []
+
+
+def test_an_actor_whose_pose_is_nan_is_an_error_of_one_line(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, float("nan"))], "spawned": [spawn(1)] * (n == 0)} for n in range(3)]
+    source = write(tmp_path / "nan.log", frames)
+    with open_recording(source) as recording, pytest.raises(RecapError) as caught:
+        snapshot(recording, tmp_path / "out.png", at=1, follow=1)
+    assert str(caught.value) == f"{source}: the pose of actor 1 at 1 s is not finite"
+    assert names_in(tmp_path) == ["nan.log"]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("out.jpg", "out.jpg: a picture is written as .png"),
+        ("there.png", "there.png: exists already"),
+    ],
+)
+def test_invalid_destinations_are_errors(crossing: Recording, tmp_path: Path, name: str, message: str) -> None:
+    (tmp_path / "there.png").write_bytes(b"before")
+    with pytest.raises(RecapError, match=message):
+        snapshot(crossing, tmp_path / name, at=5)
+    assert (tmp_path / "there.png").read_bytes() == b"before"
+
+
+def test_a_missing_folder_is_an_error(crossing: Recording, tmp_path: Path, renderer: RenderProcess) -> None:
+    with pytest.raises(RecapError, match=r"nowhere/out\.png: cannot be written: No such file"):
+        snapshot(crossing, tmp_path / "nowhere" / "out.png", at=5, size=(64, 64))
+
+
+@pytest.mark.parametrize("package", ["PIL", "moderngl"])
+def test_without_a_package_the_error_names_the_extra(tmp_path: Path, package: str) -> None:
+    (tmp_path / "hidden").mkdir()
+    (tmp_path / "hidden" / f"{package}.py").write_text(f"raise ModuleNotFoundError(name={package!r})")
+    command = [COMMAND, "snapshot", SAMPLE, tmp_path / "out.png", "--at", "24"]
+    environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path / "hidden")}
+    done = subprocess.run(command, capture_output=True, env=environment, timeout=PATIENCE)
+    expected = "carla-recap snapshot needs an optional dependency: pip install '.[cameras]' in a clone of carla-recap"
+    assert (done.returncode, the_line(done.stderr)) == (2, expected)
+    assert names_in(tmp_path) == ["hidden"]

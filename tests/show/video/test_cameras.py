@@ -1,0 +1,234 @@
+"""Where cameras are: what they show of the followed actor, the horizon, and the road ahead."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from carla_recap import Player, open_recording
+from carla_recap.scene.instances import Instances
+from carla_recap.show.video.cameras import camera_path, camera_size, pixels_per_metre
+from carla_recap.show.video.followed import FollowedActor, Subject
+from carla_recap.show.video.transparency import Transparency
+from tests.replay.scripts import light, pose, spawn, velocity, write
+
+SIZE = (1280, 720)
+CAR, BUS, WALKER = (2.3, 0.95, 0.75), (6.0, 1.4, 1.75), (0.25, 0.25, 0.93)
+
+
+def subject(half: tuple[float, float, float] = CAR, heading: float = 0.0, **options: Any) -> Subject:
+    yaw = math.radians(heading)
+    rotation = np.array([(math.cos(yaw), -math.sin(yaw), 0), (math.sin(yaw), math.cos(yaw), 0), (0, 0, 1)])
+    return Subject(np.array((10.0, 20.0, 1.0)), rotation, np.array(half), heading, options.pop("speed", 0.0), **options)
+
+
+def instances(*centres: tuple[float, float, float], half: Any = CAR) -> Instances:
+    count = len(centres)
+    return Instances(
+        np.arange(1, count + 1, dtype=np.uint32),
+        np.zeros(count, np.uint8),
+        np.array(centres, np.float64).reshape(-1, 3),
+        np.tile(np.eye(3, dtype=np.float32), (count, 1, 1)),
+        np.broadcast_to(np.array(half, np.float32), (count, 3)).copy(),
+        np.zeros((count, 3), np.uint8),
+        np.zeros(count, np.uint64),
+        np.zeros(count, np.float32),
+        np.ones(count, np.float32),
+        np.zeros(count, np.uint8),
+    )
+
+
+class Moment:
+    """What camera paths read of a scene."""
+
+    def __init__(self, time: float = 0.0) -> None:
+        self.time = time
+
+
+def camera(view: Any, filmed: Subject | None, size: tuple[int, int] = SIZE, seen: Instances | None = None) -> Any:
+    return camera_path(view, size).camera(Moment(), seen or instances(), filmed)  # type: ignore[arg-type]
+
+
+def box(filmed: Subject) -> Any:
+    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (0, 2)]) * filmed.half
+    return filmed.ground + corners @ filmed.rotation.T
+
+
+@pytest.mark.parametrize("half", [CAR, BUS, WALKER])
+@pytest.mark.parametrize("heading", [0.0, 117.0])
+@pytest.mark.parametrize("size", [SIZE, (720, 1280), (400, 400)])
+def test_chase_shows_the_actor_below_a_horizon_in_the_upper_third(half: Any, heading: float, size: Any) -> None:
+    filmed = subject(half, heading)
+    taken = camera("chase", filmed, size)
+    x, y, depth = taken.project(box(filmed)).T
+    assert (depth > 2).all()
+    assert x.min() + x.max() == pytest.approx(size[0], abs=2)
+    assert (x.min() > 0.2 * size[0]) & (y.max() < 0.95 * size[1])
+    far = taken.project(np.array([taken.location + 1e6 * (filmed.rotation[:, 0] * (1, 1, 0))]))[0]
+    assert far[:2] == pytest.approx((size[0] / 2, 0.31 * size[1]), abs=1)
+    assert y.min() > far[1]  # the road ahead is seen over its roof
+
+
+def test_chase_is_farther_from_what_is_larger() -> None:
+    far = [np.linalg.norm(camera("chase", subject(half)).location - subject(half).ground) for half in (WALKER, CAR, BUS)]
+    assert far[0] < 0.8 * far[1] < 0.45 * far[2]
+
+
+def test_top_has_the_actor_below_the_middle_and_its_heading_upwards() -> None:
+    filmed = subject(heading=70.0)
+    taken = camera("top", filmed)
+    here, ahead = taken.project(np.array([filmed.ground, filmed.ground + 5 * filmed.rotation[:, 0]]))
+    assert here[:2] == pytest.approx((640, 360 + 0.16 * 720), abs=1)
+    assert ahead[0] == pytest.approx(640, abs=1)
+    scale = pixels_per_metre(taken, float(filmed.ground[2]))
+    assert scale is not None
+    assert here[1] - ahead[1] == pytest.approx(5 * scale, rel=1e-6)
+
+
+def test_top_shows_more_at_speed_and_zooms_slowly() -> None:
+    path = camera_path("top", SIZE)
+    spans = []
+    for time, speed in ((0.0, 0.0), (0.1, 20.0), (0.2, 20.0), (20.0, 20.0)):
+        filmed = subject(speed=speed)
+        scale = pixels_per_metre(path.camera(Moment(time), instances(), filmed), 1.0)  # type: ignore[arg-type]
+        spans.append(720 / scale)  # type: ignore[operator]
+    assert spans[0] == pytest.approx(42)
+    assert spans[0] < spans[1] < spans[2] < spans[0] + 8
+    assert spans[3] == pytest.approx(86, abs=0.1)
+
+
+def test_other_views_have_no_scale() -> None:
+    assert pixels_per_metre(camera("chase", subject()), 0.0) is None
+    assert pixels_per_metre(camera("driver", subject()), 0.0) is None
+
+
+@pytest.mark.parametrize(
+    ("half", "options"), [(CAR, {}), (BUS, {}), (WALKER, {"is_walker": True}), ((1, 0.4, 0.75), {"two_wheeled": True})]
+)
+def test_driver_looks_ahead_from_within_the_height_of_the_actor(half: Any, options: Any) -> None:
+    filmed = subject(half, 30.0, **options)
+    taken = camera("driver", filmed)
+    ahead, _, up = (taken.location - filmed.ground) @ filmed.rotation
+    assert 0 < ahead < half[0] + 0.2
+    assert half[2] < up < 2 * half[2]
+    assert taken.rotation[:2, 0] / np.linalg.norm(taken.rotation[:2, 0]) == pytest.approx(filmed.rotation[:2, 0])
+
+
+def test_without_an_actor_the_camera_shows_most_of_them() -> None:
+    seen = instances(*((x, y, 0.5) for x in (100.0, 130.0) for y in (-50.0, -20.0)))
+    for view in ("chase", "top", "driver"):
+        x, y, depth = camera(view, None, seen=seen).project(seen.locations).T
+        assert ((depth > 0) & (x > 0) & (x < 1280) & (y > 0) & (y < 720)).all()
+    assert np.isfinite(camera("top", None).location).all()
+    assert np.isfinite(camera("top", None, seen=instances((math.nan, 0, 0))).location).all()
+
+
+# --- the followed actor ---------------------------------------------------------------------------------------
+
+
+def followed(path: Any, frames: list[Any], id: int = 1, tick: float = 0.1, rate: float | None = None) -> list[Any]:
+    """Return the followed actor and its light in each scene of a recording."""
+    with open_recording(write(path / "in.log", frames, tick=tick)) as recording:
+        actor = FollowedActor(id)
+        scenes = Player(recording, follow=id).scenes(rate)
+        return [(actor.update(scene, instances()), actor.light_ahead(scene)) for scene in scenes]
+
+
+def test_speed_is_as_recorded(tmp_path: Any) -> None:
+    frames = [{"transforms": [pose(1)], "velocities": [velocity(1, 7)], "spawned": [spawn(1)] * (n == 0)} for n in range(3)]
+    assert [actor.speed for actor, _ in followed(tmp_path, frames)] == [7, 7, 7]
+
+
+def test_an_actor_that_stands_in_the_first_frame_is_measured_without_a_warning(tmp_path: Any) -> None:
+    frames = [{"transforms": [pose(1)], "velocities": [velocity(1, 0)], "spawned": [spawn(1)] * (n == 0)} for n in range(2)]
+    with np.errstate(invalid="raise"):
+        assert [actor.speed for actor, _ in followed(tmp_path, frames)] == [0, 0]
+
+
+def test_speed_is_measured_where_none_is_recorded(tmp_path: Any) -> None:
+    frames = [{"transforms": [pose(1, 100.0 * n)], "spawned": [spawn(1)] * (n == 0)} for n in range(20)]
+    assert [actor.speed for actor, _ in followed(tmp_path, frames)][-1] == pytest.approx(10, abs=0.1)
+
+
+def test_a_jump_is_no_speed_and_turns_the_camera_at_once(tmp_path: Any) -> None:
+    frames = [{"transforms": [pose(1, 9e5 * n, yaw=90 * n)], "spawned": [spawn(1)] * (n == 0)} for n in range(2)]
+    first, second = (actor for actor, _ in followed(tmp_path, frames))
+    assert second.speed is None
+    assert second.heading - first.heading == pytest.approx(-90)
+
+
+def test_an_actor_whose_pose_is_nan_stays_where_it_was(tmp_path: Any) -> None:
+    frames = [{"transforms": [pose(1, x)], "spawned": [spawn(1)] * (n == 0)} for n, x in enumerate((500, math.nan))]
+    first, second = (actor for actor, _ in followed(tmp_path, frames))
+    assert second.ground == pytest.approx(first.ground)
+
+
+def test_the_light_ahead_is_the_nearest_in_front(tmp_path: Any) -> None:
+    places = {10: 9000.0, 11: 4000.0, 12: 3000.0, 13: -500.0}
+    spawned = [spawn(1), *(spawn(id, "traffic.traffic_light", x, 90) for id, x in places.items())]
+    frame = {"transforms": [pose(1)], "spawned": spawned, "light_states": [light(id, id % 3) for id in places]}
+    ((_, ahead),) = followed(tmp_path, [frame])
+    assert ahead.state == 0
+    assert ahead.distance == pytest.approx(30 - 2.4)
+
+
+# --- what is see-through --------------------------------------------------------------------------------------
+
+
+def opacities(filmed: Subject, *others: tuple[float, float, float]) -> list[float]:
+    """Return the opacities of the followed actor and of others, at locations ahead, left and above of it."""
+    centre = filmed.ground + np.array((0, 0, filmed.half[2]))
+    seen = instances(*(tuple(centre + offset) for offset in ((0, 0, 0), *others)))
+    taken = camera("chase", filmed, seen=seen)
+    return [float(each) for each in Transparency().apply(taken, seen, 1, math.inf).opacity]
+
+
+def test_nothing_is_see_through_that_hides_nothing() -> None:
+    assert opacities(subject(), (30, 3.5, 0), (-30, 3.5, 0), (4, -3.5, 0)) == [1, 1, 1, 1]
+
+
+def test_the_followed_actor_is_see_through_where_it_hides_another() -> None:
+    own, other = opacities(subject(), (6.0, 0, -0.7))
+    assert own == pytest.approx(0.4)
+    assert other == 1
+
+
+def test_what_is_flat_need_not_be_seen() -> None:
+    filmed = subject()
+    x, y, z = filmed.ground.tolist()
+    seen = instances((x, y, z + 0.75), (x + 6.0, y, z + 0.05), half=[CAR, (0.3, 0.3, 0.05)])
+    taken = camera("chase", filmed, seen=seen)
+    assert Transparency().apply(taken, seen, 1, math.inf).opacity.tolist() == [1, 1]
+
+
+@pytest.mark.parametrize("back", [5.0, 8.0, 10.0])
+def test_what_is_between_camera_and_actor_is_see_through(back: float) -> None:
+    own, other = opacities(subject(), (-back, 0, 1.5))
+    assert (own, other) == (1, pytest.approx(0.25))
+
+
+def test_opacity_changes_slowly() -> None:
+    filmed = subject()
+    x, y, z = filmed.ground.tolist()
+    seen = instances((x, y, z + 0.75), (x + 6.0, y, z + 0.05))
+    taken, fading = camera("chase", filmed, seen=seen), Transparency()
+    values = [float(fading.apply(taken, seen, 1, 1 / 30).opacity[0]) for _ in range(30)]
+    assert 0.9 < values[0] < 1
+    assert values == sorted(values, reverse=True)
+    assert values[-1] == pytest.approx(0.4, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "size"),
+    [
+        ({"image_size_x": "640", "image_size_y": "480"}, (640, 480)),
+        ({"image_size_x": "640"}, None),
+        ({"image_size_x": "a", "image_size_y": "b"}, None),
+        ({"image_size_x": "inf", "image_size_y": "inf"}, None),
+    ],
+)
+def test_the_recorded_size_of_a_camera(attributes: dict[str, str], size: tuple[int, int] | None) -> None:
+    assert camera_size(attributes) == size

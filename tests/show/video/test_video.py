@@ -1,0 +1,317 @@
+"""Videos, decoded: their frames, what is where in them, and that a browser plays them."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import subprocess
+import time
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("av", reason="the extra `video` is not installed")
+
+import av
+from PIL import Image
+
+from carla_recap import Player, create_recording, open_recording
+from carla_recap.errors import RecapError
+from carla_recap.show.video import export_video
+from carla_recap.show.video.film import Film, _driven_town
+from tests.cli.command import COMMAND, ENVIRONMENT, error, run
+from tests.replay.scripts import pose, spawn, write
+from tests.samples import carla_log, names_in
+from tests.show.page.conftest import browser
+from tests.show.video.conftest import SAMPLES
+from tests.waiting import PATIENCE
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from carla_recap.recording import Recording
+    from carla_recap.rendering.process import RenderProcess
+
+SMALL = (320, 180)
+
+
+def frames_of(path: Path) -> list[Any]:
+    """Return the frames of a video, as red, green, blue."""
+    if path.suffix == ".gif":
+        with Image.open(path) as image:
+            found = []
+            for index in range(image.n_frames):
+                image.seek(index)
+                found.append(np.asarray(image.convert("RGB")))
+            return found
+    with av.open(str(path)) as container:
+        return [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+
+
+def film(recording: Recording, path: Path, renderer: RenderProcess, **options: Any) -> list[Any]:
+    export_video(recording, path, renderer=renderer, **{"size": SMALL} | options)
+    return frames_of(path)
+
+
+@pytest.mark.parametrize(
+    ("options", "frames", "seconds"),
+    [
+        ({"start": 20, "duration": 2}, 60, 2.0),
+        ({"start": 20, "duration": 2, "rate": 10}, 20, 2.0),
+        ({"start": 20, "duration": 2, "speed": 4}, 15, 0.5),
+        ({"start": 20, "duration": 0.5, "speed": 0.25, "rate": 20}, 40, 2.0),
+        ({"start": -1, "rate": 12.5}, 12, 0.96),
+        ({"start": 53, "rate": 10}, 1, 0.1),
+    ],
+)
+def test_a_video_has_all_frames_of_its_time(
+    crossing: Recording, tmp_path: Path, renderer: RenderProcess, options: Any, frames: int, seconds: float
+) -> None:
+    path = tmp_path / "out.mp4"
+    written = export_video(crossing, path, renderer=renderer, size=SMALL, **options)
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert (stream.frames, stream.width, stream.height) == (frames, *SMALL)
+        assert float(stream.duration * stream.time_base) == pytest.approx(seconds, abs=0.01)
+    assert (written.frames, written.seconds, written.size) == (frames, pytest.approx(seconds), SMALL)
+    assert written.size_on_disk == path.stat().st_size
+    assert names_in(tmp_path) == ["out.mp4"]
+
+
+def test_a_gif(crossing: Recording, tmp_path: Path, renderer: RenderProcess) -> None:
+    path = tmp_path / "out.gif"
+    written = export_video(crossing, path, renderer=renderer, start=24, duration=1)
+    frames = frames_of(path)
+    assert (written.frames, written.size) == (12, (640, 360))
+    assert len(frames) == 12
+    assert len({frame.tobytes() for frame in frames}) > 6
+
+
+def test_the_followed_car_is_where_the_camera_sees_it(crossing: Recording, tmp_path: Path, renderer: RenderProcess) -> None:
+    start = 23.0
+    frames = film(crossing, tmp_path / "out.mp4", renderer, start=start, duration=3, rate=10, overlay=False)
+    player = Player(crossing, start=start, duration=3)
+    shots = list(Film(crossing, player, "chase", SMALL, rate=10, frames=30, overlay=False).shots())
+    assert len(frames) == len(shots) == 30
+    for frame, shot in zip(frames[::6], shots[::6], strict=True):
+        row = int(shot.instances.ids.searchsorted(100))
+        assert shot.instances.ids[row] == 100
+        x, y, _ = shot.camera.project(shot.instances.locations[row : row + 1])[0]
+        assert x == pytest.approx(SMALL[0] / 2, abs=2)
+        road = frame[int(y) + 2, int(x) - 70].astype(int)
+        assert np.abs(frame[int(y) - 2 : int(y) + 2, int(x)].astype(int) - road).sum(axis=-1).max() > 30
+
+
+def test_the_picture_moves_where_the_car_drives_and_not_where_it_stands(
+    crossing: Recording, tmp_path: Path, renderer: RenderProcess
+) -> None:
+    driving = film(crossing, tmp_path / "a.mp4", renderer, start=18, duration=1, rate=10, overlay=False)
+    standing = film(crossing, tmp_path / "b.mp4", renderer, start=50, duration=1, rate=10, overlay=False, follow=102)
+
+    def change(frames: list[Any]) -> float:
+        return float(np.abs(frames[-1].astype(int) - frames[0]).mean())
+
+    assert change(driving) > 2 > change(standing)
+
+
+def test_what_is_written_on_it_can_be_left_out(crossing: Recording, tmp_path: Path, renderer: RenderProcess) -> None:
+    size = (640, 360)
+    (bare,) = film(crossing, tmp_path / "a.mp4", renderer, start=24.7, duration=0.03, size=size, overlay=False)
+    (written,) = film(crossing, tmp_path / "b.mp4", renderer, start=24.7, duration=0.03, size=size)
+    changed = np.abs(bare.astype(int) - written).max(axis=-1) > 40
+    assert changed[:60, :120].any()  # the time
+    assert changed[250:, :180].any()  # the panel
+    assert changed[310:350, 220:420].any()  # the collision
+    assert not changed[80:240, 200:440].any()
+
+
+def test_views_differ(crossing: Recording, tmp_path: Path, renderer: RenderProcess) -> None:
+    means = {
+        view: film(crossing, tmp_path / f"{view}.mp4", renderer, start=20, duration=0.03, view=view, overlay=False)[0]
+        for view in ("chase", "top", "driver")
+    }
+    sky = {view: frame[:20].astype(int) for view, frame in means.items()}
+    for view in ("chase", "driver"):
+        assert (sky[view][..., 2] > sky[view][..., 0]).mean() > 0.9  # blue
+    assert (sky["top"][..., 2] > sky["top"][..., 0] + 20).mean() < 0.1
+
+
+def camera_recording(path: Path) -> Path:
+    """Write a recording of a car with a camera that looks backwards at another car."""
+    spawned = [
+        spawn(1),
+        spawn(2, x=-2000),
+        spawn(3, "sensor.camera.rgb", -250, 180, fov="60", image_size_x="201", image_size_y="101"),
+    ]
+    frames = [
+        {"transforms": [pose(1, 10.0 * n), pose(2, 10.0 * n - 2000)]}
+        | ({"spawned": spawned, "parented": [(3, 1)]} if n == 0 else {})
+        for n in range(5)
+    ]
+    return write(path, frames, tick=0.1)
+
+
+def test_a_recorded_camera_films_with_its_size_and_field_of_view(tmp_path: Path, renderer: RenderProcess) -> None:
+    with open_recording(camera_recording(tmp_path / "in.log")) as recording:
+        written = export_video(recording, tmp_path / "out.mp4", view=3, renderer=renderer, overlay=False)
+        film = Film(recording, Player(recording), 3, written.size, frames=5, overlay=False)
+        shot = next(film.shots())
+    assert written.size == (200, 100)
+    assert shot.camera.fov == 60
+    (x, _, depth), *_ = shot.camera.project(shot.instances.locations[shot.instances.ids == 2])
+    assert depth == pytest.approx(17.5, abs=0.5)
+    assert x == pytest.approx(100, abs=1)
+
+
+def test_clips_have_videos(tmp_path: Path, renderer: RenderProcess) -> None:
+    from carla_recap import clips
+
+    (first, second) = clips(SAMPLES / "crossing.log", tmp_path / "clips", before=0.2, after=0.2, rerun=False, video=True)
+    for clip in (first, second):
+        assert clip.video == clip.recording.with_suffix(".mp4")
+        with av.open(str(clip.video)) as container, open_recording(clip.recording) as recording:
+            assert container.streams.video[0].frames == pytest.approx(30 * recording.info.duration, abs=1)
+    assert len(names_in(tmp_path / "clips")) == 4
+
+
+def test_progress_sees_all_scenes(crossing: Recording, tmp_path: Path, renderer: RenderProcess) -> None:
+    times = []
+
+    def progress(scenes: Any, player: Player) -> Any:
+        for scene in scenes:
+            times.append(scene.time)
+            yield scene
+
+    export_video(crossing, tmp_path / "o.mp4", start=3, duration=1, rate=4, size=SMALL, renderer=renderer, progress=progress)
+    assert times == pytest.approx([3, 3.25, 3.5, 3.75])
+
+
+def test_a_recording_in_which_nothing_can_be_followed(tmp_path: Path, renderer: RenderProcess) -> None:
+    with create_recording(tmp_path / "empty.log", map_name="Nowhere", date=0) as recorder:
+        recorder.add_frame(0.0)
+        recorder.add_frame(0.2)
+    with open_recording(tmp_path / "empty.log") as recording:
+        for view in ("chase", "top", "driver"):
+            frames = film(recording, tmp_path / f"{view}.mp4", renderer, view=view)
+            assert len(frames) == 6
+
+
+def test_the_roads_of_a_long_recording_without_map_are_those_around_what_is_shown(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 1000.0 * n)], "spawned": [spawn(1)] * (n == 0)} for n in range(401)]
+    source = write(tmp_path / "long.log", frames)
+    (part, whole) = (_driven_town(source, *span) for span in ((200.0, 201.0), (0.0, math.inf)))
+    lengths = [float(np.ptp(town.bounds[..., 0])) for town in (part, whole)]
+    assert 1200 < lengths[0] < 2500
+    assert lengths[1] > 4000
+
+
+def test_numbers_of_any_kind(tmp_path: Path, renderer: RenderProcess) -> None:
+    path = tmp_path / "out.mp4"
+    done = run("video", carla_log("floats.log"), path, "--size", "64x64")
+    assert done.returncode == 0
+    assert the_said(done.stderr).startswith(f"wrote {path}: 2 frames, 0.0666667 s, 64x64, ")
+
+
+def test_poses_that_are_no_numbers(tmp_path: Path, renderer: RenderProcess) -> None:
+    nan, far = float("nan"), 3e38
+    frames = [
+        {"transforms": [pose(1, x), pose(2, far, yaw=nan)], "spawned": [spawn(1), spawn(2)] * (n == 0)}
+        for n, x in enumerate((nan, 100, far, nan))
+    ]
+    with open_recording(write(tmp_path / "nan.log", frames, tick=0.1)) as recording:
+        for view in ("chase", "top", "driver"):
+            assert len(film(recording, tmp_path / f"{view}.mp4", renderer, view=view, follow=1)) == 9
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("out.mp4", {"start": 60}, "crossing.log: nothing at 60 s; the recording ends at 53 s"),
+        ("out.mp4", {"follow": 999}, "no actor 999 to follow; known ids are"),
+        ("out.mp4", {"view": 100}, "crossing.log: no camera 100 is recorded; the recorded cameras are: none"),
+        ("out.mp4", {"speed": 0}, "a speed of 0: a number above 0 was expected"),
+        ("out.mp4", {"speed": 1e-9}, "a video has 1,000,000 frames at most"),
+        ("out.mp4", {"rate": 0}, "0 frames per second: 0.1 to"),
+        ("out.mp4", {"size": (321, 180)}, "the sides of an MP4 are even numbers"),
+        ("out.gif", {"size": (1280, 720)}, "are too many for a GIF"),
+        ("out.avi", {}, "a video is written as .mp4 or .gif"),
+        ("there.mp4", {}, "there.mp4: exists already"),
+    ],
+)
+def test_invalid_arguments_are_errors_of_one_line(
+    crossing: Recording, tmp_path: Path, name: str, options: Any, message: str
+) -> None:
+    (tmp_path / "there.mp4").write_bytes(b"before")
+    with pytest.raises(RecapError, match=message) as caught:
+        export_video(crossing, tmp_path / name, **options)
+    assert "\n" not in str(caught.value)
+    assert names_in(tmp_path) == ["there.mp4"]
+
+
+# --- the command ----------------------------------------------------------------------------------------------
+
+
+def test_the_command(tmp_path: Path, renderer: RenderProcess) -> None:
+    path = tmp_path / "out.mp4"
+    arguments = ("--start", "24", "--duration", "0.5", "--size", "320x180", "--fps", "10", "--view", "top", "--no-overlay")
+    done = run("video", SAMPLES / "crossing.log", path, *arguments)
+    assert done.returncode == 0
+    assert the_said(done.stderr).startswith(f"wrote {path}: 5 frames, 0.5 s, 320x180, ")
+    assert len(frames_of(path)) == 5
+    assert "exists already" in error("video", SAMPLES / "crossing.log", path)
+
+
+def the_said(stderr: bytes) -> str:
+    (line,) = stderr.decode().splitlines()
+    return line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--view", "left"), "'left' is neither chase, top or driver nor the id of a recorded camera"),
+        (("--speed", "0"), "'0' is not a number of more than 0"),
+        (("--size", "7"), "'7' is no size"),
+    ],
+)
+def test_errors_of_the_command(tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
+    assert message in error("video", SAMPLES / "crossing.log", tmp_path / "out.mp4", *arguments)
+
+
+def test_ctrl_c_leaves_nothing(tmp_path: Path, renderer: RenderProcess) -> None:
+    command = [COMMAND, "video", SAMPLES / "crossing.log", tmp_path / "out.mp4", "--size", "320x180"]
+    with subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE) as process:
+        while process.poll() is None and not names_in(tmp_path):
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 130
+        assert process.stderr is not None
+        assert process.stderr.read().strip() == b""
+    assert names_in(tmp_path) == []
+
+
+# --- a browser ------------------------------------------------------------------------------------------------
+
+PLAYED = """
+const [url, done] = arguments, video = document.createElement("video");
+video.muted = true;
+video.onerror = () => done({error: video.error.message});
+video.onended = () => done({duration: video.duration, width: video.videoWidth, time: video.currentTime});
+document.body.append(video);
+video.src = url;
+video.play().catch(error => done({error: String(error)}));
+"""
+
+
+def test_a_browser_plays_it(crossing: Recording, tmp_path: Path, renderer: RenderProcess) -> None:
+    path, page = tmp_path / "out.mp4", tmp_path / "page.html"
+    export_video(crossing, path, renderer=renderer, start=24, duration=1, size=SMALL)
+    page.write_text("<!doctype html><body></body>")
+    with browser("disable-gpu", "autoplay-policy=no-user-gesture-required") as chrome:
+        chrome.get(page.as_uri())
+        played = chrome.execute_async_script(PLAYED, path.as_uri())
+    assert played == {"duration": pytest.approx(1, abs=0.02), "width": 320, "time": pytest.approx(1, abs=0.05)}, json.dumps(
+        played
+    )
