@@ -227,7 +227,7 @@ except MissingExtra as error:
 def test_messages_do_not_depend_on_how_many_are_made_at_once(tmp_path, monkeypatch, name, together):
     source = CROSSING if name == "crossing" else carla_log(name)
     export(source, tmp_path / "many.mcap", duration=15)
-    monkeypatch.setattr("carla_recap.show.foxglove.writer._TOGETHER", together)
+    monkeypatch.setattr("carla_recap.show.foxglove.topics._TOGETHER", together)
     export(source, tmp_path / "few.mcap", duration=15)
     many, few = (_serialized(tmp_path / f"{name}.mcap") for name in ("many", "few"))
     assert many == few

@@ -70,21 +70,23 @@ def export_foxglove(
     from carla_recap.roads.surfaces import road_network_of_map
     from carla_recap.scene.ahead import stop_points
     from carla_recap.scene.captions import PlayedIncidents
+    from carla_recap.show.foxglove.mcap import FoxgloveFile
+    from carla_recap.show.foxglove.topics import SceneMessages
     from carla_recap.show.foxglove.town import town_of
-    from carla_recap.show.foxglove.writer import FoxgloveWriter
 
     reader = source.reader
     check_destination(reader.location, destination, force=force)
     player = Player(source, start=start, duration=duration, follow=follow)
     town = town_of(road_map, player, source)
-    description, stops = _description(reader, player), stop_points(reader)
-    with FoxgloveWriter(destination, reader.header, description, player.followed, town, stops) as writer:
+    messages = SceneMessages(reader.header, player.followed, town, stop_points(reader))
+    with FoxgloveFile(destination, _description(reader, player)) as file:
         incidents = PlayedIncidents(player, road_network_of_map(road_map) if town is not None else None)
         for batch in player.batches(progress):
-            writer.write(batch)
-        played = writer.end()
-        writer.write_incidents(incidents.found())
-        return played
+            file.write(messages.of(batch))
+        file.write(messages.end())
+        file.end_chunk()  # the times of what follows begin again
+        file.write(messages.incidents(incidents.found()))
+        return messages.played
 
 
 def layout_files() -> dict[str, Path]:

@@ -1,16 +1,15 @@
-"""Writes an export: all topics of each batch of scenes, in the order of time."""
+"""All topics, and their messages for each batch of scenes."""
 
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
-from mcap.opcode import Opcode
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from carla_recap.formats.mcap.container import ChunkBuilder, ChunkedFile, Topic
-from carla_recap.formats.mcap.schema import EXPORT_METADATA, MESSAGE, MESSAGE_DTYPE, RECORD, LogClock
+from carla_recap.formats.mcap.container import Topic
+from carla_recap.formats.mcap.schema import LogClock
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay import Played
 from carla_recap.scene.captions import EventText, Level, incident_lines
@@ -22,8 +21,7 @@ from carla_recap.show.foxglove.town import MAP, map_message
 from carla_recap.v1.followed_pb2 import Followed, ShownLights
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
+    from collections.abc import Iterable, Iterator
 
     from google.protobuf.message import Message
 
@@ -39,7 +37,7 @@ if TYPE_CHECKING:
 
 LOG: Final = "/log"
 
-TOPICS: Final[Mapping[str, type[Message]]] = {
+_MESSAGES: Final[dict[str, type[Message]]] = {
     MAP: SceneUpdate,
     bodies.VEHICLES: SceneUpdate,
     bodies.WALKERS: SceneUpdate,
@@ -55,46 +53,47 @@ TOPICS: Final[Mapping[str, type[Message]]] = {
     followed.LIGHTS: ShownLights,
     LOG: Log,
 }
-"""The message of each topic."""
+
+
+def _schema(message: type[Message]) -> bytes:
+    data: bytes = build_file_descriptor_set(message).SerializeToString()
+    return data
+
+
+TOPICS: Final = [Topic(name, type.DESCRIPTOR.full_name, partial(_schema, type)) for name, type in _MESSAGES.items()]
+"""All topics."""
 
 RATE: Final = 20.0
 """The number of scenes shown per second, at most; scenes with events are shown besides."""
 
 _TOGETHER: Final = 128  # scenes whose messages are made at once
 _SLACK: Final = 0.9  # frames do not come quite evenly
-_CHUNK_SIZE: Final = 1 << 20
-_COMPRESSION_LEVEL: Final = 1  # the files are as small as those of level 3
 _LEVELS: Final = {Level.DEBUG: Log.DEBUG, Level.INFO: Log.INFO, Level.WARNING: Log.WARNING, Level.ERROR: Log.ERROR}
 
 
-class FoxgloveWriter(ChunkedFile):
-    """Writes scenes.
+class TimedMessages(NamedTuple):
+    """Messages of several topics.
+
+    Attributes:
+        messages: The messages; the rows of each topic are positions in `times`.
+        times: Moments, in ns since 1970.
+    """
+
+    messages: list[TopicMessages]
+    times: Times
+
+
+class SceneMessages:
+    """Makes the messages of scenes, which have to come in order.
 
     Args:
-        path: The destination.
         header: The header of the recording.
-        description: The metadata.
         follow: The id of the followed actor.
         town: The town, if it is known.
         stops: The points at which traffic lights stop cars; see `carla_recap.scene.ahead`.
-
-    Raises:
-        RecapError: The file cannot be written.
     """
 
-    def __init__(
-        self,
-        path: Path | str,
-        header: Header,
-        description: dict[str, str],
-        follow: int | None,
-        town: TownMesh | None,
-        stops: StopPoints | None = None,
-    ) -> None:
-        topics = [Topic(name, type.DESCRIPTOR.full_name, partial(_schema, type)) for name, type in TOPICS.items()]
-        super().__init__(path, topics, level=_COMPRESSION_LEVEL)
-        self._channel_of = {name: channel for channel, name in enumerate(TOPICS, 1)}
-        self._chunk = ChunkBuilder()
+    def __init__(self, header: Header, follow: int | None, town: TownMesh | None, stops: StopPoints | None = None) -> None:
         self._clock = LogClock(header)
         self._follow = follow
         self._town = town
@@ -112,30 +111,22 @@ class FoxgloveWriter(ChunkedFile):
         self._shown = False  # whether the last scene is shown
         self._count = 0
         self._clock_rows: list[tuple[Floats, Times]] = []  # elapsed seconds and log times of all scenes
-        self._begin(lambda: self._write_description(description))
 
-    def write(self, batch: SceneBatch) -> None:
-        """Add scenes, which follow those before.
-
-        Raises:
-            RecapError: The disk is full, or broken.
-        """
+    def of(self, batch: SceneBatch) -> Iterator[TimedMessages]:
+        """Yield the messages of scenes, which follow those before."""
         for start in range(0, len(batch), _TOGETHER):
             part = batch if len(batch) <= _TOGETHER else batch[start : start + _TOGETHER]
             times = self._times_of(part)
             self._clock_rows.append((part.time, times))
-            self._add(list(self._messages(part, times)), times)
+            messages = list(self._messages(part, times))
             self._last = part, times
             self._count += len(part)
+            yield TimedMessages(messages, times)
 
-    def end(self) -> Played:
-        """Show the last scene, if it is not shown yet; return how much was written.
-
-        Raises:
-            RecapError: The disk is full, or broken.
-        """
+    def end(self) -> Iterator[TimedMessages]:
+        """Yield the messages that show the last scene, as far as it is not shown yet."""
         if self._last is None:
-            return Played(0, 0.0)
+            return
         batch, times = self._last
         row, elapsed = len(batch) - 1, batch.time[-1].item()
         messages: list[TopicMessages] = []
@@ -144,11 +135,15 @@ class FoxgloveWriter(ChunkedFile):
         if self._lights.latest.elapsed != elapsed:
             self._lights.latest.elapsed = elapsed
             messages.append(single(followed.LIGHTS, row, self._lights.latest))
-        self._add(messages, times)
-        return Played(self._count, elapsed - self._start)
+        yield TimedMessages(messages, times)
 
-    def write_incidents(self, found: Iterable[Incident]) -> None:
-        """Write the incidents that began during the scenes so far as text, each at the scene at which it began."""
+    @property
+    def played(self) -> Played:
+        """How many scenes there were, and the seconds that they span."""
+        return Played(self._count, self._last[0].time[-1].item() - self._start) if self._last else Played(0, 0.0)
+
+    def incidents(self, found: Iterable[Incident]) -> Iterator[TimedMessages]:
+        """Yield the incidents that began during the scenes so far as text, each at the scene at which it began."""
         if not self._clock_rows:
             return
         elapsed, times = (np.concatenate(column) for column in zip(*self._clock_rows, strict=True))
@@ -158,8 +153,7 @@ class FoxgloveWriter(ChunkedFile):
             row = int(np.searchsorted(seconds, start - SAME_TIME))
             if row < len(seconds) and (row or seconds[0] <= start + SAME_TIME):
                 lines.append(_log_line(line, row, times))
-        self._cut()  # the times of what follows begin again
-        self._add(lines, times)
+        yield TimedMessages(lines, times)
 
     def _messages(self, batch: SceneBatch, times: Times) -> Iterator[TopicMessages]:
         """Yield the messages of scenes, given the time of each in ns since 1970."""
@@ -202,70 +196,8 @@ class FoxgloveWriter(ChunkedFile):
             return np.array([self._clock.times(time)[0] for time in batch.time.tolist()], np.uint64)
         return times[:, 0]
 
-    # --- the file ------------------------------------------------------------------------------------------------------
-
-    def _write_description(self, description: dict[str, str]) -> None:
-        self._write_start()
-        self._write_metadata(EXPORT_METADATA, description)
-        for channel in self._channel_of.values():
-            self._declare(channel)
-
-    def _add(self, messages: Sequence[TopicMessages], times: Times) -> None:
-        """Add messages, in the order of time; where times are equal, in the given order."""
-        if not messages:
-            return
-        rows = np.concatenate([some.rows for some in messages])
-        order = np.argsort(rows, kind="stable")
-        counts = [len(some.rows) for some in messages]
-        channels = np.repeat([self._channel_of[some.topic] for some in messages], counts)[order]
-        sizes = np.repeat([some.data.shape[1] for some in messages], counts)[order]
-        log_times = times[rows[order]]
-        records: list[memoryview] = []
-        for some in messages:
-            records += _records(some, self._channel_of[some.topic], times)
-        begin, offsets = 0, np.concatenate(([0], np.cumsum(sizes)))
-        while begin < len(order):
-            room = offsets[begin] + _CHUNK_SIZE - self._chunk.size
-            stop = max(begin + 1, min(int(np.searchsorted(offsets, room)), len(order)))
-            entries = np.stack((log_times[begin:stop], (offsets[begin:stop] - offsets[begin]).astype(np.uint64)), axis=1)
-            index = {channel: entries[channels[begin:stop] == channel] for channel in set(channels[begin:stop].tolist())}
-            added = [records[record] for record in order[begin:stop].tolist()]
-            self._chunk.add_records(added, index, int(log_times[begin]), int(log_times[stop - 1]))
-            if self._chunk.size >= _CHUNK_SIZE:
-                self._cut()
-            begin = stop
-
-    def _cut(self) -> None:
-        if not self._chunk.is_empty:
-            chunk, self._chunk = self._chunk, ChunkBuilder()
-            self._add_chunk(chunk)
-
-    def _finish(self) -> None:
-        self._cut()
-        super()._finish()
-
-
-def _records(messages: TopicMessages, channel: int, times: Times) -> list[memoryview]:
-    """Return the records of messages, whose headers are set."""
-    size = messages.data.shape[1]
-    header = messages.data[:, : MESSAGE.size].view(MESSAGE_DTYPE)[:, 0]
-    header["opcode"], header["length"], header["channel"], header["sequence"] = (
-        Opcode.MESSAGE,
-        size - RECORD.size,
-        channel,
-        0,
-    )
-    header["log_time"] = header["publish_time"] = times[messages.rows]
-    data = messages.data.reshape(-1).data
-    return [data[start : start + size] for start in range(0, len(data), size)]
-
 
 def _log_line(line: Line, row: int, times: Times) -> TopicMessages:
     message = Log(level=_LEVELS[line.level], name=line.subject, message=line.text)
     message.timestamp.FromNanoseconds(int(times[row]))
     return single(LOG, row, message)
-
-
-def _schema(message: type[Message]) -> bytes:
-    data: bytes = build_file_descriptor_set(message).SerializeToString()
-    return data
