@@ -224,6 +224,15 @@ def plain(value: Any) -> Any:
     return value
 
 
+def contents(answer: Any) -> Any:
+    """Return an answer without the short form that it has at a prompt: its rows or columns."""
+    from carla_recap.tables import Rows, Tabular
+
+    if isinstance(answer, Rows):
+        return list(answer)
+    return answer.columns() if isinstance(answer, Tabular) else answer
+
+
 def explore(path: Path) -> list[str]:
     """Call everything that a recording offers, damaged or not.
 
@@ -234,7 +243,7 @@ def explore(path: Path) -> list[str]:
 
     def ask(question: Any) -> None:
         try:
-            answers.append(repr(question()))
+            answers.append(repr(contents(question())))
         except RecapError as error:
             answers.append(f"{type(error).__name__}: {error}")
 

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.measures.over_time import Subjects
     from carla_recap.queries.measures.table import MeasureSeries
     from carla_recap.queries.summary import RecordingSummary
+    from carla_recap.tables.display import Preview
 
 T = TypeVar("T")
 
@@ -78,6 +79,8 @@ class ActorTable(Rows[ActorLife]):
 class ActorsById(dict[int, ActorLife], Tabular):
     """Actors by id; as a table, a row for each."""
 
+    __repr__ = Tabular.__repr__
+
     def columns(self) -> dict[str, Any]:
         """See `Tabular.columns`."""
         return ActorTable(self.values()).columns()
@@ -88,6 +91,9 @@ class ActorsById(dict[int, ActorLife], Tabular):
 
     def _types(self) -> Mapping[str, Any]:
         return ActorTable(self.values())._types()
+
+    def _preview(self) -> Preview:
+        return ActorTable(self.values())._preview()._replace(name=type(self).__name__)
 
 
 class Recording:
@@ -115,6 +121,11 @@ class Recording:
 
     def __repr__(self) -> str:
         return f"Recording({self.location!r})"
+
+    def _repr_html_(self) -> str:
+        from carla_recap.queries.output.html import recording_html
+
+        return repr(self) if self._closed else recording_html(self.reader)
 
     @property
     def path(self) -> Path:

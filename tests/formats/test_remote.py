@@ -17,7 +17,7 @@ from carla_recap import FormatError, RecapError, convert, open_recording, recove
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4
-from tests.samples import collision, explore, listed, save, spawn
+from tests.samples import collision, contents, explore, listed, save, spawn
 from tests.waiting import time_limit
 from tests.web import obstore, serve, serve_bucket
 
@@ -84,7 +84,7 @@ def test_a_query_of_a_finished_recording_takes_two_requests_and_a_megabyte(web, 
     with open_recording(f"{web.url}/finished.mcap") as recording:
         found = QUERIES[query](recording)
     with open_recording(folder / "finished.mcap") as recording:
-        assert repr(found) == repr(QUERIES[query](recording))  # unknown speeds, which are NaN, are equal
+        assert repr(contents(found)) == repr(contents(QUERIES[query](recording)))  # unknown speeds, which are NaN, are equal
     assert len(web.requests) <= 2
     assert web.sent < 1 << 20
     assert web.requests[0] == ("/finished.mcap", "bytes=-524288")

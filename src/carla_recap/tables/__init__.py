@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, get_type_hints
 import numpy as np
 
 from carla_recap.errors import MissingExtra
+from carla_recap.tables.display import Preview, as_html, as_text, first_and_last
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,7 +23,13 @@ _INT64_MAX = 2**63 - 1
 
 
 class Tabular:
-    """Base of classes with columns of one length."""
+    """Base of classes with columns of one length; at a prompt and in a notebook, they are tables of a few rows."""
+
+    def __repr__(self) -> str:
+        return as_text(self._preview())
+
+    def _repr_html_(self) -> str:
+        return as_html(self._preview())
 
     def columns(self) -> dict[str, Any]:
         """Return the columns by name: arrays of numbers, or lists."""
@@ -82,6 +89,13 @@ class Tabular:
         """Return the columns for an Arrow table: as in `columns`, or `Lists`."""
         return self.columns()
 
+    def _preview(self) -> Preview:
+        """Return what is shown: the first and the last rows."""
+        columns = self.columns()
+        count = len(next(iter(columns.values()), ()))
+        shown = {name: first_and_last(values) for name, values in columns.items()}
+        return Preview(type(self).__name__, shown, self.units(), count)
+
 
 class Columns(Tabular):
     """Base of a dataclass whose fields are arrays of one length.
@@ -112,6 +126,8 @@ class Rows(list[T], Tabular):
     row_type: ClassVar[type[Any] | None] = None
     row_units: ClassVar[Mapping[str, str]] = {}
 
+    __repr__ = Tabular.__repr__
+
     def columns(self) -> dict[str, Any]:
         """See `Tabular.columns`."""
         return {name: _column(kind, [getattr(row, name) for row in self]) for name, kind in self._kinds().items()}
@@ -122,6 +138,11 @@ class Rows(list[T], Tabular):
 
     def _types(self) -> Mapping[str, Any]:
         return {name: kind for name, kind in self._kinds().items() if kind not in _NUMBERS}
+
+    def _preview(self) -> Preview:
+        rows = first_and_last(self)
+        columns = {name: [getattr(row, name) for row in rows] for name in self._kinds()}
+        return Preview(type(self).__name__, columns, self.row_units, len(self))
 
     def _kinds(self) -> dict[str, Any]:
         """Return the type hints of the rows' fields."""

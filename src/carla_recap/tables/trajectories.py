@@ -13,6 +13,7 @@ from carla_recap.errors import RecapError
 from carla_recap.model.motion import neighbours
 from carla_recap.model.records import CM
 from carla_recap.tables import Columns, Tabular
+from carla_recap.tables.display import Preview, first_and_last
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -31,7 +32,7 @@ Axes = Literal["right-handed", "carla"]
 _FRAMES: Final = 1024  # that are handled at once
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Trajectory(Columns):
     """The trajectory of an actor: arrays of one length, a value for each frame in which it has a transform.
 
@@ -91,6 +92,8 @@ class Trajectory(Columns):
 class Trajectories(dict[int, Trajectory], Tabular):
     """Trajectories by actor; as a table, a row for each actor and frame."""
 
+    __repr__ = Tabular.__repr__
+
     def columns(self) -> dict[str, Any]:
         """See `Tabular.columns`."""
         every = [trajectory.columns() for trajectory in self.values()] or [Trajectory.empty(0).columns()]
@@ -100,8 +103,20 @@ class Trajectories(dict[int, Trajectory], Tabular):
         """See `Tabular.units`."""
         return Trajectory.column_units
 
+    def _preview(self) -> Preview:
+        """Return a row for each of the first and last actors, instead of one for each frame."""
+        some = [trajectory for trajectory in first_and_last(list(self.values())) if len(trajectory)]
+        columns = {
+            "id": [trajectory.id for trajectory in some],
+            "frames": [len(trajectory) for trajectory in some],
+            "from": [trajectory.time[0] for trajectory in some],
+            "to": [trajectory.time[-1] for trajectory in some],
+            "top speed": [trajectory.speed.max() for trajectory in some],
+        }
+        return Preview(type(self).__name__, columns, {"from": "s", "to": "s", "top speed": "m/s"}, len(self))
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Controls(Columns):
     """The controls of a vehicle: arrays of one length.
 
@@ -123,7 +138,7 @@ class Controls(Columns):
     gear: NDArray[np.int32]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LightStates(Columns):
     """The states of a traffic light: arrays of one length.
 

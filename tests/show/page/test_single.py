@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from carla_recap import RecapError
+from carla_recap import RecapError, open_recording, write_report
 from carla_recap.show.page.packing import Packer
 from tests.samples import names_in
 from tests.show.page.conftest import CROSSING, NASTY, data, record, report, spawn, unpack
@@ -46,6 +46,17 @@ def test_its_policy_permits_only_its_own_scripts(chromium: Chrome, tmp_path: Pat
     )
     assert page.ask("window.strange") is None
     assert "Content Security Policy" in page.errors[0]["message"]
+
+
+def test_a_notebook_shows_it_in_a_frame(chromium: Chrome, tmp_path: Path) -> None:
+    with open_recording(CROSSING) as recording:
+        written = write_report(recording, tmp_path / "page.html")
+        folder = write_report(recording, tmp_path / "folder")
+    (tmp_path / "cell.html").write_text(written._repr_html_(), "utf-8")
+    chromium.get((tmp_path / "cell.html").as_uri())
+    chromium.switch_to.frame(0)
+    assert chromium.execute_script("return document.querySelectorAll('.incident').length") == 4
+    assert folder._repr_html_() == f"<p>{tmp_path / 'folder' / 'index.html'}</p>"
 
 
 def test_hostile_texts_stay_texts(chromium: Chrome, tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ class Extreme(NamedTuple):
     other: ActorLife | None = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MeasureSeries(Columns):
     """The measures of an actor over time: arrays of one length, a value for each frame in which it is present.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections import Counter
 from dataclasses import replace
+from html import escape
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
@@ -44,6 +45,7 @@ SINGLE: Final = (".html", ".htm")  # the suffixes of a page that is one file
 ALL: Final = IncidentOptions(kinds="all")
 REPLAYED: Final = 200  # the most incidents with a taken picture and, of a long recording, with a replay
 PICTURE_SIZE: Final = (640, 400)
+FRAME: Final = 720  # pixels; the height of a page in a notebook
 LISTED: Final = 2000  # the most incidents in the list
 NOTES: Final = 4  # the most notes
 VIEWER_FILES: Final = ("re_viewer.js", "re_viewer_bg.wasm")
@@ -66,6 +68,13 @@ class Report(NamedTuple):
     whole: bool
     seconds: float
     size: int
+
+    def _repr_html_(self) -> str:
+        """Return the page, in a frame of a notebook; of a folder, its place."""
+        if self.path.suffix.lower() not in SINGLE:
+            return f"<p>{escape(str(self.path / 'index.html'))}</p>"
+        page = escape(self.path.read_text("utf-8"))
+        return f'<iframe srcdoc="{page}" style="width: 100%; height: {FRAME}px; border: 0"></iframe>'
 
 
 class Opening(NamedTuple):

@@ -27,7 +27,19 @@ if TYPE_CHECKING:
 
 _BEFORE: Final = 1.5  # s; the camera is as calm as if it had followed the actor for this time
 _RATE: Final = 10.0  # scenes in a second of it
+_PNG: Final = b"\x89PNG"
+_JPEG: Final = b"\xff\xd8"
 _SHORTEST: Final = 1e-3  # s; a duration of 0 would be the whole recording
+
+
+class PictureFile(bytes):
+    """The content of a PNG or JPEG file, which a notebook shows as the picture."""
+
+    def _repr_png_(self) -> bytes | None:
+        return bytes(self) if self.startswith(_PNG) else None
+
+    def _repr_jpeg_(self) -> bytes | None:
+        return bytes(self) if self.startswith(_JPEG) else None
 
 
 def snapshot(
@@ -81,7 +93,7 @@ def picture(
     overlay: bool = True,
     renderer: RenderProcess | None = None,
     form: str = "PNG",
-) -> bytes:
+) -> PictureFile:
     """Return a picture of a recording at a time; for the other arguments see `snapshot`.
 
     Args:
@@ -120,7 +132,7 @@ def picture(
         pixels = film.finished(submit(opened.result(), shot), shot)
     file = io.BytesIO()
     Image.fromarray(pixels[..., 2::-1]).save(file, form, quality=88, compress_level=4)
-    return file.getvalue()
+    return PictureFile(file.getvalue())
 
 
 def _pillow() -> Any:

@@ -1,0 +1,105 @@
+"""A recording in a notebook: its summary, and a drawing of where its vehicles and walkers move."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.model.actors import ROAD_USERS, heroes_of
+from carla_recap.model.motion import possible_step
+from carla_recap.model.records import CM
+from carla_recap.queries.actors import actors
+from carla_recap.queries.incidents import IncidentOptions, incidents
+from carla_recap.queries.kinds import KINDS
+from carla_recap.queries.output.text import text
+from carla_recap.queries.summary import summary
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.queries.incidents import Incident
+
+    Floats = NDArray[np.float64]
+
+_STEP: Final = 0.5  # s between two points of a path
+_SIZE: Final = (640, 400)  # pixels of the drawing, at most
+_MARGIN: Final = 5.0  # m
+_SHORTEST: Final = 0.3  # the short side of the drawing, as a share of its long side, at least
+_FAR: Final = 100_000.0  # m; nothing is farther from the origin of a map
+_LINE, _HERO, _DOT = 1.2, 3.0, 5.0  # pixels
+
+
+def recording_html(reader: Reader) -> str:
+    """Return the summary of a recording, with its quick kinds of incidents, above a drawing of all paths.
+
+    Raises:
+        FormatError: The file contradicts its format.
+    """
+    options = IncidentOptions()
+    words = "".join(text(summary(reader, options)))
+    return f"<pre>{escape(reader.location)}\n{escape(words)}</pre>{_drawing(reader, incidents(reader, options))}"
+
+
+def _drawing(reader: Reader, found: Iterable[Incident]) -> str:
+    """Return the paths from above, x to the right and y down, as CARLA's axes are; nothing if nothing moves."""
+    paths = {id: path for id, path in _paths(reader).items() if np.ptp(path[:, 1:], axis=0).max() > 0}
+    if not paths:
+        return ""
+    heroes = {hero.id for hero in heroes_of(actors(reader))}
+    points = np.concatenate(list(paths.values()))[:, 1:]
+    low, high = points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN
+    short = np.maximum((high - low).max() * _SHORTEST - (high - low), 0.0) / 2
+    low, high = low - short, high + short
+    scale = float(min(_SIZE / (high - low)))
+    lines = "".join(
+        f'<polyline points="{strip}" stroke-width="{width}" opacity="{opacity}"/>'
+        for id, path in paths.items()
+        for width, opacity in [(_HERO, 1.0) if id in heroes else (_LINE, 0.5)]
+        for strip in _strips(path, low, scale)
+    )
+    dots = "".join(
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{_DOT}" fill="{KINDS[incident.kind].light}">'
+        f"<title>{incident.start:.1f} s: {escape(incident.text)}</title></circle>"
+        for incident in found
+        for x, y in [(scale * (np.array((incident.x, -incident.y)) - low)).tolist()]
+        if np.isfinite((x, y)).all()
+    )
+    width, height = (scale * (high - low)).round().tolist()
+    return (
+        f'<svg width="{width:.0f}" height="{height:.0f}" xmlns="http://www.w3.org/2000/svg">'
+        f'<g fill="none" stroke="currentColor" stroke-linejoin="round">{lines}</g>{dots}</svg>'
+    )
+
+
+def _paths(reader: Reader) -> dict[int, Floats]:
+    """Return time, x and y in s and m of vehicles and walkers, every half second, (points, 3)."""
+    wanted = np.array([life.id for life in actors(reader) if life.kind in ROAD_USERS], np.uint32)
+    found: dict[int, list[Floats]] = {}
+    due = -np.inf
+    for batch in reader.batches(("transforms",)):
+        records, times = batch.records("transforms"), batch.elapsed
+        rows = []
+        for row in range(len(batch)) if records.size else ():
+            if times[row] >= due:
+                rows.append(row)
+                due = times[row] + _STEP
+        for column in np.flatnonzero(np.isin(records["id"][0], wanted)).tolist() if rows else ():
+            some = records[rows, column]
+            path = np.stack((times[rows], some["x"] * CM, some["y"] * CM), axis=1)
+            path = path[(np.abs(path[:, 1:]) < _FAR).all(axis=1)]
+            found.setdefault(int(records["id"][0, column]), []).append(path)
+    joined = {id: np.concatenate(parts) for id, parts in found.items()}
+    return {id: path for id, path in joined.items() if len(path)}
+
+
+def _strips(path: Floats, low: Floats, scale: float) -> Iterator[str]:
+    """Yield a path as points in pixels, cut where it jumps."""
+    jumps = np.linalg.norm(np.diff(path[:, 1:], axis=0), axis=1) > possible_step(np.diff(path[:, 0]))
+    for part in np.split(scale * (path[:, 1:] - low), np.flatnonzero(jumps) + 1):
+        moved = np.append(True, (np.diff(part.round(), axis=0) != 0).any(axis=1))
+        yield " ".join(f"{x:.1f},{y:.1f}" for x, y in part[moved].tolist())

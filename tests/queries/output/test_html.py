@@ -1,0 +1,65 @@
+"""A recording in a notebook."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from carla_recap import create_recording, open_recording
+
+CRASH = Path(__file__).parents[3] / "samples" / "crash.mcap"
+HERO = 41
+
+
+def drawing(html: str) -> ElementTree.Element:
+    return ElementTree.fromstring(html[html.index("<svg") :])
+
+
+@pytest.fixture(scope="module")
+def shown():
+    with open_recording(CRASH) as recording:
+        yield recording._repr_html_()
+
+
+def test_a_recording_is_its_summary_and_a_drawing(shown):
+    assert "Map: Brickfield" in shown
+    assert "Incidents: 2 collisions, 2 long stops" in shown
+    titles = [title.text for title in drawing(shown).iter("{http://www.w3.org/2000/svg}title")]
+    assert titles[0] == "12.1 s: hero collides with walker.pedestrian.0004 (44)"
+    assert len(titles) == 4
+
+
+def test_the_hero_has_the_widest_line_and_the_incident_lies_on_it(shown):
+    svg = drawing(shown)
+    lines = list(svg.iter("{http://www.w3.org/2000/svg}polyline"))
+    (hero,) = [line for line in lines if line.get("stroke-width") == "3.0"]
+    assert len(lines) > 5
+    points = [tuple(map(float, point.split(","))) for point in hero.get("points").split()]
+    first = next(svg.iter("{http://www.w3.org/2000/svg}circle"))
+    x, y = float(first.get("cx")), float(first.get("cy"))
+    assert min(points)[0] < x < max(points)[0]
+    assert abs(y - points[0][1]) < 3
+
+
+def test_all_points_are_inside(shown):
+    svg = drawing(shown)
+    width, height = float(svg.get("width")), float(svg.get("height"))
+    assert max(width / 640, height / 400) == pytest.approx(1, abs=0.01)
+    for x, y in re.findall(r"([\d.-]+),([\d.-]+)", shown[shown.index("<svg") :]):
+        assert 0 <= float(x) <= width
+        assert 0 <= float(y) <= height
+
+
+def test_names_are_escaped_and_a_recording_without_movement_has_no_drawing(tmp_path):
+    path = tmp_path / "a<b>.mcap"
+    with create_recording(path, map_name="<i>Town") as recorder:
+        recorder.add_frame(0.0)
+    with open_recording(path) as recording:
+        html = recording._repr_html_()
+    assert "a&lt;b&gt;.mcap" in html
+    assert "&lt;i&gt;Town" in html
+    assert "<svg" not in html
+    assert recording._repr_html_() == repr(recording)
