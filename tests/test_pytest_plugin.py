@@ -256,6 +256,13 @@ def test_the_page_opens_at_the_offence_and_names_the_broken_rule(run: Run, name:
     assert [note.partition(":")[0] for note in opening["notes"]] == ["harmless"]
 
 
+def test_the_page_of_a_failed_assert_opens_at_the_last_incident(run: Run) -> None:
+    report = data(run.folder / "carla-recordings" / f"test_drive-{KEPT[0]}.html", "report")
+    last = report["incidents"][-1]
+    assert last["start"] > 0
+    assert report["opening"] == {"time": last["start"], "actors": last["actors"], "notes": []}
+
+
 def test_a_kept_recording_is_complete(run: Run) -> None:
     with open_recording(run.folder / "carla-recordings" / f"test_drive-{KEPT[0]}.mcap") as recording:
         assert recording.info.frames == 42

@@ -8,8 +8,8 @@ import pytest
 
 from carla_recap import RecapError, open_recording
 from carla_recap.queries.incidents import incidents
+from carla_recap.show.page import Opening, sampling, write_report
 from carla_recap.show.page import report as module
-from carla_recap.show.page import sampling, write_report
 from tests.samples import names_in
 from tests.show.page.conftest import CROSSING, NASTY, WITHOUT_ROADS, data, record, report, spawn
 
@@ -47,6 +47,12 @@ def test_the_summary_of_the_call(tmp_path: Path) -> None:
     assert written._replace(size=0) == (tmp_path / "page", 4, True, 53.0, 0)
     assert written.size == sum(file.stat().st_size for file in (tmp_path / "page").rglob("*") if file.is_file())
     assert not data(tmp_path / "page", "report")["drawn"]
+
+
+def test_without_a_time_a_page_opens_at_the_last_incident(tmp_path: Path) -> None:
+    summary = data(report(CROSSING, tmp_path / "page.html", opening=Opening()), "report")
+    last = summary["incidents"][-1]
+    assert summary["opening"] == {"time": last["start"], "actors": last["actors"], "notes": []}
 
 
 def test_a_long_recording_is_replayed_around_its_incidents(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

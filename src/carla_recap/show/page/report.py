@@ -81,7 +81,8 @@ class Opening(NamedTuple):
     """What a page shows first.
 
     Attributes:
-        time: The moment, in elapsed seconds, shown from a little before; None: the beginning.
+        time: The moment, in elapsed seconds, shown from a little before; None: that of the last incident, with its actors,
+            or without incidents the beginning.
         actors: The ids of its actors, of which the first is followed.
         notes: What the page is about, such as broken rules, a line each.
     """
@@ -200,7 +201,7 @@ def write_report(
     if differences is not None:
         shown["differences"] = _differences(differences)
     if opening is not None:
-        shown["opening"] = _opening(opening)
+        shown["opening"] = _opening(opening, reported[0].incidents)
     data = {
         "data/kinds.js": script.script("KINDS", script.kind_data()),
         "data/ground.js": script.script("GROUND", ground),
@@ -332,7 +333,9 @@ def _differences(found: Differences) -> dict[str, Any]:
     return {"text": text[: 2 * script.LONGEST], "since": found.first and found.first.first, "pairs": pairs}
 
 
-def _opening(opening: Opening) -> dict[str, Any]:
+def _opening(opening: Opening, found: Sequence[Incident]) -> dict[str, Any]:
+    if opening.time is None and found:
+        opening = opening._replace(time=found[-1].start, actors=found[-1].actors)
     notes = [note[: 2 * script.LONGEST] for note in opening.notes[:NOTES]]
     if len(opening.notes) > NOTES:
         notes.append(f"and {len(opening.notes) - NOTES} more")
