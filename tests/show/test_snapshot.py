@@ -110,7 +110,7 @@ def test_a_jpeg(crossing: Recording, renderer: RenderProcess) -> None:
 
 
 def test_a_notebook_shows_a_picture_as_the_last_value_of_a_cell(crossing: Recording, renderer: RenderProcess) -> None:
-    png, jpeg = (picture(crossing, at=20, size=(64, 36), renderer=renderer, form=form) for form in ("PNG", "JPEG"))
+    png, jpeg = (picture(crossing, at=20, size=(64, 64), renderer=renderer, form=form) for form in ("PNG", "JPEG"))
     assert (png._repr_png_(), png._repr_jpeg_()) == (bytes(png), None)
     assert (jpeg._repr_png_(), jpeg._repr_jpeg_()) == (None, bytes(jpeg))
 

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from carla_recap import RecapError, open_recording, write_report
+from carla_recap import IncidentOptions, RecapError, open_recording, write_report
 from carla_recap.show.page.packing import Packer
 from tests.samples import names_in
 from tests.show.page.conftest import CROSSING, NASTY, data, record, report, spawn, unpack
 from tests.show.page.test_browser import Page
+from tests.waiting import wait_until
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,12 +51,12 @@ def test_its_policy_permits_only_its_own_scripts(chromium: Chrome, tmp_path: Pat
 
 def test_a_notebook_shows_it_in_a_frame(chromium: Chrome, tmp_path: Path) -> None:
     with open_recording(CROSSING) as recording:
-        written = write_report(recording, tmp_path / "page.html")
-        folder = write_report(recording, tmp_path / "folder")
+        written = write_report(recording, tmp_path / "page.html", IncidentOptions())
+        folder = write_report(recording, tmp_path / "folder", IncidentOptions())
     (tmp_path / "cell.html").write_text(written._repr_html_(), "utf-8")
     chromium.get((tmp_path / "cell.html").as_uri())
     chromium.switch_to.frame(0)
-    assert chromium.execute_script("return document.querySelectorAll('.incident').length") == 4
+    wait_until(lambda: chromium.execute_script("return document.querySelectorAll('.incident').length") == 4)
     assert folder._repr_html_() == f"<p>{tmp_path / 'folder' / 'index.html'}</p>"
 
 
