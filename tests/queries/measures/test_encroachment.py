@@ -1,7 +1,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -11,8 +12,8 @@ from hypothesis import strategies as st
 from carla_recap.model.actors import ActorLives
 from carla_recap.queries.actors import actors
 from carla_recap.queries.measures import post_encroachment_time
-from carla_recap.queries.measures.encroachment import Path, encroachments
-from carla_recap.queries.measures.motion import TYPES, MotionCollector
+from carla_recap.queries.measures.encroachment import Encroachments, Path, encroachments
+from carla_recap.queries.measures.motion import TYPES, MotionBlock, MotionCollector
 from tests.queries.measures.conftest import Mover
 
 if TYPE_CHECKING:
@@ -113,3 +114,97 @@ def test_the_number_of_frames_at_once_changes_nothing(drive: Drive, monkeypatch:
     whole = found[1024, 1024]
     assert len(whole) > 400
     assert {sizes: len(part ^ whole) for sizes, part in found.items()} == dict.fromkeys(found, 0)
+
+
+# --- what counts as a crossing ---------------------------------------------------------------------------
+
+
+def crossing(time: np.ndarray, **changed: Any) -> MotionBlock:
+    """Two cars at 10 m/s: one to the east is at the origin after 5 s, one to the north after 7 s; 1.4 s are between them."""
+    still = np.zeros(len(time))
+    block = MotionBlock(
+        index=0,
+        first=0,
+        last=len(time),
+        time=time,
+        ids=np.array([1, 2]),
+        actors=(),
+        is_vehicle=np.array([True, True]),
+        x=np.stack([10 * (time - 5), still]),
+        y=np.stack([still, 10 * (time - 7)]),
+        z=np.stack([still, still]),
+        yaw=np.stack([still, still + np.pi / 2]),
+        vx=np.stack([still + 10, still]),
+        vy=np.stack([still, still + 10]),
+        length=np.array([4.0, 4.0]),
+        width=np.array([2.0, 2.0]),
+        height=np.array([1.5, 2.5]),
+        offset=np.zeros((2, 3)),
+    )
+    return replace(block, **changed)
+
+
+def found_in(block: MotionBlock, longest: float = 3.0) -> Encroachments:
+    """Return the crossings in all frames."""
+    parts = [encroachments(block, start, np.array([0]), np.array([1]), longest) for start in range(0, block.last, 64)]
+    return Encroachments(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+TIME = np.arange(0, 14, 0.05)
+
+
+def test_a_crossing_has_both_actors_and_frames() -> None:
+    found = found_in(crossing(TIME))
+    assert set(found.first.tolist()) == {0}
+    assert set(found.second.tolist()) == {1}
+    assert found.time.min() == pytest.approx(1.4, abs=0.051)
+    assert (TIME[found.arrived] - TIME[found.left]).tolist() == found.time.tolist()
+
+
+@pytest.mark.parametrize(("longest", "some"), [(1.39, False), (1.46, True)])
+def test_a_time_above_the_longest_is_none(longest: float, some: bool) -> None:
+    assert (len(found_in(crossing(TIME), longest).time) > 0) == some
+
+
+@pytest.mark.parametrize("rate", [5, 10, 20, 40, 100])
+def test_the_frame_rate_changes_little(rate: int) -> None:
+    found = found_in(crossing(np.arange(0, 14, 1 / rate)))
+    assert 1.4 - 1e-9 <= found.time.min() <= 1.4 + max(2 / rate, 0.1)
+
+
+@pytest.mark.parametrize(("dz", "some"), [(2.0, True), (-2.0, True), (2.001, False), (-2.001, False)])
+def test_a_bridge_is_no_crossing(dz: float, some: bool) -> None:
+    """Boxes of 1.5 m and 2.5 m height touch up to 2 m between their centres."""
+    z = np.stack([np.zeros(len(TIME)), np.full(len(TIME), dz)])
+    assert (len(found_in(crossing(TIME, z=z)).time) > 0) == some
+
+
+@pytest.mark.parametrize("actor", [0, 1])
+@pytest.mark.parametrize(("speed", "some"), [(1.0, True), (0.999, False)])
+def test_an_actor_below_a_metre_per_second_crosses_nothing(actor: int, speed: float, some: bool) -> None:
+    block = crossing(TIME)
+    vx, vy = block.vx.copy(), block.vy.copy()
+    (vx, vy)[actor][actor] = speed
+    assert (len(found_in(replace(block, vx=vx, vy=vy)).time) > 0) == some
+
+
+@pytest.mark.parametrize(("angle", "some"), [(29.9, False), (30.1, True), (149.9, True), (150.1, False), (-29.9, False)])
+def test_paths_cross_at_thirty_degrees(angle: float, some: bool) -> None:
+    yaw = np.stack([np.zeros(len(TIME)), np.full(len(TIME), math.radians(angle))])
+    x, y = 10 * (TIME - 7) * math.cos(yaw[1, 0]), 10 * (TIME - 7) * math.sin(yaw[1, 0])
+    block = crossing(TIME, yaw=yaw)
+    block = replace(block, x=np.stack([block.x[0], x]), y=np.stack([block.y[0], y]))
+    assert (len(found_in(block).time) > 0) == some
+
+
+@pytest.mark.parametrize(("apart", "some"), [(2.9, False), (3.05, True)])
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_actors_that_touch_within_three_seconds_are_there_at_once(direction: int, apart: float, some: bool) -> None:
+    """The second one stands in the way of the first for a moment, before or after all arrivals by some time."""
+    block = crossing(TIME)
+    arrived = found_in(block).arrived
+    frame = int(np.searchsorted(TIME, TIME[arrived.max() if direction > 0 else arrived.min()] + direction * apart - 1e-6))
+    x, y = block.x.copy(), block.y.copy()
+    x[0, frame], y[0, frame] = x[1, frame] + 1, y[1, frame] + 1
+    left = found_in(replace(block, x=x, y=y))
+    assert (len(left.time) == len(arrived)) == some
