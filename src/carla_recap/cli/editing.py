@@ -10,7 +10,7 @@ import click
 from carla_recap.cli import options
 from carla_recap.cli.output import wrote
 from carla_recap.cli.writing import WriteRequest, writes
-from carla_recap.fleet.destinations import WrittenFile
+from carla_recap.fleet.outcomes import WrittenFile
 
 if TYPE_CHECKING:
     from datetime import datetime

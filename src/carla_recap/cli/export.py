@@ -15,7 +15,7 @@ from click.core import ParameterSource
 from carla_recap.cli import options
 from carla_recap.cli.output import counted, note, wants_json, wrote
 from carla_recap.cli.writing import WriteRequest, writes
-from carla_recap.fleet.destinations import WrittenFile
+from carla_recap.fleet.outcomes import WrittenFile
 from carla_recap.util.text import number
 
 if TYPE_CHECKING:

@@ -14,14 +14,12 @@ import click
 from carla_recap.cli import options
 from carla_recap.cli.many import Messages, client_of, is_one, watched
 from carla_recap.cli.output import BAD_INPUT, not_written, note, wrote
-from carla_recap.fleet.destinations import DestinationFolder, WrittenFile, is_current, write_file, write_files
-from carla_recap.fleet.sources import find_sources
-from carla_recap.formats.sources import is_remote, split_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from carla_recap.fleet.destinations import Write
+    from carla_recap.fleet.outcomes import WrittenFile
 
 _options = options.together(
     click.argument("sources", type=click.Path(allow_dash=True), metavar="SOURCE...", nargs=-1),
@@ -57,11 +55,15 @@ class WriteRequest:
     @property
     def has_many(self) -> bool:
         """Whether there may be many recordings, by the form of the sources."""
+        from carla_recap.formats.sources import split_time
+
         return len(self.sources) > 1 or not is_one(split_time(self.sources[0])[0])
 
     @property
     def is_into_folder(self) -> bool:
         """Whether the destination is a folder: there are many recordings, it ends with a slash, or it is there."""
+        from carla_recap.formats.sources import is_remote
+
         if self.has_many or self.destination.endswith("/"):
             return True
         return not is_remote(self.destination) and Path(self.destination).is_dir()
@@ -88,6 +90,9 @@ class WriteRequest:
         Args:
             write: The function that writes it.
         """
+        from carla_recap.fleet.destinations import is_current, write_file
+        from carla_recap.fleet.sources import find_sources
+
         if self.newer and is_current(self.destination, next(find_sources(self.sources))):
             note(f"{self.destination}: is newer than its recording")
             return
@@ -104,6 +109,7 @@ class WriteRequest:
             suffix: The suffix of the files; empty for folders.
             title: What is done, for the progress bar.
         """
+        from carla_recap.fleet.destinations import DestinationFolder, write_files
         from carla_recap.util.signals import unwind_on_termination
 
         folder = DestinationFolder(self.destination, suffix, force=self.force, newer=self.newer)

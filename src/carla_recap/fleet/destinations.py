@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet.engine import map_sources
@@ -22,36 +21,13 @@ if TYPE_CHECKING:
 
     from distributed import Client
 
-    from carla_recap.fleet.outcomes import Outcome
+    from carla_recap.fleet.outcomes import Outcome, WrittenFile
     from carla_recap.fleet.sources import SourceFile
 
-    Write = Callable[[str, str, bool], "WrittenFile"]
+    Write = Callable[[str, str, bool], WrittenFile]
     """A function that writes: it gets the source, the destination, and whether to replace what is there."""
 
 _LAST: Final = "actors.parquet"  # of the files of a folder, the one that is uploaded last: with it, the folder is complete
-
-
-@dataclass(frozen=True, slots=True)
-class WrittenFile:
-    """What was written for a recording.
-
-    Attributes:
-        notes: What is to be said of it, in words.
-        frames: The number of its frames.
-        seconds: Its duration.
-        size: Its size in bytes; None: as found.
-        facts: More facts, for JSON.
-        hints: What is to be said once, however many recordings there are.
-        path: The path or URL; what `write_file` calls returns the path of the file to open in a folder, or nothing.
-    """
-
-    notes: tuple[str, ...] = ()
-    frames: int | None = None
-    seconds: float | None = None
-    size: int | None = None
-    facts: Mapping[str, Any] = field(default_factory=dict)
-    hints: tuple[str, ...] = ()
-    path: str = ""
 
 
 def write_file(write: Write, source: str, destination: str, *, force: bool) -> WrittenFile:
@@ -71,11 +47,13 @@ def write_file(write: Write, source: str, destination: str, *, force: bool) -> W
         path = os.fspath(path_of(destination))
         written = write(source, path, force)
         return _at(written, path, path)
+    from tempfile import TemporaryDirectory
+
     from carla_recap.formats.remote import modified_at, upload
 
     if not force and modified_at(destination) is not None:
         raise RecapError(f"{destination}: exists already; --force (in Python, force=True) replaces it")
-    with tempfile.TemporaryDirectory(prefix="carla-recap-") as folder:
+    with TemporaryDirectory(prefix="carla-recap-") as folder:
         path = os.path.join(folder, destination.rstrip("/").rpartition("/")[2])  # noqa: PTH118
         try:
             written = write(source, path, True)

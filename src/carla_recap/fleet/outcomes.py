@@ -1,15 +1,15 @@
-"""What comes of one recording among many: a value, or an error."""
+"""What comes of one recording among many: a value, such as what was written, or an error."""
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, TypeVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from carla_recap.errors import RecapError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from carla_recap.fleet.sources import SourceFile
 
@@ -31,6 +31,29 @@ class Outcome(Generic[T]):
     value: T | None
     error: str | None = None
     warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenFile:
+    """What was written for a recording.
+
+    Attributes:
+        notes: What is to be said of it, in words.
+        frames: The number of its frames.
+        seconds: Its duration.
+        size: Its size in bytes; None: as found.
+        facts: More facts, for JSON.
+        hints: What is to be said once, however many recordings there are.
+        path: The path or URL; what `write_file` calls returns the path of the file to open in a folder, or nothing.
+    """
+
+    notes: tuple[str, ...] = ()
+    frames: int | None = None
+    seconds: float | None = None
+    size: int | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    hints: tuple[str, ...] = ()
+    path: str = ""
 
 
 def outcome_of(function: Callable[[SourceFile], T], source: SourceFile) -> Outcome[T]:

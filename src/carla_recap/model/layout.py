@@ -151,12 +151,14 @@ class Numbers:
 
     Attributes:
         fields: Field number and kind of each, by name.
+        codes: The format character of each, as in `struct`.
         struct: Their layout.
     """
 
     def __init__(self, fields: Mapping[str, tuple[int, str]]) -> None:
         self.fields = fields
-        self.struct = struct.Struct("<" + "".join(_STRUCT_CODES[kind] for _, kind in fields.values()))
+        self.codes = "".join(_STRUCT_CODES[kind] for _, kind in fields.values())
+        self.struct = struct.Struct("<" + self.codes)
 
 
 class Text(NamedTuple):

@@ -398,7 +398,8 @@ def test_a_changed_message_is_read_as_protobuf_reads_it(index, byte, cut):
         found = codec.decode(type, bytes(message))
     except codec.WireError:
         return
-    assert found == codec._decode_by_protobuf(type, bytes(message))
+    directly = codec.decode_objects(type, bytes(message))
+    assert directly is None or pack(type, directly) == found
 
 
 def test_a_number_without_an_end_costs_no_time():
@@ -420,7 +421,28 @@ def test_spawns_are_read_without_protobuf():
     type = UE4.named("spawned")
     payload = pack(type, SPAWNED)
     message = codec.head(1, 0.0) + codec.encode(type, payload)
-    assert codec._decode_small(type, message) == payload == codec._decode_by_protobuf(type, message)
+    assert codec.decode_objects(type, message) == SPAWNED == unpack(type, codec.decode(type, message))[0]
+
+
+def test_spawns_with_equal_attributes_share_none_of_them():
+    type = UE4.named("spawned")
+    message = codec.head(1, 0.0) + codec.encode(type, pack(type, SPAWNED))
+    first, second = codec.decode_objects(type, message)
+    first.attributes[0].value = "other"
+    first.attributes.clear()
+    assert [second] == SPAWNED[1:] == codec.decode_objects(type, message)[1:]
+
+
+def test_more_spawns_than_a_packet_counts_are_no_records():
+    type = UE4.named("spawned")
+    one = codec.encode(type, pack(type, SPAWNED[:1]))
+    assert len(codec.decode_objects(type, codec.head(1, 0.0) + MAX_COUNT * one)) == MAX_COUNT
+    assert codec.decode_objects(type, codec.head(1, 0.0) + (MAX_COUNT + 1) * one) is None
+
+
+def test_packets_that_are_kept_as_bytes_have_no_objects():
+    physics = UE5.named("physics")
+    assert codec.decode_objects(physics, codec.head(1, 0.0)) is None
 
 
 @pytest.mark.parametrize("change", ["a byte less", "a byte more", "a field more", "a flag that does not fit", "broken text"])
@@ -433,22 +455,14 @@ def test_spawns_of_another_form_are_left_to_protobuf(change):
         payload[payload.index(b"hero")] = 0xFF
     message = codec.head(1, 0.0) + codec.encode(type, bytes(payload))
     changed = {"a byte less": message[:-1], "a byte more": message + b"\0", "a field more": message + b"\x7a\x01\x00"}
-    assert codec._decode_small(type, changed.get(change, message)) is None
+    message = changed.get(change, message)
+    assert codec.decode_objects(type, message) is codec._decode_in_order(type, message) is None
 
 
-def test_a_message_of_many_bones_is_read_by_protobuf_as_without():
-    type = UE4.named("walker_bones")
-    bones = listed(*(bone(f"bone_{n}", *range(6)) for n in range(1000)))
-    payload = listed(struct.pack("<I", 8) + bones, struct.pack("<I", 9) + bones)
-    message = encoded(type, payload)
-    codec._templates.clear()
-    assert len(message) > codec._SMALL
-    assert codec.decode(type, message) == codec._decode_small(type, message) == payload
-
-
-def test_a_signalling_nan_keeps_its_bits():
+@pytest.mark.parametrize("count", [2, 1500])
+def test_a_signalling_nan_keeps_its_bits(count):
     type = UE4.named("spawned")
-    payload = bytearray(pack(type, SPAWNED))
+    payload = bytearray(pack(type, SPAWNED[:1] * count))
     payload[7:11] = b"\x01\x00\x80\x7f"  # x of the first one
     message = encoded(type, bytes(payload))
     assert codec.decode(type, message) == payload

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
+from dataclasses import astuple
 from functools import cache, lru_cache
 from importlib import import_module
 from itertools import accumulate, pairwise
@@ -39,12 +40,12 @@ from carla_recap.model.layout import (
 from carla_recap.model.records import Group
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from google.protobuf.message import Message
     from numpy.typing import NDArray
 
-    from carla_recap.model.layout import Buffer, CompiledLayout, Span
+    from carla_recap.model.layout import Buffer, CompiledLayout, Span, Step
     from carla_recap.model.records import RecordType
 
 HEAD: Final = struct.Struct("<BQBd")  # fields 1 and 2 of every message: frame, elapsed
@@ -58,8 +59,8 @@ ITEMS, RAW = 3, 4  # the fields that hold the records, and the bytes of a payloa
 VARINT, FIXED64, LEN, FIXED32 = 0, 1, 2, 5
 
 _WIRE_TYPES: Final = {"u4": FIXED32, "i4": FIXED32, "f4": FIXED32, "u8": FIXED64, "f8": FIXED64}
-_SMALL: Final = 1 << 16  # bytes of a message: of larger ones, protobuf's speed is worth the time of its import
 _LEAST: Final = 7  # bytes of a record with nothing but an id
+_ENDING: Final = 1 << 10  # bytes behind the first numbers of a record: fewer are cached, such as those of a blueprint
 
 
 class WireError(ValueError):
@@ -191,11 +192,12 @@ class WireNumbers:
         targets: Its offset in the message.
         masks: Of each of these bytes, the bits that are not free: a number of one byte is to fit a varint of one byte.
         values: The numbers in the message, as bytes.
+        numbers: The numbers in the message.
     """
 
     def __init__(self, numbers: Numbers, first: int = 1) -> None:
-        blank, targets, masks, values = bytearray(), list[int](), bytearray(), ""
-        for number, kind in numbers.fields.values():
+        blank, targets, masks, values, codes = bytearray(), list[int](), bytearray(), "", "<"
+        for (number, kind), code in zip(numbers.fields.values(), numbers.codes, strict=True):
             size = 1 if kind == FLAG else int(kind[1:])
             name = tag(number + first - 1, _WIRE_TYPES.get(kind, VARINT))
             blank += name
@@ -203,11 +205,13 @@ class WireNumbers:
             masks += bytes((0 if size > 1 else 0xFE if kind == FLAG else 0x80,)) * size
             blank += bytes(size)
             values += f"{len(name)}x{size}s"
+            codes += f"{len(name)}x{code}"
         self.blank = bytes(blank)
         self.sources = np.arange(len(targets))
         self.targets = np.array(targets)
         self.masks = np.frombuffer(bytes(masks), np.uint8)
         self.values = struct.Struct(values)
+        self.numbers = struct.Struct(codes)
         fixed_bits = np.full(len(blank), 0xFF, np.uint8)
         fixed_bits[self.targets] = self.masks
         self._fixed_bits = int.from_bytes(fixed_bits.tobytes(), "little")
@@ -456,7 +460,9 @@ def decode(type: RecordType, data: Buffer) -> bytes:
     payloads = template.decode(_row(data)) if template else None
     if payloads is not None:
         return payloads.tobytes()
-    payload = (_decode_small(type, bytes(data)) if len(data) < _SMALL else None) or _decode_by_protobuf(type, data)
+    payload = (_decode_in_order(type, bytes(data)) if len(data) <= OBJECTS_LIMIT else None) or _decode_by_protobuf(
+        type, data
+    )
     if type.group is Group.STATE:
         _keep(type, payload)
     return payload
@@ -484,7 +490,7 @@ def decode_records(type: RecordType, messages: Sequence[Buffer]) -> list[Any]:
     together = records_codec(type).decode(messages) if type.fixed else None
     if together is not None:
         return [row for index in range(len(messages)) for row in together.records(index).tolist()]
-    found = (unpack(type, decode(type, message))[0] for message in messages)
+    found = (decode_objects(type, message) or unpack(type, decode(type, message))[0] for message in messages)
     return [row for records in found for row in (records.tolist() if isinstance(records, np.ndarray) else records)]
 
 
@@ -634,16 +640,55 @@ def _layout_of(items: Any, layouts: Sequence[CompiledLayout]) -> CompiledLayout:
 # --- without protobuf --------------------------------------------------------------------------------------------------
 
 
-def _decode_small(type: RecordType, data: bytes) -> bytes | None:
-    """Return the payload of a message that is as `encode` writes it; None for others, left to protobuf.
+def _decode_in_order(type: RecordType, data: bytes) -> bytes | None:
+    """Return the payload of a message that is as `encode` writes it, with all bits of its numbers; None for others.
 
-    The import of protobuf takes 15 ms, a fifth of the time of `collisions` on a small recording, whose spawns need it.
+    Protobuf makes quiet NaNs of signalling ones where numbers are of 32 bits.
     """
     parts: list[bytes] = []
     with suppress(ValueError, IndexError, struct.error):
         end = _read_items(parts, data, HEAD.size, len(data), ITEMS, U16, compiled(type))
         return b"".join(parts) if end == len(data) and read_head(data) is not None else None
     return None
+
+
+def decode_objects(type: RecordType, data: Buffer) -> list[Any] | None:
+    """Return the records of a message of events whose size varies; None for one not as `encode` writes it, or of state.
+
+    Protobuf's import takes 15 ms, a fifth of the time of `collisions` on a small recording, whose spawns are read this way.
+    Many actors have the same blueprint and attributes: what follows the numbers of a record is decoded once.
+    """
+    layout = compiled(type)
+    if layout.make is None or type.opaque or layout.choices > 1 or type.group is Group.STATE or len(data) > OBJECTS_LIMIT:
+        return None
+    first, message, name, found = layout.steps[0], bytes(data), tag(ITEMS, LEN), list[Any]()
+    assert isinstance(first, Numbers)
+    form, offset, end = wire_numbers(first), HEAD.size, len(message)
+    size = len(form.blank)
+    with suppress(ValueError, IndexError, struct.error):
+        while message.startswith(name, offset):
+            start, offset = _read_size(message, offset + len(name), end)
+            if not form.matches(message[start : start + size]):
+                return None
+            ending = message[start + size : offset]
+            values = (_ending if len(ending) <= _ENDING else _ending.__wrapped__)(type, ending)
+            rest = [value if make is None else [make(*item) for item in value] for value, make in values]
+            found.append(layout.make(*form.numbers.unpack_from(message, start), *rest))
+        return found if offset == end and len(found) <= MAX_COUNT and read_head(message) is not None else None
+    return None
+
+
+@lru_cache(maxsize=1 << 10)
+def _ending(type: RecordType, data: bytes) -> list[tuple[Any, Callable[..., Any] | None]]:
+    """Return the values behind the first numbers of a record: a text, or the values of each item, and the items' class."""
+    first, *steps = compiled(type).steps
+    assert isinstance(first, Numbers)
+    parts = [U16.pack(1), bytes(first.struct.size)]
+    _read_steps(parts, data, 0, len(data), steps)
+    ((record,), _) = unpack(type, b"".join(parts))
+    makes = [step.layouts[0].make if isinstance(step, Items) else None for step in steps]
+    values = [getattr(record, step.name) for step in steps if not isinstance(step, Numbers)]
+    return [([astuple(item) for item in value] if make else value, make) for value, make in zip(values, makes, strict=True)]
 
 
 def _read_items(
@@ -653,28 +698,33 @@ def _read_items(
     count, at, name = 0, len(parts), tag(number, LEN)
     parts.append(b"")
     while offset < end and data.startswith(name, offset):
-        offset, stop = _read_size(data, offset + len(name), end)
-        for step in layout.steps:
-            if isinstance(step, Numbers):
-                form = wire_numbers(step)
-                found = data[offset : offset + len(form.blank)]
-                if not form.matches(found):
-                    raise ValueError("another form")
-                parts += form.values.unpack(found)
-                offset += len(found)
-            elif isinstance(step, Items):
-                offset = _read_items(parts, data, offset, stop, step.number, step.counter, step.layouts[0])
-            elif data.startswith(text := tag(step.number, LEN), offset):
-                start, offset = _read_size(data, offset + len(text), stop)
-                data[start:offset].decode()
-                parts += (U16.pack(offset - start), data[start:offset])
-            else:
-                raise ValueError("no text")
-        if offset != stop:
-            raise ValueError("another size")
+        start, offset = _read_size(data, offset + len(name), end)
+        _read_steps(parts, data, start, offset, layout.steps)
         count += 1
     parts[at] = counter.pack(count)
     return offset
+
+
+def _read_steps(parts: list[bytes], data: bytes, offset: int, end: int, steps: Sequence[Step]) -> None:
+    """Append the bytes that fields of a record have in a payload."""
+    for step in steps:
+        if isinstance(step, Numbers):
+            form = wire_numbers(step)
+            found = data[offset : offset + len(form.blank)]
+            if not form.matches(found):
+                raise ValueError("another form")
+            parts += form.values.unpack(found)
+            offset += len(found)
+        elif isinstance(step, Items):
+            offset = _read_items(parts, data, offset, end, step.number, step.counter, step.layouts[0])
+        elif data.startswith(text := tag(step.number, LEN), offset):
+            start, offset = _read_size(data, offset + len(text), end)
+            data[start:offset].decode()
+            parts += (U16.pack(offset - start), data[start:offset])
+        else:
+            raise ValueError("no text")
+    if offset != end:
+        raise ValueError("another size")
 
 
 def _read_size(data: bytes, offset: int, end: int) -> tuple[int, int]:

@@ -152,6 +152,9 @@ class MessagePacket(Packet):
             payloads = self._source.payloads or self._source.decode()
             if payloads is not None:
                 return payloads.records(self._index)
+            assert self.type
+            if self._payload is None:
+                self._records = codec.decode_objects(self.type, self._source.messages[self._index])
         return super().records
 
     def _broken(self, error: codec.WireError) -> FormatError:
