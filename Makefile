@@ -5,7 +5,7 @@ protoc = $(python) -m grpc_tools.protoc --proto_path=proto $(wildcard proto/carl
 generated := src/carla_recap/v1
 demo_extras := sim,video,foxglove
 
-.PHONY: help venv test lint types proto check-proto wheel check docs bench performance soak search demo clean
+.PHONY: help venv test lint types proto check-proto models wheel check docs bench performance soak search demo clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -32,6 +32,9 @@ check-proto: venv ## Check that the Python of the schemas is up to date
 	$(protoc) --python_out=build/proto --pyi_out=build/proto
 	@diff -r -x __init__.py -x __pycache__ build/proto/carla_recap/v1 $(generated) || \
 		{ echo "$(generated) is not what proto/ generates: run 'make proto' and commit the result" >&2; exit 1; }
+
+models: venv ## Make the models of actors, in viewer/models, of tools/models
+	$(python) -m tools.models
 
 wheel: venv ## Build the wheel and try it in an empty environment
 	PYTHON=$(python) tools/check-wheel

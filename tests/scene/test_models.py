@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from carla_recap.scene.gltf import read_glb
 from carla_recap.scene.materials import MATERIALS, Material, Tag
 from carla_recap.scene.models import INDEX, MODELS, Model
+from tools.models.__main__ import FOLDER, models
 
 SOLID = [model for model in MODELS if model.name != "collision mark"]
 
@@ -25,6 +27,24 @@ CARS = [
     "pickup",
 ]
 TRUCKS = ["box truck", "lorry", "fire engine", "ambulance"]
+
+
+def test_the_files_are_what_the_tool_makes():
+    """With a tolerance, since the last digits of a sine differ from machine to machine."""
+    for name, data in models().items():
+        made, kept = read_glb(data), read_glb((FOLDER / name).read_bytes())
+        assert [(part.material, part.color) for part in made] == [(part.material, part.color) for part in kept], name
+        for one, other in zip(made, kept, strict=True):
+            assert one.positions == pytest.approx(other.positions, abs=1e-4), name
+            assert one.normals == pytest.approx(other.normals, abs=2e-3), name
+            assert (one.triangles == other.triangles).all(), name
+    assert {path.name for path in FOLDER.iterdir()} == set(models()), "run 'make models'"
+
+
+def test_the_files_are_small():
+    sizes = [path.stat().st_size for path in FOLDER.iterdir()]
+    assert max(sizes) < 100_000
+    assert sum(sizes) < 1_500_000
 
 
 def named(model: Model) -> str:

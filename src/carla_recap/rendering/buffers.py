@@ -147,6 +147,7 @@ class ModelBuffers:
         mesh = model.mesh
         vertices = np.zeros(len(mesh.vertices), shaders.MODEL_VERTEX)
         vertices["position"], vertices["normal"], vertices["material"] = mesh.vertices, mesh.normals, mesh.materials
+        vertices["color"] = mesh.painted() / np.float32(255)
         vertices["pivot"][:, :2], vertices["pivot"][:, 2] = model.pivots, model.steered
         self._loaded: InstanceGroup | None = None
         self.is_flat = not len(mesh.vertices) or bool(np.ptp(mesh.vertices[:, 2]) < 1e-3)

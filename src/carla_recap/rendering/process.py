@@ -27,7 +27,7 @@ from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering.buffers import image_format
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.rendering.renderer import LARGEST, Quality, Renderer
-from carla_recap.scene.models import MODELS
+from carla_recap.scene.models import MODELS, own_models
 from carla_recap.util.processes import close_pipes, module_command, module_environment, read_commands, wait_or_kill
 from carla_recap.util.signals import ignore_termination
 
@@ -48,7 +48,7 @@ PATIENCE: Final = 300.0
 """The seconds after which a picture that does not come counts as failed."""
 _READY: Final = b"carla-recap: ready to draw\n"
 """The first line of the process; lines before it are printed by other code that runs when an interpreter starts."""
-_MAKE_MODELS: Final = "--models"
+_LOAD_MODELS: Final = "--models"
 _END_PATIENCE: Final = 5.0  # s, for the end of the process
 _PAGE: Final = 4096  # bytes between images
 _PAUSES: Final = (1.0, 60.0)  # s without a restart after the first one that was in vain, and at most
@@ -89,12 +89,13 @@ class RenderProcess:
 
         @cache
         def setup() -> bytes:
-            shapes = None if models is None else [_Shape(model.mesh, model.pivots, model.steered) for model in models]
+            used = own_models() if models is None else models
+            shapes = [_Shape(model.mesh, model.pivots, model.steered) for model in used]
             tiles = _Tiles(town() if callable(town) else town)
             return pickle.dumps((tiles, shapes, quality, supersampling), pickle.HIGHEST_PROTOCOL)
 
         self._setup = setup
-        self._makes_models = models is None
+        self._loads_models = models is None
         self._jobs: SimpleQueue[tuple[Future[Images], Any] | None] = SimpleQueue()
         self._lock = Lock()  # for what follows
         self._is_closed = False
@@ -166,7 +167,7 @@ class RenderProcess:
             self._thread.join()
 
     def _start(self) -> _Child:
-        child = _Child(self._setup, makes_models=self._makes_models)
+        child = _Child(self._setup, loads_models=self._loads_models)
         child.wait_until_ready()
         return child
 
@@ -228,13 +229,13 @@ class _Child:
 
     Args:
         setup: Returns a pickle of the arguments of the renderer; called while the process starts.
-        makes_models: Whether the process makes the models of this package itself.
+        loads_models: Whether the process loads the models of this package itself.
 
     Raises:
         RecapError: The process cannot be started.
     """
 
-    def __init__(self, setup: Callable[[], bytes], *, makes_models: bool) -> None:
+    def __init__(self, setup: Callable[[], bytes], *, loads_models: bool) -> None:
         if os.name != "posix":
             raise RecapError("cameras and videos need Linux or macOS")
         self._setup = setup
@@ -242,7 +243,7 @@ class _Child:
         descriptor = self._memory.descriptor
         try:
             self.process = subprocess.Popen(
-                module_command(__name__, str(descriptor), *([_MAKE_MODELS] if makes_models else [])),
+                module_command(__name__, str(descriptor), *([_LOAD_MODELS] if loads_models else [])),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,  # where drivers print remarks
@@ -385,21 +386,22 @@ def _layout(kinds: Sequence[ImageKind], width: int, height: int) -> tuple[dict[I
 # --- in the process ----------------------------------------------------------------------------------------------------
 
 
-def serve(commands: BinaryIO, answers: BinaryIO, descriptor: int) -> None:
+def serve(commands: BinaryIO, answers: BinaryIO, descriptor: int, models: Sequence[ModelShape] = ()) -> None:
     """Draw until there are no more commands.
 
     Args:
         commands: Pickles: the arguments of the renderer, then those of each picture.
         answers: The destination of a pickle for each: None, or an error.
         descriptor: The shared memory.
+        models: Models whose indices come before those of the models of the first command.
     """
     memory = _SharedMemory(descriptor)
     renderer: Renderer | None = None
     for command in read_commands(commands):
         try:
             if renderer is None:
-                town, models, quality, supersampling = command
-                renderer = Renderer(town, models=models, quality=quality, supersampling=supersampling)
+                town, further, quality, supersampling = command
+                renderer = Renderer(town, models=[*models, *further], quality=quality, supersampling=supersampling)
             else:
                 _draw(renderer, memory, *command)
             answer = None
@@ -445,9 +447,10 @@ def main() -> None:
     with suppress(OSError):  # the client may have gone by now
         answers.write(_READY)
         answers.flush()
-        if _MAKE_MODELS in sys.argv:
-            list(MODELS)  # made now, while the client makes the town
-        serve(sys.stdin.buffer, answers, int(sys.argv[1]))
+        models: list[ModelShape] = []
+        if _LOAD_MODELS in sys.argv:
+            models = list(MODELS)  # read now, while the client makes the town
+        serve(sys.stdin.buffer, answers, int(sys.argv[1]), models)
 
 
 if __name__ == "__main__":

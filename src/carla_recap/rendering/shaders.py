@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
 VERTEX: Final = np.dtype([("position", "3f4"), ("normal", "3f4"), ("material", "u4")])
 """A vertex of the ground."""
-MODEL_VERTEX: Final = np.dtype([*((name, VERTEX[name]) for name in VERTEX.names or ()), ("pivot", "3f4")])
-"""A vertex of a model; `pivot` is x and y of the steering axis, and 1 if it is steered."""
+MODEL_VERTEX: Final = np.dtype([*((name, VERTEX[name]) for name in VERTEX.names or ()), ("color", "3f4"), ("pivot", "3f4")])
+"""A vertex of a model; its colour is from 0 to 1; `pivot` is x and y of the steering axis, and 1 if it is steered."""
 INSTANCE: Final = np.dtype(
     [
         ("location", "3f4"),
@@ -101,6 +101,7 @@ in vec3 position;
 in vec3 normal;
 in uint material;
 #ifdef INSTANCED
+in vec3 color;
 in vec3 pivot;
 in vec3 location;
 in mat3 rotation;
@@ -172,19 +173,20 @@ void main() {
 #endif
 #endif
 #ifdef RGB
-    vec3 color = finish[material].rgb;
     float gloss = finish[material].a;
 #ifdef INSTANCED
-    if (surface.y > 0.5) color = paint.rgb;
+    vec3 base = surface.y > 0.5 ? paint.rgb : color;
+#else
+    vec3 base = finish[material].rgb;
 #endif
 #ifdef TRANSLUCENT
     v_opacity = paint.a;
 #endif
     float distance = length(here);
     vec3 view = here / max(distance, 1e-3);
-    if (surface.z > 0.0) color = mix(finish[ROAD].rgb, color, clamp(surface.z * size.z / distance, 0.45, 1.0));
+    if (surface.z > 0.0) base = mix(finish[ROAD].rgb, base, clamp(surface.z * size.z / distance, 0.45, 1.0));
     vec3 light = mix(groundlight.rgb, skylight.rgb, n.z * 0.5 + 0.5) + sunlight.rgb * max(dot(n, sun.xyz), 0.0);
-    vec3 seen = linear(color) * light;
+    vec3 seen = linear(base) * light;
 #ifndef INSTANCED
     gloss += skylight.w * 0.35 * max(n.z, 0.0);
     seen *= 1.0 - 0.35 * skylight.w;

@@ -90,7 +90,7 @@ class _LookColumns:
 
     def __init__(self, ids: Ids, looks: Sequence[Look]) -> None:
         self.ids = ids
-        self.models = np.array([look.model for look in looks], np.uint8)
+        self.models = np.array([look.model for look in looks], np.uint16)
         self.half_extents = np.array([look.half_extents for look in looks], np.float32).reshape(-1, 3)
         self.centers = np.array([look.center for look in looks]).reshape(-1, 3)
         self.colors = np.array([look.color for look in looks], np.uint8).reshape(-1, 3)
@@ -242,7 +242,7 @@ class SceneActors:
         count = len(locations)
         added = Instances(
             np.arange(_MARK_IDS, _MARK_IDS + count, dtype=np.uint32),
-            np.full(count, INDEX["collision mark"], np.uint8),
+            np.full(count, INDEX["collision mark"], np.uint16),
             locations,
             np.broadcast_to(np.eye(3, dtype=np.float32), (count, 3, 3)),
             np.broadcast_to(np.array((MARK_RADIUS, MARK_RADIUS, 0.001), np.float32), (count, 3)),

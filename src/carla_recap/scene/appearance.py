@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from carla_recap.model.blueprints import blueprint_sizes
 from carla_recap.model.records import ActorKind
 from carla_recap.scene.materials import Color, Tag
-from carla_recap.scene.models import INDEX, MODELS
+from carla_recap.scene.models import INDEX, MODELS, own_model, plain_name
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -238,13 +238,15 @@ def _look(name: str, color: Color, tag: Tag, type_id: str, box: BoundingBox | No
         box: The box.
         upright: Whether the origin of the actor is on the ground; else it is the middle.
     """
+    own = own_model(type_id)
+    index = _index(name) if own is None else own
     if box is not None:
         half, center = (box.extent_x, box.extent_y, box.extent_z), (box.x, box.y, box.z)
     else:
-        length, width, height = _sizes().get(_plain(type_id), MODELS[_index(name)].size)
+        length, width, height = _sizes().get(plain_name(type_id)) or MODELS[index].size
         half, center = (length / 2, width / 2, height / 2), (0.0, 0.0, height / 2 if upright else 0.0)
     x, y, z = (max(extent, _LEAST) for extent in half)
-    return Look(_index(name), color, (x, y, z), center, tag)
+    return Look(index, color, (x, y, z), center, tag)
 
 
 def _fixed(name: str, tag: Tag) -> Look:
@@ -258,14 +260,9 @@ def _index(name: str) -> int:
     return INDEX.get(name, INDEX["box"])
 
 
-def _plain(type_id: str) -> str:
-    """Return a name without what has changed between versions of CARLA: mkz2017, mkz_2017."""
-    return type_id.replace("_", "").replace("-", "").lower()
-
-
 @cache
 def _sizes() -> dict[str, Triple]:
-    return {_plain(type_id): size for type_id, size in blueprint_sizes().items()}
+    return {plain_name(type_id): size for type_id, size in blueprint_sizes().items()}
 
 
 def _color_of(attributes: Mapping[str, str]) -> Color | None:

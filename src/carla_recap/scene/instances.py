@@ -19,7 +19,7 @@ class Instances:
 
     Attributes:
         ids: The ids of the actors, ascending, (n,) of uint32.
-        models: The model of each: an index of `carla_recap.scene.models.MODELS`, (n,) of uint8.
+        models: The model of each: an index of `carla_recap.scene.models.MODELS`, (n,) of uint16.
         locations: The centres of the boxes in m, right-handed, (n, 3) of float64.
         rotations: Matrices whose columns point forward, left and up, (n, 3, 3) of float32.
         half_extents: Half the sizes of the boxes in m, (n, 3) of float32.
@@ -31,7 +31,7 @@ class Instances:
     """
 
     ids: NDArray[np.uint32]
-    models: NDArray[np.uint8]
+    models: NDArray[np.uint16]
     locations: NDArray[np.float64]
     rotations: NDArray[np.float32]
     half_extents: NDArray[np.float32]

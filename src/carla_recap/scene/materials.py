@@ -113,6 +113,7 @@ class Material(IntEnum):
     YELLOW_BAND = 59
     RED_BAND = 60
     TRUNK = 61
+    PLAIN = 62
 
 
 class Finish(NamedTuple):
@@ -195,6 +196,7 @@ MATERIALS: Final[dict[Material, Finish]] = {
     _M.YELLOW_BAND: Finish((240, 192, 40), gloss=0.2),
     _M.RED_BAND: Finish((196, 34, 40), gloss=0.2),
     _M.TRUNK: Finish((98, 80, 62), Tag.VEGETATION),
+    _M.PLAIN: Finish((200, 200, 200)),
 }
 """All materials."""
 LAMPS: Final = np.uint64(sum(1 << material for material, finish in MATERIALS.items() if finish.glow))

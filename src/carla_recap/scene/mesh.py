@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from carla_recap.scene.materials import MATERIALS, Color, Material, palette
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -27,12 +29,14 @@ class Mesh:
         normals: The directions away from the surface, of length 1, (vertices, 3).
         materials: The `Material` of each vertex, (vertices,); all corners of a triangle have the same.
         triangles: The indices of the corners, (triangles, 3).
+        colors: Red, green and blue of each vertex, (vertices, 3); None: those of the materials.
     """
 
     vertices: Floats
     normals: Floats
     materials: NDArray[np.uint8]
     triangles: NDArray[np.uint32]
+    colors: NDArray[np.uint8] | None = None
 
     @classmethod
     def empty(cls) -> Self:
@@ -51,4 +55,15 @@ class Mesh:
             np.concatenate([mesh.normals for mesh in meshes]),
             np.concatenate([mesh.materials for mesh in meshes]),
             np.concatenate([mesh.triangles + np.uint32(offset) for mesh, offset in zip(meshes, offsets, strict=True)]),
+            None if all(mesh.colors is None for mesh in meshes) else np.concatenate([mesh.painted() for mesh in meshes]),
         )
+
+    def painted(self, paint: Color = MATERIALS[Material.PAINT].color) -> NDArray[np.uint8]:
+        """Return the colour of each vertex, all lamps off, (vertices, 3).
+
+        Args:
+            paint: The colour of the actor.
+        """
+        colors = palette()[self.materials] if self.colors is None else self.colors.copy()
+        colors[self.materials == Material.PAINT] = paint
+        return colors

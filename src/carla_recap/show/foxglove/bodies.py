@@ -150,14 +150,14 @@ def vertices_of(look: Look) -> Floats:
 @lru_cache(maxsize=1024)
 def _shape(look: Look, fall: Fall | None, opacity: float) -> bytes:
     return b"".join(
-        shapes.triangles(geometry, look.color if material is Material.PAINT else MATERIALS[material].color, opacity)
-        for material, geometry in _geometries(look._replace(color=_ANY_COLOR), fall)
+        shapes.triangles(geometry, look.color if part.material is Material.PAINT else part.color, opacity)
+        for part, geometry in _geometries(look._replace(color=_ANY_COLOR), fall)
     )
 
 
 @lru_cache(maxsize=256)
-def _geometries(look: Look, fall: Fall | None) -> list[tuple[Material, bytes]]:
-    """Return the triangles of an actor by their materials; the colour of its look does not matter."""
+def _geometries(look: Look, fall: Fall | None) -> list[tuple[shapes.Surfaces, bytes]]:
+    """Return the triangles of an actor by their materials and colours; the colour of its look does not matter."""
     vertices = vertices_of(look)
     if fall is not None:
         vertices = (vertices - look.center) @ fall.matrix.T + fall.offset

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.formats.mcap.codec import LEN, tag, varint
-from carla_recap.scene.materials import MATERIALS, Material
+from carla_recap.scene.materials import Material
 from carla_recap.show.foxglove.messages import (
     Color,
     CubePrimitive,
@@ -94,45 +94,46 @@ def box(center: Floats, size: Floats, rgb: Rgb) -> bytes:
 
 
 class Surfaces(NamedTuple):
-    """The triangles of a mesh that have one material.
+    """The triangles of a mesh that have one material and colour.
 
     Attributes:
         material: The material.
+        color: Red, green and blue.
         vertices: The positions of their points among the vertices of the mesh; points that are the same only once.
         corners: The indices of the corners among these points, (m, 3).
     """
 
     material: Material
+    color: Rgb
     vertices: Integers
     corners: Integers
 
 
 def surfaces(found: Mesh) -> list[Surfaces]:
-    """Return the triangles of a mesh by their materials."""
-    materials = found.materials[found.triangles[:, 0]] if len(found.triangles) else np.zeros(0, np.uint8)
+    """Return the triangles of a mesh by their materials and colours."""
+    keys = np.column_stack((found.materials, found.painted())).astype(np.uint8).view("<u4")[:, 0][found.triangles[:, 0]]
     parts = []
-    for number in np.unique(materials).tolist():
-        used, corners = np.unique(found.triangles[materials == number], return_inverse=True)
+    for key in np.unique(keys).tolist():
+        number, red, green, blue = key.to_bytes(4, "little")
+        used, corners = np.unique(found.triangles[keys == key], return_inverse=True)
         _, first, same = np.unique(found.vertices[used], axis=0, return_index=True, return_inverse=True)
-        parts.append(Surfaces(Material(number), used[first], same.reshape(-1)[corners.reshape(-1, 3)]))
+        parts.append(Surfaces(Material(number), (red, green, blue), used[first], same.reshape(-1)[corners.reshape(-1, 3)]))
     return parts
 
 
-def geometries(parts: Iterable[Surfaces], vertices: Floats) -> list[tuple[Material, bytes]]:
-    """Return the triangles of each material without their colour.
+def geometries(parts: Iterable[Surfaces], vertices: Floats) -> list[tuple[Surfaces, bytes]]:
+    """Return the points and corners of triangles.
 
     Args:
         parts: The triangles.
         vertices: The points of the mesh in m, in the frame of the entity, (vertices, 3).
     """
-    return [(part.material, _geometry(vertices[part.vertices], part.corners)) for part in parts]
+    return [(part, _geometry(vertices[part.vertices], part.corners)) for part in parts]
 
 
 def mesh(found: Mesh) -> bytes:
-    """Return a mesh, a primitive for each material."""
-    return b"".join(
-        triangles(geometry, MATERIALS[material].color) for material, geometry in geometries(surfaces(found), found.vertices)
-    )
+    """Return a mesh, a primitive for each material and colour."""
+    return b"".join(triangles(geometry, part.color) for part, geometry in geometries(surfaces(found), found.vertices))
 
 
 def boxes(part: Surfaces, vertices: Floats) -> list[tuple[Floats, Floats]]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import rerun as rr
 
-from carla_recap.scene.materials import Color, Material, palette
+from carla_recap.scene.materials import Color, Material
 from carla_recap.scene.mesh import Mesh
 from carla_recap.scene.models import MODELS
 
@@ -59,14 +60,12 @@ def model_mesh(look: Look) -> Mesh:
     half = np.array(look.half_extents, np.float32)
     normals = mesh.normals / half
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    return Mesh(mesh.vertices * half + np.array(look.center, np.float32), normals, mesh.materials, mesh.triangles)
+    return replace(mesh, vertices=mesh.vertices * half + np.array(look.center, np.float32), normals=normals)
 
 
 def drawn(look: Look, mesh: Mesh, *, with_shadow: bool = False) -> rr.Mesh3D:
     """Return the mesh of an actor, painted, all lamps off."""
-    colors = palette()
-    colors[Material.PAINT] = look.color
-    vertex_colors = _lit(colors[mesh.materials], mesh.normals)
+    vertex_colors = _lit(mesh.painted(look.color), mesh.normals)
     if with_shadow:
         below = shadow(look)
         mesh = Mesh.concatenate([mesh, below])

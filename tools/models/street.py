@@ -7,7 +7,7 @@ from math import cos, pi, sin
 from typing import Final
 
 from carla_recap.scene.materials import Material
-from carla_recap.scene.models.solid import Make, Solid
+from tools.models.solid import Make, Solid
 
 M: Final = Material
 

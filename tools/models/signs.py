@@ -7,8 +7,8 @@ from math import cos, pi, sin
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.scene.materials import Material
-from carla_recap.scene.models.solid import Make, Solid
-from carla_recap.scene.models.street import ROOT
+from tools.models.solid import Make, Solid
+from tools.models.street import ROOT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

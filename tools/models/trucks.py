@@ -6,13 +6,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.scene.materials import Material
-from carla_recap.scene.models.cars import SUV, VAN, CarShape, axle, beacons, car, plate
-from carla_recap.scene.models.solid import Make, Solid
+from tools.models.cars import SUV, VAN, CarShape, axle, beacons, car, plate
+from tools.models.solid import Make, Solid
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from carla_recap.scene.models.solid import Point
+    from tools.models.solid import Point
 
 M: Final = Material
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.scene.materials import Material
-from carla_recap.scene.models.solid import Make, Solid
+from tools.models.solid import Make, Solid
 
 if TYPE_CHECKING:
-    from carla_recap.scene.models.solid import Point
+    from tools.models.solid import Point
 
 M: Final = Material
 

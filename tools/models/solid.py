@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from math import cos, pi, radians, sin
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -11,7 +10,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.scene.materials import Material
-from carla_recap.scene.mesh import Mesh
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -31,26 +29,16 @@ _CREASE: Final = 38.0  # degrees; facets that meet at a greater angle have an ed
 _SAME: Final = 5  # decimals of m to which points are the same
 
 
-@dataclass(frozen=True, eq=False)
-class Model:
-    """A mesh that stands for actors of a class.
+class Group(NamedTuple):
+    """Triangles that move together.
 
     Attributes:
-        name: A short name, such as `sedan`.
-        mesh: The mesh, which fills the box from -1 to 1 along each axis: x forward, y left, z up. Its normals are those of
-            the scaled-down mesh: divided by the half extents of a box and normalised, they are those in the box.
-        steered: Whether each vertex belongs to a steered wheel, (vertices,).
-        pivots: The x and y of the axis about which each vertex is steered, 0 of one that is not, (vertices, 2).
-        size: The size in m, along each axis, of which its proportions are right.
-        center: The middle of the box of that size, from the origin of the actor that it stands for, in m.
+        vertices: The number of each vertex: its position, its normal and its material.
+        triangles: The corners of the triangles of each material.
     """
 
-    name: str
-    mesh: Mesh
-    steered: NDArray[np.bool_]
-    pivots: NDArray[np.float32]
-    size: tuple[float, float, float]
-    center: tuple[float, float, float]
+    vertices: dict[tuple[float, ...], int]
+    triangles: dict[Material, list[tuple[int, int, int]]]
 
 
 Make = Callable[[], "Solid"]
@@ -243,36 +231,26 @@ class Solid:
             self._facets.append(_Facet(points, material, facet.body + self._bodies, pivot))
         self._bodies += left._bodies
 
-    def model(self, name: str) -> Model:
-        """Return the model: scaled to fill the box from -1 to 1 along each axis."""
+    def groups(self) -> dict[tuple[float, float] | None, Group]:
+        """Return the triangles of each steered wheel, by its axis, and of all that is not steered, by None."""
         sizes = np.array([len(facet.points) for facet in self._facets])
         owner = np.repeat(np.arange(len(sizes)), sizes)  # of each corner, its facet
         points = np.concatenate([facet.points for facet in self._facets])
-        low, high = points.min(axis=0), points.max(axis=0)
-        center, half = (low + high) / 2, np.maximum((high - low) / 2, 1e-6)
         bodies = np.array([facet.body for facet in self._facets])[owner]
-        materials = np.array([facet.material for facet in self._facets])[owner]
-        steered = np.array([facet.pivot is not None for facet in self._facets])[owner]
-        pivots = np.array([facet.pivot or (0.0, 0.0) for facet in self._facets])[owner]
         normals = _smooth(points, bodies, owner, sizes)
-
-        parts = (np.round(points, _SAME), np.round(normals, 3), materials[:, None], pivots, steered[:, None])
-        kept, vertex = _distinct(np.column_stack(parts))
-        first = np.cumsum(sizes) - sizes
-        fans = np.repeat(np.arange(len(sizes)), sizes - 2)
-        steps = np.arange(len(fans)) - np.repeat(np.cumsum(sizes - 2) - (sizes - 2), sizes - 2)
-        corners = first[fans][:, None] + np.column_stack((np.zeros_like(steps), steps + 1, steps + 2))
-        stretched = normals[kept] * half
-        mesh = Mesh(
-            np.clip((points[kept] - center) / half, -1, 1).astype(np.float32),
-            (stretched / np.linalg.norm(stretched, axis=1, keepdims=True)).astype(np.float32),
-            materials[kept].astype(np.uint8),
-            vertex[corners].astype(np.uint32),
-        )
-        axes = np.where(steered[kept][:, None], (pivots[kept] - center[:2]) / half[:2], 0.0).astype(np.float32)
-        length, width, height = (2 * half).tolist()
-        x, y, z = center.tolist()
-        return Model(name, mesh, steered[kept], axes, (length, width, height), (x, y, z))
+        found: dict[tuple[float, float] | None, Group] = {}
+        first = (np.cumsum(sizes) - sizes).tolist()
+        for number, facet in enumerate(self._facets):
+            group = found.setdefault(facet.pivot, Group({}, {}))
+            start, size = first[number], int(sizes[number])
+            corners = []
+            for row in range(start, start + size):
+                point = *np.round(points[row], _SAME).tolist(), *np.round(normals[row], 3).tolist()
+                vertex = *(value + 0.0 for value in point), facet.material
+                corners.append(group.vertices.setdefault(vertex, len(group.vertices)))
+            rows = group.triangles.setdefault(facet.material, [])
+            rows += [(corners[0], corners[k], corners[k + 1]) for k in range(1, size - 1)]
+        return found
 
     def _new_body(self) -> int:
         self._bodies += 1

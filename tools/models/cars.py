@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.scene.materials import Material
-from carla_recap.scene.models.solid import Make, Solid
+from tools.models.solid import Make, Solid
 
 if TYPE_CHECKING:
-    from carla_recap.scene.models.solid import Floats
+    from tools.models.solid import Floats
 
 M: Final = Material
 Profile = tuple[tuple[float, float], ...]

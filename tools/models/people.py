@@ -6,10 +6,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.scene.materials import Material
-from carla_recap.scene.models.solid import Make, Solid
+from tools.models.solid import Make, Solid
 
 if TYPE_CHECKING:
-    from carla_recap.scene.models.solid import Point
+    from tools.models.solid import Point
 
 M: Final = Material
 

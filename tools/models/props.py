@@ -7,7 +7,7 @@ from math import cos, pi, sin
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.scene.materials import Material
-from carla_recap.scene.models.solid import Make, MaterialOf, Solid
+from tools.models.solid import Make, MaterialOf, Solid
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,0 +1,1 @@
+"""Makes the models of actors, which are files in `viewer/models/`."""
