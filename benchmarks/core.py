@@ -257,7 +257,7 @@ def _trajectory(recording: Recording) -> object:
 
 
 def _rerun(recording: Recording) -> object:
-    from carla_recap.show.rerun import export_rerun
+    from carla_recap import export_rerun
 
     return export_rerun(recording, DIRECTORY / "use.rrd", force=True)
 

@@ -53,8 +53,8 @@ def parquet(subject: Subject) -> Iterator[Line]:
 
 
 def minute(subject: Subject) -> Iterator[Line]:
+    from carla_recap import export_rerun
     from carla_recap.recording import open_recording
-    from carla_recap.show.rerun import export_rerun
 
     mcap = subject.mcap
     middle = subject.seconds / 2

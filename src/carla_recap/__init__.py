@@ -31,6 +31,7 @@ if TYPE_CHECKING:
         RecapWarning,
         RecordError,
     )
+    from carla_recap.exports import Exported, export
     from carla_recap.files.openscenario import export_openscenario
     from carla_recap.files.osi import export_osi
     from carla_recap.files.parquet import export_parquet
@@ -57,7 +58,10 @@ if TYPE_CHECKING:
     from carla_recap.replay import Player, Scene
     from carla_recap.roads import RoadMap, load_map
     from carla_recap.show.clips import clips
+    from carla_recap.show.foxglove import export_foxglove
     from carla_recap.show.page import write_report
+    from carla_recap.show.rrd import export_rerun
+    from carla_recap.show.video import export_video, picture, snapshot
     from carla_recap.tables.records import RecordTable
     from carla_recap.tables.trajectories import Controls, LightStates, Trajectories, Trajectory
 
@@ -73,6 +77,7 @@ __all__ = [
     "Controls",
     "Differences",
     "EventDifference",
+    "Exported",
     "FormatError",
     "Frame",
     "Header",
@@ -115,10 +120,14 @@ __all__ = [
     "convert",
     "create_recording",
     "create_writer",
+    "export",
     "export_csv",
+    "export_foxglove",
     "export_openscenario",
     "export_osi",
     "export_parquet",
+    "export_rerun",
+    "export_video",
     "import_tracks",
     "load_map",
     "load_rules",
@@ -126,7 +135,9 @@ __all__ = [
     "open_index",
     "open_recording",
     "open_recordings",
+    "picture",
     "recover",
+    "snapshot",
     "write_index",
     "write_report",
 ]
@@ -140,12 +151,16 @@ _get, __dir__ = lazily(
         "editing.clip": ("clip",),
         "editing.convert": ("convert",),
         "editing.import_tracks": ("import_tracks",),
+        "exports": ("Exported", "export"),
         "files.openscenario": ("export_openscenario",),
         "files.osi": ("export_osi",),
         "files.tracks": ("export_csv",),
         "errors": ("Closed", "FormatError", "MissingExtra", "NotARecording", "RecapError", "RecapWarning", "RecordError"),
         "show.clips": ("clips",),
+        "show.foxglove": ("export_foxglove",),
         "show.page": ("write_report",),
+        "show.rrd": ("export_rerun",),
+        "show.video": ("export_video", "picture", "snapshot"),
         "files.parquet": ("export_parquet",),
         "fleet.rules": ("Rule", "RuleSet", "Verdict", "check", "load_rules"),
         "fleet.outcomes": ("Outcome",),

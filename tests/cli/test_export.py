@@ -80,7 +80,7 @@ def test_a_camera_for_each_actor(tmp_path):
         (("out.rrd", "--follow", "102000"), "no actor 102000 to follow; known ids are "),
         (("out.rrd", "--follow", "somebody"), "'somebody' is neither an actor id nor hero"),
         (("out.rrd", "--start", "54"), "nothing at 54 s; the recording ends at 53 s"),
-        (("out.txt",), "'out.txt' does not end in .rrd or .mcap"),
+        (("out.txt",), "'out.txt' does not end in .rrd, .mcap, .csv or .xosc"),
         (("out.mcap", "--to", "rerun"), "'out.mcap' does not end in .rrd"),
         (("out.mcap", "--cameras", "cameras"), "--cameras"),
         (("out.rrd", "--map", "missing.xodr"), "missing.xodr: No such file or directory"),

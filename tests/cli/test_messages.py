@@ -284,7 +284,10 @@ def test_a_table_fits_in_any_terminal():
             ["snapshot", CRASH, "out.png", "--at", "3", "--follow", "99"],
             "no actor 99 to follow; known ids are 41 (hero), 47 (vehicle), 46 (vehicle)",
         ),
-        (["export", CRASH, "out.foo"], "'out.foo' does not end in .rrd or .mcap; tables are written to a folder with"),
+        (
+            ["export", CRASH, "out.foo"],
+            "'out.foo' does not end in .rrd, .mcap, .csv or .xosc; tables are written to a folder as parquet",
+        ),
         (
             ["convert", "ftp://a/b.mcap", "out.log"],
             "unknown kind of URL; s3, gs, az, abfs, http, https or file was expected",

@@ -19,8 +19,7 @@ SAMPLE = Path(__file__).parents[2] / "samples" / "crossing.log"
 def crossing_rrd(tmp_path_factory):
     """Six seconds of the crossing, around the collision of the hero; skips the test if the viewer cannot draw."""
     pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
-    from carla_recap import open_recording
-    from carla_recap.show.rerun import export_rerun
+    from carla_recap import export_rerun, open_recording
     from tests.screenshots import ScreenshotTaker
 
     path = tmp_path_factory.mktemp("rerun") / "crossing.rrd"

@@ -27,8 +27,9 @@ pytest.importorskip("rerun", reason="the extra rerun is not installed")
 from rerun.chunk import RrdReader
 
 from carla_recap.scene.materials import MATERIALS, Material
-from carla_recap.show.rerun import APPLICATION, actors, blueprint, export_rerun, meshes, poses, writer
+from carla_recap.show.rerun import APPLICATION, actors, blueprint, meshes, poses, writer
 from carla_recap.show.rerun.live import LiveChoice
+from carla_recap.show.rrd import export_rerun
 
 CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
 HERO, BLOCKING, GONE, LATE, CYCLIST, WALKER, LIGHT, SENSOR = 100, 101, 103, 104, 105, 110, 20, 120  # of the crossing
@@ -755,8 +756,7 @@ def test_a_full_disk(kept: int, tmp_path: Path, limited) -> None:
     destination.unlink()
     code = "\n".join(
         (
-            "from carla_recap import open_recording",
-            "from carla_recap.show.rerun import export_rerun",
+            "from carla_recap import export_rerun, open_recording",
             f"with open_recording({str(CROSSING)!r}) as recording:",
             f"    export_rerun(recording, {str(destination)!r}, start=20, duration=2)",
         )

@@ -83,7 +83,7 @@ def diff(
 
 def _write_rrd(a: Recording, b: Recording, path: str, road_map: str | None, *, force: bool) -> None:
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.show.rerun import export_rerun
+    from carla_recap.show.rrd import export_rerun
 
     roads = options.road_map_of(a, road_map)
     played = export_rerun(a, path, ghost=b, road_map=roads, force=force, progress=watch_scenes("exporting"))

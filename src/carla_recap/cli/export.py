@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
@@ -15,12 +14,12 @@ from click.core import ParameterSource
 from carla_recap.cli import options
 from carla_recap.cli.output import counted, note, wants_json, wrote
 from carla_recap.cli.writing import WriteRequest, writes
+from carla_recap.exports import FORMATS, find_format
+from carla_recap.exports import export as write_export
 from carla_recap.fleet.outcomes import WrittenFile
 from carla_recap.util.text import number
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection
-
     from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.replay.follow import Follow
     from carla_recap.show.clips import IncidentClip
@@ -30,65 +29,36 @@ if TYPE_CHECKING:
 _window = options.together(options.follow, options.start, options.duration, options.road_map)
 
 
-@dataclass(frozen=True, slots=True)
-class ExportOptions:
-    """What is exported, and how: what the options of the command say, or None."""
-
-    follow: Follow | None
-    start: float | None
-    duration: float | None
-    road_map: str | None
-    view: View
-    cameras: str | None
+_LIST = "\n".join(f"    {form.name:9} {form.suffix or 'folder':7} {form.text}" for form in FORMATS.values())
 
 
-class ExportFormat(NamedTuple):
-    """What an export is to.
+@click.command(
+    help=f"""Write recordings for viewers, or as tables or traces for other programs.
 
-    Attributes:
-        suffix: The suffix of its files; empty for folders.
-        write: The function that writes one.
-        options: The options that go with it.
-        is_default: Whether the suffix alone means it.
+    \b
+{_LIST}
+
+    SRC#t=12.1 means from 5 s before that moment to 5 s after it. Many recordings go to a folder.
     """
-
-    suffix: str
-    write: Callable[[ExportOptions, str, str, bool], WrittenFile]
-    options: Collection[str]
-    is_default: bool = True
-
-
-@click.command()
-@writes
-@click.option(
-    "--to",
-    type=click.Choice(["rerun", "foxglove", "parquet", "osi", "csv", "xosc"]),
-    help="What to write; else the suffix of DST says: .rrd for Rerun, .mcap for Foxglove, .csv, .xosc.",
 )
+@writes
+@click.option("--to", type=click.Choice(list(FORMATS)), help="The format; else the suffix of DST says it.")
 @_window
 @options.camera
 @click.option("--cameras", type=click.Path(), metavar="DIR", help="Write a small .rbl for each actor, to follow it (Rerun).")
 def export(request: WriteRequest, to: str | None, **shown: Any) -> None:
-    """Write recordings for Rerun (.rrd) or Foxglove (.mcap), or as tables or traces for other programs.
-
-    With --to parquet, a recording becomes a folder: a file for each record type, and actors, collisions and incidents. --to
-    osi writes ASAM OSI's ground truth (.mcap); --to csv the tracks of vehicles and walkers; --to xosc their trajectories as
-    OpenSCENARIO. SRC#t=12.1 means from 5 s before that moment to 5 s after it. Many recordings go to a folder.
-    """
-    context, given = click.get_current_context(), Path(request.destination).suffix.lower()
-    is_many = request.has_many or (to != "parquet" and request.is_into_folder)
+    """Write recordings in other formats."""
+    context = click.get_current_context()
+    is_many = request.has_many or (request.is_into_folder and (to is None or bool(FORMATS[to].suffix)))
     if to is None and is_many:
         raise click.UsageError("--to says what is written to a folder.", context)
-    name = to or next((name for name, each in _FORMATS.items() if each.is_default and each.suffix == given), "")
-    if name not in _FORMATS or not (is_many or _FORMATS[name].suffix in ("", given)):
-        expected = _FORMATS[name].suffix if name else ".rrd or .mcap; tables are written to a folder with --to parquet"
-        raise click.BadParameter(f"{request.destination!r} does not end in {expected}.", param_hint="DST")
-    form = _FORMATS[name]
-    for param in context.command.params:
+    form = find_format(request.destination, to, is_folder=is_many)
+    params = [param for param in context.command.params if param.name in shown]
+    for param in params:
         is_given = context.get_parameter_source(str(param.name)) is ParameterSource.COMMANDLINE
-        if is_given and param.name in shown and param.name not in form.options:
-            raise click.UsageError(f"{param.opts[0]} does not go with --to {name}.", context)
-    write = partial(form.write, ExportOptions(**shown))
+        if is_given and param.name not in form.options:
+            raise click.UsageError(f"{param.opts[0]} does not go with --to {form.name}.", context)
+    write = partial(_export, form.name, shown)
     if not is_many:
         request.write_one(write)
     elif shown["cameras"]:
@@ -97,123 +67,21 @@ def export(request: WriteRequest, to: str | None, **shown: Any) -> None:
         request.write_many(write, form.suffix, "exporting")
 
 
-def _rerun(shown: ExportOptions, source: str, destination: str, force: bool) -> WrittenFile:
-    from carla_recap.cli.progress import watch_scenes
-    from carla_recap.recording import open_recording
-    from carla_recap.show.rerun import export_rerun
-
-    source, start, duration = options.timed(source, shown.start, shown.duration)
-    with open_recording(source) as recording:
-        played = export_rerun(
-            recording,
-            destination,
-            follow=shown.follow,
-            start=start,
-            duration=duration,
-            road_map=options.road_map_of(recording, shown.road_map, start, duration),
-            view=shown.view,
-            cameras=shown.cameras,
-            progress=watch_scenes("exporting"),
-            force=force,
-        )
-    return WrittenFile(frames=played.frames, seconds=played.seconds)
-
-
-def _foxglove(shown: ExportOptions, source: str, destination: str, force: bool) -> WrittenFile:
-    from carla_recap.cli.progress import watch_scenes
-    from carla_recap.recording import open_recording
-    from carla_recap.show.foxglove import export_foxglove, layout_files
-
-    source, start, duration = options.timed(source, shown.start, shown.duration)
-    with open_recording(source) as recording:
-        played = export_foxglove(
-            recording,
-            destination,
-            follow=shown.follow,
-            start=start,
-            duration=duration,
-            road_map=options.road_map_of(recording, shown.road_map, start, duration),
-            progress=watch_scenes("exporting"),
-            force=force,
-        )
-    hints = tuple(f"the layout for {viewer}: {path}" for viewer, path in layout_files().items())
-    return WrittenFile(frames=played.frames, seconds=played.seconds, hints=hints)
-
-
-def _parquet(_: ExportOptions, source: str, folder: str, force: bool) -> WrittenFile:
-    from carla_recap.cli.progress import watch
-    from carla_recap.files.parquet import export_parquet
+def _export(name: str, shown: dict[str, Any], source: str, destination: str, force: bool) -> WrittenFile:
+    from carla_recap.cli.progress import watch_all
     from carla_recap.recording import open_recording
 
+    accepted = FORMATS[name].options
+    if "start" in accepted:
+        source, start, duration = options.timed(source, shown["start"], shown["duration"])
+        shown = shown | {"start": start, "duration": duration}
+    given = {key: value for key, value in shown.items() if key in accepted}
     with open_recording(source) as recording:
-        count = len(export_parquet(recording, folder, force=force, progress=watch("exporting")))
-        about = recording.info
-    return WrittenFile((counted(count, "file"),), about.frames, about.duration, facts={"files": count})
-
-
-def _csv(shown: ExportOptions, source: str, destination: str, force: bool) -> WrittenFile:
-    from carla_recap.cli.progress import watch_scenes
-    from carla_recap.files.tracks import export_csv
-    from carla_recap.recording import open_recording
-
-    source, start, duration = options.timed(source, shown.start, shown.duration)
-    with open_recording(source) as recording:
-        watched = watch_scenes("exporting")
-        played = export_csv(recording, destination, start=start, duration=duration, progress=watched, force=force)
-    return WrittenFile(frames=played.frames, seconds=played.seconds)
-
-
-def _osi(shown: ExportOptions, source: str, destination: str, force: bool) -> WrittenFile:
-    from carla_recap.cli.progress import watch_scenes
-    from carla_recap.files.osi import export_osi
-    from carla_recap.recording import open_recording
-
-    source, start, duration = options.timed(source, shown.start, shown.duration)
-    with open_recording(source) as recording:
-        played = export_osi(
-            recording,
-            destination,
-            follow=shown.follow,
-            opendrive=options.map_file_of(recording, shown.road_map),
-            start=start,
-            duration=duration,
-            progress=watch_scenes("exporting"),
-            force=force,
-        )
-    return WrittenFile(frames=played.frames, seconds=played.seconds)
-
-
-def _xosc(shown: ExportOptions, source: str, destination: str, force: bool) -> WrittenFile:
-    from carla_recap.cli.progress import watch_scenes
-    from carla_recap.files.openscenario import export_openscenario
-    from carla_recap.recording import open_recording
-
-    source, start, duration = options.timed(source, shown.start, shown.duration)
-    with open_recording(source) as recording:
-        opendrive = options.map_file_of(recording, shown.road_map)
-        played = export_openscenario(
-            recording,
-            destination,
-            opendrive=opendrive,
-            start=start,
-            duration=duration,
-            progress=watch_scenes("exporting"),
-            force=force,
-        )
-    hints = () if opendrive is None else (f"the map that belongs beside it: {opendrive}",)
-    return WrittenFile(frames=played.frames, seconds=played.seconds, hints=hints)
-
-
-_SPAN: Final = ("start", "duration")
-_FORMATS: Final = {
-    "rerun": ExportFormat(".rrd", _rerun, ("follow", *_SPAN, "road_map", "view", "cameras")),
-    "foxglove": ExportFormat(".mcap", _foxglove, ("follow", *_SPAN, "road_map", "view")),
-    "parquet": ExportFormat("", _parquet, (), is_default=False),
-    "osi": ExportFormat(".mcap", _osi, ("follow", *_SPAN, "road_map"), is_default=False),
-    "csv": ExportFormat(".csv", _csv, _SPAN),
-    "xosc": ExportFormat(".xosc", _xosc, (*_SPAN, "road_map")),
-}
-"""What an export can be to."""
+        done = write_export(recording, destination, to=name, progress=watch_all("exporting"), force=force, **given)
+    if done.files is None:
+        return WrittenFile(frames=done.frames, seconds=done.seconds, hints=done.hints)
+    count = len(done.files)
+    return WrittenFile((counted(count, "file"),), done.frames, done.seconds, facts={"files": count}, hints=done.hints)
 
 
 @click.command()

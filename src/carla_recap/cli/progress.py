@@ -56,6 +56,15 @@ def watch_scenes(title: str) -> SceneProgress:
     return progress
 
 
+def watch_all(title: str) -> Callable[[Iterable[Any], Any], Iterable[Any]]:
+    """Return a wrapper of the batches or of the scenes of a recording."""
+
+    def progress(items: Iterable[Any], source: Any) -> Iterable[Any]:
+        return watch(title)(items, source) if hasattr(source, "extent") else watch_scenes(title)(items, source)
+
+    return progress
+
+
 def watch_incidents(title: str) -> Callable[[Sequence[Incident]], Iterable[Incident]]:
     """Return a wrapper of incidents."""
 

@@ -98,6 +98,11 @@ def export_openscenario(
     return Played(frames, player.stop - player.start)
 
 
+def map_hint(opendrive: Path | None = None, **_: object) -> list[str]:
+    """Return what belongs beside a scenario, as a line if the map is known."""
+    return [] if opendrive is None else [f"the map that belongs beside it: {opendrive}"]
+
+
 def _names(actors: list[ActorLife]) -> list[str]:
     """Return a name for each actor: its role, if no other has it, else its blueprint with its id."""
     roles = Counter(actor.role_name for actor in actors)

@@ -90,12 +90,13 @@ def clips(
     """
     if rerun is not False:
         try:
-            from carla_recap.show.rerun import export_rerun  # first of all: it may be missing
+            import carla_recap.show.rerun  # noqa: F401  # first of all: it may be missing
         except MissingExtra:
             if rerun:
                 raise
         else:
             rerun = True
+            from carla_recap.show.rrd import export_rerun
     if video:
         from carla_recap.show.video import export_video
         from carla_recap.show.video.encoding import check_packages

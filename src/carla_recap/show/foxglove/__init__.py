@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
 
-__all__ = ["export_foxglove", "layout_files"]
+__all__ = ["export_foxglove", "layout_files", "layout_hints"]
 
 
 def export_foxglove(
@@ -96,6 +96,11 @@ def layout_files() -> dict[str, Path]:
         "Foxglove": folder / "carla-recap.foxglove.json",
         "Lichtblick and Foxglove 1.x": folder / "carla-recap.lichtblick.json",
     }
+
+
+def layout_hints(**_: object) -> list[str]:
+    """Return where the layouts are, a line for each viewer."""
+    return [f"the layout for {viewer}: {path}" for viewer, path in layout_files().items()]
 
 
 def _description(reader: Reader, player: Player) -> dict[str, str]:

@@ -265,7 +265,7 @@ def _write_pictures(reported: Iterable[_Reported], folder: Path) -> list[dict[in
 
 def _add_viewer(recording: Recording, folder: Path, road_map: RoadMap | None) -> None:
     """Write Rerun's viewer, a recording for it, and a blueprint for each actor that it can follow, into a new folder."""
-    from carla_recap.show.rerun import export_rerun
+    from carla_recap.show.rrd import export_rerun
 
     folder.mkdir()
     copy_files(viewer_folder() / "page" / "rerun", folder)

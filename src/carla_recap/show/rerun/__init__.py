@@ -1,4 +1,4 @@
-"""Exports to Rerun: a recording as an .rrd that its viewer opens, arranged, with a camera behind the actor of interest.
+"""Recordings and running simulations as Rerun streams, arranged, with a camera behind the actor of interest.
 
 This package is the only one that needs Rerun; importing it without the extra raises `MissingExtra`.
 """
@@ -15,7 +15,7 @@ except ImportError:
 from carla_recap.show.rerun.blueprint import View, blueprint, camera_views, live_blueprint
 from carla_recap.show.rerun.live import LiveView
 from carla_recap.show.rerun.rrd import APPLICATION, Rrd, piped, sent
-from carla_recap.show.rerun.writer import export_rerun, write
+from carla_recap.show.rerun.writer import write
 
 __all__ = [
     "APPLICATION",
@@ -24,7 +24,6 @@ __all__ = [
     "View",
     "blueprint",
     "camera_views",
-    "export_rerun",
     "live_blueprint",
     "piped",
     "sent",

@@ -1,21 +1,17 @@
-"""A recording, or the frames of a running simulation, as a Rerun stream; and the .rrd of a recording."""
+"""A recording, or the frames of a running simulation, as a Rerun stream."""
 
 from __future__ import annotations
 
 import warnings
-from contextlib import nullcontext
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import rerun as rr
 
-from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats.sources import unsigned
 from carla_recap.model.actors import ROAD_USERS
 from carla_recap.queries.actors import actors
-from carla_recap.recording import Recording
 from carla_recap.rendering.town import town_mesh_of
 from carla_recap.replay import Played, Player, right_handed
 from carla_recap.replay.pose import LOCATION
@@ -24,29 +20,24 @@ from carla_recap.scene.ahead import stop_points
 from carla_recap.scene.captions import PlayedIncidents
 from carla_recap.show.rerun import paths
 from carla_recap.show.rerun.actors import ActorWriter
-from carla_recap.show.rerun.blueprint import View, blueprint, first_locations
+from carla_recap.show.rerun.blueprint import first_locations
 from carla_recap.show.rerun.events import EventWriter
 from carla_recap.show.rerun.followed import FollowedWriter
-from carla_recap.show.rerun.ghosts import write_ghosts
 from carla_recap.show.rerun.ground import ground_below, write_ground
 from carla_recap.show.rerun.lights import LightAheadWriter, TrafficLightWriter
 from carla_recap.show.rerun.plots import write_measures
-from carla_recap.show.rerun.rrd import piped, rbl
 from carla_recap.show.rerun.stream import Stream, TimeColumns
 from carla_recap.show.rerun.town import is_elsewhere, write_map, write_sky, write_town
-from carla_recap.util.files import WholeFile, check_folder, new_folder
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
-    from carla_recap.formats.base import Reader
     from carla_recap.model.frame import Header
     from carla_recap.queries.incidents import Incident
     from carla_recap.queries.measures import MeasureSeries
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import SceneBatch
-    from carla_recap.replay.follow import Follow
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
     from carla_recap.scene.ahead import StopPoints
@@ -224,65 +215,7 @@ def write(
     return Played(count, player.stop - player.start)
 
 
-def export_rerun(
-    source: Recording | Reader,
-    destination: Path | str,
-    *,
-    follow: Follow | None = None,
-    start: float = 0.0,
-    duration: float = 0.0,
-    view: View = "chase",
-    road_map: RoadMap | None = None,
-    cameras: Path | str | None = None,
-    ghost: Recording | Reader | None = None,
-    force: bool = False,
-    progress: Progress | None = None,
-) -> Played:
-    """Write an .rrd, which Rerun's viewer opens with a camera behind the followed actor.
-
-    Args:
-        source: The recording.
-        destination: The .rrd; it appears when it is complete.
-        follow: The actor that the camera follows: an id or "hero"; None: see `choose_followed`.
-        start: The elapsed time to begin at, in seconds; negative: before the end.
-        duration: The duration in seconds; 0: all of the rest.
-        view: The camera that is shown first.
-        road_map: The map of the town.
-        cameras: A folder for a blueprint of each vehicle and walker, `follow_<id>.rbl`: opened together with the .rrd, it
-            makes the camera follow that actor.
-        ghost: Another recording of the same scenario, whose vehicles and walkers are shown as ghosts from when on they are
-            elsewhere.
-        force: Overwrite existing files.
-        progress: See `write`.
-
-    Raises:
-        RecapError: There is no such actor or time, or the destination cannot be written.
-        FormatError: The file contradicts its format.
-    """
-    reader = source.reader if isinstance(source, Recording) else source
-    other = ghost.reader if isinstance(ghost, Recording) else ghost
-    for read in filter(None, (reader, other)):
-        check_destination(read.location, destination, force=force)
-    if cameras is not None:
-        check_folder(cameras, force=force)
-        if Path(cameras).absolute() == Path(destination).absolute():
-            raise RecapError(f"{cameras}: is the destination itself; a folder was expected")
-    player = Player(reader, start=start, duration=duration, follow=follow)
-    filmed = [] if cameras is None else _filmed(player)
-    with (
-        nullcontext(Path()) if cameras is None else new_folder(cameras) as folder,
-        WholeFile(destination) as file,
-    ):
-        with piped(blueprint(player, view=view), file.write) as stream:
-            played = write(stream, player, road_map=road_map, progress=progress, cameras=filmed)
-            if other is not None:
-                write_ghosts(stream, reader, other, start=player.start, duration=played.seconds, follow=player.followed)
-        for id in filmed:
-            (folder / f"follow_{id}.rbl").write_bytes(rbl(blueprint(player, view=view, followed=id)))
-    return played
-
-
-def _filmed(player: Player) -> list[int]:
+def filmed(player: Player) -> list[int]:
     """Return the vehicles and walkers that get a camera: the first ones of those present while the recording is played."""
     ids: dict[int, None] = {}  # in their order, each once
     for actor in actors(player.reader):

@@ -1,0 +1,182 @@
+"""The formats that recordings are exported to: a row each, which the command line, `export` and the documentation use."""
+
+from __future__ import annotations
+
+import inspect
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from carla_recap.errors import MissingExtra, RecapError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from carla_recap.recording import Recording
+
+    Progress = Callable[[Iterable[Any], Any], Iterable[Any]]
+
+
+class ExportFormat(NamedTuple):
+    """A format.
+
+    Attributes:
+        name: The value of `--to`.
+        suffix: The suffix of its files, which alone means the first format that has it; empty for folders.
+        text: What is written, in words.
+        function: The function that writes it, as `module:name`: it takes a recording, a destination, `force`, `progress` and
+            options of its own; and returns the number of scenes and seconds, or the files that it has written into a folder.
+        extra: The extra that it needs; empty for none.
+        hints: A function that returns lines about how to use what was written, of the options that the other one got.
+    """
+
+    name: str
+    suffix: str
+    text: str
+    function: str
+    extra: str = ""
+    hints: str = ""
+
+    @property
+    def options(self) -> set[str]:
+        """The names of its options; `road_map` if it has roads."""
+        names = {
+            name
+            for name, each in inspect.signature(_load(self.function)).parameters.items()
+            if each.kind is each.KEYWORD_ONLY
+        }
+        return {"road_map" if name == "opendrive" else name for name in names} - {"force", "progress"}
+
+
+FORMATS: Final[Mapping[str, ExportFormat]] = {
+    row.name: row
+    for row in (
+        ExportFormat("rerun", ".rrd", "what Rerun's viewer shows", "show.rrd:export_rerun", "rerun"),
+        ExportFormat(
+            "foxglove",
+            ".mcap",
+            "what Foxglove and Lichtblick show",
+            "show.foxglove:export_foxglove",
+            "foxglove",
+            "show.foxglove:layout_hints",
+        ),
+        ExportFormat("parquet", "", "a table for each record type as Parquet", "files.parquet:export_parquet", "arrow"),
+        ExportFormat("osi", ".mcap", "a trace of ground truth as ASAM OSI", "files.osi:export_osi", "osi"),
+        ExportFormat("csv", ".csv", "a row for each vehicle and walker in each frame", "files.tracks:export_csv"),
+        ExportFormat(
+            "xosc",
+            ".xosc",
+            "the trajectories of vehicles and walkers as OpenSCENARIO",
+            "files.openscenario:export_openscenario",
+            hints="files.openscenario:map_hint",
+        ),
+    )
+}
+"""All formats."""
+
+
+class Exported(NamedTuple):
+    """What was written.
+
+    Attributes:
+        frames: The number of frames, or of scenes.
+        seconds: The seconds that they span.
+        files: The files in a folder; None if a file was written.
+        hints: Lines about how to use it.
+    """
+
+    frames: int
+    seconds: float
+    files: tuple[Path, ...] | None = None
+    hints: tuple[str, ...] = ()
+
+
+def find_format(destination: Path | str, to: str | None = None, *, is_folder: bool = False) -> ExportFormat:
+    """Return the format of an export.
+
+    Args:
+        destination: What is to be written.
+        to: The name of the format; None: the suffix of the destination says it.
+        is_folder: Whether the destination is a folder of several exports.
+
+    Raises:
+        RecapError: There is no such format, or the destination has another suffix.
+    """
+    if to is not None and to not in FORMATS:
+        raise RecapError(f"{to!r} is no format of exports; one of {', '.join(FORMATS)} was expected")
+    given = Path(destination).suffix.lower()
+    if to is not None:
+        form = FORMATS[to]
+        if not is_folder and form.suffix not in ("", given):
+            raise RecapError(f"{str(destination)!r} does not end in {form.suffix}")
+        return form
+    suffixes = list(dict.fromkeys(each.suffix for each in FORMATS.values() if each.suffix))
+    found = next((each for each in FORMATS.values() if each.suffix == given != ""), None)
+    if found is None:
+        folders = " or ".join(each.name for each in FORMATS.values() if not each.suffix)
+        expected = f"{', '.join(suffixes[:-1])} or {suffixes[-1]}; tables are written to a folder as {folders}"
+        raise RecapError(f"{str(destination)!r} does not end in {expected}")
+    return found
+
+
+def export(
+    recording: Recording,
+    destination: Path | str,
+    *,
+    to: str | None = None,
+    road_map: Path | str | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Exported:
+    """Write a recording in another format: for Rerun, Foxglove and other programs.
+
+    Args:
+        recording: The recording.
+        destination: The file or folder; it appears when it is complete.
+        to: The name of the format, as the command `export` has it; None: the suffix of the destination says it.
+        road_map: The map of the town, an OpenDRIVE file or a folder of them; None: it is looked for in the usual folders.
+        force: Replace what is there.
+        progress: Gets what is gone through, and yields it; see the function of the format.
+        options: Those of the function of the format, such as `start` and `duration` in s, and `follow`.
+
+    Raises:
+        MissingExtra: The extra of the format is not installed.
+        RecapError: There is no such format, an option does not go with it, or nothing can be written.
+        FormatError: The recording is damaged.
+    """
+    form = find_format(destination, to)
+    write, accepted = _load(form.function), form.options
+    given = set(options) | ({"road_map"} if road_map is not None else set())
+    for name in sorted(given - accepted):
+        raise RecapError(f"{name} does not go with an export to {form.name}")
+    if "road_map" in accepted:
+        options |= _map_for(write, recording, road_map, options)
+    try:
+        written = write(recording, destination, force=force, progress=progress, **options)
+    except MissingExtra as error:
+        raise MissingExtra(f"an export to {form.name}", form.extra or error.extra) from None
+    hints = tuple(_load(form.hints)(**options)) if form.hints else ()
+    if isinstance(written, list):
+        about = recording.info
+        return Exported(about.frames, about.duration, tuple(written), hints)
+    return Exported(written.frames, written.seconds, None, hints)
+
+
+def _map_for(
+    write: Callable[..., Any], recording: Recording, path: Path | str | None, options: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the map of the town as an argument of a function: its roads, or its file."""
+    from carla_recap.replay.recorded_map import find_map_of, load_map_of
+    from carla_recap.roads import load_map
+
+    if "opendrive" in inspect.signature(write).parameters:
+        return {"opendrive": find_map_of(recording, path)}
+    start, duration = options.get("start", 0.0), options.get("duration", 0.0)
+    return {"road_map": load_map_of(recording, path, load_map, lambda corridors: corridors, start, duration)}
+
+
+def _load(name: str) -> Callable[..., Any]:
+    module, _, function = name.partition(":")
+    found: Callable[..., Any] = getattr(import_module(f"carla_recap.{module}"), function)
+    return found

@@ -1,0 +1,84 @@
+"""An export to Rerun: the .rrd of a recording."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from carla_recap.editing.convert import check_destination
+from carla_recap.errors import RecapError
+from carla_recap.recording import Recording
+from carla_recap.replay import Played, Player
+from carla_recap.util.files import WholeFile, check_folder, new_folder
+
+if TYPE_CHECKING:
+    from carla_recap.formats.base import Reader
+    from carla_recap.replay.follow import Follow
+    from carla_recap.replay.player import Progress
+    from carla_recap.roads import RoadMap
+    from carla_recap.show.rerun.blueprint import View
+
+
+def export_rerun(
+    source: Recording | Reader,
+    destination: Path | str,
+    *,
+    follow: Follow | None = None,
+    start: float = 0.0,
+    duration: float = 0.0,
+    view: View = "chase",
+    road_map: RoadMap | None = None,
+    cameras: Path | str | None = None,
+    ghost: Recording | Reader | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Played:
+    """Write an .rrd, which Rerun's viewer opens with a camera behind the followed actor.
+
+    Args:
+        source: The recording.
+        destination: The .rrd; it appears when it is complete.
+        follow: The actor that the camera follows: an id or "hero"; None: see `choose_followed`.
+        start: The elapsed time to begin at, in seconds; negative: before the end.
+        duration: The duration in seconds; 0: all of the rest.
+        view: The camera that is shown first.
+        road_map: The map of the town.
+        cameras: A folder for a blueprint of each vehicle and walker, `follow_<id>.rbl`: opened together with the .rrd, it
+            makes the camera follow that actor.
+        ghost: Another recording of the same scenario, whose vehicles and walkers are shown as ghosts from when on they are
+            elsewhere.
+        force: Overwrite existing files.
+        progress: Is given the stream of scenes and their player, and passes the scenes on.
+
+    Raises:
+        MissingExtra: The extra `rerun` is not installed.
+        RecapError: There is no such actor or time, or the destination cannot be written.
+        FormatError: The file contradicts its format.
+    """
+    from carla_recap.show.rerun.blueprint import blueprint
+    from carla_recap.show.rerun.ghosts import write_ghosts
+    from carla_recap.show.rerun.rrd import piped, rbl
+    from carla_recap.show.rerun.writer import filmed, write
+
+    reader = source.reader if isinstance(source, Recording) else source
+    other = ghost.reader if isinstance(ghost, Recording) else ghost
+    for read in filter(None, (reader, other)):
+        check_destination(read.location, destination, force=force)
+    if cameras is not None:
+        check_folder(cameras, force=force)
+        if Path(cameras).absolute() == Path(destination).absolute():
+            raise RecapError(f"{cameras}: is the destination itself; a folder was expected")
+    player = Player(reader, start=start, duration=duration, follow=follow)
+    cameras_of = [] if cameras is None else filmed(player)
+    with (
+        nullcontext(Path()) if cameras is None else new_folder(cameras) as folder,
+        WholeFile(destination) as file,
+    ):
+        with piped(blueprint(player, view=view), file.write) as stream:
+            played = write(stream, player, road_map=road_map, progress=progress, cameras=cameras_of)
+            if other is not None:
+                write_ghosts(stream, reader, other, start=player.start, duration=played.seconds, follow=player.followed)
+        for id in cameras_of:
+            (folder / f"follow_{id}.rbl").write_bytes(rbl(blueprint(player, view=view, followed=id)))
+    return played

@@ -1,0 +1,94 @@
+"""The formats of exports: each row of the table works from Python and from the command line, and is in the documentation."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from carla_recap import MissingExtra, RecapError, export, open_recording
+from carla_recap.cli import cli
+from carla_recap.exports import FORMATS, ExportFormat, find_format
+from tests.waiting import PATIENCE
+
+ROOT = Path(__file__).parents[1]
+CROSSING = ROOT / "samples" / "crossing.log"
+PACKAGES = {"rerun": "rerun", "foxglove": "foxglove_schemas_protobuf", "arrow": "pyarrow", "osi": "betterosi"}
+
+every_format = pytest.mark.parametrize("form", FORMATS.values(), ids=FORMATS)
+
+
+@every_format
+def test_a_recording_is_exported(tmp_path: Path, form: ExportFormat) -> None:
+    destination = tmp_path / f"out{form.suffix}"
+    if form.extra:
+        pytest.importorskip(PACKAGES[form.extra], reason=f"the extra {form.extra} is not installed")
+    part = {"start": 20, "duration": 1} if "start" in form.options else {}
+    with open_recording(CROSSING) as recording:
+        done = export(recording, destination, to=form.name, **part)
+        with pytest.raises(RecapError, match=r"exists already|is not empty"):
+            export(recording, destination, to=form.name, **part)
+        with pytest.raises(RecapError, match=f"wings does not go with an export to {form.name}"):
+            export(recording, destination, to=form.name, force=True, wings=2)
+    assert done.frames == (11 if part else 531)
+    if done.files is None:
+        assert destination.stat().st_size > 0
+    else:
+        assert sorted(done.files) == sorted(destination.iterdir())
+
+
+@every_format
+def test_a_suffix_means_the_first_format_that_has_it(form: ExportFormat) -> None:
+    if form.suffix:
+        first = next(each for each in FORMATS.values() if each.suffix == form.suffix)
+        assert find_format(f"a/b{form.suffix.upper()}") is first
+    assert find_format(f"a/b{form.suffix}", form.name) is form
+    assert find_format("a", form.name, is_folder=True) is form
+
+
+def test_another_format_is_an_error() -> None:
+    suffixes = {form.suffix for form in FORMATS.values()} - {""}
+    with pytest.raises(RecapError, match=r"'a\.txt' does not end in ") as caught:
+        find_format("a.txt")
+    assert all(suffix in str(caught.value) for suffix in suffixes)
+    with pytest.raises(RecapError, match=f"'wings' is no format of exports; one of {', '.join(FORMATS)} was expected"):
+        find_format("a.txt", "wings")
+    with pytest.raises(RecapError, match=r"'a\.txt' does not end in \.rrd"):
+        find_format("a.txt", "rerun")
+
+
+@pytest.mark.parametrize("form", [form for form in FORMATS.values() if form.extra], ids=lambda form: form.name)
+def test_a_missing_extra_is_named(tmp_path: Path, form: ExportFormat) -> None:
+    code = f"""
+import sys
+sys.modules[{PACKAGES[form.extra]!r}] = None
+import carla_recap
+with carla_recap.open_recording({str(CROSSING)!r}) as recording:
+    try:
+        carla_recap.export(recording, {str(tmp_path / f"out{form.suffix}")!r}, to={form.name!r})
+    except carla_recap.MissingExtra as error:
+        print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE, check=True)
+    assert done.stdout.strip() == str(MissingExtra(f"an export to {form.name}", form.extra))
+    assert list(tmp_path.iterdir()) == []
+
+
+@every_format
+def test_a_format_is_in_the_help_of_the_command(form: ExportFormat) -> None:
+    words = CliRunner().invoke(cli, ["export", "--help"]).output
+    assert re.search(rf"^  {form.name} +{re.escape(form.suffix) or 'folder'} +{re.escape(form.text)}$", words, re.MULTILINE)
+
+
+def test_the_documentation_lists_the_formats() -> None:
+    page = (ROOT / "docs" / "exchange.md").read_text("utf-8")
+    rows = [
+        f"| `{form.name}` | {f'`{form.suffix}`' if form.suffix else 'folder'} | {form.text} |"
+        f"{f' `{form.extra}`' if form.extra else ''} |\n"
+        for form in FORMATS.values()
+    ]
+    assert f"\n| format | file | content | extra |\n|---|---|---|---|\n{''.join(rows)}\n" in page
