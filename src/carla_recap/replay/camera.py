@@ -104,7 +104,7 @@ def calm_headings(times: Floats, yaws: Floats, seconds: float = CALM) -> Floats:
     if not len(yaws):
         return np.zeros(0)
     unwrapped = np.concatenate(([0.0], np.cumsum(wrap(np.diff(yaws))))) + yaws[0]
-    shares = -np.expm1(-np.diff(times) / seconds) if seconds > 0 else np.ones(len(yaws) - 1)
+    shares = -np.expm1(-np.fmax(np.diff(times), 0.0) / seconds) if seconds > 0 else np.ones(len(yaws) - 1)
     heading = float(unwrapped[0])
     headings = [heading]
     for target, share in zip(unwrapped[1:].tolist(), shares.tolist(), strict=True):

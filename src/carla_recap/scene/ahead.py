@@ -75,8 +75,10 @@ class LightAheadFinder:
         self._headings: Floats = np.zeros(0)  # of the lanes before the lights, in radians
         self._is_stop: NDArray[np.bool_] = np.zeros(0, np.bool_)
 
-    def find(self, batch: SceneBatch, poses: Floats) -> Indices:
-        """Return the position of the light ahead in `batch.light_states` for each scene; `NO_LIGHT` without one.
+    def find(self, batch: SceneBatch, poses: Floats) -> tuple[Indices, Floats]:
+        """Return the position of the light ahead in `batch.light_states`, and how far ahead it is in m, for each scene.
+
+        Without one, these are `NO_LIGHT` and NaN.
 
         Args:
             batch: The scenes.
@@ -86,14 +88,14 @@ class LightAheadFinder:
         if ids.tobytes() != self._ids:
             self._ids = ids.tobytes()
             self._locate(batch, ids.tolist())
-        found = np.full(len(poses), NO_LIGHT)
+        found, distance = np.full(len(poses), NO_LIGHT), np.full(len(poses), np.nan)
         known = np.flatnonzero(np.isfinite(poses).all(axis=1))
         if not len(known) or not len(self._points):
-            return found
+            return found, distance
         low, high = poses[known, :2].min(axis=0) - _REACH, poses[known, :2].max(axis=0) + _REACH
         near = np.flatnonzero(((self._points >= low) & (self._points <= high)).all(axis=1))
         if not len(near):
-            return found
+            return found, distance
         away = self._points[near] - poses[known, None, :2]
         yaw = np.radians(poses[known, YAW, None])
         cos, sin = np.cos(yaw), np.sin(yaw)
@@ -104,9 +106,11 @@ class LightAheadFinder:
         facing = (forward > 0) & (aside < _WIDTH + _CONE * forward) & (turn > _FACING)
         forward[~((forward < _REACH) & np.where(is_stop, on_lane, facing))] = np.inf
         best = forward.argmin(axis=1)
-        found_any = np.isfinite(forward[np.arange(len(known)), best])
+        least = forward[np.arange(len(known)), best]
+        found_any = np.isfinite(least)
         found[known[found_any]] = self._rows[near[best[found_any]]]
-        return found
+        distance[known[found_any]] = least[found_any]
+        return found, distance
 
     def _locate(self, batch: SceneBatch, ids: list[int]) -> None:
         rows, points, headings, is_stop = [], [], [], []

@@ -8,12 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carla_recap import Player, open_recording
 from carla_recap.scene.instances import Instances
-from carla_recap.show.video.cameras import camera_path, camera_size, pixels_per_metre
-from carla_recap.show.video.followed import FollowedActor, Subject
+from carla_recap.show.video.cameras import Subject, camera_path, camera_size, pixels_per_metre
 from carla_recap.show.video.transparency import Transparency
-from tests.replay.scripts import light, pose, spawn, velocity, write
 
 SIZE = (1280, 720)
 CAR, BUS, WALKER = (2.3, 0.95, 0.75), (6.0, 1.4, 1.75), (0.25, 0.25, 0.93)
@@ -124,55 +121,6 @@ def test_without_an_actor_the_camera_shows_most_of_them() -> None:
         assert ((depth > 0) & (x > 0) & (x < 1280) & (y > 0) & (y < 720)).all()
     assert np.isfinite(camera("top", None).location).all()
     assert np.isfinite(camera("top", None, seen=instances((math.nan, 0, 0))).location).all()
-
-
-# --- the followed actor ---------------------------------------------------------------------------------------
-
-
-def followed(path: Any, frames: list[Any], id: int = 1, tick: float = 0.1, rate: float | None = None) -> list[Any]:
-    """Return the followed actor and its light in each scene of a recording."""
-    with open_recording(write(path / "in.log", frames, tick=tick)) as recording:
-        actor = FollowedActor(id)
-        scenes = Player(recording, follow=id).scenes(rate)
-        return [(actor.update(scene, instances()), actor.light_ahead(scene)) for scene in scenes]
-
-
-def test_speed_is_as_recorded(tmp_path: Any) -> None:
-    frames = [{"transforms": [pose(1)], "velocities": [velocity(1, 7)], "spawned": [spawn(1)] * (n == 0)} for n in range(3)]
-    assert [actor.speed for actor, _ in followed(tmp_path, frames)] == [7, 7, 7]
-
-
-def test_an_actor_that_stands_in_the_first_frame_is_measured_without_a_warning(tmp_path: Any) -> None:
-    frames = [{"transforms": [pose(1)], "velocities": [velocity(1, 0)], "spawned": [spawn(1)] * (n == 0)} for n in range(2)]
-    with np.errstate(invalid="raise"):
-        assert [actor.speed for actor, _ in followed(tmp_path, frames)] == [0, 0]
-
-
-def test_speed_is_measured_where_none_is_recorded(tmp_path: Any) -> None:
-    frames = [{"transforms": [pose(1, 100.0 * n)], "spawned": [spawn(1)] * (n == 0)} for n in range(20)]
-    assert [actor.speed for actor, _ in followed(tmp_path, frames)][-1] == pytest.approx(10, abs=0.1)
-
-
-def test_a_jump_is_no_speed_and_turns_the_camera_at_once(tmp_path: Any) -> None:
-    frames = [{"transforms": [pose(1, 9e5 * n, yaw=90 * n)], "spawned": [spawn(1)] * (n == 0)} for n in range(2)]
-    first, second = (actor for actor, _ in followed(tmp_path, frames))
-    assert second.speed is None
-    assert second.heading - first.heading == pytest.approx(-90)
-
-
-def test_an_actor_whose_pose_is_nan_stays_where_it_was(tmp_path: Any) -> None:
-    frames = [{"transforms": [pose(1, x)], "spawned": [spawn(1)] * (n == 0)} for n, x in enumerate((500, math.nan))]
-    first, second = (actor for actor, _ in followed(tmp_path, frames))
-    assert second.ground == pytest.approx(first.ground)
-
-
-def test_the_light_ahead_is_the_nearest_in_front(tmp_path: Any) -> None:
-    places = {10: 9000.0, 11: 4000.0, 12: 3000.0, 13: -500.0}
-    spawned = [spawn(1), *(spawn(id, "traffic.traffic_light", x, 90) for id, x in places.items())]
-    frame = {"transforms": [pose(1)], "spawned": spawned, "light_states": [light(id, id % 3) for id in places]}
-    ((_, ahead),) = followed(tmp_path, [frame])
-    assert ahead.state == 0
-    assert ahead.distance == pytest.approx(30 - 2.4)
 
 
 # --- what is see-through --------------------------------------------------------------------------------------

@@ -14,8 +14,8 @@ from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay import Played
 from carla_recap.scene.captions import EventText, Level, incident_lines
 from carla_recap.scene.collisions import FallenWalkers
+from carla_recap.scene.follow import FollowedActor
 from carla_recap.show.foxglove import bodies, followed, marks, scene
-from carla_recap.show.foxglove.followed import known_poses
 from carla_recap.show.foxglove.messages import FrameTransforms, Log, SceneUpdate, single, timestamps
 from carla_recap.show.foxglove.town import MAP, map_message
 from carla_recap.v1.followed_pb2 import Followed, ShownLights
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.ahead import StopPoints
     from carla_recap.scene.captions import Line
     from carla_recap.scene.collisions import FallChange
-    from carla_recap.show.foxglove.followed import KnownPoses
+    from carla_recap.scene.follow import FollowedSeries
     from carla_recap.show.foxglove.messages import Floats, Indices, Times, TopicMessages
 
 LOG: Final = "/log"
@@ -95,19 +95,18 @@ class SceneMessages:
 
     def __init__(self, header: Header, follow: int | None, town: TownMesh | None, stops: StopPoints | None = None) -> None:
         self._clock = LogClock(header)
-        self._follow = follow
+        self._followed = FollowedActor(follow, stops or {})
         self._town = town
         self._entities = scene.ActorEntities()
         self._marks = marks.MarkEntities()
         self._walkers = FallenWalkers()
         self._falls: list[FallChange] = []  # since the latest scene that is shown
         self._frames = followed.ViewFrames()
-        self._motion = followed.FollowedMotion()
-        self._lights = followed.LightMessages(stops or {})
+        self._lights = followed.LightMessages()
         self._text = EventText()
         self._due = 0.0  # the elapsed time of the next scene to show
         self._start = 0.0  # the elapsed time of the first scene
-        self._last: tuple[SceneBatch, Times] | None = None
+        self._last: tuple[SceneBatch, Times, FollowedSeries] | None = None
         self._shown = False  # whether the last scene is shown
         self._count = 0
         self._clock_rows: list[tuple[Floats, Times]] = []  # elapsed seconds and log times of all scenes
@@ -118,8 +117,9 @@ class SceneMessages:
             part = batch if len(batch) <= _TOGETHER else batch[start : start + _TOGETHER]
             times = self._times_of(part)
             self._clock_rows.append((part.time, times))
-            messages = list(self._messages(part, times))
-            self._last = part, times
+            series = self._followed.series(part)
+            messages = list(self._messages(part, times, series))
+            self._last = part, times, series
             self._count += len(part)
             yield TimedMessages(messages, times)
 
@@ -127,11 +127,11 @@ class SceneMessages:
         """Yield the messages that show the last scene, as far as it is not shown yet."""
         if self._last is None:
             return
-        batch, times = self._last
+        batch, times, series = self._last
         row, elapsed = len(batch) - 1, batch.time[-1].item()
         messages: list[TopicMessages] = []
         if not self._shown:
-            messages += self._show(batch, np.array([row]), times, known_poses(batch, self._follow))
+            messages += self._show(batch, np.array([row]), times, series)
         if self._lights.latest.elapsed != elapsed:
             self._lights.latest.elapsed = elapsed
             messages.append(single(followed.LIGHTS, row, self._lights.latest))
@@ -155,21 +155,20 @@ class SceneMessages:
                 lines.append(_log_line(line, row, times))
         yield TimedMessages(lines, times)
 
-    def _messages(self, batch: SceneBatch, times: Times) -> Iterator[TopicMessages]:
-        """Yield the messages of scenes, given the time of each in ns since 1970."""
+    def _messages(self, batch: SceneBatch, times: Times, series: FollowedSeries) -> Iterator[TopicMessages]:
+        """Yield the messages of scenes, given the time of each in ns since 1970, and the followed actor in them."""
         if self._last is None:
             self._start = batch.time[0].item()
             yield single(MAP, 0, map_message(self._town, int(times[0])))
         for line in self._text.lines(batch.scene(0)):
             yield _log_line(line, 0, times)
-        found = known_poses(batch, self._follow)
-        if self._follow is not None:
-            yield from self._motion.messages(batch, self._follow, found)
+        if self._followed.id is not None:
+            yield from followed.motion_messages(batch, self._followed.id, series)
         yield from self._marks.messages(batch, timestamps(times))
         self._falls = [*(fall._replace(row=0) for fall in self._falls), *self._walkers.changes(batch)]
         rows = self._choose(batch)
         if len(rows):
-            yield from self._show(batch, rows, times, found)
+            yield from self._show(batch, rows, times, series)
 
     def _choose(self, batch: SceneBatch) -> Indices:
         """Return the positions of the scenes that are shown."""
@@ -181,14 +180,14 @@ class SceneMessages:
                 rows.append(row)
         return np.array(rows, np.intp)
 
-    def _show(self, batch: SceneBatch, rows: Indices, times: Times, found: KnownPoses) -> Iterator[TopicMessages]:
-        """Yield the messages of the scenes that are shown, given the poses of the followed actor."""
-        found, stamps = found.take(rows), timestamps(times[rows])
-        yield from self._frames.messages(batch, rows, stamps, found)
+    def _show(self, batch: SceneBatch, rows: Indices, times: Times, series: FollowedSeries) -> Iterator[TopicMessages]:
+        """Yield the messages of the scenes that are shown, given the followed actor in the batch."""
+        series, stamps = series.take(rows), timestamps(times[rows])
+        yield from self._frames.messages(batch, rows, stamps, series)
         falls = [fall for fall in self._falls if fall.row <= rows[-1]]
         self._falls = [fall for fall in self._falls if fall.row > rows[-1]]
         yield from self._entities.messages(batch, rows, stamps, falls)
-        yield from self._lights.messages(batch, rows, stamps, found)
+        yield from self._lights.messages(batch, rows, stamps, series)
 
     def _times_of(self, batch: SceneBatch) -> Times:
         times = self._clock.times_of(batch.time)

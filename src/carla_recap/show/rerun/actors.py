@@ -216,7 +216,8 @@ class ActorWriter:
         times = block.times.take(slice(1, None))
         for index, id in enumerate(block.ids.tolist()):
             if id in self._cameras and id in self._colors:
-                self._cameras[id].write(times, block.poses[1:, index], np.flatnonzero(block.present[1:, index]))
+                poses = np.where(block.present[1:, index, None], block.poses[1:, index], np.nan)
+                self._cameras[id].write(times, poses)
 
 
 def _location(actor: ActorLife) -> rr.Transform3D:

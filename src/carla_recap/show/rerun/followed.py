@@ -8,37 +8,26 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from carla_recap.model.motion import possible_step
-from carla_recap.model.records import CM
-from carla_recap.replay import calm_headings, level, right_handed
-from carla_recap.replay.pose import LOCATION, YAW
+from carla_recap.replay import right_handed
+from carla_recap.replay.pose import LOCATION
 from carla_recap.scene import style
+from carla_recap.scene.follow import CalmPath, FollowedSeries
 from carla_recap.show.rerun import paths
 from carla_recap.show.rerun.ground import ground_below
-from carla_recap.show.rerun.plots import CONTROLS, PlotWriter
+from carla_recap.show.rerun.plots import PlotWriter
 from carla_recap.show.rerun.poses import ROWS
 from carla_recap.show.rerun.stream import TimeColumns, screen_radii
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from carla_recap.replay import SceneBatch
     from carla_recap.show.rerun.stream import Stream, TimePoint
 
     Floats = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
-    Rows = NDArray[np.intp]
 
 _TRAIL: Final = 0.04  # m; the radius of the trail
 _RADIUS: Final = 6.0  # points of the screen; of the actor on the map
-
-
-def jumps(seconds: Floats, poses: Floats) -> Flags:
-    """Return which poses are too far from the one before for an actor to have driven there."""
-    distances = np.sqrt((np.diff(poses[:, LOCATION], axis=0) ** 2).sum(axis=1))
-    return np.concatenate(([False], distances * CM > possible_step(np.diff(seconds))))
 
 
 class CameraAxes:
@@ -52,31 +41,21 @@ class CameraAxes:
     def __init__(self, stream: Stream, path: str) -> None:
         self._stream = stream
         self._path = path
-        self._seconds = np.zeros(0)  # of the last row
-        self._pose = np.zeros((0, 6))  # with the heading of the camera as its yaw
+        self._axes = CalmPath()
+        self._last = np.full((1, 6), np.nan)
 
-    def write(self, times: TimeColumns, poses: Floats, present: Rows) -> None:
-        """Write the axes of the next frames.
+    def write(self, times: TimeColumns, poses: Floats) -> None:
+        """Write the axes in the next frames, given the poses of the actor, in cm and degrees; NaN without one."""
+        self.write_axes(times, self._axes.add(times.seconds, poses).camera)
 
-        Args:
-            times: The times of the frames.
-            poses: The poses of the actor, in cm and degrees, left-handed.
-            present: The rows in which it has one.
-        """
-        held = len(self._pose)
-        seconds = np.concatenate((self._seconds, times.seconds[present]))
-        path = np.concatenate((self._pose, poses[present]))
-        absent = np.concatenate((np.zeros(held, np.bool_), np.diff(present, prepend=-1) > 1))
-        starts = np.flatnonzero(jumps(seconds, path) | absent)
-        runs = zip(np.split(seconds, starts), np.split(path[:, YAW], starts), strict=True)
-        calm = level(path, np.concatenate([calm_headings(*run) for run in runs]))
-        stays = len(present) > 0 and present[-1] == len(poses) - 1
-        self._seconds, self._pose = (seconds[-1:], calm[-1:]) if stays else (seconds[:0], calm[:0])
-        before = calm[:1] if held else np.full((1, 6), np.nan)
-        calm = calm[held:]
-        changed = np.flatnonzero(np.diff(calm, axis=0, prepend=before).any(axis=1))
+    def write_axes(self, times: TimeColumns, axes: Floats) -> None:
+        """Write the axes in the next frames, (frames, 6); NaN before the actor appears."""
+        known = np.flatnonzero(np.isfinite(axes).all(axis=1))
+        axes = axes[known]
+        changed = np.flatnonzero((np.diff(axes, axis=0, prepend=self._last) != 0).any(axis=1))
         if len(changed):
-            self._stream.transforms(self._path, times.take(present[changed]), calm[changed])
+            self._stream.transforms(self._path, times.take(known[changed]), axes[changed])
+            self._last = axes[-1:]
 
 
 class FollowedWriter:
@@ -98,22 +77,17 @@ class FollowedWriter:
         self._appeared = False
         self._bottom = 0.0  # m; of its box, above its location
         self._times: list[TimeColumns] = []
-        self._poses: list[Floats] = []
-        self._velocities: list[Floats] = []
-        self._controls: list[Floats] = []
+        self._series: list[FollowedSeries] = []
         self._rows = 0
-        self._before: tuple[Floats, Floats] | None = None  # seconds and pose of the last row
+        self._before = np.full((1, 3), np.nan)  # the last location in m, right-handed
 
-    def write(self, batch: SceneBatch, times: TimeColumns) -> None:
+    def write(self, batch: SceneBatch, times: TimeColumns, series: FollowedSeries) -> None:
         """Write scenes."""
         self._first = self._first or times.point(0)
-        poses = batch.pose_of(self._id)
-        if poses is not None and not self._appeared:
-            self._appear(batch, times, poses)
+        if not self._appeared and np.isfinite(series.camera[-1]).all():
+            self._appear(batch, times, series)
         self._times.append(times)
-        self._poses.append(np.full((len(batch), 6), np.nan) if poses is None else poses)
-        self._velocities.append(_values(batch, "velocities", self._id, ("x", "y", "z")))
-        self._controls.append(_values(batch, "vehicle_controls", self._id, CONTROLS))
+        self._series.append(series)
         self._rows += len(batch)
         if self._rows >= ROWS:
             self.flush()
@@ -122,23 +96,17 @@ class FollowedWriter:
         """Write what is held back."""
         if not self._rows:
             return
-        times, poses = TimeColumns.joined(self._times), np.concatenate(self._poses)
-        present = np.flatnonzero(np.isfinite(poses).all(axis=1))
-        self._axes.write(times, poses, present)
-        speeds = np.full(len(poses), np.nan)
-        if len(present):
-            velocities = np.concatenate(self._velocities)[present]
-            speeds[present] = self._write_path(times.take(present), poses[present], velocities)
-        controls = np.concatenate(self._controls)
-        recorded = np.flatnonzero(np.isfinite(controls).all(axis=1))
-        self._plots.write_controls(times.take(recorded), controls[recorded], speeds[recorded])
-        self._times, self._poses, self._velocities, self._controls, self._rows = [], [], [], [], 0
+        times, series = TimeColumns.joined(self._times), FollowedSeries.joined(self._series)
+        self._axes.write_axes(times, series.camera)
+        self._plots.write(times, series)
+        self._write_path(times, series)
+        self._times, self._series, self._rows = [], [], 0
 
-    def _appear(self, batch: SceneBatch, times: TimeColumns, poses: Floats) -> None:
+    def _appear(self, batch: SceneBatch, times: TimeColumns, series: FollowedSeries) -> None:
         self._appeared = True
-        if self._first is not None and self._first != times.point(0):  # until then, the camera waits where it will be
-            first = TimeColumns.of_points([self._first])
-            CameraAxes(self._stream, paths.CHASE).write(first, poses[:1], np.zeros(1, np.intp))
+        row = int(np.argmax(series.known))
+        if self._first is not None and self._first != times.point(row):  # until then, the camera waits where it will be
+            self._axes.write_axes(TimeColumns.of_points([self._first]), series.camera[row : row + 1])
         actor = batch.actors.get(self._id)
         if actor is not None:
             box = style.box_of(actor)
@@ -147,30 +115,13 @@ class FollowedWriter:
         self._stream.log_static(paths.trail(self._id), rr.LineStrips3D.from_fields(colors=[color], radii=[_TRAIL]))
         self._stream.log_static(paths.MAP_FOLLOWED, rr.Points2D.from_fields(colors=[color], radii=screen_radii(_RADIUS)))
 
-    def _write_path(self, times: TimeColumns, poses: Floats, velocities: Floats) -> Floats:
-        """Write the speeds and the locations at some times, and return the speeds in m/s.
-
-        Velocities, in m/s, are NaN if they are not recorded.
-        """
-        before = self._before or (times.seconds[:1], poses[:1])
-        self._before = times.seconds[-1:], poses[-1:]
-        seconds, poses = np.concatenate((before[0], times.seconds)), np.concatenate((before[1], poses))
-        steps = np.diff(right_handed(poses)[:, LOCATION], axis=0)
-        steps[jumps(seconds, poses)[1:]] = 0
-        speeds = np.linalg.norm(velocities, axis=1)
-        speeds = np.where(np.isfinite(speeds), speeds, _slopes(steps, np.diff(seconds)))
-        self._plots.write_speeds(times, speeds)
-        self._write_locations(times, right_handed(poses)[1:, LOCATION], steps)
-        return speeds
-
-    def _write_locations(self, times: TimeColumns, locations: Floats, steps: Floats) -> None:
-        """Write the location on the map, the ground and the trail.
-
-        Args:
-            times: The times.
-            locations: The locations in m, right-handed.
-            steps: The steps from the location before to each of them, in m; 0 for a jump.
-        """
+    def _write_path(self, times: TimeColumns, series: FollowedSeries) -> None:
+        """Write the location on the map, the trail and the ground."""
+        known = np.flatnonzero(series.known)
+        times, locations = times.take(known), right_handed(series.poses[known])[:, LOCATION]
+        steps = np.diff(locations, axis=0, prepend=self._before)
+        steps[series.jumped[known]] = 0
+        self._before = np.concatenate((self._before, locations))[-1:]
         on_map = (locations[:, :2] * (1, -1)).astype(np.float32)
         self._stream.columns(paths.MAP_FOLLOWED, times, rr.Points2D.columns(positions=on_map))
         below = locations + np.array((0, 0, self._bottom))
@@ -184,24 +135,6 @@ class FollowedWriter:
             changed = np.concatenate(([True], (np.diff(below, axis=0) != 0).any(axis=1)))
             cells = below[changed].astype(np.float32)
             self._stream.columns(paths.GROUND, times.take(changed), rr.Transform3D.columns(translation=cells))
-
-
-def _values(batch: SceneBatch, name: str, id: int, fields: Sequence[str]) -> Floats:
-    """Return some fields of the records of an actor, (scenes, fields); NaN if it has no records."""
-    values = np.full((len(batch), len(fields)), np.nan)
-    records = batch.frames.records(name)
-    if records.size and len(found := np.flatnonzero(records["id"][0] == id)):  # the last record of an actor counts
-        for column, field in enumerate(fields):
-            values[:, column] = records[field][:, found[-1]]
-    return values
-
-
-def _slopes(steps: Floats, spans: Floats) -> Floats:
-    """Return the speeds of steps in m, of which the first one may be none at all, and the seconds that they take."""
-    slopes: Floats = np.divide(np.linalg.norm(steps, axis=1), spans, out=np.zeros(len(spans)), where=spans > 0)
-    if not spans[0]:
-        slopes[:1] = slopes[1:2] if len(slopes) > 1 else 0
-    return slopes
 
 
 def _segments(ends: NDArray[np.float32]) -> pa.Array:

@@ -13,7 +13,7 @@ from carla_recap.model.records import ActorKind
 from carla_recap.replay import Destroyed, right_handed
 from carla_recap.replay.pose import LOCATION, rotations
 from carla_recap.scene import style
-from carla_recap.scene.ahead import NO_LIGHT, LightAheadFinder
+from carla_recap.scene.ahead import NO_LIGHT
 from carla_recap.scene.appearance import look_of
 from carla_recap.scene.materials import MATERIALS, Material, palette
 from carla_recap.scene.mesh import Mesh
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.replay import SceneBatch
-    from carla_recap.scene.ahead import StopPoints
+    from carla_recap.scene.follow import FollowedSeries
     from carla_recap.show.rerun.stream import Stream, TimePoint
 
 OFF: Final = 3
@@ -117,39 +117,26 @@ class LightAheadWriter:
 
     Args:
         stream: The stream.
-        id: The followed actor.
-        stops: The points at which lights stop cars; see `carla_recap.scene.ahead`.
     """
 
-    def __init__(self, stream: Stream, id: int, stops: StopPoints) -> None:
+    def __init__(self, stream: Stream) -> None:
         self._stream = stream
-        self._id = id
-        self._ahead = LightAheadFinder(stops)
         self._begun = False
         self._last: tuple[int, int] | None = None  # id and state
         self._changes: list[tuple[TimePoint, str]] = []
         self._colors: dict[str, style.Color] = {_NONE: _NO_COLOR}
 
-    def write(self, batch: SceneBatch, times: TimeColumns) -> None:
-        """Write scenes."""
-        lights = batch.light_states
-        if not lights.shape[1] and self._last is None:
+    def write(self, batch: SceneBatch, times: TimeColumns, series: FollowedSeries) -> None:
+        """Write scenes, given the series of the followed actor."""
+        if not batch.light_states.shape[1] and self._last is None:
             return
-        poses = batch.pose_of(self._id)
-        if poses is None:
-            poses = np.full((len(batch), 6), np.nan)
-        moved = right_handed(poses)
-        found = self._ahead.find(batch, moved)
-        rows = np.arange(len(batch))
-        states = lights["state"][rows, found] if lights.shape[1] else np.zeros(len(batch), np.int8)
         changed = np.ones(len(batch), np.bool_)
-        changed[1:] = (found[1:] != found[:-1]) | (states[1:] != states[:-1])
+        changed[1:] = (np.diff(series.light) != 0) | (np.diff(series.light_state) != 0)
         for row in np.flatnonzero(changed).tolist():
-            now = None
-            if found[row] != NO_LIGHT:
-                now = int(lights["id"][row, found[row]]), int(states[row])
+            light = int(series.light[row])
+            now = None if light == NO_LIGHT else (light, int(series.light_state[row]))
             if now != self._last or not self._begun:
-                self._change(now, batch, row, moved[row], times.point(row))
+                self._change(now, batch, row, right_handed(series.poses[row]), times.point(row))
 
     def flush(self) -> None:
         """Write what is held back."""

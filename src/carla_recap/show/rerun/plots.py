@@ -8,21 +8,18 @@ import numpy as np
 import rerun as rr
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.scene.motion import SPAN, HeldPedals, accelerations
+from carla_recap.scene.follow import CONTROLS
 from carla_recap.show.rerun import paths
-from carla_recap.show.rerun.stream import TimeColumns
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.queries.measures import MeasureSeries
+    from carla_recap.scene.follow import FollowedSeries
     from carla_recap.scene.style import Color
-    from carla_recap.show.rerun.stream import Stream
+    from carla_recap.show.rerun.stream import Stream, TimeColumns
 
     Floats = NDArray[np.float64]
-
-CONTROLS: Final = ("throttle", "brake", "steer")
-"""The recorded controls that are plotted."""
 
 THROTTLE: Final[Color] = (90, 200, 120)
 BRAKE: Final[Color] = (240, 90, 80)
@@ -80,9 +77,6 @@ class PlotWriter:
 
     def __init__(self, stream: Stream) -> None:
         self._stream = stream
-        self._times = TimeColumns.of_points(())  # of the last rows, before which accelerations are known
-        self._speeds: Floats = np.zeros(0)
-        self._pedals = HeldPedals()
         colors = [THROTTLE, BRAKE, STEER]
         stream.log_static(paths.CONTROLS, rr.SeriesLines(colors=colors, names=CONTROLS, widths=[1.5] * len(colors)))
         names = ["throttle, none while the brake is held", "brake, held at a standstill"]
@@ -90,30 +84,17 @@ class PlotWriter:
         stream.log_static(paths.SPEED, rr.SeriesLines(colors=[SPEED], names=["km/h"], widths=[2.0]))
         stream.log_static(paths.ACCELERATION, rr.SeriesLines(colors=[ACCELERATION], names=["m/s²"], widths=[1.5]))
 
-    def write_speeds(self, times: TimeColumns, speeds: Floats) -> None:
-        """Write the speeds at some times, in m/s, and the accelerations between them."""
-        self._stream.columns(paths.SPEED, times, rr.Scalars.columns(scalars=speeds * _KMH))
-        held = len(self._speeds)
-        times = TimeColumns.joined([self._times, times])
-        speeds = np.concatenate((self._speeds, speeds))
-        seconds = times.seconds
-        first, last, changes = accelerations(seconds, speeds, held)
-        self._stream.columns(paths.ACCELERATION, times.take((first + last + 1) // 2), rr.Scalars.columns(scalars=changes))
-        kept = slice(int(np.searchsorted(seconds, seconds[-1] - SPAN)) if len(seconds) else 0, None)
-        self._times, self._speeds = times.take(kept), speeds[kept]
+    def write(self, times: TimeColumns, series: FollowedSeries) -> None:
+        """Write the plots of some scenes."""
+        present = series.known | np.isfinite(series.speed)  # where the speed is unknown, its line ends
+        self._write(paths.SPEED, times, series.speed[:, None] * _KMH, present)
+        self._write(paths.ACCELERATION, times, series.acceleration[:, None], np.isfinite(series.acceleration))
+        recorded = np.isfinite(series.pedals[:, 0])
+        self._write(paths.CONTROLS, times, series.controls, recorded)
+        self._write(paths.PEDALS, times, series.pedals, recorded)
 
-    def write_controls(self, times: TimeColumns, controls: Floats, speeds: Floats) -> None:
-        """Write recorded controls.
-
-        Args:
-            times: The times.
-            controls: The `CONTROLS` at these, (times, 3).
-            speeds: The speeds, in m/s; NaN where they are unknown.
-        """
-        if not len(controls):
-            return
-        (column,) = rr.Scalars.columns(scalars=controls.ravel())
-        self._stream.columns(paths.CONTROLS, times, [column.partition(np.full(len(controls), controls.shape[1]))])
-        shown = self._pedals.shown(times.seconds, controls[:, :2], speeds)
-        (column,) = rr.Scalars.columns(scalars=shown.ravel())
-        self._stream.columns(paths.PEDALS, times, [column.partition(np.full(len(shown), shown.shape[1]))])
+    def _write(self, path: str, times: TimeColumns, values: Floats, shown: NDArray[np.bool_]) -> None:
+        """Write the lines of a plot, (scenes, lines), in the scenes in which they are shown."""
+        rows = np.flatnonzero(shown)
+        (column,) = rr.Scalars.columns(scalars=values[rows].ravel())
+        self._stream.columns(path, times.take(rows), [column.partition(np.full(len(rows), values.shape[1]))])

@@ -18,6 +18,7 @@ from carla_recap.replay.pose import LOCATION
 from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.ahead import stop_points
 from carla_recap.scene.captions import PlayedIncidents
+from carla_recap.scene.follow import FollowedActor
 from carla_recap.show.rerun import paths
 from carla_recap.show.rerun.actors import ActorWriter
 from carla_recap.show.rerun.blueprint import first_locations
@@ -107,6 +108,7 @@ class SceneWriter:
         self._actors = ActorWriter(self._stream, followed, roads=road_map is not None, cameras=cameras, signs=town is None)
         self._lights = TrafficLightWriter(self._stream)
         self._events = EventWriter(self._stream)
+        self._actor: FollowedActor | None = None
         self._followed: FollowedWriter | None = None
         self._ahead: LightAheadWriter | None = None
         if followed is not None:
@@ -119,7 +121,8 @@ class SceneWriter:
         if self._ahead is not None:
             self._ahead.flush()
         self._actors.follow(id)
-        self._ahead = LightAheadWriter(self._stream, id, self._stops)
+        self._actor = FollowedActor(id, self._stops)
+        self._ahead = LightAheadWriter(self._stream)
         self._followed = FollowedWriter(self._stream, id, ground=not self._has_ground)
 
     def write(self, batch: SceneBatch) -> None:
@@ -130,10 +133,10 @@ class SceneWriter:
         self._actors.write(batch, times)
         self._lights.write(batch, times)
         self._events.write(batch, times)
-        if self._followed is not None:
-            self._followed.write(batch, times)
-        if self._ahead is not None:
-            self._ahead.write(batch, times)
+        if self._actor is not None and self._followed is not None and self._ahead is not None:
+            series = self._actor.series(batch)
+            self._followed.write(batch, times, series)
+            self._ahead.write(batch, times, series)
 
     def _place_ground(self, batch: SceneBatch, times: TimeColumns) -> None:
         """Move the ground to the first actor, as long as none is followed."""

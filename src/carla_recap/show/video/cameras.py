@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from carla_recap.rendering.camera import Camera
 from carla_recap.replay import right_handed
 from carla_recap.replay.pose import LOCATION, rotations
+from carla_recap.scene.style import box_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -18,9 +20,9 @@ if TYPE_CHECKING:
 
     from carla_recap.model.actors import ActorLife
     from carla_recap.replay import Scene
+    from carla_recap.scene.follow import FollowedSeries
     from carla_recap.scene.instances import Instances
     from carla_recap.show.video.encoding import Size
-    from carla_recap.show.video.followed import Subject
 
     Floats = NDArray[np.float64]
 
@@ -36,6 +38,68 @@ _CALM_ZOOM: Final = 1.5  # s; that of the scale of a picture from above
 _TOP_SPAN: Final = 42.0  # m, from the lower to the upper edge of a picture from above, of an actor that stands
 _TOP_AHEAD: Final = 2.2  # s; the distance of this time is added
 _TOP_SHIFT: Final = 0.16  # of the span; the actor is below the middle, since what matters is ahead of it
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """The followed actor at a moment, in m, right-handed.
+
+    Attributes:
+        ground: The point below its centre, at the bottom of its box.
+        rotation: A matrix whose columns point forward, left and up.
+        half: Half the size of its box.
+        heading: The yaw of a calm camera, in degrees.
+        speed: Its speed in m/s; None if unknown.
+        two_wheeled: Whether its rider is not inside of it.
+        is_walker: Whether it is a walker.
+    """
+
+    ground: Floats
+    rotation: Floats
+    half: Floats
+    heading: float
+    speed: float | None
+    two_wheeled: bool = False
+    is_walker: bool = False
+
+
+def subject_of(id: int, scene: Scene, instances: Instances, series: FollowedSeries) -> Subject | None:
+    """Return the followed actor in a scene; None if it has no finite pose then.
+
+    Args:
+        id: The actor.
+        scene: The scene.
+        instances: All actors in it.
+        series: The followed actor over time.
+    """
+    pose, actor = scene.pose_of(id), scene.actors.get(id)
+    if pose is None or actor is None:
+        return None
+    placed = right_handed(pose)
+    rotation = rotations(placed)
+    index = int(np.searchsorted(instances.ids, id))
+    if index < len(instances) and instances.ids[index] == id:
+        centre, half = instances.locations[index], instances.half_extents[index].astype(np.float64)
+    else:
+        box = box_of(actor)
+        half = np.array((box.extent_x, box.extent_y, box.extent_z))
+        centre = placed[LOCATION] + rotation @ np.array((box.x, box.y, box.z))
+    if not (np.isfinite(centre).all() and np.isfinite(rotation).all() and np.isfinite(half).all()):
+        return None
+    return Subject(
+        centre - (0.0, 0.0, half[2]),
+        rotation,
+        half,
+        -series.heading_at(scene.time),
+        number_or_none(series.speed[series.row_at(scene.time)]),
+        actor.spawn.attribute("number_of_wheels") == "2",
+        actor.kind == "walker",
+    )
+
+
+def number_or_none(value: float) -> float | None:
+    """Return a number; None for one that is not finite."""
+    return float(value) if math.isfinite(value) else None
 
 
 class CameraPath(Protocol):

@@ -14,11 +14,11 @@ from carla_recap.errors import RecapError
 from carla_recap.recording import open_recording
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.roads.find import plain_name
-from carla_recap.scene.ahead import stop_points
-from carla_recap.show.video.cameras import camera_path, camera_size, pixels_per_metre
+from carla_recap.scene.ahead import NO_LIGHT, stop_points
+from carla_recap.scene.follow import followed_series
+from carla_recap.show.video.cameras import camera_path, camera_size, number_or_none, pixels_per_metre, subject_of
 from carla_recap.show.video.captions import Captions, is_near, readable_name
-from carla_recap.show.video.followed import FollowedActor
-from carla_recap.show.video.overlay import Overlay, Readings
+from carla_recap.show.video.overlay import LightAhead, Overlay, Readings
 from carla_recap.show.video.transparency import Transparency
 
 if TYPE_CHECKING:
@@ -33,8 +33,9 @@ if TYPE_CHECKING:
     from carla_recap.rendering.process import RenderProcess
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import Follow, Player, Scene
+    from carla_recap.scene.follow import FollowedSeries
     from carla_recap.scene.instances import Instances
-    from carla_recap.show.video.cameras import VideoView
+    from carla_recap.show.video.cameras import Subject, VideoView
     from carla_recap.show.video.encoding import Picture, Size
 
     Town = TownMesh | Callable[[], TownMesh | None]
@@ -94,7 +95,12 @@ class Film:
         self._view = view
         self._actors = SceneActors()
         self._actors.recall(recording, player.start)
-        self._followed = FollowedActor(player.followed, stop_points(recording.reader) if overlay else None)
+        self._followed = player.followed
+        self._subject: Subject | None = None
+        self._series: FollowedSeries | None = None
+        if self._followed is not None:
+            stops = stop_points(recording.reader) if overlay else {}
+            self._series = followed_series(recording, self._followed, stops, start=player.start, stop=player.stop)
         self._path = camera_path(view, size)
         self._transparency = Transparency()
         self._captions: Captions | None = None
@@ -116,11 +122,12 @@ class Film:
     def shot(self, scene: Scene, index: int = 0) -> VideoShot:
         """Return the picture of a scene; scenes have to come in order."""
         instances = self._actors.at(scene)
-        subject = self._followed.update(scene, instances)
-        camera = self._path.camera(scene, instances, subject)
+        if self._followed is not None and self._series is not None:
+            self._subject = subject_of(self._followed, scene, instances, self._series) or self._subject
+        camera = self._path.camera(scene, instances, self._subject)
         if self._view == "chase":
             seconds = 1 / self._rate if index else math.inf
-            instances = self._transparency.apply(camera, instances, self._followed.id, seconds)
+            instances = self._transparency.apply(camera, instances, self._followed, seconds)
         return VideoShot(camera, instances, scene, self._readings(scene, camera, index))
 
     def finished(self, images: Future[Images], shot: VideoShot) -> Picture:
@@ -131,23 +138,26 @@ class Film:
         return picture
 
     def _readings(self, scene: Scene, camera: Camera, index: int) -> Readings:
-        subject, id = self._followed.subject, self._followed.id
+        subject, series = self._subject, self._series
         if self._captions is None:
             return Readings(scene.time)
         centre = camera.location if subject is None else subject.ground
         near = is_near(float(centre[0]), float(centre[1]))
         ground = float(centre[2]) if subject is not None else 0.0
-        actor = scene.actors.get(id) if id is not None else None
+        actor = None if self._followed is None else scene.actors.get(self._followed)
         progress = index / max(self._frames - 1, 1) if self._frames else None
-        if actor is None:
+        if actor is None or series is None:
             return Readings(scene.time, progress, captions=self._captions.at(scene.time, near))
+        row = series.row_at(scene.time)
+        controls = (*series.pedals[row].tolist(), float(series.controls[row, 2]))
+        light = LightAhead(int(series.light_state[row]), float(series.light_distance[row]))
         return Readings(
             scene.time,
             progress,
             _label(actor),
-            subject.speed if subject else None,
-            self._followed.controls(scene),
-            self._followed.light_ahead(scene),
+            number_or_none(series.speed[row]),
+            controls if math.isfinite(sum(controls)) else None,
+            None if series.light[row] == NO_LIGHT else light,
             self._captions.at(scene.time, near),
             pixels_per_metre(camera, ground),
         )

@@ -1,0 +1,120 @@
+"""The followed actor over time."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from carla_recap import Player, open_recording
+from carla_recap.replay.pose import YAW
+from carla_recap.scene.ahead import NO_LIGHT, stop_points
+from carla_recap.scene.follow import FollowedActor, FollowedSeries, followed_series
+from tests.replay.scripts import light, pose, spawn, velocity, write
+from tests.show.video.conftest import SAMPLES
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def series(folder: Path, frames: list[dict[str, Any]], tick: float = 0.1) -> FollowedSeries:
+    """Return the series of actor 1 in frames, of which the first one spawns it."""
+    frames[0].setdefault("spawned", [spawn(1)])
+    with open_recording(write(folder / "in.log", frames, tick=tick)) as recording:
+        return followed_series(recording, 1, stop_points(recording.reader))
+
+
+def controls(throttle: float, brake: float, steer: float) -> tuple[float, ...]:
+    return (1, steer, throttle, brake, 0, 1)
+
+
+def test_speed_is_as_recorded(tmp_path: Path) -> None:
+    found = series(tmp_path, [{"transforms": [pose(1)], "velocities": [velocity(1, 7)]} for _ in range(3)])
+    assert found.speed.tolist() == [7, 7, 7]
+
+
+def test_an_actor_that_stands_is_measured_without_a_warning(tmp_path: Path) -> None:
+    with np.errstate(invalid="raise", divide="raise"):
+        found = series(tmp_path, [{"transforms": [pose(1)], "velocities": [velocity(1, 0)]} for _ in range(2)])
+    assert found.speed.tolist() == [0, 0]
+
+
+def test_speed_is_that_of_the_last_step_where_none_is_recorded(tmp_path: Path) -> None:
+    found = series(tmp_path, [{"transforms": [pose(1, x)]} for x in (0.0, 100.0, 300.0)])
+    assert found.speed == pytest.approx([math.nan, 10, 20], nan_ok=True)
+
+
+def test_after_a_jump_speed_is_unknown_and_the_camera_turns_at_once(tmp_path: Path) -> None:
+    found = series(tmp_path, [{"transforms": [pose(1, 9e5 * n, yaw=90 * n)]} for n in range(2)])
+    assert np.isnan(found.speed).all()
+    assert found.jumped.tolist() == [True, True]
+    assert found.camera[:, YAW].tolist() == [0, 90]
+
+
+def test_a_fast_drive_is_no_jump(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 1200.0 * n)], "velocities": [velocity(1, 120)]} for n in range(3)]
+    assert series(tmp_path, frames).jumped.tolist() == [True, False, False]
+
+
+def test_the_camera_turns_calmly(tmp_path: Path) -> None:
+    yaws = series(tmp_path, [{"transforms": [pose(1, yaw=90.0 * (n > 0))]} for n in range(6)]).camera[:, YAW]
+    assert (np.diff(yaws) > 0).all()
+    assert yaws[5] == pytest.approx(90 * (1 - math.exp(-1)))
+
+
+def test_the_camera_waits_while_the_actor_has_no_pose(tmp_path: Path) -> None:
+    found = series(tmp_path, [{"transforms": [pose(1, x, yaw=30)]} for x in (500, math.nan, 600)])
+    assert found.camera[:, 0].tolist() == [500, 500, 600]
+    assert found.known.tolist() == [True, False, True]
+    assert found.jumped.tolist() == [True, False, True]
+
+
+def test_the_heading_between_two_frames(tmp_path: Path) -> None:
+    found = series(tmp_path, [{"transforms": [pose(1, yaw=10.0 * (n > 0))]} for n in range(3)])
+    first, second = found.camera[1:, YAW]
+    assert found.heading_at(0.15) == pytest.approx((first + second) / 2)
+    assert found.heading_at(9.0) == second
+
+
+def test_acceleration_is_the_mean_over_the_last_moments(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1)], "velocities": [velocity(1, v)]} for v in (0, 0, 0, 0.6, 1.2, 1.8, 1.8)]
+    assert series(tmp_path, frames).acceleration == pytest.approx([math.nan, 0, 0, 2, 4, 6, 4], nan_ok=True, abs=1e-6)
+
+
+def test_a_brake_is_held_at_a_standstill(tmp_path: Path) -> None:
+    frames = [
+        {"transforms": [pose(1)], "velocities": [velocity(1, 0)], "vehicle_controls": [controls(n % 2, 1 - n % 2, 0.5)]}
+        for n in range(4)
+    ]
+    found = series(tmp_path, frames)
+    assert found.controls.tolist() == [[n % 2, 1 - n % 2, 0.5] for n in range(4)]
+    assert found.pedals.tolist() == [[0, 1]] * 4
+
+
+def test_the_light_ahead_is_the_nearest_in_front(tmp_path: Path) -> None:
+    places = {10: 9000.0, 11: 4000.0, 12: 3000.0, 13: -500.0}
+    spawned = [spawn(1), *(spawn(id, "traffic.traffic_light", x, 90) for id, x in places.items())]
+    frame = {"transforms": [pose(1)], "spawned": spawned, "light_states": [light(id, id % 3) for id in places]}
+    found = series(tmp_path, [frame])
+    assert (found.light.tolist(), found.light_state.tolist()) == ([12], [0])
+    assert found.light_distance == pytest.approx([30 - 2.4])
+
+
+def test_a_walker_heeds_no_light(tmp_path: Path) -> None:
+    spawned = [spawn(1, "walker.pedestrian.0001"), spawn(10, "traffic.traffic_light", 3000, 90)]
+    frame = {"transforms": [pose(1)], "spawned": spawned, "light_states": [light(10, 0)]}
+    assert series(tmp_path, [frame]).light.tolist() == [NO_LIGHT]
+
+
+def test_nothing_depends_on_how_scenes_are_batched() -> None:
+    with open_recording(SAMPLES / "crossing.log") as recording:
+        stops = stop_points(recording.reader)
+        whole = followed_series(recording, 100, stops)
+        actor, parts = FollowedActor(100, stops), []
+        for batch in Player(recording).batches():
+            parts += [actor.series(batch[row : row + 7]) for row in range(0, len(batch), 7)]
+    assert np.isfinite(whole.speed).sum() > 500
+    for name, column in vars(FollowedSeries.joined(parts)).items():
+        np.testing.assert_allclose(column, vars(whole)[name], rtol=1e-12, err_msg=name)
