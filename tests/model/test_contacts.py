@@ -81,3 +81,30 @@ def test_speeds_of_an_impact() -> None:
     assert impact.with_fixed(False, True).relative_speed == 5.0
     assert impact.with_fixed(True, True).speeds == (0.0, 0.0)
     assert Impact(0, 1, 2, velocities=((3.0, 1.0, 0.0), (0.0, 1.0, -4.0))).relative_speed == 5.0
+
+
+def at(elapsed: float, **places: tuple[float, float, float]) -> Frame:
+    """Return a frame with actors (`a1`, …) at places in cm."""
+    rows = [(int(name[1:]), *place, 0.0, 0.0, 0.0) for name, place in places.items()]
+    return Frame(0, 1, elapsed, 0.05, []).replace(transforms=rows)
+
+
+def velocity_of(seconds: float, then: tuple[float, float, float], now: tuple[float, float, float]) -> tuple[float, ...]:
+    return Impact.of((2, 1, 2), at(5.0), at(3.0 + seconds, a1=now), at(3.0, a1=then)).velocities[0]
+
+
+def test_velocities_follow_from_the_two_frames_before_a_contact() -> None:
+    assert velocity_of(0.5, (100, 200, 50), (250, -100, 80)) == pytest.approx((3.0, -6.0, 0.6))
+    assert velocity_of(1.0, (100, 200, 50), (250, -100, 80)) == pytest.approx((1.5, -3.0, 0.3))
+    assert velocity_of(0.5, (0, 0, 0), (5000, 0, 0)) == pytest.approx((100, 0, 0))
+
+
+@pytest.mark.parametrize(("seconds", "way"), [(0.0, 100), (-0.5, 100), (1.001, 100), (0.5, 5001)])
+def test_a_velocity_is_unknown_after_a_jump_or_a_long_time(seconds: float, way: float) -> None:
+    assert velocity_of(seconds, (0, 0, 0), (way, 0, 0)) is UNKNOWN
+
+
+def test_an_impact_has_the_positions_of_its_own_frame() -> None:
+    impact = Impact.of((2, 1, 2), at(5.0, a1=(1, 2, 3)), None, None)
+    assert impact.positions == ((1, 2, 3), UNKNOWN)
+    assert impact.velocities == (UNKNOWN, UNKNOWN)

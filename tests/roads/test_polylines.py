@@ -135,3 +135,22 @@ def test_points_can_be_covered_later():
 
 def test_a_surface_as_large_as_the_world_takes_little_memory():
     assert all(np.isfinite(outline).all() for outline in Surface(line((0, 0), (1e30, 1e30))).outlines())
+
+
+def test_a_covered_point_covers_all_cells_around_it():
+    surface = Surface(grid((0, 10), (0, 10)))
+    point = line((-0.1, 5.1))  # in the rim, of which nothing is covered
+    around = [(x, y) for x in (-0.25, 0, 0.25) for y in (-0.25, 0, 0.25)]
+    surface.cover(point)
+    assert surface.covers(point + around).all()
+    assert not surface.covers(point + line((-0.5, 0), (0, 0.5), (0, -0.5))).any()
+
+
+def test_a_surface_ends_at_all_its_sides_alike():
+    surface = Surface(grid((0, 10), (0, 20)))
+    middle = np.array((5.0, 10.0))
+    ways = line((1, 0), (0, 1), (1, 1), (1, -1))
+    for way in ways:
+        for far in (0.9, 1.1):
+            sides = line(middle + far * way * middle, middle - far * way * middle)
+            assert surface.covers(sides).tolist() == [far < 1] * 2

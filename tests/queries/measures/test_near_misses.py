@@ -11,7 +11,8 @@ import pytest
 from carla_recap.formats import open_reader
 from carla_recap.model.actors import ActorLives
 from carla_recap.model.contacts import Contacts
-from carla_recap.queries.measures.near_misses import TYPES, NearMissDetector
+from carla_recap.queries.measures.motion import MotionBlock
+from carla_recap.queries.measures.near_misses import TYPES, NearMissDetector, paths_meet
 from tests.queries.measures.conftest import Mover, straight
 
 if TYPE_CHECKING:
@@ -251,3 +252,111 @@ def test_random_poses_do_no_harm(drive: Drive) -> None:
 def test_many_actors_in_one_spot_are_processed_in_bounded_time(drive: Drive) -> None:
     cars = [straight(id + 1, id % 7, id % 5, 12, size=None) for id in range(1500)]
     near_misses(drive(cars, seconds=0.3))
+
+
+# --- limits ----------------------------------------------------------------------------------------------
+
+
+def approaching(frames: int, *, later: int = 0, other: float = 0.0) -> list[Mover]:
+    """A car at 15 m/s is in each of 20 frames of a second 0.05 s nearer to a standing one.
+
+    It has less than 1.51 s to the collision in some frames, from frame 10 on or later, and then vanishes.
+    """
+
+    def present(time: float) -> bool:
+        return time < (10 + later + frames) / 20 - 0.01
+
+    return [straight(1, -0.75 * later, 0, 15, present=present), straight(2, 34, other, 0)]
+
+
+@pytest.mark.parametrize("later", [0, 53, 54, 55, 200])  # frames of a run are looked for in 64 frames at once
+@pytest.mark.parametrize("frames", [2, 3, 10])
+def test_a_near_miss_takes_three_frames(drive: Drive, later: int, frames: int) -> None:
+    found = near_misses(drive(approaching(frames, later=later), seconds=15), time_to_collision=1.51)
+    if frames < 3:
+        assert found == []
+        return
+    (miss,) = found
+    assert (miss.start, miss.stop) == pytest.approx(((10 + later) / 20, (9 + later + frames) / 20))
+    assert (miss.time, miss.time_to_collision) == pytest.approx((miss.stop, 1.55 - frames / 20), abs=1e-4)
+    assert (miss.x, miss.y, miss.speed) == pytest.approx((15 * miss.stop - 0.75 * later, 0, 15), abs=1e-3)
+
+
+@pytest.mark.parametrize(("frame", "count"), [(78, 0), (80, 1)])
+def test_what_ends_in_a_collision_within_three_seconds_is_none(drive: Drive, frame: int, count: int) -> None:
+    """The run ends after 0.95 s."""
+    reader = drive(approaching(10), seconds=15, events={frame: {"collisions": [(0, 1, 2, 0, 0)]}})
+    assert len(near_misses(reader, time_to_collision=1.51)) == count
+
+
+@pytest.mark.parametrize(("frame", "count"), [(2, 0), (0, 1)])
+def test_what_follows_a_collision_within_five_seconds_is_none(drive: Drive, frame: int, count: int) -> None:
+    """The run starts after 5.05 s."""
+    reader = drive(approaching(10, later=91), seconds=15, events={frame: {"collisions": [(0, 1, 2, 0, 0)]}})
+    assert len(near_misses(reader, time_to_collision=1.51)) == count
+
+
+def block_of(*movers: Mover, seconds: float = 3.0) -> MotionBlock:
+    """Return the motion of actors, 20 frames a second; the block ends with its last frame."""
+    time = np.arange(round(seconds * 20) + 1) / 20
+
+    def rows(function: str) -> np.ndarray:
+        return np.array([[getattr(mover, function)(t) for t in time] for mover in movers], float)
+
+    def slopes(values: np.ndarray) -> np.ndarray:
+        return np.gradient(values, time, axis=1, edge_order=2)
+
+    x, y, ones = rows("x"), rows("y"), np.ones(len(movers))
+    return MotionBlock(
+        index=0,
+        first=0,
+        last=len(time),
+        time=time,
+        ids=np.array([mover.id for mover in movers]),
+        actors=(),
+        is_vehicle=ones > 0,
+        x=x,
+        y=y,
+        z=np.zeros_like(x),
+        yaw=np.deg2rad(rows("yaw")),
+        vx=slopes(x),
+        vy=slopes(y),
+        length=4 * ones,
+        width=2 * ones,
+        height=1.5 * ones,
+        offset=np.zeros((len(movers), 3)),
+    )
+
+
+@pytest.mark.parametrize(("beside", "meet"), [(2.29, True), (2.31, False), (-2.29, True), (-2.31, False)])
+def test_paths_meet_within_thirty_centimetres(beside: float, meet: bool) -> None:
+    block = block_of(straight(1, 0, 0, 10), straight(2, 20, beside, 0))
+    assert paths_meet(block, 0, 1, 0) == meet
+    assert paths_meet(block, 1, 0, 0) == meet
+
+
+@pytest.mark.parametrize(("far", "meet"), [(23.9, True), (24.9, False)])
+def test_paths_meet_within_two_seconds(far: float, meet: bool) -> None:
+    """After 2 s at 10 m/s, the front of a car is 22 m ahead of where its middle was; the wider box is not longer."""
+    assert paths_meet(block_of(straight(1, 0, 0, 10), straight(2, far, 0, 0)), 0, 1, 0) == meet
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_path_goes_on_as_it_bends(side: int) -> None:
+    """A car turns with a radius of 20 m; 0.2 s before the end of the recording it is 1.5 s from an obstacle."""
+
+    def angle(t: float) -> float:
+        return t * 10 / 20
+
+    bend = Mover(
+        1,
+        lambda t: 20 * math.sin(angle(t)),
+        lambda t: side * (20 - 20 * math.cos(angle(t))),
+        lambda t: side * math.degrees(angle(t)),
+    )
+    now, then = 2.8, 4.3
+    cos, sin = math.cos(angle(now)), side * math.sin(angle(now))
+    ahead = straight(2, bend.x(then), bend.y(then), 0, yaw=bend.yaw(then))
+    tangent = straight(3, bend.x(now) + 15 * cos, bend.y(now) + 15 * sin, 0, yaw=bend.yaw(now))
+    block = block_of(bend, ahead, tangent)
+    assert [paths_meet(block, 0, other, round(now * 20)) for other in (1, 2)] == [True, False]
