@@ -124,6 +124,31 @@ def test_two_recordings_of_one_name_are_an_error(runs):
         assert recording.info.frames == 531
 
 
+def test_of_two_recordings_of_one_name_the_one_is_written_that_can_be(runs):
+    shutil.copy(CRASH, runs / "c.mcap")
+    shutil.copy(CRASH, runs / "deep" / "c.mcap")
+    done = run("convert", "runs/c.log", "runs/a.log", "runs/c.mcap", "runs/deep/c.mcap", "out")
+    assert done.returncode == 2
+    assert files(Path("out")) == {"a.mcap", "c.mcap"}
+    assert messages(done)[0] == "carla-recap: runs/c.log: is not a recording (neither CARLA's log nor MCAP)"
+    assert messages(done)[-2:] == [
+        "carla-recap: runs/deep/c.mcap: has the same name as runs/c.mcap; both would be written to out/c.mcap",
+        "recordings: 2 done, 0 skipped, 2 failed",
+    ]
+
+
+def test_folders_that_stay_empty_are_removed(runs):
+    (runs / "worse" / "still").mkdir(parents=True)
+    shutil.copy(runs / "c.log", runs / "worse" / "still" / "d.log")
+    assert run("convert", "runs/c.log", "new/out/").returncode == 2
+    assert not Path("new").exists()
+    assert run("convert", "runs", "new/out").returncode == 2
+    assert sorted(path.name for path in Path("new/out").iterdir()) == ["a.mcap", "deep"]
+    Path("kept").mkdir()
+    assert run("convert", "runs/c.log", "kept/").returncode == 2
+    assert Path("kept").is_dir()
+
+
 def test_a_file_as_destination_of_many_is_refused(runs):
     expected = "runs/c.log: is a file; a folder was expected, for the files of many recordings"
     assert error("convert", "runs/a.log", "runs/deep/b.mcap", "runs/c.log", "--force") == expected

@@ -125,7 +125,8 @@ def test_an_export_imported_again_has_the_same_transforms(tmp_path, sample):
         ("time,id,x,y\n0,7,1\n", "line 2: 3 values, 4 were expected"),
         ("time,id,x,y\n0,7,1,north\n", "line 2: y is 'north'; a number"),
         ("time,id,x,y\n0,7,1,nan\n,7,1,1\n", "no rows with a time and a position"),
-        ("time,id,x,y\n0,7,1,1\n0,7,2,2\n", "object 7 has two rows at 0 s"),
+        ("time,id,x,y\n0,7,1,1\n0,7,2,2\n", "lines 2 and 3: object 7 has two rows at 0 s"),
+        ("time,id,x,y\n1,7,1,1\n\n0,7,2,2\n1,7,3,3\n", "lines 2 and 5: object 7 has two rows at 1 s"),
         ("time,id,x,y\n0,7,1e38,1\n", "line 2: x is 1e38, which is too large"),
         ("time,id,x,y,vx,vy\n0,7,1,1,-1e300,0\n", "line 2: vx is -1e300, which is too large"),
         ("time,id,x,y\n-1e308,7,1,1\n1e308,7,1,1\n", "more seconds between the first and the last time"),
@@ -134,13 +135,14 @@ def test_an_export_imported_again_has_the_same_transforms(tmp_path, sample):
         (f"time,id,x,y\n0,{'7' * 1_001},1,1\n", "line 2: id has 1001 characters"),
         (f"time,id,x,y\n0,{'7' * 70_000},1,1\n", "line 2: a row of less than 65536 characters"),
         (f"time,id,x,y{',' * 70_000}\n", "line 1: a row of less than 65536 characters"),
-        ("time,id,x,y\n" + '0,"7\n' + 40_000 * '","\n', "a row of less than 65536 characters"),
+        ("time,id,x,y\n" + '0,"7\n' + 40_000 * '","\n', "line 2: a row of less than 65536 characters"),
         (
             "time,id,x,y\n" + "".join(f"0,{id},1,1\n" for id in range(65_536)),
             "65536 objects at 0 s; a recording has at most",
         ),
         ("time,id,x,y,X\n0,7,1,1,2\n", "two columns are named x"),
-        ('time,id,x,y\n0,"7,1,1\n1,"7,2,2\n', "is no CSV file"),
+        ('time,id,x,y\n0,"7,1,1\n1,"7,2,2\n', "line 2: is no row of a CSV file"),
+        ('time,id,x,y\n0,7,1,1\n1,"7,2,2\n2,7,1,1\n', "line 3: is no row of a CSV file .unexpected end of data"),
     ],
 )
 def test_what_is_no_such_table_is_an_error_and_leaves_no_file(tmp_path, text, message):
@@ -249,6 +251,31 @@ def test_what_is_not_finite_is_unknown(table):
 def test_wrong_options_are_errors(table, options, message):
     with pytest.raises(RecapError, match=message):
         table("time,id,x,y\n0,7,1,2\n", **options)
+
+
+@pytest.mark.parametrize("rows", [0, 5_000, 200_000])
+def test_of_bytes_that_are_no_text_the_first_is_said(tmp_path, rows):
+    source = tmp_path / "tracks.csv"
+    source.write_bytes(b"time,id,x,y\n" + b"0,\xc3\xa4,1,1\n" * rows + b"0,\xff,1,1\n")
+    with pytest.raises(RecapError, match=f"byte {source.read_bytes().index(0xFF)}: no UTF-8"):
+        import_tracks(source, tmp_path / "out.log")
+
+
+def test_empty_lines_are_read_up_to_a_limit(tmp_path, monkeypatch):
+    monkeypatch.setattr("carla_recap.editing.import_tracks._LINES", 1_000)
+    source = tmp_path / "tracks.csv"
+    source.write_text("time,id,x,y\n" + "\n" * 1_001)
+    with pytest.raises(RecapError, match="line 1001: at most 1,000 lines are read"):
+        import_tracks(source, tmp_path / "out.log")
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_a_map_name_that_no_header_holds_is_an_error(tmp_path, suffix):
+    source = tmp_path / "tracks.csv"
+    source.write_text("time,id,x,y\n0,7,1,1\n")
+    with pytest.raises(RecapError, match=r"a map name of at most 65535 bytes was expected; x+… has 100000"):
+        import_tracks(source, tmp_path / f"out{suffix}", map_name="x" * 100_000)
+    assert [path.name for path in tmp_path.iterdir()] == ["tracks.csv"]
 
 
 def test_bytes_that_are_no_text_are_an_error(tmp_path):

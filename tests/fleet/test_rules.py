@@ -476,3 +476,15 @@ def test_an_actor_that_stands_has_not_caused_a_collision(struck):
     (found,) = check(recording, make_rules(collisions={"of": "hero", "max": 0, "at_fault": True}))
     expected = "1 collision caused by the hero instead of at most 0: " if caused else "no collisions caused by the hero"
     assert found.message.startswith(expected)
+
+
+def test_baselines_that_are_missing_are_faults_of_the_file(tmp_path):
+    path = tmp_path / "rules.toml"
+    path.write_text(
+        f"[rules.a]\nsame_as = {{ baseline = 'absent' }}\n[rules.b]\nsame_as = {{ baseline = '{SAMPLES}' }}\n"
+        "[rules.c]\nsame_as = { baseline = 'http://127.0.0.1:1/a.mcap' }\n"
+    )
+    with pytest.raises(RulesError) as caught:
+        load_rules(path)
+    expected = "a recording, or a folder of recordings, was expected"
+    assert caught.value.faults == (f"{path}: rules.a.same_as.baseline: there is no {tmp_path / 'absent'}; {expected}",)

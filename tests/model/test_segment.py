@@ -70,3 +70,17 @@ def test_frames_that_are_dropped() -> None:
     assert (buffer.frames, buffer.ids().tolist()) == (2, [8, 9])
     values, known = buffer.dense("xy", np.array([5]))
     assert (values.shape, known.any()) == ((2, 1, 2), False)
+
+
+def test_frames_of_different_ids() -> None:
+    buffer = SegmentBuffer()
+    for part in (frames((7, 8)), frames((9, 8, 9)), frames((6, 7), (6, 7)), frames((9,))):
+        buffer.add(segments(part), len(part))
+    assert buffer.ids(least=2).tolist() == [6, 7, 8, 9]
+    assert buffer.ids(least=3).tolist() == [7, 9]
+    assert buffer.ids(2, 5, least=2).tolist() == [6, 7]
+    (x,), known = buffer.dense("x", np.array([7, 9]))
+    assert known.tolist() == [[True, False, True, True, False], [False, True, False, False, True]]
+    assert x[known].tolist() == [0, 1, 3, 2, 0]
+    (x,), known = buffer.dense("x", np.array([8]), 1)
+    assert (x.tolist(), known.tolist()) == ([[1, 0, 0, 0]], [[True, False, False, False]])

@@ -179,7 +179,7 @@ VIEW = _View()
 recording = click.argument("file", type=click.Path(), metavar="FILE")
 sources = click.argument("sources", type=click.Path(allow_dash=True), metavar="SOURCE...", nargs=-1, required=True)
 jobs = click.option(
-    "--jobs", type=click.IntRange(min=1), metavar="N", help="The number of processes that read many recordings."
+    "--jobs", type=click.IntRange(1, 10_000), metavar="N", help="The number of processes that read many recordings."
 )
 dask = click.option("--dask", metavar="ADDRESS", help="Read many recordings on the Dask cluster with this scheduler.")
 source = click.argument("source", type=click.Path(), metavar="SRC")

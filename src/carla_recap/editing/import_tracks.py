@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import math
 import stat
@@ -88,7 +89,8 @@ _PER_SECOND: Final[Mapping[str, float]] = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns":
 _PROP: Final = "static.prop.box01"
 _DAY: Final = 86_400.0  # s; a recording whose times begin later, or before 0, begins at 0
 _LATEST: Final = 1e11  # s since 1970; later times are no dates
-_ROWS: Final = 50_000_000  # that are read at most
+_LINES: Final = 20_000_000  # that are read at most
+_PIECE: Final = 1 << 20  # bytes that are read at a time
 _LONGEST: Final = 1_000  # characters of an id, a kind, a blueprint or a role
 _LARGEST: Final = float(np.finfo(np.float32).max) * (1 + 1e-9)  # that a recording can hold, which may have been rounded
 _STANDSTILL: Final = 0.02  # m; a shorter step has no direction
@@ -124,11 +126,13 @@ class _Table:
     Attributes:
         numbers: The columns of numbers, (rows,), in CARLA's units; NaN where one is unknown.
         texts: The columns of texts: the different ones in the order of appearance, and which of them each row has.
+        lines: The line of the file in which each row ends, (rows,), from 1.
         left_out: The number of other rows.
     """
 
     numbers: dict[str, Floats]
     texts: dict[str, tuple[list[str], Indices]]
+    lines: NDArray[np.uint32]
     left_out: int
 
 
@@ -211,7 +215,7 @@ class _Rows:
     """The rows of a CSV file, each of which may have several lines, and has a bounded length."""
 
     def __init__(self, path: Path, file: TextIO) -> None:
-        self._path, self._file, self._length = path, file, 0
+        self._path, self._file, self._length, self._begin = path, file, 0, 1
         separator = max(_SEPARATORS, key=file.readline(_LONGEST_ROW).count)
         file.seek(0)
         self._rows = csv.reader(self._lines(), delimiter=separator, strict=True)
@@ -222,16 +226,21 @@ class _Rows:
         return self._rows.line_num
 
     def __iter__(self) -> Iterator[list[str]]:
-        for row in self._rows:
-            self._length = 0
-            yield row
+        try:
+            for row in self._rows:
+                self._length, self._begin = 0, self.line + 1
+                if self.line > _LINES:
+                    raise RecapError(f"{self._path}: line {self.line}: at most {_LINES:,} lines are read")
+                yield row
+        except csv.Error as error:
+            raise RecapError(f"{self._path}: line {self._begin}: is no row of a CSV file ({error})") from None
 
     def _lines(self) -> Iterator[str]:
         while line := self._file.readline(_LONGEST_ROW):
             self._length += len(line)
             if self._length >= _LONGEST_ROW:
                 raise RecapError(
-                    f"{self._path}: line {self.line + 1}: a row of less than {_LONGEST_ROW} characters was expected"
+                    f"{self._path}: line {self._begin}: a row of less than {_LONGEST_ROW} characters was expected"
                 )
             yield line
 
@@ -251,10 +260,23 @@ def _read(path: Path, given: Mapping[str, str], units: _Units) -> _Table:
             return _parse(path, rows, positions, divisors, len(header))
     except OSError as error:
         raise RecapError(f"{path}: {error.strerror}") from None
-    except UnicodeDecodeError as error:
-        raise RecapError(f"{path}: byte {error.start}: no UTF-8; a CSV file was expected") from None
-    except csv.Error as error:
-        raise RecapError(f"{path}: is no CSV file ({error})") from None
+    except UnicodeDecodeError:
+        raise RecapError(f"{path}: byte {_first_wrong_byte(path)}: no UTF-8; a CSV file was expected") from None
+
+
+def _first_wrong_byte(path: Path) -> int:
+    """Return the offset of the first byte of a file that is no UTF-8."""
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    offset = 0
+    with path.open("rb") as file:
+        while piece := file.read(_PIECE):
+            pending = len(decoder.getstate()[0])
+            try:
+                decoder.decode(piece)
+            except UnicodeDecodeError as error:
+                return offset - pending + error.start
+            offset += len(piece)
+    return offset - len(decoder.getstate()[0])
 
 
 def _positions(path: Path, header: list[str], given: Mapping[str, str]) -> dict[str, int]:
@@ -283,18 +305,17 @@ def _parse(path: Path, rows: _Rows, positions: Mapping[str, int], divisors: Mapp
     texts: dict[str, dict[str, int]] = {name: {} for name in positions if name in _TEXT}
     which = {name: array("q") for name in texts}
     limits = {name: math.inf if name == "time" else _LARGEST * abs(divisors[name]) for name in numbers}
-    left_out = 0
+    lines, left_out = array("I"), 0
     for row in rows:
         if not row:
             continue
         if len(row) != width:
             raise RecapError(f"{path}: line {rows.line}: {len(row)} values, {width} were expected")
-        if rows.line > _ROWS:
-            raise RecapError(f"{path}: line {rows.line}: at most {_ROWS:,} lines are read")
         values = {name: _number(path, rows, name, row[positions[name]], limit) for name, limit in limits.items()}
         if math.isnan(values["time"] + values["x"] + values["y"]):
             left_out += 1
             continue
+        lines.append(rows.line)
         for name, value in values.items():
             numbers[name].append(value)
         for name, known in texts.items():
@@ -311,6 +332,7 @@ def _parse(path: Path, rows: _Rows, positions: Mapping[str, int], divisors: Mapp
     return _Table(
         {name: np.frombuffer(values) / divisors[name] + 0.0 for name, values in numbers.items()},  # no -0.0
         {name: (list(known), np.frombuffer(which[name], np.int64)) for name, known in texts.items()},
+        np.frombuffer(lines, np.uint32),
         left_out,
     )
 
@@ -355,7 +377,9 @@ class _ImportedTracks:
         again = np.flatnonzero((np.diff(time[order]) <= 0) & (np.diff(of_row[order]) == 0))
         if len(again):
             row = order[again[0]]
-            raise RecapError(f"{path}: object {self._names[of_row[row]]} has two rows at {time[row]:g} s")
+            first, second = sorted(table.lines[order[again[0] : again[0] + 2]].tolist())
+            name = self._names[of_row[row]]
+            raise RecapError(f"{path}: lines {first} and {second}: object {name} has two rows at {time[row]:g} s")
         moments, counts = np.unique(time, return_counts=True)
         if counts.max() > MAX_COUNT:
             moment = moments[counts.argmax()]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path, PurePath
@@ -86,6 +87,8 @@ class DestinationFolder:
         force: Replace what is there; else that is an error.
         newer: Skip recordings whose file is there, and no older than they are; replace others.
         skipped: The files that were skipped, so far.
+        again: Recordings so far whose file is that of another one, which may yet fail.
+        missing: The folders of files, and those above them, that were not there at first.
     """
 
     location: str
@@ -93,6 +96,8 @@ class DestinationFolder:
     force: bool = False
     newer: bool = False
     skipped: list[str] = field(default_factory=list)
+    again: list[SourceFile] = field(default_factory=list)
+    missing: set[Path] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         _check_scheme(self.location)
@@ -110,10 +115,15 @@ class DestinationFolder:
         name = name.with_suffix("") if name.suffix.lower() in SUFFIXES else name
         return f"{self.location.rstrip('/')}/{name.as_posix()}{self.suffix}"
 
-    def planned(self, sources: Iterable[SourceFile]) -> Iterator[SourceFile]:
-        """Yield the recordings that are to be read; one whose file cannot be told from that of another has an error."""
-        given: dict[str, str] = {}
+    def planned(self, sources: Iterable[SourceFile], given: dict[str, str]) -> Iterator[SourceFile]:
+        """Yield the recordings that are to be read, or have an error.
+
+        Args:
+            sources: The recordings.
+            given: The files that are written already, or are to be, each with its recording. More are added.
+        """
         uploaded = _modified_below(self.location) if self.newer and is_remote(self.location) else {}
+        written = frozenset(given)
         for source in sources:
             if source.error is None and self._is_below(source):
                 log_info(__name__, "%s is a file of an earlier run, and is skipped", source.location)
@@ -121,15 +131,26 @@ class DestinationFolder:
             path = self.file_of(source)
             if source.error is None and ".." in PurePath(source.name).parts:
                 source = replace(source, error=f"{source.location}: its name leads out of {self.location}")
-            elif source.error is None and path in given:
+            elif source.error is None and path in written:
                 same = f"has the same name as {given[path]}; both would be written to {path}"
                 source = replace(source, error=f"{source.location}: {same}")
+            elif source.error is None and path in given:
+                self.again.append(source)
+                continue
             elif source.error is None:
                 given[path] = source.location
                 if self.newer and is_current(path, source, uploaded):
                     self.skipped.append(path)
                     continue
+                if not is_remote(path):
+                    self.missing.update(folder for folder in Path(path).parents if not folder.exists())
             yield source
+
+    def remove_empty(self) -> None:
+        """Remove the folders that were not there at first, and have no files."""
+        for folder in sorted(self.missing, key=lambda folder: len(folder.parts), reverse=True):
+            with suppress(OSError):
+                folder.rmdir()
 
     def _is_below(self, source: SourceFile) -> bool:
         """Return whether a recording was found in this folder, which is itself below the folder that was searched."""
@@ -183,6 +204,8 @@ def write_files(
 ) -> Generator[Outcome[WrittenFile]]:
     """Yield what is written for each of many recordings, or the error, in their order.
 
+    Of recordings of one name, the first that can be written is; the others come behind all recordings, with an error.
+
     Args:
         write: The function that writes: that of a module, or a partial of one.
         sources: The recordings.
@@ -192,8 +215,20 @@ def write_files(
     """
     if client is not None and not is_remote(folder.location):
         folder.location = os.path.abspath(folder.location)  # noqa: PTH100
-    function = partial(_write_one, write, replace(folder, skipped=[]))
-    yield from map_sources(function, folder.planned(sources), jobs=jobs, client=client)
+    plain = DestinationFolder(folder.location, folder.suffix, folder.force, folder.newer)
+    function, given = partial(_write_one, write, plain), dict[str, str]()
+    try:
+        while sources:
+            planned = folder.planned(sources, given)
+            with closing(map_sources(function, planned, jobs=jobs, client=client)) as outcomes:
+                for outcome in outcomes:
+                    path = folder.file_of(outcome.source)
+                    if outcome.value is None and given.get(path) == outcome.source.location:
+                        del given[path]
+                    yield outcome
+            sources, folder.again = folder.again, []
+    finally:
+        folder.remove_empty()
 
 
 def _write_one(write: Write, folder: DestinationFolder, source: SourceFile) -> WrittenFile:

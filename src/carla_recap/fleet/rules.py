@@ -129,7 +129,7 @@ def load_rules(path: Path | str) -> RuleSet:
     """Return the rules of a TOML file.
 
     Raises:
-        RulesError: The file is wrong.
+        RulesError: The file is wrong, or a baseline is not there.
         RecapError: It cannot be read.
     """
     try:
@@ -140,9 +140,15 @@ def load_rules(path: Path | str) -> RuleSet:
     if len(content) > _LARGEST:
         raise RecapError(f"{path}: is larger than {_LARGEST >> 10} kB; a file of rules was expected")
     try:
-        return parse_rules(content.decode("utf-8-sig"), path)
+        rules = parse_rules(content.decode("utf-8-sig"), path)
     except UnicodeDecodeError as error:
         raise RecapError(f"{path}: byte {error.start}: UTF-8 was expected") from None
+    baselines = {rule.name: rule.condition for rule in rules if isinstance(rule.condition, conditions.SameAs)}
+    missing = {name: condition.baseline for name, condition in baselines.items() if not condition.exists()}
+    if missing:
+        text = "{}: rules.{}.same_as.baseline: there is no {}; a recording, or a folder of recordings, was expected"
+        raise RulesError([text.format(path, name, baseline) for name, baseline in missing.items()])
+    return rules
 
 
 def parse_rules(text: str, path: Path | str) -> RuleSet:

@@ -23,7 +23,7 @@ from carla_recap.formats.log_scan import PACKET, START, START_HEAD, Scanner, Win
 from carla_recap.formats.sources import path_of
 from carla_recap.model.batch import Batch, ConstantColumn, PackedColumn, within
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header, Packet
-from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, U16, Buffer, Framing
+from carla_recap.model.layout import EMPTY_LIST, MAX_COUNT, OBJECTS_LIMIT, U16, Buffer, Framing
 from carla_recap.model.records import FRAME_START, UE4, UE5, RecordType
 from carla_recap.util.files import AtomicFile
 
@@ -367,6 +367,9 @@ def pack_header(header: Header) -> bytes:
         return header.raw
     try:
         name = header.map_name.encode("utf-8", "surrogateescape")
+        if len(name) > MAX_COUNT:
+            start = header.map_name[:20]
+            raise RecordError(f"a map name of at most {MAX_COUNT} bytes was expected; {start}… has {len(name)}")
         return b"".join(
             (
                 U16.pack(header.version),

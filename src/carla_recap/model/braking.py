@@ -144,7 +144,7 @@ class BrakingDetector:
     def _add(self, buffer: SegmentBuffer, records: NDArray[np.void]) -> int:
         """Add the records of some frames, and return how many are of vehicles."""
         found = []
-        for segment in segments(records):
+        for segment in segments(records) if records.shape[1] else ():
             is_vehicle = np.array([id in self._vehicles for id in segment.ids.tolist()], bool)
             listed = segment.ids.tobytes()
             if listed != self._listed:
@@ -156,7 +156,7 @@ class BrakingDetector:
 
     def _evaluate(self, until: int) -> None:
         """Evaluate the frames of the block before one; the last of them stay as the margin of the next block."""
-        elapsed, every = np.array(self._elapsed), self._transforms.ids()
+        elapsed, every = np.array(self._elapsed), self._transforms.ids(least=_FEWEST)
         for ids in _pieces(every, _CELLS // max(len(elapsed), 1)):
             places, present = self._transforms.dense("xyz", ids)
             velocities, recorded = self._velocities.dense("xy", ids)

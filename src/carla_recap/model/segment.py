@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -49,7 +49,11 @@ class Segment:
 
     def only(self, kept: Booleans | Indices) -> Segment:
         """Return the segment of some of its actors."""
-        return replace(self, ids=self.ids[kept], columns=self.columns[kept])
+        return Segment(self.first, self.ids[kept], self.columns[kept], self.records)
+
+    def later(self, frames: int) -> Segment:
+        """Return the same segment, whose first frame has a number that is greater by some frames."""
+        return Segment(self.first + frames, self.ids, self.columns, self.records)
 
 
 def segments(records: NDArray[np.void], *, cuts: Booleans | None = None) -> Iterator[Segment]:
@@ -94,18 +98,35 @@ class SegmentBuffer:
 
     def add(self, found: Iterable[Segment], frames: int) -> None:
         """Add segments of the next frames, whose numbers begin at 0, and the number of these frames."""
-        self._segments += (replace(each, first=self.frames + each.first) for each in found if len(each.ids))
+        self._segments += (each.later(self.frames) for each in found if len(each.ids))
         self.frames += frames
 
     def drop(self, count: int) -> None:
         """Drop the first frames; the numbers of the others begin at 0 again."""
-        self._segments = [replace(each, first=each.first - count) for each in self._within(count, self.frames)]
+        self._segments = [each.later(-count) for each in self._within(count, self.frames)]
         self.frames -= count
 
-    def ids(self, start: int = 0, stop: int | None = None) -> Ids:
-        """Return the ids in some frames, ascending."""
-        listed = {each.ids.tobytes(): each.ids for each in self._within(start, self.frames if stop is None else stop)}
-        return np.unique(np.concatenate(list(listed.values()))) if listed else np.zeros(0, np.uint32)
+    def ids(self, start: int = 0, stop: int | None = None, *, least: int = 1) -> Ids:
+        """Return the ids in some frames, ascending.
+
+        Args:
+            start: The first frame.
+            stop: The frame before which to stop; None: until the last one.
+            least: The number of records that an id has at least, in the segments of these frames.
+        """
+        lengths: dict[bytes, int] = {}
+        for each in self._within(start, self.frames if stop is None else stop):
+            listed = each.ids.tobytes()
+            lengths[listed] = lengths.get(listed, 0) + len(each)
+        if not lengths:
+            return np.zeros(0, np.uint32)
+        kind = self._segments[0].ids.dtype
+        parts = [np.frombuffer(listed, kind) for listed in lengths]
+        if least == 1:
+            return np.unique(np.concatenate(parts))
+        ids, places = np.unique(np.concatenate(parts), return_inverse=True)
+        counts = np.bincount(places, np.repeat(list(lengths.values()), [len(part) for part in parts]))
+        return ids[counts >= least]
 
     def dense(
         self, fields: Sequence[str], ids: Ids, start: int = 0, stop: int | None = None
@@ -129,6 +150,18 @@ class SegmentBuffer:
         kind = found[0].records.dtype[fields[0]] if found else np.dtype("f4")
         values = np.zeros((len(fields), len(ids), stop - start), kind)
         known = np.zeros((len(ids), stop - start), np.bool_)
+        single = [segment for segment in found if len(segment) == 1]
+        if len(single) > 1 and len(ids):  # with all of one frame together, thousands take no longer than a few
+            listed = np.concatenate([segment.ids for segment in single])
+            data = b"".join([segment.records[0][segment.columns].tobytes() for segment in single])
+            records = np.frombuffer(data, single[0].records.dtype)
+            frame = np.repeat([segment.first - start for segment in single], [len(segment.ids) for segment in single])
+            row = np.minimum(np.searchsorted(ids, listed), len(ids) - 1)
+            wanted = np.flatnonzero(ids[row] == listed)
+            for number, field in enumerate(fields):
+                values[number, row[wanted], frame[wanted]] = records[field][wanted]
+            known[row[wanted], frame[wanted]] = True
+            found = [segment for segment in found if len(segment) > 1]
         for segment in found if len(ids) else ():
             row = np.minimum(np.searchsorted(ids, segment.ids), len(ids) - 1)
             wanted = ids[row] == segment.ids

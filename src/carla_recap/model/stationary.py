@@ -243,6 +243,8 @@ class StationaryTracker:
         Returns:
             The intervals that end, in order, each with its frame and the position of the actor.
         """
+        if len(records) == 1:
+            return self._follow_one(elapsed.item(), lengths.item(), records, slots)
         found = []
         most = max(1, min(_FRAMES, _RECORDS // len(slots)))
         if len(records) > most:
@@ -268,6 +270,23 @@ class StationaryTracker:
         latest = len(records) - 1 - begins[::-1].argmax(axis=0)
         states["start"] = np.where(begins.any(axis=0), elapsed[latest], states["start"])
         states["anchor"], states["duration"] = anchors[-1].T, durations[-1]
+        self._states[slots] = states
+        return found
+
+    def _follow_one(
+        self, elapsed: float, length: float, records: NDArray[np.void], slots: Indices
+    ) -> list[tuple[int, int, BlockedRow]]:
+        """Carry the state of different actors through one frame, as `_follow` does, in a third of its time."""
+        states = self._states[slots]
+        places = np.array([records[name][0] for name in "xyz"], self._limit.dtype)
+        duration = states["duration"]
+        squares = np.square(places - states["anchor"].T)
+        stays = squares[0] + squares[1] + squares[2] < self._limits(records, states["walks"])[0]
+        ended = np.flatnonzero(~stays & (duration >= self._min_time)).tolist()
+        found = [(0, column, self._interval(slots.item(column))) for column in ended]
+        states["start"][stays & (duration == 0.0)] = elapsed
+        states["anchor"][~stays] = places.T[~stays]
+        states["duration"] = np.where(stays, duration + length, 0.0)
         self._states[slots] = states
         return found
 

@@ -508,6 +508,10 @@ def _keep(type: RecordType, payload: bytes) -> None:
 def _encode_any(type: RecordType, payload: Buffer) -> bytes:
     """Return the body of a message of a payload whose structure is new."""
     data = bytes(payload)
+    if type.group is not Group.STATE:  # few events have the structure of another one, so that a template is of no use
+        body = _serialized(type, locate(type, data)[0], data)
+        if _decode_in_order(type, head(0, 0.0) + body) == data:
+            return body
     template, exact = _template(type, data)
     if exact and type.group is Group.STATE:
         _templates[type] = template
