@@ -429,6 +429,13 @@ def test_a_collision_at_another_time(drive: Callable[..., Reader]) -> None:
     assert not differences(a, b, tolerance=0.1, time_tolerance=0.2).equal
 
 
+@pytest.mark.parametrize(("frames", "rows"), [((10, 30), 1), ((30, 10), 1), ((9, 30), 2), ((30, 9), 2)])
+def test_events_are_the_same_up_to_a_second_apart(drive: Callable[..., Reader], frames: tuple[int, int], rows: int) -> None:
+    a, b = (drive(events={n: {"collisions": [(0, 10, 12, 1, 0)]}}) for n in frames)
+    assert len(differences(a, b).events) == rows
+    assert len(differences(a, b, time_tolerance=2.0).events) == 0
+
+
 def test_a_recording_that_ends_earlier(drive: Callable[..., Reader]) -> None:
     found = differences(drive(), drive(seconds=0.5), tolerance=1.0)
     assert found.summary == "41 frames in 2.00 s, and 11 in 0.50 s"

@@ -11,6 +11,7 @@ from carla_recap import RecapError, RecapWarning
 from carla_recap.formats import open_reader
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.measures import measures_on_roads
+from carla_recap.queries.roads import roads_of
 
 CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
 WARNING = "'Crossing' is unknown; rules of the road are left out; --map or CARLA_RECAP_MAPS says where maps are"
@@ -41,3 +42,13 @@ def test_measures_of_the_road_are_left_out_with_a_warning(crossing):
     with pytest.warns(RecapWarning, match=WARNING) as caught:
         assert measures_on_roads(crossing)
     assert len(caught) == 1
+
+
+@pytest.mark.parametrize("folder", [True, False])
+def test_a_given_folder_without_the_map_is_an_error(crossing, tmp_path, folder):
+    with pytest.raises(RecapError, match=r"there is no \.xodr in" if folder else "is unknown, but its roads are needed"):
+        roads_of(crossing, str(tmp_path) if folder else None, needed=not folder)
+
+
+def test_an_unknown_map_is_none_where_it_is_not_needed(crossing):
+    assert roads_of(crossing) is None

@@ -132,3 +132,20 @@ def test_an_actor_whose_end_is_the_start_is_not_there(record: Record) -> None:
     assert end is not None
     assert choose_followed(recording.reader, start=end - 0.5) == 1
     assert choose_followed(recording.reader, start=end) == 2
+
+
+def test_the_last_moment_counts(record: Record) -> None:
+    recording = record(*frames(NO_HERO, lambda id, n: 100 * n if id == 11 else 400 * (n > 2) if id == 12 else 0))
+    assert choose_followed(recording.reader, stop=2.99) == 11
+    assert choose_followed(recording.reader, stop=3.0) == 12
+
+
+def test_the_last_collision_counts(record: Record) -> None:
+    moving = frames(NO_HERO, speeds(id11=100))
+    recording = record(*moving[:3], {**moving[3], "collisions": [(1, 12, 15, 0, 0)]}, moving[4])
+    assert choose_followed(recording.reader, stop=2.99) == 11
+    assert choose_followed(recording.reader, stop=3.0) == 12
+
+
+def test_another_actor_can_be_followed_while_the_hero_is_ignored(record: Record) -> None:
+    assert Player(record({"spawned": CAST}), follow=12, ignore_hero=True).followed == 12
