@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 TICK: Final = 0.05
 RED, YELLOW, GREEN = 0, 1, 2
-CAR, LIGHT = 7, 3
+CAR, LIGHT, WALKER = 7, 3, 99
 LENGTH: Final = 3.69  # m of a Mini
 
 
@@ -56,19 +56,21 @@ class Drives:
         self.extremes: dict[int, dict[str, Extreme]] = {}
 
     def __call__(self, *poses: Sequence[Pose] | Floats, lights: Callable[[float], int] = lambda _: GREEN) -> list[RoadEvent]:
-        """Return what cars do wrong that have a pose (x, y, heading in degrees) in each frame."""
+        """Return what cars do wrong that have a pose (x, y, heading in degrees) in each frame; a pedestrian stands by."""
         x, y = LIGHT_POSITION
         spawned = [Spawn(LIGHT, 3, 100 * x, -100 * y, type_id="traffic.traffic_light")]
         spawned += [
             Spawn(CAR + number, 1, type_id="vehicle.mini.cooper_s", attributes=attributes(role_name="autopilot"))
             for number in range(len(poses))
         ]
+        spawned.append(Spawn(WALKER, 2, type_id="walker.pedestrian.0001"))
         frames: list[dict[str, Any]] = []
         for index in range(len(poses[0])):
             at = [
                 (CAR + number, 100 * px, -100 * py, 0.0, 0.0, 0.0, -yaw)
                 for number, (px, py, yaw) in enumerate(each[index] for each in poses)
             ]
+            at.append((WALKER, 0.0, 2000.0, 0.0, 0.0, 0.0, 0.0))
             time = index * TICK
             frames.append({"transforms": at, "light_states": [(LIGHT, False, 0.0, lights(time + 1e-9))]})
         frames[0] = {"spawned": spawned, **frames[0]}
@@ -203,6 +205,14 @@ def test_stopping_too_far_away_is_not(drives: Drives) -> None:
     assert [event.kind for event in drives(_west([6.0] * 8 + [0.0] * 20 + [6.0] * 60))] == ["stop sign"]
 
 
+@pytest.mark.parametrize(("metres", "counts"), [(7.9, True), (8.1, False), (0.1, True)])
+def test_stopping_counts_from_eight_metres_before_the_line_on(drives: Drives, metres: float, counts: bool) -> None:
+    """The car stands with its front at this distance from the line, and then passes it."""
+    front = np.concatenate((np.full(30, metres), np.linspace(metres, -10, 40)))
+    kinds = [event.kind for event in drives(path(120 + LENGTH / 2 + front, 1.75, 180.0))]
+    assert kinds == ([] if counts else ["stop sign"])
+
+
 def test_a_car_that_stands_before_the_line_at_first_has_stopped(drives: Drives) -> None:
     start = along([0.0] * 5 + [5.0] * 60, x=121.5 + LENGTH / 2, y=1.75, heading=180)
     assert drives(start) == []
@@ -241,12 +251,35 @@ def test_the_distance_off_road_is_a_measure(drives: Drives) -> None:
     assert drives.extremes[CAR]["distance_off_road"].value == pytest.approx(0.2, abs=1e-3)
 
 
+@pytest.mark.parametrize(("begin", "greatest"), [(62, [1.4]), (66, [1.0, 1.4])])
+def test_two_excursions_half_a_second_apart_are_one(drives: Drives, begin: int, greatest: list[float]) -> None:
+    """Samples are 0.1 s apart: the first excursion ends after 2.6 s, the second begins after 3.1 s or 3.3 s."""
+    y = np.full(150, -1.75)
+    y[40:54] = -4.5 - 0.8
+    y[46:48] = -4.5 - 1.0
+    y[begin : begin + 16] = -4.5 - 1.4
+    events = drives(np.stack((np.arange(150) * 0.5, y, np.zeros(150)), axis=1))
+    assert [event.value for event in events] == pytest.approx(greatest, abs=1e-3)
+    assert [event.start for event in events] == pytest.approx([2.0, begin * TICK][: len(greatest)])
+    assert events[0].time == pytest.approx(2.3 if len(events) == 2 else begin * TICK)
+
+
 # --- the wrong way -------------------------------------------------------------------------------------------------------
 
 
 def test_driving_against_the_lane_is_found(drives: Drives) -> None:
     (event,) = drives(along([5.0] * 61, x=20, y=1.75))
     assert (event.kind, event.text) == ("wrong way", "drives 15 m against the direction of its lane")
+
+
+def test_the_ways_against_the_lane_of_one_run_add_up(drives: Drives) -> None:
+    poses = along([5.0] * 100, x=10, y=1.75)
+    poses[50:56, 1] = -1.75  # back in its own lane for 0.3 s
+    (event,) = drives(poses)
+    assert event.value == pytest.approx(25 - 6 * 0.25, abs=0.6)
+    assert event.value == drives.extremes[CAR]["distance_against_lane"].value
+    assert (event.start, event.stop) == pytest.approx((0.1, 4.9), abs=0.11)
+    assert event.time == event.stop
 
 
 def test_reversing_is_not_driving_the_wrong_way(drives: Drives) -> None:
