@@ -87,7 +87,7 @@ class BrakingDetector:
         self._first = 0  # the number of the block's first frame
         self._done = 0  # the number of the first frame that is not evaluated yet
         self._hard = [np.zeros(0, _HARD)]  # the frames in which vehicles brake hard
-        self._hard_by_id: dict[int, NDArray[np.void]] = {}
+        self._hard_by_id: dict[int, tuple[Floats, Floats]] = {}  # the times and the decelerations
 
     def add_spawns(self, spawns: Iterable[Spawn]) -> bool:
         """Add the vehicles among spawned actors; return False if one of them had records before, which were left out."""
@@ -117,7 +117,8 @@ class BrakingDetector:
         hard = np.concatenate(self._hard)
         hard = hard[np.lexsort((hard["frame"], hard["id"]))]
         of_vehicles = np.split(hard, np.flatnonzero(np.diff(hard["id"])) + 1)
-        self._hard_by_id = {rows["id"].item(0): rows for rows in of_vehicles if len(rows)}
+        in_time = (rows[np.argsort(rows["time"], kind="stable")] for rows in of_vehicles if len(rows))
+        self._hard_by_id = {rows["id"].item(0): (rows["time"].copy(), rows["deceleration"].copy()) for rows in in_time}
         first, last = _runs(hard, np.diff(hard["frame"]) == 1)
         lasts = hard["time"][last] - hard["time"][first] >= SHORTEST - _ROUNDING
         lasts &= last - first >= _FEWEST - 1
@@ -134,12 +135,12 @@ class BrakingDetector:
             start: The elapsed seconds from which on it is looked for.
             stop: The elapsed seconds until which it is looked for.
         """
-        hard = self._hard_by_id.get(id, self._hard[0])
-        hard = hard[(hard["time"] >= start) & (hard["time"] <= stop)]
-        if not len(hard):
+        times, decelerations = self._hard_by_id.get(id, (np.zeros(0), np.zeros(0)))
+        first, last = times.searchsorted(start), times.searchsorted(stop, "right")
+        if first >= last:
             return math.nan, math.nan
-        row = hard[hard["deceleration"].argmax()]
-        return round(float(row["deceleration"]), _DIGITS), float(row["time"])
+        row = first + decelerations[first:last].argmax()
+        return round(decelerations.item(row), _DIGITS), times.item(row)
 
     def _add(self, buffer: SegmentBuffer, records: NDArray[np.void]) -> int:
         """Add the records of some frames, and return how many are of vehicles."""
