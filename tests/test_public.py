@@ -84,6 +84,7 @@ NAMES = [
     "picture",
     "recover",
     "snapshot",
+    "use_models",
     "write_index",
     "write_report",
 ]

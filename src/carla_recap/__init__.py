@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from carla_recap.recording import Recording, RecordingInfo, open_recording
     from carla_recap.replay import Player, Scene
     from carla_recap.roads import RoadMap, load_map
+    from carla_recap.scene.models import use_models
     from carla_recap.show.clips import clips
     from carla_recap.show.foxglove import export_foxglove
     from carla_recap.show.page import write_report
@@ -138,6 +139,7 @@ __all__ = [
     "picture",
     "recover",
     "snapshot",
+    "use_models",
     "write_index",
     "write_report",
 ]
@@ -156,6 +158,7 @@ _get, __dir__ = lazily(
         "files.osi": ("export_osi",),
         "files.tracks": ("export_csv",),
         "errors": ("Closed", "FormatError", "MissingExtra", "NotARecording", "RecapError", "RecapWarning", "RecordError"),
+        "scene.models": ("use_models",),
         "show.clips": ("clips",),
         "show.foxglove": ("export_foxglove",),
         "show.page": ("write_report",),

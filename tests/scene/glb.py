@@ -48,3 +48,31 @@ def square(corners: np.ndarray[Any, Any] = CORNERS, normals: bool = False, **mat
 
 def color(*linear: float) -> dict[str, Any]:
     return {"pbrMetallicRoughness": {"baseColorFactor": [*linear, 1.0]}}
+
+
+_FACES = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+
+
+def boxes(*parts: tuple[dict[str, Any], tuple[float, ...], tuple[float, ...]]) -> bytes:
+    """Return a file of boxes, each with a material, its lowest and its highest corner, in a node of its own."""
+    indices = _FACES[:, [0, 1, 2, 0, 2, 3]].astype("<u2").tobytes()
+    binary, views = indices, [{"byteLength": len(indices)}]
+    accessors = [{"bufferView": 0, "componentType": 5123, "count": 36, "type": "SCALAR"}]
+    for number, (_, low, high) in enumerate(parts, 1):
+        points = np.array([np.where((x, y, z), high, low) for x in (0, 1) for y in (0, 1) for z in (0, 1)], "<f4")
+        views.append({"byteOffset": len(binary), "byteLength": points.nbytes})
+        accessors.append({"bufferView": number, "componentType": 5126, "count": 8, "type": "VEC3"})
+        binary += points.tobytes()
+    meshes = [
+        {"primitives": [{"attributes": {"POSITION": number}, "indices": 0, "material": number - 1}]}
+        for number in range(1, len(parts) + 1)
+    ]
+    document = {
+        "nodes": [{"mesh": number} for number in range(len(parts))],
+        "meshes": meshes,
+        "materials": [material for material, _, _ in parts],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(binary)}],
+    }
+    return glb(document, binary)

@@ -71,6 +71,7 @@ def capture(destination: str, host: str, port: int, duration: float, additional_
 )
 @_follow
 @options.camera
+@options.models
 def watch(to: str | None, host: str, port: int, duration: float, follow: Follow, view: View, force: bool) -> None:
     """Show what a CARLA server does in Rerun's viewer, live."""
     from carla_recap.capture.live import watch as run

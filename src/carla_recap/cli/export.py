@@ -45,6 +45,7 @@ _LIST = "\n".join(f"    {form.name:9} {form.suffix or 'folder':7} {form.text}" f
 @click.option("--to", type=click.Choice(list(FORMATS)), help="The format; else the suffix of DST says it.")
 @_window
 @options.camera
+@options.models
 @click.option("--cameras", type=click.Path(), metavar="DIR", help="Write a small .rbl for each actor, to follow it (Rerun).")
 def export(request: WriteRequest, to: str | None, **shown: Any) -> None:
     """Write recordings in other formats."""
@@ -96,6 +97,7 @@ def _export(name: str, shown: dict[str, Any], source: str, destination: str, for
 )
 @click.option("--rrd/--no-rrd", default=None, help="Write an .rrd beside each clip; by default if Rerun is installed.")
 @click.option("--video", is_flag=True, help="Write a video beside each clip.")
+@options.models
 @options.incident_options
 @click.option(
     "--limit", type=click.IntRange(min=1), default=100, show_default=True, metavar="N", help="The largest number of clips."
@@ -152,6 +154,7 @@ def _facts(clip: IncidentClip) -> dict[str, Any]:
 @options.source
 @_window
 @options.camera
+@options.models
 @click.option("--web", is_flag=True, help="Serve the viewer to a browser on this machine.")
 def view(
     source: str,
@@ -194,6 +197,7 @@ def view(
 @options.road_map
 @click.option("--size", type=options.SIZE, metavar="WxH", help="In pixels; 1280x720, or of a recorded camera its own.")
 @options.overlay
+@options.models
 @options.force
 @options.written
 def snapshot(
@@ -235,6 +239,7 @@ def snapshot(
 @click.option("--fps", "rate", type=options.POSITIVE, metavar="N", help="Frames per second; 30, of a GIF 12.5.")
 @click.option("--smooth", is_flag=True, help="Draw smooth edges, which takes about twice as long.")
 @options.overlay
+@options.models
 def video(
     request: WriteRequest,
     suffix: str | None,
@@ -295,6 +300,7 @@ def _video(
 @click.option("--viewer", is_flag=True, help="Add Rerun's viewer, in 3D, to a folder; it needs --serve or another server.")
 @click.option("--serve", is_flag=True, help="Serve the folder to a browser on this machine, until Ctrl-C.")
 @click.option("--port", type=click.IntRange(0, 65535), metavar="N", help="The port to serve at; else any free one.")
+@options.models
 @options.incident_options
 @click.pass_context
 def report(

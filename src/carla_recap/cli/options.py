@@ -288,6 +288,21 @@ def incident_options(command: Callable[..., None]) -> Callable[..., None]:
     return together(road_map, min_time, min_distance, deceleration)(decorated)
 
 
+def models(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the option for models of one's own, which are in use while it runs."""
+
+    @click.option("--models", type=click.Path(), metavar="DIR", help="Your own models, such as vehicle.tesla.model3.glb.")
+    @wraps(command)
+    def with_models(*arguments: Any, models: str | None, **given: Any) -> None:
+        if models is not None:
+            from carla_recap.scene.models import use_models
+
+            use_models(models)
+        command(*arguments, **given)
+
+    return with_models
+
+
 def together(*decorators: Callable[[Command], Command]) -> Callable[[Command], Command]:
     """Return several options as one decorator, in the order in which help lists them."""
 

@@ -67,6 +67,7 @@ _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
     metavar="ID|hero",
     help="The actor that its camera follows; else the hero, or one that moves.",
 )
+@options.models
 @click.option("--attached", is_flag=True, hidden=True, help="End when the standard input does.")
 def serve(
     host: str,

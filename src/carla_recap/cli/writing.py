@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -110,8 +110,11 @@ class WriteRequest:
             title: What is done, for the progress bar.
         """
         from carla_recap.fleet.destinations import DestinationFolder, write_files
+        from carla_recap.scene.models import models_directory
         from carla_recap.util.signals import unwind_on_termination
 
+        models = models_directory()
+        write = write if models is None else partial(_with_models, models, write)
         folder = DestinationFolder(self.destination, suffix, force=self.force, newer=self.newer)
         found, bar = watched(self.sources, title)
         messages, written, failed, hints = Messages(bar), 0, list[dict[str, str]](), dict[str, None]()
@@ -138,6 +141,14 @@ class WriteRequest:
         not_written("failed", failed)
         if failed:
             sys.exit(BAD_INPUT)
+
+
+def _with_models(directory: Path, write: Write, source: str, destination: str, force: bool) -> WrittenFile:
+    """Write a file in another process, with the user's own models there, too."""
+    from carla_recap.scene.models import use_models
+
+    use_models(directory)
+    return write(source, destination, force)
 
 
 def _say(written: WrittenFile) -> None:

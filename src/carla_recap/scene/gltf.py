@@ -193,9 +193,10 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], memoryview]:
     if len(data) < 20 or data[:4] != _MAGIC:
         raise InvalidGltf("is not a .glb file: it does not begin with glTF")
     version, length = struct.unpack_from("<II", data, 4)
-    if version != _VERSION or length > len(data):
-        problem = f"version {version}" if version != _VERSION else f"cut: {len(data)} of {length} bytes"
-        raise InvalidGltf(f"is not a whole glTF 2.0 file: {problem}")
+    if version != _VERSION:
+        raise InvalidGltf(f"is glTF of version {version}: 2 was expected")
+    if length > len(data):
+        raise InvalidGltf(f"is cut: it has {len(data)} of {length} bytes")
     chunks: dict[bytes, memoryview] = {}
     offset = 12
     while offset + 8 <= length:

@@ -88,7 +88,8 @@ MODELS: Final = _Models(_FILES)
 INDEX: Final[dict[str, int]] = {file.stem.replace("_", " "): index for index, file in enumerate(_FILES)}
 """The indices of this package's models by their names."""
 
-_own: dict[str, int] = {}  # the indices of those in use, by blueprint
+_directory: Path | None = None  # of the user's own models in use
+_own: dict[str, int] = {}  # and their indices, by blueprint
 _added: dict[tuple[Path, int, int], int] = {}  # the indices of all users' models, by path, time and size
 
 
@@ -123,8 +124,15 @@ def use_models(directory: Path | str | None) -> None:
         triangles += len(MODELS[_added[key]].mesh.triangles)
         if triangles > MOST_TRIANGLES:
             raise RecapError(f"{directory}: the models have more than {MOST_TRIANGLES:,} triangles in all")
+    global _directory
+    _directory = None if directory is None else Path(directory).absolute()
     _own.clear()
     _own.update(found)
+
+
+def models_directory() -> Path | None:
+    """Return the folder of the user's own models in use, for other processes; None without one."""
+    return _directory
 
 
 def _own_files(directory: Path) -> list[Path]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, Self
 from carla_recap.capture.live import check_target
 from carla_recap.errors import RecapError
 from carla_recap.replay.follow import HERO, Follow
+from carla_recap.scene.models import models_directory
 from carla_recap.util.processes import module_command, module_environment, terminate
 
 if TYPE_CHECKING:
@@ -34,7 +35,8 @@ class ViewerProcess:
         check_target(to, force=False)
         if to is not None and "://" not in to and not Path(to).parent.is_dir():
             raise RecapError(f"{to}: cannot be written: there is no folder {Path(to).parent}")
-        self._options = [f"--follow={follow}", *([f"--to={to}"] if to else [])]
+        models = models_directory()
+        self._options = [f"--follow={follow}", *([f"--to={to}"] if to else []), *([f"--models={models}"] if models else [])]
         self._process: subprocess.Popen[bytes] | None = None
 
     def open(self, host: str, port: int) -> None:
