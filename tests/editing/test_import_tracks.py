@@ -63,6 +63,23 @@ def test_units_and_axes_are_options(table):
         assert frame["velocities"].tolist() == [(7, 3, 4, 0, 0, 0, 0)]
 
 
+@pytest.mark.parametrize(
+    ("names", "ids"),
+    [
+        (["7", "4294967294"], [7, 4294967294]),
+        (["7", "4294967295"], [1, 2]),  # no actor, in recordings
+        (["7", "42949672940"], [1, 2]),
+        (["0", "7"], [1, 2]),
+        (["07", "7"], [1, 2]),
+        (["7", "car"], [1, 2]),
+    ],
+)
+def test_names_that_are_ids_stay_so(table, names, ids):
+    with table("time,id,x,y\n" + "".join(f"0,{name},{n},0\n" for n, name in enumerate(names))) as recording:
+        (frame,) = recording
+        assert sorted(frame["transforms"]["id"].tolist()) == ids
+
+
 def test_columns_may_have_other_names(table):
     with table(
         "Frame Time,track,east,north\n0,7,1,2\n", columns={"time": "Frame Time", "id": "track", "x": "east", "y": "north"}

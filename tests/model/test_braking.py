@@ -1,0 +1,105 @@
+"""Hard braking: from which deceleration on, for how long, and of which vehicles."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from carla_recap.model import braking
+from carla_recap.model.batch import Batch
+from carla_recap.model.braking import BrakingDetector
+from carla_recap.model.frame import Frame
+from carla_recap.model.records import ActorKind, Spawn
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    Speed = Callable[[float], float]
+
+TICK = 0.05
+
+
+def slowing(deceleration: float, start: float = 1.0, seconds: float = 1.0, speed: float = 20.0) -> Speed:
+    """Return the speed of a car that brakes for some time."""
+    return lambda time: speed - deceleration * min(max(time - start, 0.0), seconds)
+
+
+def detected(
+    cars: Mapping[int, Speed], threshold: float = 6.0, *, frames: int = 60, has_velocities: bool = True, known: int = 100
+) -> BrakingDetector:
+    """Return a detector that got the drive of cars to the east; ids below one are vehicles."""
+    detector = BrakingDetector([id for id in cars if id < known], threshold)
+    way = dict.fromkeys(cars, 0.0)
+    for number in range(frames):
+        time = number * TICK
+        poses = [(id, 100 * way[id], 100.0 * id, 0.0, 0.0, 0.0, 0.0) for id in cars]
+        records = {"transforms": poses}
+        if has_velocities:
+            records["velocities"] = [(id, speed(time), 0.0, 0.0, 0.0, 0.0, 0.0) for id, speed in cars.items()]
+        detector.batch(Batch.of(Frame(number, number + 1, time, TICK, []).replace(**records)))
+        for id, speed in cars.items():
+            way[id] += speed(time + TICK / 2) * TICK
+    return detector
+
+
+@pytest.mark.parametrize("has_velocities", [True, False])
+def test_braking_is_found_with_place_and_speed(has_velocities: bool) -> None:
+    detector = detected({1: slowing(7), 2: slowing(5), 3: slowing(-7)}, has_velocities=has_velocities)
+    (found,) = detector.finish()
+    assert (found.id, found.y) == (1, 100)
+    assert (found.start, found.stop) == pytest.approx((1.05, 1.95), abs=0.11)
+    assert found.speed == pytest.approx(20 - 7 * (found.start - 1), abs=0.1)
+    assert found.x == pytest.approx(100 * (20 * found.start - 3.5 * (found.start - 1) ** 2), abs=5)
+    deceleration, time = detector.hardest(1, found.start, found.stop)
+    assert deceleration == pytest.approx(7, abs=0.01)
+    assert found.start <= time <= found.stop
+
+
+@pytest.mark.parametrize(("threshold", "count"), [(6.999, 1), (7.001, 0)])
+def test_it_is_hard_from_the_threshold_on(threshold: float, count: int) -> None:
+    assert len(detected({1: slowing(7)}, threshold).finish()) == count
+
+
+@pytest.mark.parametrize(("seconds", "count"), [(0.45, 0), (0.5, 1)])
+def test_it_lasts_for_three_tenths_of_a_second(seconds: float, count: int) -> None:
+    """Speeds of 0.1 s before and after a moment count, too."""
+    assert len(detected({1: slowing(7, seconds=seconds)}, 6.99).finish()) == count
+
+
+@pytest.mark.parametrize(("pause", "count"), [(0.6, 1), (1.5, 2)])
+def test_braking_again_within_a_second_is_one(pause: float, count: int) -> None:
+    first, second = slowing(7), slowing(7, 2.0 + pause)
+    assert len(detected({1: lambda time: first(time) + second(time)}, frames=100).finish()) == count
+
+
+def test_the_hardest_moment_is_within_the_given_time() -> None:
+    first, second = slowing(7), slowing(9, 3.0)
+    detector = detected({1: lambda time: first(time) + second(time)}, frames=100)
+    detector.finish()
+    assert detector.hardest(1, 0, 5)[0] == pytest.approx(9, abs=0.01)
+    assert detector.hardest(1, 0, 2.5)[0] == pytest.approx(7, abs=0.01)
+    deceleration, time = detector.hardest(1, 0, 5)
+    assert detector.hardest(1, time, time) == (deceleration, time)
+    assert np.isnan(detector.hardest(1, 0, 0.5)).all()
+    assert np.isnan(detector.hardest(2, 0, 5)).all()
+
+
+def test_a_vehicle_whose_spawn_comes_after_its_records_is_reported() -> None:
+    detector = detected({1: slowing(7), 200: slowing(7)})
+    assert detector.add_spawns([Spawn(1, ActorKind.VEHICLE), Spawn(5, ActorKind.VEHICLE), Spawn(200, ActorKind.WALKER)])
+    assert not detector.add_spawns([Spawn(200, ActorKind.VEHICLE)])
+    assert [each.id for each in detector.finish()] == [1]
+
+
+def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def cars() -> dict[int, Speed]:
+        return {id: slowing(6 + id, 1 + id / 3) for id in range(1, 6)}
+
+    whole = detected(cars(), frames=200).finish()
+    assert len(whole) == 5
+    for name, size in (("_FRAMES", 70), ("_BLOCK", 100), ("_CELLS", 200), ("_CACHED", 300)):
+        with monkeypatch.context() as patch:
+            patch.setattr(braking, name, size)
+            assert detected(cars(), frames=200).finish() == whole
