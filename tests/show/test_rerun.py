@@ -264,13 +264,30 @@ def test_a_walker_who_was_hit_lies(tmp_path: Path) -> None:
 
 
 def test_the_followed_car_is_see_through_while_it_hides_another_actor(tmp_path: Path) -> None:
-    frames = [{"transforms": [pose(1), pose(2, 380 if 10 <= n < 20 else 3000, z=90)]} for n in range(50)]
+    frames = [{"transforms": [pose(1), pose(2, 300 if 10 <= n < 20 else 3000, z=90)]} for n in range(50)]
     frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2, "walker.pedestrian.0001")]
     rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
     (hides, (first,)), (free, (second,)) = rrd.rows("/world/actors/1", "Mesh3D:albedo_factor")
-    assert (first & 255, second & 255) == (115, 255)
+    assert (first & 255, second & 255) == (102, 255)
     assert hides == pytest.approx(1.0, abs=0.21)
     assert free == pytest.approx(2.9, abs=0.25)
+
+
+def test_what_is_between_the_camera_and_the_followed_car_is_see_through(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1), pose(2, -600 if 10 <= n < 20 else -3000, z=100)]} for n in range(50)]
+    frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2, "vehicle.carlamotors.carlacola")]
+    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
+    (hides, (first,)), (free, (second,)) = rrd.rows("/world/actors/2", "Mesh3D:albedo_factor")
+    assert (first & 255, second & 255) == (64, 255)
+    assert (hides, free) == pytest.approx((1.0, 2.9), abs=0.25)
+    assert not rrd.rows("/world/actors/1", "Mesh3D:albedo_factor")
+
+
+def test_flat_debris_need_not_be_seen(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 20 * n), pose(2, 400)]} for n in range(50)]
+    frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2, "static.prop.dirtdebris02")]
+    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
+    assert not rrd.rows("/world/actors/1", "Mesh3D:albedo_factor")
 
 
 def test_a_sensor_is_fixed_to_its_car(crossing) -> None:

@@ -80,7 +80,7 @@ class FollowedSeries:
     @property
     def known(self) -> Flags:
         """Whether the actor has a pose of finite numbers, (scenes,)."""
-        return np.isfinite(self.poses).all(axis=1)
+        return np.asarray(np.isfinite(self.poses).all(axis=1))
 
     @classmethod
     def joined(cls, parts: Sequence[FollowedSeries]) -> Self:
@@ -221,7 +221,7 @@ class CalmPath:
             poses: The poses, in cm and degrees, left-handed, (scenes, 6); NaN where there is none.
             speeds: The recorded speeds, in m/s, by which jumps are told from fast drives, (scenes,); None: none are.
         """
-        known = np.isfinite(poses).all(axis=1)
+        known = np.asarray(np.isfinite(poses).all(axis=1))
         rows = np.flatnonzero(known)
         speeds = np.full(len(time), np.nan) if speeds is None else speeds
         path = np.concatenate((self._pose[None], poses[rows]))

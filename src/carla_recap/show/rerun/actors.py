@@ -22,7 +22,6 @@ from carla_recap.show.rerun.followed import CameraAxes
 from carla_recap.show.rerun.lamps import LampWriter
 from carla_recap.show.rerun.meshes import drawn, model_mesh
 from carla_recap.show.rerun.poses import PoseBuffer
-from carla_recap.show.rerun.see_through import SeeThroughWriter
 from carla_recap.show.rerun.stream import screen_radii
 
 if TYPE_CHECKING:
@@ -59,6 +58,9 @@ class ActorWriter:
         roads: Whether the map has roads.
         cameras: Ids of other actors that get the axes of a camera, if they are vehicles or walkers.
         signs: Whether signs are drawn; those of a map are part of its surfaces.
+
+    Attributes:
+        looks: The looks of the present actors that are drawn as models, by id.
     """
 
     def __init__(self, stream: Stream, followed: int | None, *, roads: bool, cameras: Iterable[int], signs: bool) -> None:
@@ -69,8 +71,7 @@ class ActorWriter:
         self._cameras = {id: CameraAxes(stream, paths.camera(id)) for id in cameras if id != followed}
         self._present: set[int] = set()
         self._models = 0
-        self._looks: dict[int, Look] = {}  # of those on the map, as long as they are present
-        self._see_through: SeeThroughWriter | None = None
+        self.looks: dict[int, Look] = {}
         self._lamps = LampWriter(stream)
         self._fallen = FallenWriter(stream)
         self._named: int | None = None  # the actor whose name has to be shown from the next scene on
@@ -94,7 +95,6 @@ class ActorWriter:
         """Show the name of another actor from now on."""
         self._followed = self._named = id
         self._boxed.add(id)
-        self._see_through = SeeThroughWriter(self._stream, id, self._looks)
 
     def write(self, batch: SceneBatch, times: TimeColumns) -> None:
         """Write scenes."""
@@ -131,8 +131,6 @@ class ActorWriter:
             self._write_map(block)
             if self._corridors is not None:
                 self._corridors.add(block, np.isin(block.ids, list(self._vehicles)))
-            if self._see_through is not None:
-                self._see_through.write(block)
             self._write_cameras(block)
         self._colors = {id: color for id, color in self._colors.items() if id in self._present}
 
@@ -161,6 +159,7 @@ class ActorWriter:
             self._stream.clear(path, time)
         self._present.add(actor.id)
         self._colors.pop(actor.id, None)
+        self.looks.pop(actor.id, None)
         if actor.kind == "vehicle":
             self._vehicles.add(actor.id)
         if actor.kind in ROAD_USERS:
@@ -171,11 +170,10 @@ class ActorWriter:
             return
         self._boxed.add(actor.id)
         look = look_of_present(actor, signs=self._signs) if actor.type_id else None
-        if look is not None and actor.kind in ROAD_USERS:
-            self._looks[actor.id] = look
         archetypes: list[rr.AsComponents] = [rr.AnyValues(name=style.label_of(actor))]
         if look is not None and self._models < MOST_MODELS:
             self._models += 1
+            self.looks[actor.id] = look
             mesh = model_mesh(look)
             archetypes.append(drawn(look, mesh, with_shadow=actor.kind == "vehicle"))
             if actor.kind == "vehicle":
@@ -192,7 +190,7 @@ class ActorWriter:
         if id in self._present:
             self._present.remove(id)
             self._lamps.remove(id)
-            self._looks.pop(id, None)
+            self.looks.pop(id, None)
             if id in self._boxed:
                 self._stream.clear(paths.actor(id), time)
 

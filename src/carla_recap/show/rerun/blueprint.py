@@ -15,9 +15,10 @@ from carla_recap.replay import Player, camera, right_handed
 from carla_recap.replay.pose import LOCATION
 from carla_recap.scene import style
 from carla_recap.scene.appearance import look_of_present
+from carla_recap.scene.follow import CONTROLS
 from carla_recap.show.rerun import paths
 from carla_recap.show.rerun.eyes import LOOK_DOWN, Triple, chase_eye
-from carla_recap.show.rerun.plots import CONTROLS, FARTHEST, LATEST
+from carla_recap.show.rerun.plots import FARTHEST, LATEST
 from carla_recap.show.rerun.stream import FRAME, SIM_TIME
 
 if TYPE_CHECKING:

@@ -12,16 +12,22 @@ from carla_recap.replay import right_handed
 from carla_recap.replay.pose import LOCATION
 from carla_recap.scene import style
 from carla_recap.scene.follow import CalmPath, FollowedSeries
+from carla_recap.scene.opacity import SteppedOpacity
 from carla_recap.show.rerun import paths
+from carla_recap.show.rerun.eyes import LOOK_DOWN, chase_eye
 from carla_recap.show.rerun.ground import ground_below
+from carla_recap.show.rerun.meshes import faded
 from carla_recap.show.rerun.plots import PlotWriter
 from carla_recap.show.rerun.poses import ROWS
 from carla_recap.show.rerun.stream import TimeColumns, screen_radii
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from carla_recap.replay import SceneBatch
+    from carla_recap.scene.appearance import Look
     from carla_recap.show.rerun.stream import Stream, TimePoint
 
     Floats = NDArray[np.float64]
@@ -56,6 +62,29 @@ class CameraAxes:
         if len(changed):
             self._stream.transforms(self._path, times.take(known[changed]), axes[changed])
             self._last = axes[-1:]
+
+
+class OpacityWriter:
+    """Writes which actors are see-through for the camera behind the followed one.
+
+    Args:
+        stream: The stream.
+        id: The followed actor.
+        looks: The looks of the present actors by id.
+    """
+
+    def __init__(self, stream: Stream, id: int, looks: Mapping[int, Look]) -> None:
+        self._stream = stream
+        self._id = id
+        self._looks = looks
+        self._opacity = SteppedOpacity(id, looks)
+
+    def write(self, batch: SceneBatch, times: TimeColumns, series: FollowedSeries) -> None:
+        """Write scenes."""
+        look = self._looks.get(self._id)
+        eye = chase_eye(None if look is None else look.half_extents)
+        for row, id, opacity in self._opacity.changes(batch, series, eye, LOOK_DOWN):
+            self._stream.log(paths.actor(id), times.point(row), rr.Mesh3D.from_fields(albedo_factor=faded(opacity)))
 
 
 class FollowedWriter:

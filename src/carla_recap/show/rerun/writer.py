@@ -23,7 +23,7 @@ from carla_recap.show.rerun import paths
 from carla_recap.show.rerun.actors import ActorWriter
 from carla_recap.show.rerun.blueprint import first_locations
 from carla_recap.show.rerun.events import EventWriter
-from carla_recap.show.rerun.followed import FollowedWriter
+from carla_recap.show.rerun.followed import FollowedWriter, OpacityWriter
 from carla_recap.show.rerun.ground import ground_below, write_ground
 from carla_recap.show.rerun.lights import LightAheadWriter, TrafficLightWriter
 from carla_recap.show.rerun.plots import write_measures
@@ -111,6 +111,7 @@ class SceneWriter:
         self._actor: FollowedActor | None = None
         self._followed: FollowedWriter | None = None
         self._ahead: LightAheadWriter | None = None
+        self._opacity: OpacityWriter | None = None
         if followed is not None:
             self.follow(followed)
 
@@ -123,6 +124,7 @@ class SceneWriter:
         self._actors.follow(id)
         self._actor = FollowedActor(id, self._stops)
         self._ahead = LightAheadWriter(self._stream)
+        self._opacity = OpacityWriter(self._stream, id, self._actors.looks)
         self._followed = FollowedWriter(self._stream, id, ground=not self._has_ground)
 
     def write(self, batch: SceneBatch) -> None:
@@ -133,10 +135,11 @@ class SceneWriter:
         self._actors.write(batch, times)
         self._lights.write(batch, times)
         self._events.write(batch, times)
-        if self._actor is not None and self._followed is not None and self._ahead is not None:
+        if self._actor is not None:
             series = self._actor.series(batch)
-            self._followed.write(batch, times, series)
-            self._ahead.write(batch, times, series)
+            for writer in (self._followed, self._ahead, self._opacity):
+                if writer is not None:
+                    writer.write(batch, times, series)
 
     def _place_ground(self, batch: SceneBatch, times: TimeColumns) -> None:
         """Move the ground to the first actor, as long as none is followed."""

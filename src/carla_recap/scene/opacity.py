@@ -1,0 +1,228 @@
+"""What is see-through: what hides the followed actor from a camera, and the followed actor where it hides another one."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from carla_recap.replay import right_handed
+from carla_recap.replay.pose import LOCATION, YAW, rotations
+from carla_recap.replay.selection import find
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from numpy.typing import NDArray
+
+    from carla_recap.replay import SceneBatch
+    from carla_recap.scene.appearance import Look
+    from carla_recap.scene.follow import FollowedSeries
+
+    Flags = NDArray[np.bool_]
+    Floats = NDArray[np.float64]
+    Indices = NDArray[np.intp]
+
+SEE_THROUGH: Final = 0.4
+"""The opacity of the followed actor while it hides another one."""
+IN_THE_WAY: Final = 0.25
+"""The opacity of an actor that hides the followed one."""
+
+_REACH: Final = 60.0  # m; actors farther from the camera are small
+_FLAT: Final = 0.3  # m; lower boxes, such as debris that is driven over, hide nothing and need not be seen
+_COVERED: Final = 0.25  # the part of the followed actor's box from which on what covers it is in the way
+_HIDDEN: Final = 0.5  # the part of an actor's box that is hidden, from which on the followed actor is see-through
+_BESIDE: Final = 0.3  # m; a line of sight that passes a box so closely is blocked by it
+_STEP: Final = 0.2  # s between the moments at which viewers are told
+_HELD: Final = 1.0  # s for which an actor stays see-through in viewers
+_CORNERS: Final = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+
+
+class Boxes(NamedTuple):
+    """The boxes of actors.
+
+    Attributes:
+        locations: Their centres in m, right-handed, (n, 3).
+        rotations: Matrices whose columns point forward, left and up, (n, 3, 3).
+        half_extents: Half their sizes in m, (n, 3).
+    """
+
+    locations: Floats
+    rotations: Floats
+    half_extents: Floats
+
+
+def is_flat(half_extents: Floats) -> Flags:
+    """Return whether boxes are too low to hide anything, and need not be seen, given half their sizes, (…, 3)."""
+    return np.asarray(2 * half_extents[..., 2] < _FLAT)
+
+
+def is_near(locations: Floats, eyes: Floats) -> Flags:
+    """Return whether locations are near enough to a camera to matter; both in m, (…, 3)."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.asarray(((locations - eyes) ** 2).sum(axis=-1) < _REACH**2)
+
+
+def wanted_opacities(eyes: Floats, axes: Floats, own: Boxes, others: Boxes, at: Indices) -> tuple[Floats, Floats]:
+    """Return the opacity of the followed actor in some scenes, (scenes,), and of other actors near the camera, (others,).
+
+    Args:
+        eyes: The locations of the camera in m, right-handed, (scenes, 3).
+        axes: Matrices whose columns point forward, left and up in its picture, (scenes, 3, 3).
+        own: The followed actor in each scene.
+        others: Other actors in these scenes.
+        at: The scene of each, (others,).
+    """
+    opacity, other_opacity = np.ones(len(eyes)), np.ones(len(at))
+    depth, lower, upper = _projected(own, eyes, axes)
+    other_depth, other_lower, other_upper = _projected(others, eyes[at], axes[at])
+    with np.errstate(invalid="ignore", over="ignore"):
+        common = np.clip(np.minimum(upper[at], other_upper) - np.maximum(lower[at], other_lower), 0, None).prod(axis=1)
+        in_sight = (depth[at].min(axis=1) > 0) & (common > 0) & (other_depth.min(axis=1) > 0)
+        behind = other_depth.min(axis=1) > depth[at].min(axis=1)
+        hidden = in_sight & behind & (common > _HIDDEN * (other_upper - other_lower).prod(axis=1))
+        covers = in_sight & ~behind & (common > _COVERED * (upper - lower)[at].prod(axis=1))
+        around = (other_depth.min(axis=1) <= 0) & (other_depth.max(axis=1) > 0)  # of the camera: there is no projection
+    covers[around] = _blocks(eyes[at[around]], own.locations[at[around]], Boxes(*(column[around] for column in others)))
+    opacity[at[hidden]] = SEE_THROUGH
+    other_opacity[covers] = IN_THE_WAY
+    return opacity, other_opacity
+
+
+def _projected(boxes: Boxes, eyes: Floats, axes: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the depths of the corners in m, (n, 8), and the least and greatest slopes in the picture, (n, 2) each."""
+    corners = (boxes.half_extents[:, None] * _CORNERS) @ np.swapaxes(boxes.rotations, 1, 2) + boxes.locations[:, None]
+    seen = (corners - eyes[:, None]) @ axes
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slopes = seen[..., 1:] / seen[..., :1]
+    return seen[..., 0], slopes.min(axis=1), slopes.max(axis=1)
+
+
+def _blocks(eyes: Floats, targets: Floats, boxes: Boxes) -> Flags:
+    """Return whether boxes are between points, or so near to the line between them that they have the eye inside."""
+    from_centre = np.einsum("nij,ni->nj", boxes.rotations, eyes - boxes.locations)
+    along = np.einsum("nij,ni->nj", boxes.rotations, targets - eyes)
+    half = boxes.half_extents + _BESIDE
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.stack(((-half - from_centre) / along, (half - from_centre) / along))
+    enters, leaves = np.fmin(*ends).max(axis=1), np.fmax(*ends).min(axis=1)
+    return np.asarray((enters < leaves) & (leaves > 0) & (enters < 1))
+
+
+class OpacityChange(NamedTuple):
+    """A change of the opacity of an actor, in one of the scenes of a batch."""
+
+    row: int
+    id: int
+    opacity: float
+
+
+class SteppedOpacity:
+    """The opacities of actors for viewers that do not fade: told five times a second, and held for a second.
+
+    The camera is behind the followed actor, in its calm axes.
+
+    Args:
+        id: The followed actor.
+        looks: The looks of the present actors by id.
+    """
+
+    def __init__(self, id: int, looks: Mapping[int, Look]) -> None:
+        self._id = id
+        self._looks = looks
+        self._step = -math.inf
+        self._shown: dict[int, tuple[float, float]] = {}  # the opacity, and the time until which it is held
+        self._measured: dict[int, Look] = {}
+        self._measure()
+
+    def changes(
+        self, batch: SceneBatch, series: FollowedSeries, eye: tuple[float, float, float], pitch: float
+    ) -> Iterator[OpacityChange]:
+        """Yield the changes in the next scenes.
+
+        Args:
+            batch: The scenes.
+            series: The followed actor in these.
+            eye: Where the camera is in the calm axes, in m.
+            pitch: Its pitch in degrees; downwards is negative.
+        """
+        steps = np.floor(series.time / _STEP + 1e-6)
+        rows = np.flatnonzero(np.diff(steps, prepend=self._step) != 0)
+        self._step = steps[-1]
+        rows = rows[series.known[rows]]
+        if not len(rows) or self._id not in self._looks:
+            return
+        wanted = self._wanted(batch, series, rows, np.array(eye), pitch)
+        for index, row in enumerate(rows.tolist()):
+            if index in wanted or self._shown:
+                yield from self._update(row, float(series.time[row]), wanted.get(index, {}))
+
+    def _update(self, row: int, time: float, wanted: Mapping[int, float]) -> Iterator[OpacityChange]:
+        for id in [id for id in self._shown if id not in self._looks]:  # they are gone
+            del self._shown[id]
+        for id, opacity in wanted.items():
+            if id not in self._shown:
+                yield OpacityChange(row, id, opacity)
+            self._shown[id] = opacity, time + _HELD
+        for id, (_, until) in list(self._shown.items()):
+            if not time < until:
+                del self._shown[id]
+                yield OpacityChange(row, id, 1.0)
+
+    def _wanted(
+        self, batch: SceneBatch, series: FollowedSeries, rows: Indices, eye: Floats, pitch: float
+    ) -> dict[int, dict[int, float]]:
+        """Return the opacities below 1 by id, by the position of the scene among some."""
+        camera = right_handed(series.camera[rows])
+        level = rotations(camera)
+        eyes = camera[:, LOCATION] + level @ eye
+        looking = np.zeros_like(camera)
+        looking[:, YAW - 1], looking[:, YAW] = -pitch, camera[:, YAW]
+        if self._measured != self._looks:
+            self._measure()
+        poses = right_handed(_poses(batch, self._ids, rows))
+        at, which = np.nonzero(is_near(poses[..., LOCATION], eyes[:, None]))
+        found: dict[int, dict[int, float]] = {}
+        if not len(at):
+            return found
+        others = _boxes(poses[at, which], self._centres[which], self._half_extents[which])
+        look = self._looks[self._id]
+        own = _boxes(right_handed(series.poses[rows]), *(np.tile(part, (len(rows), 1)) for part in _box_of(look)))
+        opacity, other_opacity = wanted_opacities(eyes, rotations(looking), own, others, at)
+        for scene in np.flatnonzero(opacity < 1).tolist():
+            found.setdefault(scene, {})[self._id] = float(opacity[scene])
+        for pair in np.flatnonzero(other_opacity < 1).tolist():
+            found.setdefault(int(at[pair]), {})[int(self._ids[which[pair]])] = float(other_opacity[pair])
+        return found
+
+    def _measure(self) -> None:
+        """Set the boxes of the other actors."""
+        self._measured = dict(self._looks)
+        tall = [id for id, look in self._looks.items() if id != self._id and not is_flat(np.array(look.half_extents))]
+        self._ids = np.array(tall, np.uint32)
+        parts = np.array([_box_of(self._looks[id]) for id in tall]).reshape(-1, 2, 3)
+        self._centres, self._half_extents = parts[:, 0], parts[:, 1]
+
+
+def _poses(batch: SceneBatch, ids: NDArray[np.uint32], rows: Indices) -> Floats:
+    """Return the poses of actors, recorded or not, in some scenes, (scenes, ids, 6); NaN where they are unknown."""
+    poses = np.full((len(rows), len(ids), 6), np.nan)
+    columns, recorded = find(ids, batch.ids)
+    poses[:, recorded] = batch.poses[np.ix_(rows, columns[recorded])]
+    for column in np.flatnonzero(~recorded).tolist():
+        found = batch.pose_of(int(ids[column]))
+        if found is not None:
+            poses[:, column] = found[rows]
+    return poses
+
+
+def _box_of(look: Look) -> tuple[Floats, Floats]:
+    """Return the centre of a box in the axes of its actor, and half its size, in m."""
+    return np.array(look.center), np.array(look.half_extents)
+
+
+def _boxes(poses: Floats, centres: Floats, half_extents: Floats) -> Boxes:
+    """Return boxes, given poses in m, right-handed, (n, 6), and the centres and sizes of the boxes in their axes."""
+    turns = rotations(poses)
+    return Boxes(poses[:, LOCATION] + np.einsum("nij,nj->ni", turns, centres), turns, half_extents)

@@ -1,0 +1,48 @@
+"""What is see-through."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carla_recap.replay.pose import rotations
+from carla_recap.scene.opacity import IN_THE_WAY, SEE_THROUGH, Boxes, is_flat, is_near, wanted_opacities
+
+CAR, TRUCK, WALKER = (2.1, 1.0, 0.7), (4.0, 1.2, 1.5), (0.2, 0.2, 0.9)
+
+
+def opacities(*others: tuple[tuple[float, float, float], tuple[float, float, float]]) -> tuple[float, list[float]]:
+    """Return the opacity of a car 10 m before a camera, and those of others, given as centres and half sizes."""
+    own = Boxes(np.array([(0, 0, CAR[2])]), np.eye(3)[None], np.array([CAR]))
+    centres, halves = (np.array(column, np.float64).reshape(-1, 3) for column in zip(*others, strict=True))
+    boxes = Boxes(centres, np.tile(np.eye(3), (len(others), 1, 1)), halves)
+    eye, looking = np.array([(-10.0, 0, 5)]), rotations(np.array([(0.0, 0, 0, 0, 17, 0)]))
+    opacity, other_opacity = wanted_opacities(eye, looking, own, boxes, np.zeros(len(others), np.intp))
+    return float(opacity[0]), other_opacity.tolist()
+
+
+def test_nothing_is_see_through_that_hides_nothing() -> None:
+    assert opacities(((30, 0, 0.7), CAR), ((0, 3.5, 0.7), CAR), ((-30, 0, 0.7), CAR)) == (1, [1, 1, 1])
+
+
+def test_the_followed_actor_is_see_through_where_it_hides_another() -> None:
+    assert opacities(((2.9, 0, 0.9), WALKER)) == (SEE_THROUGH, [1])
+
+
+def test_what_covers_the_followed_actor_is_see_through() -> None:
+    assert opacities(((-6.0, 0, 1.5), TRUCK)) == (1, [IN_THE_WAY])
+
+
+@pytest.mark.parametrize("x", [-9.0, -10.0, -12.0])
+def test_what_has_the_camera_inside_is_see_through(x: float) -> None:
+    assert opacities(((x, 0, 4.0), (3.0, 1.3, 2.0))) == (1, [IN_THE_WAY])
+
+
+def test_what_is_beside_the_camera_is_not() -> None:
+    assert opacities(((-10.0, 4.0, 4.0), (3.0, 1.3, 2.0))) == (1, [1])
+
+
+def test_flat_and_far_boxes_do_not_matter() -> None:
+    assert is_flat(np.array([(1, 1, 0.149), (1, 1, 0.151)])).tolist() == [True, False]
+    places = np.array([(59.0, 0, 0), (61, 0, 0), (np.nan, 0, 0), (np.inf, 0, 0)])
+    assert is_near(places, np.zeros(3)).tolist() == [True, False, False, False]
