@@ -1,0 +1,99 @@
+"""Surfaces of roads: the pieces of lanes, where stop lines are, and what junctions enclose."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carla_recap.roads.network import LIGHT, STOP, RoadNetwork
+from carla_recap.roads.surfaces import build_network
+from tests.roads.straight_road import STRAIGHT_ROAD
+
+EASTWARD, WESTWARD = 0.0, np.pi
+
+
+def with_light(s: float, lanes: tuple[int, int] | None = (-1, -1), orientation: str = "+", road: int = 1) -> RoadNetwork:
+    """Return the straight road whose light is at a station of a road."""
+    start = STRAIGHT_ROAD.index('<signal id="11"')
+    end = STRAIGHT_ROAD.index("</signal>", start) + len("</signal>")
+    validity = "" if lanes is None else f'<validity fromLane="{lanes[0]}" toLane="{lanes[1]}"/>'
+    light = f'<signal id="11" s="{s}" t="-4.5" type="1000001" orientation="{orientation}" zOffset="0">{validity}</signal>'
+    text = STRAIGHT_ROAD[:start] + STRAIGHT_ROAD[end:]
+    place = text.index("<signals>", text.index(f'<road id="{road}"')) + len("<signals>")
+    return build_network(text[:place] + light + text[place:])
+
+
+def lines_of(network: RoadNetwork) -> list[tuple[float, ...]]:
+    """Return the x of the stop lines of the light, the y of their left and right ends, and their direction."""
+    light = network.signal_ids.index("11")
+    lines = network.stop_lines[network.stop_lines["signal"] == light]
+    for line in lines:
+        assert line["x0"] == pytest.approx(line["x1"], abs=1e-6)
+    return [tuple(np.round(line[["x0", "y0", "y1", "heading"]].tolist(), 1).tolist()) for line in lines]
+
+
+EAST, WEST = (0.0, -3.5, 0.0), (0.0, 3.5, 3.1)
+
+
+@pytest.mark.parametrize(
+    ("s", "lanes", "road", "expected"),
+    [
+        (99, (-1, -1), 1, [(100.0, *EAST)]),  # at the border of the junction
+        (20, (-1, -1), 1, [(20.0, *EAST)]),  # far from it
+        (20, (1, 1), 1, [(20.0, *WEST)]),
+        (99, (1, 1), 1, [(99.0, *WEST)]),  # behind the junction
+        (1, (1, 1), 2, [(120.0, *WEST)]),
+        (1, (-1, -1), 2, [(121.0, *EAST)]),
+        (99, (-1, -1), 2, [(219.0, *EAST)]),  # no junction follows
+        (10, (-1, -1), 3, [(100.0, *EAST)]),  # in the junction
+        (10, (1, 1), 3, [(120.0, *WEST)]),
+        (20, (-1, 1), 1, [(20.0, *WEST), (20.0, *EAST)]),
+        (20, (-2, -2), 1, [(20.0, *EAST)]),  # for the shoulder, so that it is for the lanes that it faces
+        (-3, (-1, -1), 1, []),
+        (-0.3, (-1, -1), 1, [(0.0, *EAST)]),
+    ],
+)
+def test_a_stop_line_is_across_each_lane_of_a_light(
+    s: float, lanes: tuple[int, int], road: int, expected: list[tuple[float, ...]]
+) -> None:
+    assert lines_of(with_light(s, lanes, road=road)) == expected
+
+
+@pytest.mark.parametrize(("orientation", "expected"), [("+", [EAST]), ("-", [WEST]), ("none", [WEST, EAST])])
+def test_a_light_without_lanes_is_for_its_direction(orientation: str, expected: list[tuple[float, ...]]) -> None:
+    assert lines_of(with_light(20, None, orientation)) == [(20.0, *line) for line in expected]
+
+
+def test_the_kinds_and_places_of_signals() -> None:
+    network = build_network(STRAIGHT_ROAD)
+    assert network.signal_ids == ("11", "12")
+    light, stop = network.signals
+    assert (light["kind"], light["x"], light["y"]) == (LIGHT, 99, -4.5)
+    assert (stop["kind"], stop["x"], stop["y"]) == (STOP, 121, 4.5)
+    assert np.cos([light["heading"], stop["heading"]]) == pytest.approx([1, -1])
+
+
+def test_pieces_follow_each_other_in_the_direction_of_their_lane() -> None:
+    network = build_network(STRAIGHT_ROAD)
+    for number, lane in enumerate(network.lanes):
+        pieces = network.pieces[network.pieces["lane"] == number]
+        way = -1 if lane["id"] > 0 else 1
+        assert (pieces["x1"] * way > pieces["x0"] * way).all()
+        assert pieces["x0"][1:] == pytest.approx(pieces["x1"][:-1])
+        middle = {1: 1.75, -1: -1.75, -2: -4.0}[int(lane["id"])]
+        assert pieces["y0"] == pytest.approx(middle)
+        assert np.concatenate((pieces["half0"], pieces["half1"])) == pytest.approx(0.5 if lane["id"] == -2 else 1.75)
+        assert pieces["left_y0"] == pytest.approx(way)
+
+
+def test_limits_change_at_their_sign() -> None:
+    network = build_network(STRAIGHT_ROAD)
+    found = network.lanes_at(np.array([(49.9, -1.75), (50.1, -1.75)]))
+    assert found.limit * 3.6 == pytest.approx([50, 72])
+
+
+@pytest.mark.parametrize(("width", "count"), [(0.021, 2), (0.019, 1)])
+def test_a_lane_of_two_centimetres_is_none(width: float, count: int) -> None:
+    shoulder = 'type="shoulder"><width sOffset="0" a="1.0"'
+    text = STRAIGHT_ROAD.replace(shoulder, shoulder.replace("1.0", str(width)), 1)
+    assert (build_network(text).lanes["id"] == -2).sum() == count
