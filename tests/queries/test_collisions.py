@@ -151,3 +151,11 @@ def test_before_the_first_frame(make: Make) -> None:
     contact = {"collisions": [(0, 1, 2, 0, 0)]}
     answer = collisions(make(contact, contact, preamble=True))
     assert [(row.frame, row.elapsed) for row in answer] == [(0, 0.0)]
+
+
+def test_speeds_are_found_unless_carlas_answer_or_none_are_asked_for(make: Make) -> None:
+    moving = {"velocities": [(1, 3.0, 4.0, 0.0, 0.0, 0.0, 0.0)]}
+    reader = make({"spawned": CAST, **moving}, {"collisions": [(9, 1, 3, 1, 0)], **moving})
+    assert [row.impact_speed for row in collisions(reader)] == [5.0]
+    for options in ({"compat": True}, {"speeds": False}, {"compat": True, "speeds": False}):
+        assert [str(row.impact_speed) for row in collisions(reader, **options)] == ["nan"]

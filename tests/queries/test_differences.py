@@ -285,6 +285,18 @@ def test_frames_at_one_time(drive: Callable[..., Reader]) -> None:
     differences(drive(), strange)
 
 
+def test_frames_of_one_time_are_compared_in_their_order(drive: Callable[..., Reader]) -> None:
+    """A clock stands still for three frames, before which the other recording has fewer."""
+
+    def moved(times: list[float], places: list[float]) -> Reader:
+        xs = iter(places)
+        return drive(lambda _: {10: (next(xs), 0.0)}, clock=times.__getitem__, seconds=(len(times) - 1) / RATE)
+
+    a = moved([0.0, 0.05, 0.1, 0.15, 0.2, 0.2, 0.2, 0.25], [0, 0, 0, 0, 0, 10, 20, 20])
+    b = moved([0.0, 0.2, 0.2, 0.2, 0.25], [0, 0, 10, 20, 20])
+    assert [row_of(differences(*pair), 10).max for pair in ((a, b), (b, a))] == [0.0, 0.0]
+
+
 def test_times_within_a_microsecond_are_equal(drive: Callable[..., Reader]) -> None:
     found = differences(drive(), drive(clock=lambda n: n / RATE + (4e-7 if n % 2 else 0.0)), tolerance=1e-5)
     assert found.equal
