@@ -37,7 +37,9 @@ NAMES = [
     "MeasureRow",
     "MeasureSeries",
     "MissingExtra",
+    "NoCredentials",
     "NotARecording",
+    "NotSetUp",
     "Outcome",
     "Player",
     "RecapError",
@@ -128,7 +130,9 @@ def test_importing_the_package_imports_nothing_heavy(heavy):
 
 
 def test_errors_have_one_base():
-    for name in ("FormatError", "NotARecording", "RecordError", "MissingExtra"):
+    for name in ("FormatError", "NotARecording", "RecordError", "MissingExtra", "NotSetUp"):
         assert issubclass(getattr(carla_recap, name), carla_recap.RecapError)
+    assert issubclass(carla_recap.MissingExtra, carla_recap.NotSetUp)
+    assert issubclass(carla_recap.NoCredentials, carla_recap.NotSetUp)
     assert issubclass(carla_recap.NotARecording, carla_recap.FormatError)
     assert issubclass(carla_recap.RecapWarning, UserWarning)

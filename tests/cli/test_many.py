@@ -14,8 +14,11 @@ from pathlib import Path
 import pytest
 
 from carla_recap import open_recording
+from carla_recap.queries.output.table import cells
+from carla_recap.queries.summary import summary
 from carla_recap.roads import find_map
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, answer, error, on_terminal, run, the_line
+from tests.samples import warnings_ignored
 from tests.waiting import PATIENCE, time_limit, wait_until
 
 CRASH = CROSSING.with_name("crash.mcap")
@@ -286,3 +289,35 @@ def test_the_reader_of_a_pipe_closes_it(whole):
 def test_one_recording_is_answered_as_before(whole):
     with open_recording(whole / "b.mcap") as recording:
         assert len(lines("collisions", "runs/b.mcap")) == 8 + len(recording.collisions())
+
+
+def test_json_of_one_recording_has_its_warnings():
+    done = run("summary", CROSSING, "--json")
+    document, message = json.loads(done.stdout), the_line(done.stderr)
+    assert [f"warning: {text}" for text in document["warnings"]] == [message]
+    assert "'Crossing' is unknown" in message
+    assert json.loads(run("actors", CROSSING, "--json").stdout)["warnings"] == []
+
+
+def test_speeds_of_summaries_are_in_kilometres_per_hour():
+    with open_recording(CROSSING) as recording, warnings_ignored():
+        ((speed, counts),) = [row[-2:] for row in cells(summary(recording.reader))]
+        assert speed == f"{recording.summary.hero.top_speed * 3.6:.0f}"
+    assert counts.startswith("2 collisions")
+
+
+@pytest.mark.parametrize("number", ["0", "10001", "100000000000000000000"])
+def test_numbers_of_processes_without_a_sense_are_refused(number):
+    assert "--jobs" in error("incidents", CROSSING, CROSSING, "--jobs", number)
+
+
+def test_limits_of_near_misses_are_options():
+    for name, option, value in (
+        ("avoided.mcap", "--time-to-collision", 1.2),
+        ("junction.mcap", "--post-encroachment-time", 5),
+    ):
+        near = json.loads(
+            answer("incidents", CROSSING.with_name(name), "--kinds", "near-miss", "--json", option, str(value))
+        )
+        assert value in {row["threshold"] for row in near["rows"]}
+        assert option in error("incidents", CROSSING, option, "61")

@@ -195,7 +195,9 @@ def test_many_are_recovered(runs):
     (runs / "c.log").write_bytes(CROSSING.read_bytes()[:-3000])
     done = run("recover", "runs", "out", "--json")
     assert done.returncode == 0
-    assert [each["finished"] for each in json.loads(done.stdout)["written"]] == [True, False, True]
+    written = json.loads(done.stdout)["written"]
+    assert [each["finished"] for each in written] == [True, False, True]
+    assert [(each["headless"], each["without_events"]) for each in written] == [(False, False)] * 3
 
 
 def test_many_are_exported(runs):

@@ -392,6 +392,23 @@ def test_near_misses(make: Make) -> None:
     assert incidents(reader) == []
 
 
+def test_limits_of_near_misses_are_options(make: Make) -> None:
+    reader = make(*crossing(0.4), durations=[1 / RATE] * 120 + [LAST_FRAME_DURATION])
+    assert incidents(reader, IncidentOptions(kinds=["near miss"], post_encroachment_time=0.3)) == []
+    (row,) = incidents(reader, IncidentOptions(kinds=["near miss"], post_encroachment_time=0.5))
+    assert (row.measure, row.threshold) == ("post_encroachment_time", 0.5)
+    later = make(*crossing(1.8), durations=[1 / RATE] * 120 + [LAST_FRAME_DURATION])
+    assert incidents(later, IncidentOptions(kinds=["near miss"])) == []
+    assert len(incidents(later, IncidentOptions(kinds=["near miss"], post_encroachment_time=2))) == 1
+
+
+@pytest.mark.parametrize("name", ["time_to_collision", "post_encroachment_time"])
+@pytest.mark.parametrize("value", [-0.1, 60.1, math.inf, math.nan])
+def test_limits_of_near_misses_without_a_sense_are_errors(name: str, value: float) -> None:
+    with pytest.raises(RecapError, match=f"^{name} is {value:g} s; 0 to 60 s were expected$"):
+        IncidentOptions(**{name: value})
+
+
 @pytest.mark.parametrize("kinds", ["near miss", "near-miss", ["near_miss", "collision"]])
 def test_a_name_has_spaces_hyphens_or_underscores(make: Make, kinds: Any) -> None:
     reader = make(*crossing(0.4), durations=[1 / RATE] * 120 + [LAST_FRAME_DURATION])

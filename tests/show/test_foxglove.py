@@ -17,7 +17,7 @@ import pytest
 from mcap.reader import make_reader
 
 from carla_recap import MissingExtra, NotARecording, RecapError, RecapWarning, Spawn, open_recording
-from carla_recap.model.records import UE4, ActorKind
+from carla_recap.model.records import UE4, ActorKind, attributes
 from carla_recap.rendering.town import town_mesh_of
 from carla_recap.show.foxglove import export_foxglove, layout_files
 from tests.replay.scripts import light, pose, spawn, velocity, write
@@ -406,6 +406,14 @@ def test_an_attached_actor_moves_with_its_parent(record):
     frames = [{"spawned": [spawn(1), bag], "parented": [(2, 1)]}, {}, {}]
     topics = record(*({**frame, "transforms": [pose(1, x=1000 * n)]} for n, frame in enumerate(frames)))
     assert moves(topics, 2)[-1][1].translation.x == pytest.approx(19)
+
+
+def test_the_hero_is_a_vehicle_or_a_walker(record):
+    sensor = Spawn(1, ActorKind.SENSOR, type_id="sensor.camera.rgb", attributes=attributes(role_name="hero"))
+    car = Spawn(2, ActorKind.VEHICLE, type_id="vehicle.audi.tt", attributes=attributes(role_name="hero"))
+    topics = record({"spawned": [sensor, car], "transforms": [pose(1), pose(2, x=700)]})
+    frames = {transform.child_frame_id: transform for _, message in topics["/tf"] for transform in message.transforms}
+    assert frames["hero"].translation.x == 7
 
 
 def test_an_actor_at_nan_is_not_shown(record):

@@ -15,7 +15,7 @@ import numpy as np
 import psutil
 import pytest
 
-from carla_recap import ActorKind, MissingExtra, RecapError, RecapWarning, Spawn, open_recording
+from carla_recap import ActorKind, MissingExtra, RecapError, RecapWarning, Spawn, attributes, open_recording
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.replay import Player
 from carla_recap.roads import RoadMap, load_map
@@ -896,6 +896,13 @@ def test_a_live_view_follows_what_moves_until_there_is_a_hero(tmp_path: Path) ->
     frames[0]["spawned"] = [spawn(1), spawn(2, "walker.pedestrian.0001"), spawn(3)]
     frames[4]["spawned"] = [spawn(4, role_name="hero")]
     assert chosen("hero", frames, tmp_path) == [None, 3, 3, 3, 4, 4]
+
+
+def test_the_hero_of_a_live_view_is_a_vehicle_or_a_walker(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1), pose(2), pose(3)]} for _ in range(2)]
+    sensor = Spawn(1, ActorKind.SENSOR, type_id="sensor.camera.rgb", attributes=attributes(role_name="hero"))
+    frames[0]["spawned"] = [sensor, spawn(2, role_name="hero")]
+    assert chosen("hero", frames, tmp_path) == [2, 2]
 
 
 def test_a_live_view_follows_another_actor_when_the_followed_one_disappears(tmp_path: Path) -> None:

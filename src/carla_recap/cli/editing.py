@@ -71,7 +71,15 @@ def _recover(source: str, destination: str, force: bool) -> WrittenFile:
 
     result = run(source, destination, force=force, progress=watch("recovering"))
     lost = {"lost_frames": result.lost_frames, "lost_packets": result.lost_packets, "lost_bytes": result.lost_bytes}
-    notes, facts = tuple(result.losses or ["nothing lost"]), {**lost, "finished": result.finished}
+    notes, facts = (
+        tuple(result.losses or ["nothing lost"]),
+        {
+            **lost,
+            "finished": result.finished,
+            "headless": result.headless,
+            "without_events": result.without_events,
+        },
+    )
     return WrittenFile(notes, result.frames, result.duration, facts=facts)
 
 

@@ -13,7 +13,18 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from carla_recap.cli import options
-from carla_recap.cli.output import BAD_INPUT, PYTHON_HINT, TOO_MANY, counted, fail, form_of, print_pieces, show, warn
+from carla_recap.cli.output import (
+    BAD_INPUT,
+    PYTHON_HINT,
+    TOO_MANY,
+    collect_warnings,
+    counted,
+    fail,
+    form_of,
+    print_pieces,
+    show,
+    warn,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -55,7 +66,8 @@ def answer(
     """
     shape = form_of(form, compat=compat)
     if len(sources) == 1 and is_one(sources[0]):
-        show(query(options.opened(sources[0])), form, max_rows)
+        found = collect_warnings() if shape == "json" else None
+        show(query(options.opened(sources[0])), form, max_rows, found)
     with ExitStack() as stack:
         from carla_recap.fleet.answers import answers
         from carla_recap.util.signals import unwind_on_termination

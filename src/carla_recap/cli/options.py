@@ -263,6 +263,22 @@ deceleration = click.option(
     metavar="M/S²",
     help="Least deceleration of hard braking.",
 )
+time_to_collision = click.option(
+    "--time-to-collision",
+    type=click.FloatRange(0, 60),
+    default=1.5,
+    show_default=True,
+    metavar="S",
+    help="Greatest time to collision of a near miss.",
+)
+post_encroachment_time = click.option(
+    "--post-encroachment-time",
+    type=click.FloatRange(0, 60),
+    default=1,
+    show_default=True,
+    metavar="S",
+    help="Greatest post-encroachment time of a near miss.",
+)
 
 
 def incident_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -275,17 +291,25 @@ def incident_options(command: Callable[..., None]) -> Callable[..., None]:
         min_time: float,
         min_distance: float,
         deceleration: float,
+        time_to_collision: float,
+        post_encroachment_time: float,
         kinds: frozenset[str] | Literal["all"] | None = "all",
         **given: Any,
     ) -> None:
         from carla_recap.queries.incidents import IncidentOptions
 
         wanted = IncidentOptions(
-            kinds=kinds, road_map=road_map, min_time=min_time, min_distance=min_distance, deceleration=deceleration
+            kinds=kinds,
+            road_map=road_map,
+            min_time=min_time,
+            min_distance=min_distance,
+            deceleration=deceleration,
+            time_to_collision=time_to_collision,
+            post_encroachment_time=post_encroachment_time,
         )
         command(*args, wanted=wanted, **given)
 
-    return together(road_map, min_time, min_distance, deceleration)(decorated)
+    return together(road_map, min_time, min_distance, deceleration, time_to_collision, post_encroachment_time)(decorated)
 
 
 def models(command: Callable[..., None]) -> Callable[..., None]:

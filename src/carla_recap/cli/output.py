@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, NoReturn, TextIO
 
@@ -12,7 +13,7 @@ import click
 from carla_recap.util.text import number, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
     from carla_recap.fleet.answers import Form
@@ -41,13 +42,27 @@ def form_of(form: str | None, *, compat: bool) -> Form:
     return "text" if compat or not sys.stdout.isatty() else "table"
 
 
-def show(answer: Any, form: str | None, max_rows: int | None = None) -> NoReturn:
+def collect_warnings() -> list[str]:
+    """Return a list to which each warning is added from now on; they are printed as before."""
+    found: list[str] = []
+    printed = warnings.showwarning
+
+    def collect(message: Warning | str, *about: Any, **more: Any) -> None:
+        found.append(str(message))
+        printed(message, *about, **more)
+
+    warnings.showwarning = collect
+    return found
+
+
+def show(answer: Any, form: str | None, max_rows: int | None = None, warned: Sequence[str] | None = None) -> NoReturn:
     """Print an answer, and end the program, with exit code 1 if it has more rows than allowed.
 
     Args:
         answer: The answer of a query.
         form: "json", "text", or None: a table on a terminal, else text.
         max_rows: The number of rows that are allowed.
+        warned: The warnings about the recording, for JSON.
     """
     form = form_of(form, compat=getattr(answer, "compat", False))
     if form == "text":
@@ -57,7 +72,7 @@ def show(answer: Any, form: str | None, max_rows: int | None = None) -> NoReturn
     elif form == "json":
         from carla_recap.queries.output.json import json
 
-        print_pieces(json(answer))
+        print_pieces(json(answer, warned))
     elif form == "csv":
         from carla_recap.queries.output.csv import csv
 

@@ -126,7 +126,8 @@ class SegmentBuffer:
             return np.unique(np.concatenate(parts))
         ids, places = np.unique(np.concatenate(parts), return_inverse=True)
         counts = np.bincount(places, np.repeat(list(lengths.values()), [len(part) for part in parts]))
-        return ids[counts >= least]
+        frequent: Ids = ids[counts >= least]
+        return frequent
 
     def dense(
         self, fields: Sequence[str], ids: Ids, start: int = 0, stop: int | None = None

@@ -17,7 +17,7 @@ from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, StationaryTrack
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 from carla_recap.queries.blocked import longest_first
 from carla_recap.queries.contacts import LOOK_UPS, ImpactSearch, impacts, is_known, joined, read_spans
-from carla_recap.queries.measures.near_misses import POST_ENCROACHMENT_TIME, TIME_TO_COLLISION, NearMissDetector
+from carla_recap.queries.measures.near_misses import LONGEST, POST_ENCROACHMENT_TIME, TIME_TO_COLLISION, NearMissDetector
 from carla_recap.queries.measures.near_misses import TYPES as MOTION_TYPES
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
@@ -90,11 +90,13 @@ class IncidentOptions:
         min_time: The shortest time without a movement that is a long stop, in s.
         min_distance: The distance at which an actor has moved, in cm.
         deceleration: The deceleration from which on braking is hard, in m/s².
+        time_to_collision: The greatest time to collision of a near miss, in s; 60 at most.
+        post_encroachment_time: The greatest post-encroachment time of a near miss, in s; 60 at most.
         start: The elapsed seconds from which on to look for incidents.
         stop: The elapsed seconds until which to look for them. Long stops in MCAP files may begin and end outside.
 
     Raises:
-        RecapError: The deceleration is not above 0.
+        RecapError: The deceleration is not above 0, or a time of near misses is below 0 or above 60 s.
     """
 
     kinds: Collection[str] | Literal["all"] | None = None
@@ -103,12 +105,17 @@ class IncidentOptions:
     min_time: float = MIN_TIME
     min_distance: float = MIN_DISTANCE
     deceleration: float = HARD
+    time_to_collision: float = TIME_TO_COLLISION
+    post_encroachment_time: float = POST_ENCROACHMENT_TIME
     start: float = -math.inf
     stop: float = math.inf
 
     def __post_init__(self) -> None:
         if not self.deceleration > 0:
             raise RecapError(f"a deceleration of {self.deceleration:g} m/s² is no braking; it must be above 0")
+        for name in ("time_to_collision", "post_encroachment_time"):
+            if not 0 <= (time := getattr(self, name)) <= LONGEST:
+                raise RecapError(f"{name} is {time:g} s; 0 to {LONGEST:g} s were expected")
 
     @property
     def is_whole(self) -> bool:
@@ -341,7 +348,14 @@ class NearMissIncidents:
     def __init__(self, search: Search) -> None:
         self._search = search
         ids = None if search.near is None else frozenset(search.near)
-        self._detector = NearMissDetector(search.actors, search.contacts, ids, series=search.series)
+        self._detector = NearMissDetector(
+            search.actors,
+            search.contacts,
+            ids,
+            series=search.series,
+            time_to_collision=search.options.time_to_collision,
+            post_encroachment_time=search.options.post_encroachment_time,
+        )
 
     def add(self, batch: Batch) -> None:
         """See `Detector.add`."""
@@ -349,7 +363,7 @@ class NearMissIncidents:
 
     def finish(self) -> Iterator[Incident]:
         """See `Detector.finish`."""
-        actors = self._search.actors
+        actors, options = self._search.actors, self._search.options
         for row in self._detector.finish():
             first, second = (actors.name(id, row.start) for id in (row.id1, row.id2))
             at = f"at {row.time:.2f} s, at {row.speed * _KMH:.0f} km/h"
@@ -374,7 +388,7 @@ class NearMissIncidents:
                 measure=measure.name,
                 value=row.time_to_collision if by_collision else row.post_encroachment_time,
                 unit=measure.unit,
-                threshold=TIME_TO_COLLISION if by_collision else POST_ENCROACHMENT_TIME,
+                threshold=options.time_to_collision if by_collision else options.post_encroachment_time,
                 time=row.time,
                 text=text,
             )

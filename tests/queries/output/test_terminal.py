@@ -28,6 +28,12 @@ def test_the_middle_of_a_long_text_is_left_out(width: int, text: str) -> None:
     assert shortened("abcdefghi", width) == text
 
 
+def test_the_end_of_a_list_is_left_out() -> None:
+    columns = [column("n"), column("counts", narrowed="end")]
+    assert shown(columns, ["1", "2 collisions, 1 long stop"], 30)[2] == "1  2 collisions, 1 long stop"
+    assert shown(columns, ["1", "2 collisions, 1 long stop"], 20)[2:] == ["1  2 collisions, 1 …"]
+
+
 def test_wide_characters_count_twice() -> None:
     assert shortened("東京都庁", 8) == "東京都庁"
     assert shortened("東京都庁", 7) == "東…都庁"

@@ -39,6 +39,8 @@ TIME_TO_COLLISION: Final = 1.5
 """The greatest time to collision of a near miss, in s."""
 POST_ENCROACHMENT_TIME: Final = 1.0
 """The greatest post-encroachment time of a near miss, in s."""
+LONGEST: Final = 60.0
+"""The longest such times that can be asked for, in s: the reach of pairs that are compared grows with them."""
 DECELERATION: Final = 3.4
 """The least deceleration that a near miss by its time to collision requires, in m/s²."""
 

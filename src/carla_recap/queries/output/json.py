@@ -11,23 +11,28 @@ from carla_recap.tables import column_names
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from carla_recap.model.frame import Extent, Header
     from carla_recap.queries.output.text import AnyAnswer
 
 
-def json(answer: AnyAnswer) -> Iterator[str]:
+def json(answer: AnyAnswer, warnings: Sequence[str] | None = None) -> Iterator[str]:
     """Yield an answer as one JSON object, in pieces; its `rows` have the fields and units of the row's class.
 
     Numbers that are not finite become null.
+
+    Args:
+        answer: The answer.
+        warnings: The warnings about the recording, which may become more while the rows are made; None: it has none of them.
     """
     yield encoded(_header(answer.header))[:-1] + ', "rows": ['
     separator = "\n"
     for row in rows(answer):
         yield separator + row
         separator = ",\n"
-    yield "\n], " + encoded(_extent(answer.extent))[1:] + "\n"
+    about = _extent(answer.extent)
+    yield "\n], " + encoded(about if warnings is None else {**about, "warnings": list(warnings)})[1:] + "\n"
 
 
 def rows(answer: AnyAnswer, **more: Any) -> Iterator[str]:

@@ -17,7 +17,7 @@ from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures.over_time import MeasureMoment
 from carla_recap.queries.measures.table import MeasureRow
 from carla_recap.queries.output.terminal import TableColumn, actor_style, brief_actor, print_table
-from carla_recap.queries.output.text import incident_counts, local_date
+from carla_recap.queries.output.text import KMH, incident_counts, local_date
 from carla_recap.queries.summary import RecordingSummary
 from carla_recap.util.text import number, readable, visible
 
@@ -208,8 +208,8 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
         _number("Vehicles", lambda row: str(row.actors.get("vehicle", 0)), rank=1),
         _number("Walkers", lambda row: str(row.actors.get("walker", 0)), rank=2),
         _number("Hero (m)", lambda row: f"{row.hero.distance:.0f}" if row.hero else ""),
-        _number("Top speed (m/s)", lambda row: f"{row.hero.top_speed:.1f}" if row.hero else "", rank=1),
-        _column("Incidents", lambda row: incident_counts(row.incidents), narrowed="words"),
+        _number("Top speed (km/h)", lambda row: f"{row.hero.top_speed * KMH:.0f}" if row.hero else "", rank=1),
+        _column("Incidents", lambda row: incident_counts(row.incidents), narrowed="end"),
     ),
     Incident: (
         _number("Start (s)", lambda row: _seconds(row.start)),

@@ -14,8 +14,13 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 _GAP: Final = 2  # spaces between two columns
-_COMFORT: Final = {"never": 0, "middle": 24, "words": 40}  # characters that are enough, by how a column is narrowed
-_LEAST: Final = {"never": 0, "middle": 10, "words": 12}  # characters below which nothing could be read
+_COMFORT: Final = {
+    "never": 0,
+    "middle": 24,
+    "words": 40,
+    "end": 40,
+}  # characters that are enough, by how a column is narrowed
+_LEAST: Final = {"never": 0, "middle": 10, "words": 12, "end": 12}  # characters below which nothing could be read
 
 
 @dataclass(frozen=True)
@@ -25,8 +30,8 @@ class TableColumn:
     Attributes:
         heading: Its heading, with the unit.
         is_number: Whether its cells are numbers, which are at the right.
-        narrowed: What is done with cells that are too wide: "middle" is left out, as of paths and names, or they are
-            continued in the next line ("words").
+        narrowed: What is done with cells that are too wide: "middle" is left out, as of paths and names, or their "end", or
+            they are continued in the next line ("words").
         rank: How soon it is left out if there is not enough room: the highest first, 0 never; below 0 only if
             there is not even enough room for the narrowest forms of the others.
         least: The least width; for tables that are printed in pages.
@@ -36,7 +41,7 @@ class TableColumn:
 
     heading: str
     is_number: bool = False
-    narrowed: Literal["never", "middle", "words"] = "never"
+    narrowed: Literal["never", "middle", "words", "end"] = "never"
     rank: int = 0
     least: int = 0
     brief: Callable[[str], str] | None = None
@@ -108,7 +113,12 @@ def _made(
 
 
 def _narrowed(cell: str, column: TableColumn, width: int) -> str:
-    return shortened(cell, width) if column.narrowed == "middle" else cell
+    from rich.cells import cell_len, set_cell_size
+
+    if column.narrowed == "middle":
+        return shortened(cell, width)
+    is_cut = column.narrowed == "end" and cell_len(cell) > width
+    return set_cell_size(cell, max(width - 1, 0)) + "…" if is_cut else cell
 
 
 def shortened(text: str, width: int) -> str:

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     AnyAnswer = RecordedActors | Info | Collisions | Blocked | Incidents | Measures | MeasuresOverTime | Summaries
 
 _NAME_WIDTH: Final = 35
-_KMH: Final = 3.6  # km/h in a m/s
+KMH: Final = 3.6
+"""km/h in a m/s."""
 
 
 def text(answer: AnyAnswer) -> Iterator[str]:
@@ -133,7 +134,7 @@ def _overview(answer: Summaries) -> Iterator[str]:
         yield f"Actors: {_counted(row.actors)}\n"
         if row.hero is not None:
             hero = row.hero
-            way = f"{hero.distance:.0f} m in {hero.time:.1f} s, at {hero.top_speed * _KMH:.0f} km/h at most"
+            way = f"{hero.distance:.0f} m in {hero.time:.1f} s, at {hero.top_speed * KMH:.0f} km/h at most"
             yield f"Hero: {hero.type_id} ({hero.id}), {way}\n"
         yield f"Incidents: {incident_counts(row.incidents)}\n"
 
@@ -142,7 +143,7 @@ def _summaries(answer: Summaries) -> Iterator[str]:
     for row in answer:
         vehicles, walkers = row.actors.get("vehicle", 0), row.actors.get("walker", 0)
         others = sum(row.actors.values()) - vehicles - walkers
-        way = f"{row.hero.distance:>8.0f} {row.hero.top_speed * _KMH:>5.0f}" if row.hero else f"{'':>14}"
+        way = f"{row.hero.distance:>8.0f} {row.hero.top_speed * KMH:>5.0f}" if row.hero else f"{'':>14}"
         yield (
             f"{number(row.duration):>8} {row.frames:>8} {vehicles:>8} {walkers:>7} {others:>6} {way}"
             f" {readable(row.map):<12} {incident_counts(row.incidents)}\n"

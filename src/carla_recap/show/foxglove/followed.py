@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.actors import heroes_of
 from carla_recap.replay import Destroyed, Spawned, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION
 from carla_recap.scene import style
@@ -72,7 +73,7 @@ class ViewFrames:
             series: The followed actor in these.
         """
         if any(self._may_be_hero(event) for event in batch.events):
-            self._hero = next((actor.id for actor in batch.actors.values() if actor.is_hero), None)
+            self._hero = next((actor.id for actor in heroes_of(batch.actors.values())), None)
         views = np.nan_to_num(series.camera, nan=0.0)
         poses = None if self._hero is None else batch.pose_of(self._hero)
         hero = np.full((len(rows), 6), np.nan) if poses is None else poses[rows]

@@ -69,7 +69,7 @@ def kind_data() -> dict[str, Any]:
     """Return what the page shows of each kind of incident, by name, the most important first."""
     return {
         kind.name: {
-            "name": kind.name.capitalize(),
+            "name": kind.singular[:1].upper() + kind.singular[1:],
             "many": kind.plural[:1].upper() + kind.plural[1:],
             "icon": kind.icon,
             "dark": kind.dark,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.actors import ROAD_USERS, heroes_of
 from carla_recap.replay.follow import HERO, Follow
 from carla_recap.replay.player import LiveScenes
 from carla_recap.replay.pose import LOCATION
@@ -105,9 +105,8 @@ class LiveChoice:
         """Return the actor to follow from the next scene on; None if there is none."""
         if self._follow != HERO:
             return self._follow if self._follow in scene.actors else None
-        hero = next((id for id, actor in scene.actors.items() if actor.is_hero), None)
-        if hero is not None:
-            self._chosen = hero
+        if heroes := heroes_of(scene.actors.values()):
+            self._chosen = heroes[0].id
         elif self._chosen not in scene.actors:
             self._chosen = self._other(scene)
         return self._chosen
