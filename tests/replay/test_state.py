@@ -340,19 +340,3 @@ def test_light_states_are_searched_far_back(record: Record) -> None:
     scene = Player(recording, start=170.5).tick(0)
     assert scene is not None
     assert scene.light_states[["id", "state"]].tolist() == [(5, 1), (8, 2)]
-
-
-def test_a_light_state_recorded_with_the_spawn_is_found_by_seeking(record: Record) -> None:
-    """A state from before, of another light with the same id, is not that of the new one."""
-    signal = spawn(5, "traffic.traffic_light")
-    recording = record(
-        {"spawned": [signal], "light_states": [light(5, 1)]},
-        {"destroyed": [(5,)]},
-        {"spawned": [signal], "light_states": [light(5, 2)]},
-        {},
-        {"destroyed": [(5,)]},
-        {"spawned": [signal]},
-        {},
-    )
-    assert Player(recording).at(3).light_states["state"].tolist() == [2]
-    assert Player(recording).at(6).light_states["state"].tolist() == []

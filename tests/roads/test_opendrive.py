@@ -1,4 +1,4 @@
-"""What OpenDRIVE files say: the course of roads by formulas, and sections, borders and limits by station."""
+"""What OpenDRIVE files say: the course of roads by formulas, and sections, borders and heights by station."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from carla_recap.roads.opendrive import Profile, borders_at, in_metres_per_second, read_opendrive, sparse_stations
-from carla_recap.roads.surfaces import build_network
-from tests.roads.straight_road import STRAIGHT_ROAD
 
 if TYPE_CHECKING:
     from carla_recap.roads.opendrive import Road
@@ -160,46 +158,3 @@ def test_few_points_of_a_road_are_near_its_course() -> None:
 )
 def test_limits_have_units(value: str | None, unit: str | None, limit: float | None) -> None:
     assert in_metres_per_second(value, unit) == (None if limit is None else pytest.approx(limit))
-
-
-# --- limits by station ---------------------------------------------------------------------------------------------------
-
-
-def limits_at(signal: str, points: list[tuple[float, float]]) -> list[int]:
-    """Return the limits at points of the straight road with another sign at x = 50, in km/h."""
-    sign = '<signal id="13" s="50" t="-4.5" type="274" orientation="+" zOffset="0" value="72" unit="km/h">\n'
-    validity = '    <validity fromLane="-1" toLane="-1"/></signal>'
-    assert sign + validity in STRAIGHT_ROAD
-    network = build_network(STRAIGHT_ROAD.replace(sign + validity, signal), "Signed")
-    return np.rint(network.lanes_at(np.array(points)).limit * 3.6).astype(int).tolist()
-
-
-EAST, WEST = -1.75, 1.75
-
-
-@pytest.mark.parametrize(
-    ("orientation", "limits"), [("+", [50, 72, 50, 50]), ("-", [50, 50, 72, 50]), ("none", [50, 72, 72, 50])]
-)
-def test_a_sign_without_lanes_is_for_its_direction_from_its_station_on(orientation: str, limits: list[int]) -> None:
-    signal = f'<signal id="13" s="50" t="-4.5" type="274" orientation="{orientation}" value="72" unit="km/h"/>'
-    assert limits_at(signal, [(45, EAST), (55, EAST), (45, WEST), (55, WEST)]) == limits
-
-
-def test_of_several_signs_the_last_one_passed_counts() -> None:
-    signals = "".join(
-        f'<signal id="{id}" s="{s}" t="0" type="274" orientation="none" value="{value}" unit="km/h"/>'
-        for id, s, value in ((14, 70, 90), (13, 30, 72))
-    )
-    points = [(x, y) for y in (EAST, WEST) for x in (20, 45, 80)]
-    assert limits_at(signals, points) == [50, 72, 90, 72, 90, 50]
-
-
-@pytest.mark.parametrize(
-    ("lanes", "limits"), [((-2, -1), [72, 50]), ((1, 2), [50, 72]), ((-1, 1), [72, 72]), ((2, 9), [50, 50])]
-)
-def test_a_sign_is_for_the_range_of_its_lanes(lanes: tuple[int, int], limits: list[int]) -> None:
-    signal = (
-        '<signal id="13" s="50" t="0" type="274" orientation="+" value="72" unit="km/h">'
-        f'<validity fromLane="{lanes[1]}" toLane="{lanes[0]}"/></signal>'
-    )
-    assert limits_at(signal, [(60, EAST), (40, WEST)]) == limits

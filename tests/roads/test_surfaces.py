@@ -86,14 +86,51 @@ def test_pieces_follow_each_other_in_the_direction_of_their_lane() -> None:
         assert pieces["left_y0"] == pytest.approx(way)
 
 
-def test_limits_change_at_their_sign() -> None:
-    network = build_network(STRAIGHT_ROAD)
-    found = network.lanes_at(np.array([(49.9, -1.75), (50.1, -1.75)]))
-    assert found.limit * 3.6 == pytest.approx([50, 72])
-
-
 @pytest.mark.parametrize(("width", "count"), [(0.021, 2), (0.019, 1)])
 def test_a_lane_of_two_centimetres_is_none(width: float, count: int) -> None:
     shoulder = 'type="shoulder"><width sOffset="0" a="1.0"'
     text = STRAIGHT_ROAD.replace(shoulder, shoulder.replace("1.0", str(width)), 1)
     assert (build_network(text).lanes["id"] == -2).sum() == count
+
+
+# --- limits by station ---------------------------------------------------------------------------------------------------
+
+
+def limits_at(signal: str, points: list[tuple[float, float]]) -> list[int]:
+    """Return the limits at points of the straight road with another sign at x = 50, in km/h."""
+    sign = '<signal id="13" s="50" t="-4.5" type="274" orientation="+" zOffset="0" value="72" unit="km/h">\n'
+    validity = '    <validity fromLane="-1" toLane="-1"/></signal>'
+    assert sign + validity in STRAIGHT_ROAD
+    network = build_network(STRAIGHT_ROAD.replace(sign + validity, signal), "Signed")
+    return np.rint(network.lanes_at(np.array(points)).limit * 3.6).astype(int).tolist()
+
+
+EAST, WEST = -1.75, 1.75
+
+
+@pytest.mark.parametrize(
+    ("orientation", "limits"), [("+", [50, 72, 50, 50]), ("-", [50, 50, 72, 50]), ("none", [50, 72, 72, 50])]
+)
+def test_a_sign_without_lanes_is_for_its_direction_from_its_station_on(orientation: str, limits: list[int]) -> None:
+    signal = f'<signal id="13" s="50" t="-4.5" type="274" orientation="{orientation}" value="72" unit="km/h"/>'
+    assert limits_at(signal, [(45, EAST), (55, EAST), (45, WEST), (55, WEST)]) == limits
+
+
+def test_of_several_signs_the_last_one_passed_counts() -> None:
+    signals = "".join(
+        f'<signal id="{id}" s="{s}" t="0" type="274" orientation="none" value="{value}" unit="km/h"/>'
+        for id, s, value in ((14, 70, 90), (13, 30, 72))
+    )
+    points = [(x, y) for y in (EAST, WEST) for x in (20, 45, 80)]
+    assert limits_at(signals, points) == [50, 72, 90, 72, 90, 50]
+
+
+@pytest.mark.parametrize(
+    ("lanes", "limits"), [((-2, -1), [72, 50]), ((1, 2), [50, 72]), ((-1, 1), [72, 72]), ((2, 9), [50, 50])]
+)
+def test_a_sign_is_for_the_range_of_its_lanes(lanes: tuple[int, int], limits: list[int]) -> None:
+    signal = (
+        '<signal id="13" s="50" t="0" type="274" orientation="+" value="72" unit="km/h">'
+        f'<validity fromLane="{lanes[1]}" toLane="{lanes[0]}"/></signal>'
+    )
+    assert limits_at(signal, [(60, EAST), (40, WEST)]) == limits
