@@ -9,6 +9,7 @@ import numpy as np
 
 from carla_recap.capture.packets import attribute_types, kind_of, spawn
 from carla_recap.errors import RecapWarning
+from carla_recap.model.actors import HERO
 from carla_recap.model.records import UE4, ActorKind
 from carla_recap.replay.pose import detach
 from carla_recap.sim.recording.poses import CM_PER_M
@@ -33,7 +34,6 @@ UNANSWERED: Final = (RuntimeError, *UNREADABLE)
 """What CARLA's client raises if a request is not answered."""
 OWN: Final = "carla-recap"
 """The role of this package's own sensors, which are left out."""
-_HERO: Final = "hero"
 _EACH_FRAME: Final = (ActorKind.VEHICLE, ActorKind.WALKER, ActorKind.TRAFFIC_LIGHT)
 
 
@@ -78,7 +78,7 @@ class ActorTracker:
         stay = {id: actor for id, actor in self.actors.items() if id in snapshots}
         self.actors = stay | {actor.id: actor for actor in came}
         self.seen |= {actor.id for actor in came}
-        self.heroes |= {actor.id for actor in came if actor.attributes.get("role_name") == _HERO}
+        self.heroes |= {actor.id for actor in came if actor.attributes.get("role_name") == HERO}
         of: dict[ActorKind, dict[int, Any]] = {kind: {} for kind in ActorKind}
         for id, actor in self.actors.items():
             of[kind_of(actor.type_id)][id] = actor

@@ -18,6 +18,7 @@ import numpy as np
 from carla_recap.editing.author import create_recording
 from carla_recap.editing.convert import check_destination, check_new
 from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.model.actors import HERO
 from carla_recap.model.layout import MAX_COUNT
 from carla_recap.model.records import CM, NO_ACTOR, UE4, ActorKind, Spawn, attributes
 from carla_recap.util.text import first_of
@@ -427,7 +428,7 @@ class _ImportedTracks:
         """Return the spawn of an object, where its first row is."""
         row, name, id = self._first[number].item(), self._names[number], self._ids[number].item()
         blueprint, kind = self._looks(row)
-        role = "hero" if name == self._hero else self._text("role_name", row)
+        role = HERO if name == self._hero else self._text("role_name", row)
         given = {"role_name": role} if role else {}
         if name != str(id):
             given["track_id"] = name

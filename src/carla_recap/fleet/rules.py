@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from carla_recap.errors import RecapError
 from carla_recap.fleet import conditions
 from carla_recap.fleet.conditions import ANY, OBJECT, ROLE, Bounds, Facts, Offence, Quantity, Selector
+from carla_recap.model.actors import HERO
 from carla_recap.queries.kinds import KINDS, kind_named
 from carla_recap.queries.measures import MEASURES
 from carla_recap.util.text import visible
@@ -280,7 +281,7 @@ class _Fields:
         value = self.get(name)
         if value is None:
             return Selector()
-        words = ["hero", "vehicle", "walker", ANY, *([OBJECT] if is_other else [])]
+        words = [HERO, "vehicle", "walker", ANY, *([OBJECT] if is_other else [])]
         is_pattern = isinstance(value, str) and (
             (value.startswith(ROLE) and value != ROLE) or re.fullmatch(r"[\w*?\[\]!-]+(\.[\w*?\[\]!-]+)+", value)
         )

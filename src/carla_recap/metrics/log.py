@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import numpy as np
 
 from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.model.actors import HERO, ActorLives
+from carla_recap.model.actors import TYPES as ACTOR_TYPES
 from carla_recap.model.records import CM
 from carla_recap.queries.output.packet_lines import LIGHTS, sorted_points
 from carla_recap.recording import Recording, open_recording
 from carla_recap.tables.trajectories import actor_rows, trajectories
-from carla_recap.util.text import number, readable
+from carla_recap.util.text import number
 
 try:
     import carla
@@ -34,14 +36,15 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.records import Physics, Spawn
+    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.records import Physics
     from carla_recap.tables.trajectories import ActorRows, Trajectory
 
     Floats = NDArray[np.float64]
 
 _EVENTS: Final = (
-    *("spawned", "destroyed", "parented", "collisions"),
-    *("bounding_boxes", "trigger_volumes", "physics", "light_times", "scene_lights"),
+    *ACTOR_TYPES,
+    *("collisions", "trigger_volumes", "physics", "light_times", "scene_lights"),
 )
 _FULL_COLOR: Final = 255
 
@@ -60,7 +63,8 @@ class MetricsLog:
         self._owned = not isinstance(recording, Recording)
         self._recording = recording if isinstance(recording, Recording) else open_recording(recording)
         self._reader = self._recording.reader
-        self._actors: dict[int, dict[str, Any]] = {}
+        self._lives = ActorLives()  # their times are frames, counted from 1
+        self._boxes: dict[str, dict[int, carla.BoundingBox]] = {"bounding_box": {}, "trigger_volume": {}}
         self._collisions: list[tuple[int, int, int]] = []  # frame, actor, other
         # By id, the frames from which on something holds, ascending, with its value.
         self._physics: defaultdict[int, list[tuple[int, Physics]]] = defaultdict(list)
@@ -115,39 +119,52 @@ class MetricsLog:
         Raises:
             RecapError: There is none.
         """
-        found = self.get_actor_ids_with_role_name("hero")
+        found = self.get_actor_ids_with_role_name(HERO)
         if not found:
-            roles = sorted({actor["role_name"] for actor in self._actors.values() if actor.get("role_name")})
+            roles = sorted({actor.role_name for actor in self._latest_lives() if actor.role_name})
             known = ", ".join(roles[:8]) or "no role names"
             raise RecapError(f"{self._recording.location}: no actor has the role name hero; there are {known}")
         return found[0]
 
     def get_actor_ids_with_role_name(self, role_name: str) -> list[int]:
         """Return the ids of the actors with a role name."""
-        return [id for id, actor in self._actors.items() if actor.get("role_name") == role_name]
+        return [actor.id for actor in self._latest_lives() if actor.attributes.get("role_name") == role_name]
 
     def get_actor_ids_with_type_id(self, type_id: str) -> list[int]:
         """Return the ids of the actors whose blueprint matches a pattern, such as `vehicle.*`."""
-        return [id for id, actor in self._actors.items() if fnmatch(actor["type_id"], type_id)]
+        return [actor.id for actor in self._latest_lives() if fnmatch(actor.type_id, type_id)]
 
     def get_actor_attributes(self, actor_id: int) -> dict[str, Any] | None:
         """Return the attributes of an actor as text, with its type_id, its location, and the frames of its life."""
-        return self._actors.get(actor_id)
+        actor = self._lives.at(actor_id, math.inf)
+        if actor is None:
+            return None
+        place = (actor.spawn.x * CM, actor.spawn.y * CM, actor.spawn.z * CM)
+        found = {
+            "type_id": actor.type_id,
+            "location": carla.Location(*place),
+            "created": actor.spawned_at,
+            **actor.attributes,
+        }
+        later = {"destroyed": actor.destroyed_at, "parent": actor.parent}
+        later |= {key: boxes.get(actor_id) for key, boxes in self._boxes.items()}
+        return found | {key: value for key, value in later.items() if value is not None}
 
     def get_actor_bounding_box(self, actor_id: int) -> carla.BoundingBox | None:
         """Return the bounding box of an actor in its own axes, in m; None if it was not recorded."""
-        return self._actors.get(actor_id, {}).get("bounding_box")
+        return self._boxes["bounding_box"].get(actor_id)
 
     def get_traffic_light_trigger_volume(self, traffic_light_id: int) -> carla.BoundingBox | None:
         """Return the trigger volume of a traffic light, the last one of several; None if it was not recorded."""
-        return self._actors.get(traffic_light_id, {}).get("trigger_volume")
+        return self._boxes["trigger_volume"].get(traffic_light_id)
 
     def get_actor_alive_frames(self, actor_id: int) -> tuple[int, int] | tuple[None, None]:
         """Return the first and the last frame of an actor; None for both of an unknown one."""
-        actor = self._actors.get(actor_id)
+        actor = self._lives.at(actor_id, math.inf)
         if actor is None:
             return None, None
-        return actor["created"], actor.get("destroyed", self.get_total_frame_count() + 1) - 1
+        stays = actor.destroyed_at is None
+        return int(actor.spawned_at), self.get_total_frame_count() if stays else int(actor.end) - 1
 
     # --- states --------------------------------------------------------------------------------------------------------
 
@@ -316,19 +333,13 @@ class MetricsLog:
     def _read_events(self) -> None:
         for frame in self._reader.frames(_EVENTS, sparse=True):
             count = max(frame.index, 0) + 1
-            for spawn in frame["spawned"]:
-                self._spawn(spawn, count)
-            for id in frame["destroyed"]["id"].tolist():
-                if id in self._actors:
-                    self._actors[id]["destroyed"] = count
-            for id, parent in frame["parented"].tolist():
-                if id in self._actors:
-                    self._actors[id]["parent"] = parent
+            for packet in frame.packets:
+                self._lives.add(packet, count)
             self._collisions += [(count, actor, other) for _, actor, other, *_ in frame["collisions"].tolist()]
-            for type, key in (("bounding_boxes", "bounding_box"), ("trigger_volumes", "trigger_volume")):
-                for id, *sizes in frame[type].tolist():
-                    if id in self._actors:
-                        self._actors[id][key] = _box(sizes)
+            for type, boxes in zip(("bounding_boxes", "trigger_volumes"), self._boxes.values(), strict=True):
+                for spawn in frame["spawned"]:
+                    boxes.pop(spawn.id, None)
+                boxes |= {id: _box(sizes) for id, *sizes in frame[type].tolist() if self._lives.at(id, count)}
             for physics in frame["physics"]:
                 self._physics[physics.id].append((count, physics))
             for id, *seconds in frame["light_times"].tolist():
@@ -336,13 +347,9 @@ class MetricsLog:
             for light in frame["scene_lights"]:
                 self._scene_lights[int(light["id"])].append((count, light))
 
-    def _spawn(self, spawn: Spawn, frame: int) -> None:
-        self._actors[spawn.id] = {
-            "type_id": readable(spawn.type_id),
-            "location": carla.Location(spawn.x * CM, spawn.y * CM, spawn.z * CM),
-            "created": frame,
-            **{readable(item.key): readable(item.value) for item in spawn.attributes},
-        }
+    def _latest_lives(self) -> Iterator[ActorLife]:
+        """Yield the last actor of each id."""
+        return (life for id in self._lives.ids() if (life := self._lives.at(id, math.inf)))
 
     @cached_property
     def _clock(self) -> Floats:

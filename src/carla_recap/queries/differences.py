@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar, Final, Literal
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.actors import ActorLife, ActorLives
+from carla_recap.model.actors import HERO, ActorLife, ActorLives
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.records import Spawn
 from carla_recap.queries.actors import actors
@@ -503,7 +503,7 @@ def _reasons(found: Differences) -> Iterator[str]:
 
 def _rank(row: ActorDifference) -> int:
     """Return how much an actor matters: heroes most, then vehicles."""
-    if row.role_name == "hero":
+    if row.role_name == HERO:
         return 0
     return 1 if row.kind == "vehicle" else 2
 
@@ -523,7 +523,7 @@ def name_of(row: ActorDifference) -> str:
     if row.type_id_b != row.type_id_a:
         name += f" or {row.type_id_b or 'unknown'}"
     ids = str(row.id_a) if row.id_a == row.id_b else f"{row.id_a}, {row.id_b}"
-    return f"{name} (hero, {ids})" if row.role_name == "hero" else f"{name} ({ids})"
+    return f"{name} (hero, {ids})" if row.role_name == HERO else f"{name} ({ids})"
 
 
 def metres(distance: float | None) -> str:

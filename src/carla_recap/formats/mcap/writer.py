@@ -33,6 +33,7 @@ from carla_recap.formats.mcap.schema import (
     checked,
     header_metadata,
 )
+from carla_recap.model.actors import HERO
 from carla_recap.model.batch import ConstantColumn
 from carla_recap.model.frame import Extent, Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, Framing, PayloadError, check
@@ -209,7 +210,7 @@ class McapWriter(ChunkedFile):
         chunk.add(channel, self._sequence, times, head, body)
         self._cut_within_frame(type.group)
         if type.name == "spawned":
-            self._heroes |= {actor.id: None for actor in packet.records if actor.attribute("role_name") == "hero"}
+            self._heroes |= {actor.id: None for actor in packet.records if actor.attribute("role_name") == HERO}
         return FILLED
 
     def _add_raw(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:

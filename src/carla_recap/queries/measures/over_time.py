@@ -134,7 +134,7 @@ def measured_actors(source: Reader, recorded: ActorLives, wanted: Subjects) -> d
         return heroes or {id: actor for id, actor in movers.items() if actor.kind == "vehicle"}
     if wanted == "all":
         return movers
-    if wanted == "hero":
+    if wanted == HERO:
         find_actor(source.location, movers.values(), HERO, "vehicle or walker", "to measure")
         return heroes
     if isinstance(wanted, str):

@@ -6,6 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from carla_recap.model.actors import HERO
 from carla_recap.queries.output.json import encoded, rows
 from carla_recap.queries.output.table import most_important_first
 from carla_recap.queries.output.terminal import TableColumn, brief_actor, print_table
@@ -170,7 +171,7 @@ def _ids(row: ActorDifference | LightDifference) -> str:
 
 def _actor(row: ActorDifference) -> str:
     name = " or ".join(dict.fromkeys((row.type_id_a or "unknown", row.type_id_b or "unknown")))
-    return f"{name} (hero)" if row.role_name == "hero" else name
+    return f"{name} (hero)" if row.role_name == HERO else name
 
 
 def _life(start: float, stop: float | None) -> str:

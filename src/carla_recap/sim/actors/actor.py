@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from carla_recap.model.actors import HERO
 from carla_recap.sim.errors import DeadActor
 from carla_recap.sim.geometry import Transform, Vector
 from carla_recap.sim.physics.plane import PROP
@@ -24,9 +25,6 @@ if TYPE_CHECKING:
     from carla_recap.sim.physics.plane import Plane
     from carla_recap.sim.settings import Settings
     from carla_recap.sim.town.town import Town
-
-HERO = "hero"
-"""The role name of the vehicle under test."""
 
 
 class ActorContext(Protocol):

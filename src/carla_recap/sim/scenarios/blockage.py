@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from carla_recap.model.actors import HERO
 from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.scenarios.places import spawn_on_lane, straight_section
@@ -59,9 +60,7 @@ class Blockage:
         lane, begin = straight_section(world.town, len(QUEUE) * _SPACING + _RUN, single=True)
         van = spawn_on_lane(world, VAN, lane, begin + len(QUEUE) * _SPACING, "broken down")
         queue = tuple(
-            spawn_on_lane(
-                world, model, lane, begin + (len(QUEUE) - number) * _SPACING, "autopilot" if number > 1 else "hero"
-            )
+            spawn_on_lane(world, model, lane, begin + (len(QUEUE) - number) * _SPACING, "autopilot" if number > 1 else HERO)
             for number, model in enumerate(QUEUE, 1)
         )
         world.spawn("sensor.other.collision", Transform(), parent=queue[0])

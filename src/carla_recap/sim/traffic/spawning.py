@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Final
 
+from carla_recap.model.actors import HERO
 from carla_recap.model.records import ActorKind
 from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.errors import SimError
@@ -76,7 +77,7 @@ def _vehicles(world: ScenarioWorld, count: int, around: Location | None, *, hero
         if len(found) == count:
             break
         model = models[int(world.random.integers(len(models)))]
-        role = "hero" if hero and not found else "autopilot"
+        role = HERO if hero and not found else "autopilot"
         vehicle = world.try_spawn(model, place.copy(), role_name=role)
         if isinstance(vehicle, Vehicle):
             vehicle.set_autopilot()
