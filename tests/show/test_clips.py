@@ -12,6 +12,7 @@ from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.records import Spawn
 from carla_recap.queries.incidents import IncidentOptions
 from carla_recap.roads import RoadMap
+from carla_recap.show import rrd
 from carla_recap.show.clips import IncidentClip, clips
 from tests.samples import images, names_in, save
 
@@ -93,16 +94,16 @@ def test_the_followed_actor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, late: dict[int, dict[str, Any]], followed: int | None
 ) -> None:
     """The first actor of the incident that is present; else the one that the player chooses."""
-    rerun = pytest.importorskip("carla_recap.show.rerun")
+    pytest.importorskip("carla_recap.show.rerun")
     path, asked, roads = tmp_path / "own.log", [], RoadMap("Town01", [], [], [], [], [])
 
-    def export(source: Any, destination: Path, *, follow: int | None, road_map: RoadMap) -> None:
+    def export(source: Any, destination: Path, *, follow: int | None, road_map: RoadMap, incidents: Any) -> None:
         assert road_map is roads
         asked.append(follow)
-        export_rerun(source, destination, follow=follow, road_map=road_map)
+        export_rerun(source, destination, follow=follow, road_map=road_map, incidents=incidents)
 
-    export_rerun = rerun.export_rerun
-    monkeypatch.setattr(rerun, "export_rerun", export)
+    export_rerun = rrd.export_rerun
+    monkeypatch.setattr(rrd, "export_rerun", export)
     cast = [Spawn(id, 1, type_id="vehicle.a") for id in ((2,) if 0 in late else (1, 2))]
     moments = {0: {"spawned": cast}, 40: {"collisions": [(0, 1, 2, 0, 0)]}}
     with create_recording(path, map_name="Town01", date=0) as recorder:

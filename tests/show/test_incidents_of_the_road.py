@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from carla_recap import create_recording, open_recording
@@ -13,8 +14,9 @@ from carla_recap.queries.incidents import IncidentOptions
 from carla_recap.replay import Player
 from carla_recap.roads import RoadMap
 from carla_recap.roads.surfaces import build_network, road_network_of_map
-from carla_recap.scene.captions import PlayedIncidents, incident_lines
+from carla_recap.scene.captions import PlayedIncidents, incident_lines, shown_options
 from carla_recap.show.page import write_report
+from carla_recap.show.video.film import Film
 from tests.roads.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
 
 if TYPE_CHECKING:
@@ -56,9 +58,30 @@ def road_map(opendrive: str = STRAIGHT_ROAD) -> RoadMap:
 def test_the_log_of_exports_has_those_that_are_played(recording: Recording, start: float, lines: list[str]) -> None:
     player = Player(recording, start=start)
     played = PlayedIncidents(player, road_network_of_map(road_map()))
-    for _ in player.batches():
-        pass
-    assert [line.text for _, line in incident_lines(played.found())] == lines
+    elapsed = np.concatenate([batch.time for batch in player.batches()])
+    assert [line.text for _, line in incident_lines(played.found(), elapsed)] == lines
+
+
+@pytest.mark.parametrize(
+    ("options", "captions"),
+    [
+        (None, {"Mini Cooper S (7) runs a red light at 36 km/h (light 3)"}),
+        (IncidentOptions(kinds=["red light"]), {"Mini Cooper S (7) runs a red light at 36 km/h (light 3)"}),
+        (IncidentOptions(kinds=["collision"]), set()),
+    ],
+)
+def test_captions_and_marks_of_a_video_have_them(
+    recording: Recording,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    options: IncidentOptions | None,
+    captions: set[str],
+) -> None:
+    (tmp_path / "Straight.xodr").write_text(STRAIGHT_ROAD)
+    monkeypatch.setenv("CARLA_RECAP_MAPS", str(tmp_path))
+    shown = shown_options(recording.reader, options)
+    film = Film(recording, Player(recording, start=4.0), "top", (640, 360), rate=4.0, shown=shown)
+    assert {caption.text for shot in film.shots() for caption in shot.readings.captions} == captions
 
 
 def test_without_a_map_they_are_left_out(recording: Recording) -> None:

@@ -6,7 +6,7 @@ import sys
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 from click.core import ParameterSource
@@ -45,19 +45,21 @@ _LIST = "\n".join(f"    {form.name:9} {form.suffix or 'folder':7} {form.text}" f
 @click.option("--to", type=click.Choice(list(FORMATS)), help="The format; else the suffix of DST says it.")
 @_window
 @options.camera
+@options.shown_kinds
 @options.models
 @click.option("--cameras", type=click.Path(), metavar="DIR", help="Write a small .rbl for each actor, to follow it (Rerun).")
-def export(request: WriteRequest, to: str | None, **shown: Any) -> None:
+def export(request: WriteRequest, to: str | None, kinds: frozenset[str] | Literal["all"], **shown: Any) -> None:
     """Write recordings in other formats."""
+    shown["incidents"] = options.shown_incidents(kinds)
     context = click.get_current_context()
     is_many = request.has_many or (request.is_into_folder and (to is None or bool(FORMATS[to].suffix)))
     if to is None and is_many:
         raise click.UsageError("--to says what is written to a folder.", context)
     form = find_format(request.destination, to, is_folder=is_many)
-    params = [param for param in context.command.params if param.name in shown]
-    for param in params:
+    for param in context.command.params:
+        name = "incidents" if param.name == "kinds" else param.name
         is_given = context.get_parameter_source(str(param.name)) is ParameterSource.COMMANDLINE
-        if is_given and param.name not in form.options:
+        if is_given and name in shown and name not in form.options:
             raise click.UsageError(f"{param.opts[0]} does not go with --to {form.name}.", context)
     write = partial(_export, form.name, shown)
     if not is_many:
@@ -197,6 +199,7 @@ def view(
 @options.road_map
 @click.option("--size", type=options.SIZE, metavar="WxH", help="In pixels; 1280x720, or of a recorded camera its own.")
 @options.overlay
+@options.shown_kinds
 @options.models
 @options.force
 @options.written
@@ -209,6 +212,7 @@ def snapshot(
     road_map: str | None,
     size: tuple[int, int] | None,
     overlay: bool,
+    kinds: frozenset[str] | Literal["all"],
     force: bool,
 ) -> None:
     """Take a picture of a moment, without GPU or display."""
@@ -218,7 +222,18 @@ def snapshot(
     source, time = options.moment(source, at)
     with open_recording(source) as recording:
         town = partial(options.town_of, recording, road_map, time, options.MOMENT)
-        run(recording, destination, at=time, follow=follow, view=view, town=town, size=size, overlay=overlay, force=force)
+        run(
+            recording,
+            destination,
+            at=time,
+            follow=follow,
+            view=view,
+            town=town,
+            size=size,
+            overlay=overlay,
+            incidents=options.shown_incidents(kinds, road_map),
+            force=force,
+        )
     wrote(destination, f"a picture at {number(time)} s", time=time)
 
 
@@ -239,6 +254,7 @@ def snapshot(
 @click.option("--fps", "rate", type=options.POSITIVE, metavar="N", help="Frames per second; 30, of a GIF 12.5.")
 @click.option("--smooth", is_flag=True, help="Draw smooth edges, which takes about twice as long.")
 @options.overlay
+@options.shown_kinds
 @options.models
 def video(
     request: WriteRequest,
@@ -246,12 +262,14 @@ def video(
     start: float | None,
     duration: float | None,
     road_map: str | None,
+    kinds: frozenset[str] | Literal["all"],
     **shown: Any,
 ) -> None:
     """Write videos, .mp4 or .gif, without GPU or display.
 
     SRC#t=12.1 means from 5 s before that moment to 5 s after it. Many recordings go to a folder.
     """
+    shown["incidents"] = options.shown_incidents(kinds, road_map)
     request.write(partial(_video, start, duration, road_map, shown), suffix, "mp4", "filming")
 
 
@@ -287,6 +305,7 @@ def _video(
 
 @click.command()
 @writes
+@options.shown_kinds
 @click.option("--compare", metavar="OTHER", type=click.Path(), help="A second recording to show beside it, or over it.")
 @options.before
 @options.after

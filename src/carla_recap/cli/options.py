@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.formats.sources import TimeFragment
+    from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import Recording
     from carla_recap.rendering.town import TownMesh
     from carla_recap.roads import RoadMap
@@ -120,6 +121,19 @@ class _KindsOption(click.Option):
         of_road = ", ".join(kind.option for kind in kinds if kind.needs_roads)
         self.help = f"The kinds of incidents: {usual} (these if none are given), {others}, with a map {of_road}; or all."
         return super().get_help_record(ctx)
+
+
+class _ShownKindsOption(_KindsOption):
+    """The option for kinds of incidents where all are shown if none are given."""
+
+    def process_value(self, ctx: click.Context, value: Any) -> Any:
+        return super().process_value(ctx, value) or "all"
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        from carla_recap.queries.kinds import KINDS
+
+        self.help = f"The kinds of incidents to show: {', '.join(kind.option for kind in KINDS.values())}; by default all."
+        return click.Option.get_help_record(self, ctx)
 
 
 class _Date(click.ParamType[Any]):
@@ -255,6 +269,13 @@ kinds = click.option(
     multiple=True,
     metavar="all|KIND,...",
 )
+shown_kinds = click.option(
+    "--kinds",
+    cls=_ShownKindsOption,
+    type=KINDS,
+    multiple=True,
+    metavar="all|KIND,...",
+)
 deceleration = click.option(
     "--deceleration",
     type=POSITIVE,
@@ -310,6 +331,13 @@ def incident_options(command: Callable[..., None]) -> Callable[..., None]:
         command(*args, wanted=wanted, **given)
 
     return together(road_map, min_time, min_distance, deceleration, time_to_collision, post_encroachment_time)(decorated)
+
+
+def shown_incidents(kinds: frozenset[str] | Literal["all"], road_map: str | None = None) -> IncidentOptions | None:
+    """Return which incidents are shown; None: all kinds that can be found with the usual maps."""
+    from carla_recap.queries.incidents import IncidentOptions
+
+    return None if kinds == "all" and road_map is None else IncidentOptions(kinds=kinds, road_map=road_map)
 
 
 def models(command: Callable[..., None]) -> Callable[..., None]:

@@ -6,22 +6,30 @@ Of many actors at once there is a single line, and of a contact of many frames, 
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from contextlib import suppress
+from dataclasses import replace
 from enum import IntEnum
 from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.model.batch import within
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.queries.incidents import IncidentOptions, IncidentSearch
-from carla_recap.queries.kinds import KINDS, kinds_without_roads
+from carla_recap.queries.incidents import IncidentOptions, IncidentSearch, incidents, with_roads
+from carla_recap.queries.kinds import KINDS, kinds_named, kinds_without_roads
 from carla_recap.queries.measures.over_time import SeriesCollector
+from carla_recap.queries.roads import roads_of
 from carla_recap.scene import style
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
+    from numpy.typing import NDArray
+
+    from carla_recap.formats.base import Reader
     from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
     from carla_recap.queries.incidents import Incident
@@ -31,6 +39,8 @@ if TYPE_CHECKING:
 
 _MANY: Final = 5  # the number of actors that appear or disappear in a scene from which on they are counted, not named
 _PAUSE: Final = 1.0  # s; actors that touch again within this time are still in the same contact
+_AROUND: Final = 5.0  # s around what is shown in which incidents are looked for
+_MAKES: Final = {"bh": "", "bmw": "BMW", "carlamotors": "", "t2": "T2", "tt": "TT", "c3": "C3", "a2": "A2", "zx125": "ZX125"}
 
 
 class Level(IntEnum):
@@ -92,6 +102,57 @@ class EventText:
                 yield Line(level, "collisions", style.sentence(event, self._actors), event)
 
 
+def shown_options(source: Reader, options: IncidentOptions | None = None) -> IncidentOptions:
+    """Return which incidents are shown: those that are asked for, or else all kinds.
+
+    Args:
+        source: The recording.
+        options: Those that are asked for.
+
+    Raises:
+        RecapError: There is no such kind, or all kinds that are asked for need roads, and the map is unknown or damaged.
+
+    Warns:
+        RecapWarning: The map is unknown, and kinds that are asked for need roads.
+    """
+    return with_all_kinds(source) if options is None else with_roads(source, options)
+
+
+def with_all_kinds(source: Reader, options: IncidentOptions | None = None) -> IncidentOptions:
+    """Return options for all kinds, or where the map is unknown or damaged, for those that need no roads."""
+    options = options or IncidentOptions()
+    roads = options.roads
+    if roads is None:
+        with suppress(RecapError):
+            roads = roads_of(source, options.road_map)
+    return replace(options, kinds=frozenset(KINDS) if roads is not None else kinds_without_roads(), roads=roads)
+
+
+def incidents_around(
+    source: Reader, options: IncidentOptions, followed: int | None, start: float, stop: float
+) -> list[Incident]:
+    """Return the incidents of a recording, of kinds that need every frame only those around a part of it.
+
+    Near misses are those of the followed actor, if there is one.
+
+    Args:
+        source: The recording.
+        options: Which incidents are shown; see `shown_options`.
+        followed: The followed actor.
+        start: The elapsed seconds at which the part begins.
+        stop: The elapsed seconds at which it ends.
+    """
+    kinds = kinds_named(options.kinds)
+    listed = kinds & kinds_named(None)
+    found = list(incidents(source, replace(options, kinds=listed))) if listed else []
+    if kinds - listed:
+        part = replace(options, kinds=kinds - listed, start=start - _AROUND, stop=stop + _AROUND)
+        search = IncidentSearch(source, part, near=None if followed is None else (followed,))
+        search.read()
+        found += search.finish()
+    return sorted(found, key=lambda incident: (incident.start, incident.kind))
+
+
 class PlayedIncidents:
     """The incidents in the time that is played, without collisions; none if the recording is damaged elsewhere.
 
@@ -100,27 +161,34 @@ class PlayedIncidents:
     Args:
         player: The player, which has not begun; its frames are what they are found in.
         roads: The roads of the map, if it is known.
+        options: Which incidents are shown; None: all kinds.
     """
 
-    def __init__(self, player: Player, roads: RoadNetwork | None = None) -> None:
+    def __init__(self, player: Player, roads: RoadNetwork | None = None, options: IncidentOptions | None = None) -> None:
         self._start, self._stop = player.start, player.stop + 2 * SAME_TIME
         if player.start <= 0 and player.stop >= player.total:  # all: what an MCAP file lists need not be computed
             self._start, self._stop = -math.inf, math.inf
         self._search: IncidentSearch | None = None
         self._series = None if player.followed is None else SeriesCollector(player.followed)
-        kinds = frozenset(KINDS) if roads is not None else kinds_without_roads()
+        if options is None:
+            shown = IncidentOptions(kinds=frozenset(KINDS) if roads is not None else kinds_without_roads(), roads=roads)
+        else:
+            shown = with_roads(player.reader, replace(options, roads=options.roads or roads))
+        self._kinds = kinds_named(shown.kinds) - {"collision"}
+        searched = self._kinds | (set() if self._series is None else {"near miss"})  # with which the measures are found
         with suppress(RecapError):
             self._search = IncidentSearch(
                 player.reader,
-                IncidentOptions(kinds=kinds - {"collision"}, roads=roads, start=self._start, stop=self._stop),
+                replace(shown, kinds=searched, start=self._start, stop=self._stop),
                 near=None if player.followed is None else (player.followed,),
                 series=self._series,
             )
             player.observe(self._add)
 
-    def found(self) -> Iterable[Incident]:
+    def found(self) -> list[Incident]:
         """Return the incidents in all that was played."""
-        return () if self._search is None else self._search.finish()
+        found = () if self._search is None else self._search.finish()
+        return [incident for incident in found if incident.kind in self._kinds]
 
     def series(self) -> MeasureSeries | None:
         """Return the measures of the followed actor, after `found`; None without one, or if the recording is damaged."""
@@ -135,11 +203,32 @@ class PlayedIncidents:
             self._search = None
 
 
-def incident_lines(found: Iterable[Incident]) -> Iterator[tuple[float, Line]]:
-    """Yield the lines of incidents, with their elapsed seconds, but not of collisions, which are among the events."""
+def incident_lines(found: Iterable[Incident], elapsed: NDArray[np.float64]) -> Iterator[tuple[int, Line]]:
+    """Yield the lines of incidents, but not of collisions, which are among the events, each with its scene.
+
+    Args:
+        found: The incidents; those that began before the first scene are left out.
+        elapsed: The moments of all scenes, in elapsed seconds, of which at least one is needed.
+    """
+    seconds = np.maximum.accumulate(elapsed)
     for incident in found:
-        if incident.kind != "collision":
-            yield incident.start, Line(Level.WARNING, "incidents", incident.text)
+        row = int(np.searchsorted(seconds, incident.start - SAME_TIME))
+        is_shown = row < len(seconds) and (row > 0 or seconds[0] <= incident.start + SAME_TIME)
+        if is_shown and incident.kind != "collision":
+            yield row, Line(Level.WARNING, "incidents", incident.text)
+
+
+def caption_of(incident: Incident) -> str:
+    """Return the text of an incident as a caption, with readable names: `Audi A2 (5) runs a red light`."""
+    text = re.sub(r"\b(?:vehicle|walker|static)\.[\w.]+", lambda match: readable_name(match[0]), incident.text)
+    return text[:1].upper() + text[1:]
+
+
+def readable_name(type_id: str) -> str:
+    """Return a name of a blueprint that reads well: `vehicle.audi.a2` is `Audi A2`."""
+    kind, *words = re.split(r"[._]", type_id)
+    named = " ".join(filter(None, (_MAKES.get(word, word.title()) for word in words)))
+    return named.lower() if kind == "walker" else named or type_id
 
 
 def _actor_line(text: str) -> Line:

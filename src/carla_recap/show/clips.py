@@ -17,6 +17,7 @@ from carla_recap.queries.actors import actors
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import Recording, open_recording
+from carla_recap.scene.captions import with_all_kinds
 from carla_recap.util.files import check_folder, new_folder
 
 if TYPE_CHECKING:
@@ -112,6 +113,7 @@ def clips(
     reader = open_reader(source)
     try:
         answer = incidents(reader, options)
+        shown = with_all_kinds(reader, options) if rerun or video else None
         found = _choose(answer, limit, reader.location)
         targets = [Path(folder, name) for name in _names(found, suffix)]
         for target in targets:
@@ -129,9 +131,9 @@ def clips(
                         recording.reader.location = str(target)
                         followed = _followed(incident, recording, incident.start - origin(first))
                         if rrd is not None:
-                            export_rerun(recording, room / rrd.name, follow=followed, road_map=road_map)
+                            export_rerun(recording, room / rrd.name, follow=followed, road_map=road_map, incidents=shown)
                         if film is not None:
-                            export_video(recording, room / film.name, follow=followed, renderer=renderer)
+                            export_video(recording, room / film.name, follow=followed, renderer=renderer, incidents=shown)
                 written.append(IncidentClip(incident, target, rrd, film))
         return written
     finally:

@@ -14,6 +14,7 @@ from carla_recap.util.files import WholeFile, check_folder, new_folder
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
+    from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.replay.follow import Follow
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
@@ -29,6 +30,7 @@ def export_rerun(
     duration: float = 0.0,
     view: View = "chase",
     road_map: RoadMap | None = None,
+    incidents: IncidentOptions | None = None,
     cameras: Path | str | None = None,
     ghost: Recording | Reader | None = None,
     force: bool = False,
@@ -44,6 +46,7 @@ def export_rerun(
         duration: The duration in seconds; 0: all of the rest.
         view: The camera that is shown first.
         road_map: The map of the town.
+        incidents: Which incidents are in the log; None: all kinds, those against the rules of the road if the map is given.
         cameras: A folder for a blueprint of each vehicle and walker, `follow_<id>.rbl`: opened together with the .rrd, it
             makes the camera follow that actor.
         ghost: Another recording of the same scenario, whose vehicles and walkers are shown as ghosts from when on they are
@@ -76,7 +79,7 @@ def export_rerun(
         WholeFile(destination) as file,
     ):
         with piped(blueprint(player, view=view), file.write) as stream:
-            played = write(stream, player, road_map=road_map, progress=progress, cameras=cameras_of)
+            played = write(stream, player, road_map=road_map, incidents=incidents, progress=progress, cameras=cameras_of)
             if other is not None:
                 write_ghosts(stream, reader, other, start=player.start, duration=played.seconds, follow=player.followed)
         for id in cameras_of:

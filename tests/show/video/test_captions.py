@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from carla_recap.queries.incidents import Incident
-from carla_recap.show.video.captions import Captions, is_near, readable_name
+from carla_recap.scene.captions import readable_name
+from carla_recap.show.video.captions import Captions, is_near
 
 
 def incident(kind: Any, start: float, stop: float, *actors: int, text: str = "hero does it", x: float = 0.0) -> Incident:
@@ -47,10 +48,10 @@ def test_captions_are_shown_for_seconds_of_the_video() -> None:
     assert len(fast.at(20.0)) == 1
 
 
-def test_a_long_stop_of_the_followed_actor_is_counted() -> None:
+def test_a_long_stop_of_the_followed_actor_is_shown_all_the_time_and_does_not_count() -> None:
     found = captions(STOP)
     assert texts(found, 12.0) == []
-    assert texts(found, 31.0) == ["Hero has stood still for 20 s"]
+    assert texts(found, 14.0) == texts(found, 31.0) == ["Hero stands still for 39 s"]
     assert texts(found, 51.0) == []
 
 

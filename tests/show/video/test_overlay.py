@@ -49,6 +49,19 @@ def test_the_middle_stays_free() -> None:
     assert (picture[120:540, 300:1000] == GREY).all()
 
 
+@pytest.mark.parametrize("size", [SIZE, (640, 360), (360, 640)])
+@pytest.mark.parametrize("middle", [0.3, 0.65, 0.85])
+def test_captions_leave_the_followed_actor_free(size: tuple[int, int], middle: float) -> None:
+    x, y = size[0] // 2, round(middle * size[1])
+    kept_free = (x - 20, y - 40, x + 20, y + 40)
+    captions = (Caption("blocked", "Mercedes Sprinter (42) stands still for 44 s"), Caption("blocked", "Hero stands still"))
+    readings = replace(FULL, captions=captions, progress=None)
+    without, picture = (drawn(replace(readings, captions=shown, kept_free=kept_free), size) for shown in ((), captions))
+    is_caption = (picture != without).any(axis=-1)
+    assert is_caption.any()
+    assert not is_caption[y - 40 : y + 40, x - 20 : x + 20].any()
+
+
 def test_bars_are_as_long_as_the_controls() -> None:
     def bar(throttle: float, brake: float) -> tuple[int, int]:
         picture = drawn(Readings(0.0, controls=(throttle, brake, 0.0), speed=0.0))

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from carla_recap.formats.base import Reader
+    from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import Recording
     from carla_recap.replay import Follow
     from carla_recap.replay.player import Progress
@@ -45,6 +46,7 @@ def export_foxglove(
     start: float = 0.0,
     duration: float = 0.0,
     road_map: RoadMap | None = None,
+    incidents: IncidentOptions | None = None,
     force: bool = False,
     progress: Progress | None = None,
 ) -> Played:
@@ -57,6 +59,7 @@ def export_foxglove(
         start: The beginning, in elapsed seconds; negative: in seconds before the end.
         duration: The number of seconds to export; 0: all of the rest.
         road_map: The map of the town.
+        incidents: Which incidents are in the log; None: all kinds, those against the rules of the road if the map is given.
         force: Overwrite the file if it exists.
         progress: Is given the stream of scenes and their player, and passes the scenes on.
 
@@ -80,12 +83,12 @@ def export_foxglove(
     town = town_of(road_map, player, source)
     messages = SceneMessages(reader.header, player.followed, town, stop_points(reader))
     with FoxgloveFile(destination, _description(reader, player)) as file:
-        incidents = PlayedIncidents(player, road_network_of_map(road_map) if town is not None else None)
+        played = PlayedIncidents(player, road_network_of_map(road_map) if town is not None else None, incidents)
         for batch in player.batches(progress):
             file.write(messages.of(batch))
         file.write(messages.end())
         file.end_chunk()  # the times of what follows begin again
-        file.write(messages.incidents(incidents.found()))
+        file.write(messages.incidents(played.found()))
         return messages.played
 
 

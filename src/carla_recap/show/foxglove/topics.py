@@ -10,7 +10,6 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from carla_recap.formats.mcap.container import Topic
 from carla_recap.formats.mcap.schema import LogClock
-from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay import Played
 from carla_recap.scene.captions import EventText, Level, incident_lines
 from carla_recap.scene.collisions import FallenWalkers
@@ -147,12 +146,7 @@ class SceneMessages:
         if not self._clock_rows:
             return
         elapsed, times = (np.concatenate(column) for column in zip(*self._clock_rows, strict=True))
-        seconds = np.maximum.accumulate(elapsed)
-        lines = []
-        for start, line in incident_lines(found):
-            row = int(np.searchsorted(seconds, start - SAME_TIME))
-            if row < len(seconds) and (row or seconds[0] <= start + SAME_TIME):
-                lines.append(_log_line(line, row, times))
+        lines = [_log_line(line, row, times) for row, line in incident_lines(found, elapsed)]
         yield TimedMessages(lines, times)
 
     def _messages(self, batch: SceneBatch, times: Times, series: FollowedSeries) -> Iterator[TopicMessages]:

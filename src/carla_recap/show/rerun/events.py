@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import rerun as rr
 
-from carla_recap.model.frame import SAME_TIME
 from carla_recap.scene import style
 from carla_recap.scene.captions import EventText, Level, incident_lines
 from carla_recap.scene.collisions import MARK_RADIUS, CollisionMarks
@@ -71,11 +70,8 @@ class EventWriter:
     def write_incidents(self, found: Iterable[Incident]) -> None:
         """Write the incidents that began during the scenes so far, each at the scene at which it began."""
         clock = self.clock
-        seconds = np.maximum.accumulate(clock.seconds)
-        for start, line in incident_lines(found):
-            row = int(np.searchsorted(seconds, start - SAME_TIME))
-            if row < len(seconds) and (row or seconds[0] <= start + SAME_TIME):
-                self._lines.append((clock.point(row), line))
+        if len(clock.frame):
+            self._lines += [(clock.point(row), line) for row, line in incident_lines(found, clock.seconds)]
 
     def flush(self) -> None:
         """Write what is held back."""

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
     from carla_recap.model.frame import Header
-    from carla_recap.queries.incidents import Incident
+    from carla_recap.queries.incidents import Incident, IncidentOptions
     from carla_recap.queries.measures import MeasureSeries
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import SceneBatch
@@ -150,7 +150,7 @@ class SceneWriter:
             self._stream.log(paths.GROUND, times.point(0), rr.Transform3D(translation=point))
 
     def write_incidents(self, found: Iterable[Incident]) -> None:
-        """Write the hard braking and the long stops that began during the scenes so far."""
+        """Write the incidents that began during the scenes so far."""
         self._events.write_incidents(found)
 
     def write_measures(self, series: MeasureSeries) -> None:
@@ -184,6 +184,7 @@ def write(
     player: Player,
     *,
     road_map: RoadMap | None = None,
+    incidents: IncidentOptions | None = None,
     progress: Progress | None = None,
     cameras: Collection[int] = (),
 ) -> Played:
@@ -193,6 +194,7 @@ def write(
         stream: A file, a viewer or a pipe.
         player: The player of the recording.
         road_map: The map of the town.
+        incidents: Which incidents are in the log; None: all kinds, those against the rules of the road if the map is given.
         progress: Is given the stream of scenes and their player, and passes the scenes on.
         cameras: Ids of other actors than the followed one that get the axes of a camera, too.
 
@@ -209,12 +211,12 @@ def write(
         road_map = None
     writer = SceneWriter(stream, followed=player.followed, road_map=road_map, cameras=cameras, stops=stop_points(reader))
     count = 0
-    incidents = PlayedIncidents(player, road_network_of_map(road_map))
+    played = PlayedIncidents(player, road_network_of_map(road_map), incidents)
     for batch in player.batches(progress):
         writer.write(batch)
         count += len(batch)
-    writer.write_incidents(incidents.found())
-    series = incidents.series()
+    writer.write_incidents(played.found())
+    series = played.series()
     if series is not None:
         writer.write_measures(series)
     writer.close()

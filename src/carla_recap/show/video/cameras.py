@@ -269,3 +269,10 @@ def pixels_per_metre(camera: Camera, ground: float) -> float | None:
     """Return the scale of the ground at a height in m, in a picture from above; None in another view."""
     distance = float(camera.location[2]) - ground
     return camera.focal_length / distance if camera.rotation[2, 0] < -0.99 and distance > 0 else None
+
+
+def covered_by(camera: Camera, subject: Subject) -> tuple[float, float, float, float] | None:
+    """Return the pixels that the box of the followed actor covers: left, top, right, bottom; None if it is not seen."""
+    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (0, 2)]) * subject.half
+    x, y, depth = camera.project(subject.ground + corners @ subject.rotation.T).T
+    return (float(x.min()), float(y.min()), float(x.max()), float(y.max())) if depth.min() > 0 else None

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-import re
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.kinds import KINDS
+from carla_recap.scene.captions import caption_of
 from carla_recap.show.video.overlay import Caption
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ _FADE: Final = 0.4  # s of the video, in which it fades
 _PATIENCE: Final = 2.0  # s after which a long stop is mentioned
 _NEAR: Final = 70.0  # m; incidents of others are mentioned if they are no farther away
 _MOST: Final = 2  # captions at a time
-_MAKES: Final = {"bh": "", "bmw": "BMW", "carlamotors": "", "t2": "T2", "tt": "TT", "c3": "C3", "a2": "A2", "zx125": "ZX125"}
 
 
 class Captions:
@@ -64,7 +63,7 @@ class Captions:
             if begin - SAME_TIME <= time <= end and (self._concerns(each) or is_near is None or is_near(each.x, each.y)):
                 rest = (end - time) / self._speed
                 opacity = min(1.0, (rest + 0.05) / _FADE)
-                found.append(Caption(each.kind, _text(each, time), round(opacity, 1)))
+                found.append(Caption(each.kind, caption_of(each), round(opacity, 1)))
         return tuple(found[-_MOST:])
 
     def _concerns(self, incident: Incident) -> bool:
@@ -82,19 +81,3 @@ class Captions:
 def is_near(x: float, y: float) -> Callable[[float, float], bool]:
     """Return a function that returns whether a location is near another one; both are in m."""
     return lambda other_x, other_y: math.hypot(other_x - x, other_y - y) <= _NEAR
-
-
-def _text(incident: Incident, time: float) -> str:
-    """Return the text about an incident at a time, with readable names."""
-    text = incident.text
-    if incident.kind == "blocked":
-        text = re.sub(r" stands still for .*$", f" has stood still for {time - incident.start:.0f} s", text)
-    text = re.sub(r"\b(?:vehicle|walker|static)\.[\w.]+", lambda match: readable_name(match[0]), text)
-    return text[:1].upper() + text[1:]
-
-
-def readable_name(type_id: str) -> str:
-    """Return a name of a blueprint that reads well: `vehicle.audi.a2` is `Audi A2`."""
-    kind, *words = re.split(r"[._]", type_id)
-    named = " ".join(filter(None, (_MAKES.get(word, word.title()) for word in words)))
-    return named.lower() if kind == "walker" else named or type_id

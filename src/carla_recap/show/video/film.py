@@ -15,9 +15,17 @@ from carla_recap.recording import open_recording
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.roads.find import plain_name
 from carla_recap.scene.ahead import NO_LIGHT, stop_points
+from carla_recap.scene.captions import incidents_around, readable_name
 from carla_recap.scene.follow import followed_series
-from carla_recap.show.video.cameras import camera_path, camera_size, number_or_none, pixels_per_metre, subject_of
-from carla_recap.show.video.captions import Captions, is_near, readable_name
+from carla_recap.show.video.cameras import (
+    camera_path,
+    camera_size,
+    covered_by,
+    number_or_none,
+    pixels_per_metre,
+    subject_of,
+)
+from carla_recap.show.video.captions import Captions, is_near
 from carla_recap.show.video.overlay import LightAhead, Overlay, Readings
 from carla_recap.show.video.transparency import Transparency
 
@@ -27,7 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.model.actors import ActorLife
-    from carla_recap.queries.incidents import Incident
+    from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import Recording
     from carla_recap.rendering.camera import Camera
     from carla_recap.rendering.process import RenderProcess
@@ -48,7 +56,6 @@ RATE: Final = 30.0
 
 _LONG: Final = 300.0  # s of a recording, without map, of which only a part is read for the roads
 _AROUND: Final = 60.0  # s before and after what is shown
-_ENCOUNTER: Final = 5.0  # s around what is shown in which near misses are looked for
 
 
 class VideoShot(NamedTuple):
@@ -71,7 +78,8 @@ class Film:
         speed: The seconds of the recording in a second of the video.
         rate: The frames per second of the video.
         frames: The number of frames; None: a single picture.
-        overlay: Write on the pictures.
+        shown: Which incidents are shown, see `carla_recap.scene.captions.shown_options`; None: nothing is written on the
+            pictures.
     """
 
     def __init__(
@@ -84,7 +92,7 @@ class Film:
         speed: float = 1.0,
         rate: float = RATE,
         frames: int | None = None,
-        overlay: bool = True,
+        shown: IncidentOptions | None = None,
     ) -> None:
         from carla_recap.scene.actors import SceneActors  # here, while the renderer starts
 
@@ -99,16 +107,16 @@ class Film:
         self._subject: Subject | None = None
         self._series: FollowedSeries | None = None
         if self._followed is not None:
-            stops = stop_points(recording.reader) if overlay else {}
+            stops = stop_points(recording.reader) if shown else {}
             self._series = followed_series(recording, self._followed, stops, start=player.start, stop=player.stop)
         self._path = camera_path(view, size)
         self._transparency = Transparency()
         self._captions: Captions | None = None
         self._overlay: Overlay | None = None
-        if overlay:
-            self._captions = Captions(
-                _incidents(recording, player), start=player.start, stop=player.stop, speed=speed, followed=player.followed
-            )
+        if shown is not None:
+            span = {"start": player.start, "stop": player.stop}
+            found = incidents_around(recording.reader, shown, player.followed, **span)
+            self._captions = Captions(found, **span, speed=speed, followed=player.followed)
             marks = list(self._captions.marks()) if frames else []
             map_name = plain_name(recording.header.map_name)
             self._overlay = Overlay(size, map_name=map_name, speed=speed, marks=marks)
@@ -160,6 +168,7 @@ class Film:
             None if series.light[row] == NO_LIGHT else light,
             self._captions.at(scene.time, near),
             pixels_per_metre(camera, ground),
+            None if subject is None else covered_by(camera, subject),
         )
 
 
@@ -285,12 +294,3 @@ def submit(renderer: RenderProcess, shot: VideoShot) -> Future[Images]:
         shot.camera, shot.instances, (ImageKind.RGB,), Sky.of_weather(shot.scene.weather)
     )
     return future
-
-
-def _incidents(recording: Recording, player: Player) -> list[Incident]:
-    """Return the incidents of a recording, and the near misses around the time that is shown."""
-    from carla_recap.queries.incidents import IncidentOptions, incidents
-
-    start, stop = player.start - _ENCOUNTER, player.stop + _ENCOUNTER
-    near = incidents(recording.reader, IncidentOptions(kinds=["near miss"], start=start, stop=stop))
-    return sorted([*recording.incidents(), *near], key=lambda incident: incident.start)

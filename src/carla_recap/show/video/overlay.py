@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from carla_recap.show.video.encoding import Picture, Size
 
 Color = tuple[int, int, int, int]
+Rectangle = tuple[float, float, float, float]
 
 _WHITE: Final[Color] = (255, 255, 255, 255)
 _DIM: Final[Color] = (255, 255, 255, 170)
@@ -69,6 +70,7 @@ class Readings:
         light: The traffic light ahead of it, if any.
         captions: The incidents, the most important last.
         pixels_per_metre: The scale of a picture from above; None for other views.
+        kept_free: The pixels that the followed actor covers: left, top, right, bottom; None if it is not seen.
     """
 
     time: float
@@ -79,6 +81,7 @@ class Readings:
     light: LightAhead | None = None
     captions: tuple[Caption, ...] = ()
     pixels_per_metre: float | None = None
+    kept_free: Rectangle | None = None
 
 
 class _Layer:
@@ -97,6 +100,27 @@ class _Layer:
         part = picture[top : max(y + self.height, 0), left : max(x + self.width, 0), :3]
         rows, columns = slice(top - y, top - y + part.shape[0]), slice(left - x, left - x + part.shape[1])
         part[...] = (self._colors[rows, columns] + part * self._rest[rows, columns]) // 255
+
+
+class _Room(NamedTuple):
+    """What is free along an edge: from and up to a column of pixels; and the height of what covers its sides."""
+
+    left: int
+    right: int
+    height: int
+
+
+def _below(middle: float, top: int, width: int, height: int) -> Rectangle:
+    """Return the rectangle below the middle of its upper edge."""
+    return middle - width / 2, top, middle + width / 2, top + height
+
+
+def _common(first: Rectangle, second: Rectangle | None) -> float:
+    """Return the area that rectangles have in common."""
+    if second is None:
+        return 0.0
+    sides = (min(first[axis + 2], second[axis + 2]) - max(first[axis], second[axis]) for axis in (0, 1))
+    return math.prod(max(side, 0.0) for side in sides)
 
 
 class Overlay:
@@ -128,38 +152,53 @@ class Overlay:
             return
         margin = self._length(_MARGIN)
         right, bottom = self._width - margin, self._height - margin
-        self._kept("clock", round(readings.time, 1), lambda: self._clock(readings.time)).lay(picture, margin, margin)
+        clock = self._kept("clock", round(readings.time, 1), lambda: self._clock(readings.time))
+        clock.lay(picture, margin, margin)
+        upper, lower = _Room(margin + clock.width, self._width, clock.height), _Room(0, self._width, 0)
         if readings.light is not None:
             state, distance = readings.light.state, round(readings.light.distance)
             layer = self._kept("light", (state, distance), lambda: self._light(state, distance))
             layer.lay(picture, right - layer.width, margin)
-        covered = height = 0  # pixels from the left or right edge, and from the lower margin, without room for captions
+            upper = _Room(upper.left, right - layer.width, max(upper.height, layer.height))
         if readings.speed is not None or readings.controls is not None:
             key, speed, controls = _rounded(readings)
             layer = self._kept("panel", key, lambda: self._panel(readings.name, speed, controls))
             layer.lay(picture, margin, bottom - layer.height)
-            covered, height = margin + layer.width, layer.height
+            lower = _Room(margin + layer.width, self._width, layer.height)
         if readings.pixels_per_metre is not None:
             metres, pixels = _scale(readings.pixels_per_metre, self._width)
             layer = self._kept("scale", (metres, pixels), lambda: self._scale_bar(metres, pixels))
             layer.lay(picture, right - layer.width, bottom - layer.height)
-            covered, height = max(covered, margin + layer.width), max(height, layer.height)
-        self._lay_captions(picture, readings.captions, covered, height)
+            lower = _Room(lower.left, right - layer.width, max(lower.height, layer.height))
+        if readings.captions:
+            self._lay_captions(picture, readings.captions, upper, lower, readings.kept_free)
 
-    def _lay_captions(self, picture: Picture, captions: tuple[Caption, ...], covered: int, height: int) -> None:
-        """Lay captions over the lower middle of a picture, or where that is too narrow, above what covers its sides."""
-        gap = self._length(8)
+    def _lay_captions(
+        self, picture: Picture, captions: tuple[Caption, ...], upper: _Room, lower: _Room, kept_free: Rectangle | None
+    ) -> None:
+        """Lay captions over a picture, one above the other, where they do not hide the followed actor.
+
+        They are in the lower middle, or beside or above what covers the lower corners, or the same at the upper edge.
+        """
+        gap, margin = self._length(8), self._length(_MARGIN)
         layers = [
             self._kept(f"caption {row}", caption, partial(self._caption, caption), caption.opacity)
-            for row, caption in enumerate(reversed(captions))
+            for row, caption in enumerate(captions)
         ]
-        y = self._height - self._length(_MARGIN)
-        if any((self._width - layer.width) // 2 < covered + gap for layer in layers):
-            y -= height + gap if height else 0
+        width, height = max(layer.width for layer in layers), sum(layer.height for layer in layers) + gap * (len(layers) - 1)
+        places: list[tuple[float, int]] = []  # of the middle of their upper edge
+        for room, edge, beyond in (
+            (lower, self._height - margin - height, -lower.height - gap if lower.height else 0),
+            (upper, margin, upper.height + gap),
+        ):
+            middles = self._width / 2, (room.left + room.right) / 2
+            left, right = room.left + gap + width / 2, room.right - gap - width / 2
+            places += [(middle, edge) for middle in middles if left <= middle <= right]
+            places.append((self._width / 2, edge + beyond))
+        middle, y = min(places, key=lambda place: _common(_below(*place, width, height), kept_free))
         for layer in layers:
-            y -= layer.height
-            layer.lay(picture, (self._width - layer.width) // 2, y)
-            y -= gap
+            layer.lay(picture, round(middle - layer.width / 2), y)
+            y += layer.height + gap
 
     def _kept(self, name: str, key: object, draw: Callable[[], Any], opacity: float = 1.0) -> _Layer:
         """Return a layer, which is drawn if it is not the latest of its name."""

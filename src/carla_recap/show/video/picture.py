@@ -12,12 +12,14 @@ from carla_recap.editing.convert import check_destination
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay import Player
+from carla_recap.scene.captions import shown_options
 from carla_recap.show.video.encoding import check_size
 from carla_recap.show.video.film import Film, followed_of, opened_renderer, recorded_size, submit
 from carla_recap.show.video.video import SIZE
 from carla_recap.util.files import WholeFile
 
 if TYPE_CHECKING:
+    from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import Recording
     from carla_recap.rendering.process import RenderProcess
     from carla_recap.replay import Follow
@@ -52,6 +54,7 @@ def snapshot(
     town: Town | None = None,
     size: Size | None = None,
     overlay: bool = True,
+    incidents: IncidentOptions | None = None,
     force: bool = False,
 ) -> None:
     """Write a picture of a recording at a time.
@@ -66,6 +69,7 @@ def snapshot(
             folder that CARLA_RECAP_MAPS names, else roads where vehicles have driven.
         size: Width and height in pixels; None: 1280 x 720, or of a recorded camera those of its images.
         overlay: Write the map, time, speed and more on it.
+        incidents: Which incidents are shown; see `export_video`.
         force: Overwrite an existing file.
 
     Raises:
@@ -77,7 +81,7 @@ def snapshot(
     if path.suffix.lower() != ".png":
         raise RecapError(f"{path}: a picture is written as .png")
     check_destination(source.reader.location, path, force=force)
-    data = picture(source, at=at, follow=follow, view=view, town=town, size=size, overlay=overlay)
+    data = picture(source, at=at, follow=follow, view=view, town=town, size=size, overlay=overlay, incidents=incidents)
     with WholeFile(path) as file:
         file.write(data)
 
@@ -91,6 +95,7 @@ def picture(
     town: Town | None = None,
     size: Size | None = None,
     overlay: bool = True,
+    incidents: IncidentOptions | None = None,
     renderer: RenderProcess | None = None,
     form: str = "PNG",
 ) -> PictureFile:
@@ -104,6 +109,7 @@ def picture(
         town: The town.
         size: Width and height.
         overlay: Write on it.
+        incidents: Which incidents are shown.
         renderer: What draws it, for many pictures of one town; None: one is made and closed.
         form: "PNG" or "JPEG".
 
@@ -125,7 +131,7 @@ def picture(
     if follow is None and player.followed is None:
         player.followed = Player(source).followed
     with opened_renderer(renderer, town, source, start=start, stop=time, supersampling=2) as opened:
-        film = Film(source, player, view, size, overlay=overlay)
+        film = Film(source, player, view, size, shown=shown_options(source.reader, incidents) if overlay else None)
         *_, shot = (film.shot(scene) for scene in player.scenes(_RATE))
         if follow is not None:
             _check_followed(source, player.followed, shot)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError
 from carla_recap.replay import Player
+from carla_recap.scene.captions import shown_options
 from carla_recap.show.video.encoding import LONGEST, check_video, create_video
 from carla_recap.show.video.film import RATE, Film, followed_of, opened_renderer, recorded_size, submit
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from concurrent.futures import Future
 
+    from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import Recording
     from carla_recap.rendering.process import RenderProcess
     from carla_recap.replay import Follow
@@ -62,6 +64,7 @@ def export_video(
     rate: float | None = None,
     smooth: bool = False,
     overlay: bool = True,
+    incidents: IncidentOptions | None = None,
     town: Town | None = None,
     renderer: RenderProcess | None = None,
     progress: Progress | None = None,
@@ -83,6 +86,7 @@ def export_video(
         rate: The frames per second; None: 30, of a GIF 12.5.
         smooth: Draw smooth edges, which takes about twice as long.
         overlay: Write time, speed, controls, the light ahead and incidents on the pictures.
+        incidents: Which incidents are shown; None: all kinds, those against the rules of the road if the map is found.
         town: The town, or a function that loads it; None: that of the recording's map if it is the built-in one or in the
             folder that CARLA_RECAP_MAPS names, else roads where vehicles have driven.
         renderer: What draws the pictures, for several videos of one town; None: one is made and closed.
@@ -105,9 +109,11 @@ def export_video(
     check_video(path, size, rate, frames)
     check_destination(source.reader.location, path, force=force)
 
+    shown = shown_options(source.reader, incidents) if overlay else None
+
     def film(rate: float, speed: float, frames: int) -> Film:
         part = Player(source, start=player.start, duration=length, follow=player.followed)
-        return Film(source, part, view, size, speed=speed, rate=rate, frames=frames, overlay=overlay)
+        return Film(source, part, view, size, speed=speed, rate=rate, frames=frames, shown=shown)
 
     span = {"start": player.start, "stop": player.stop}
     with opened_renderer(renderer, town, source, **span, supersampling=1 + smooth) as opened:
