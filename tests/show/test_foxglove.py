@@ -554,14 +554,14 @@ def test_lamps_of_a_vehicle_are_shown_while_they_are_lit(record):
 
 
 def test_the_brake_pedal_lights_the_brake_lamps(record):
-    controls = [(1, 0.0, 0.5, brake, 0, gear) for brake, gear in ((0.0, 1), (0.7, 1), (0.0, 1))]
+    controls = [(1, 0.0, 0.5, brake, 0, 1) for brake in (0.0, 0.7, *[0.0] * 6)]
     topics = record(
         *(
             {"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1)], "vehicle_controls": [control]}
             for n, control in enumerate(controls)
         )
     )
-    assert [bool(seen(topics["/scene/lamps"], n / 10)) for n in range(3)] == [False, True, False]
+    assert [bool(seen(topics["/scene/lamps"], n / 10)) for n in range(8)] == [False, *[True] * 5, False, False]
 
 
 def test_lamps_go_with_their_vehicle(record):

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from carla_recap.model.actors import BoundingBox
 from carla_recap.replay.pose import LOCATION, right_handed, rotations
-from carla_recap.scene.actors import (
-    BRAKE,
-    REVERSE,
-    instances,
-    lamps_of_lights,
-    lamps_of_vehicles,
-    look_of,
-)
+from carla_recap.scene.actors import instances, look_of
+from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehicles
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.recording.poses import CM_PER_M, pose
@@ -34,8 +28,6 @@ if TYPE_CHECKING:
 
     Rows = NDArray[np.intp]
 
-_BRAKING: Final = 0.02  # of the brake control, from which on the lamps are lit
-
 
 class WorldActors:
     """What is drawn of the actors of a world.
@@ -52,6 +44,7 @@ class WorldActors:
         self._looks: dict[int, Look | None] = {}
         self._frame: tuple[int, int] | None = None
         self._latest: Instances | None = None
+        self._lamps = VehicleLamps()
 
     def instances(self) -> Instances:
         """Return the instances after the latest tick."""
@@ -107,8 +100,13 @@ class WorldActors:
         lamps[rows] = lamps_of_lights(self._world.signals.state[sources])
         vehicles = self._world.vehicles
         rows, sources = self._vehicles
-        flags = vehicles.light_state[sources].astype(np.int64)
-        flags |= BRAKE * (vehicles.brake[sources] > _BRAKING) + REVERSE * vehicles.reverse[sources]
+        flags = self._lamps.flags_at(
+            self._world.elapsed,
+            vehicles.id[sources].astype(np.uint32),
+            vehicles.light_state[sources],
+            vehicles.brake[sources],
+            vehicles.reverse[sources],
+        )
         lamps[rows] = lamps_of_vehicles(flags)
         angle = np.where(vehicles.simulated, vehicles.steer_angle, vehicles.steer * vehicles.full_lock)
         steering[rows] = -angle[sources]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.scene import style
-from carla_recap.scene.actors import lamps_of_vehicles
 from carla_recap.scene.appearance import Look, look_of_present
+from carla_recap.scene.lamps import lamps_of_vehicles
 from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.scene.models import MODELS
 from carla_recap.show.foxglove import shapes
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.model.actors import ActorLife
-    from carla_recap.scene.collisions import Fall
+    from carla_recap.scene.falls import Fall
 
     Floats = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.scene.collisions import MARK_RADIUS, CollisionMarks
+from carla_recap.scene.marks import MARK_RADIUS
 from carla_recap.scene.models import INDEX, MODELS
 from carla_recap.show.foxglove import shapes
 from carla_recap.show.foxglove.bodies import TIMESTAMP
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.replay import SceneBatch
+    from carla_recap.scene.description import SceneDescription
     from carla_recap.show.foxglove.messages import Stamps, TopicMessages
 
     Floats = NDArray[np.float64]
@@ -28,25 +28,18 @@ MARKS: Final = "/scene/marks"
 _ABOVE: Final = 0.02  # m; of a drawn mark above its location
 
 
-class MarkEntities:
-    """The messages of the marks: each has all of them, whenever one appears or disappears."""
+def mark_messages(description: SceneDescription, stamps: Stamps) -> Iterator[TopicMessages]:
+    """Yield the messages of the marks: each has all of them, whenever one appears or disappears.
 
-    def __init__(self) -> None:
-        self._marks = CollisionMarks()
-
-    def messages(self, batch: SceneBatch, stamps: Stamps) -> Iterator[TopicMessages]:
-        """Yield the messages of the scenes of a batch; each batch has to be given, in order.
-
-        Args:
-            batch: The scenes.
-            stamps: The timestamp of each.
-        """
-        changes = self._marks.changes(batch)
-        if batch.fresh and not (changes and changes[0][0] == 0):
-            yield single(MARKS, 0, ALL_DELETED)
-        for row, locations in changes:
-            data = b"".join(_mark(number, location, stamps[row]) for number, location in enumerate(locations))
-            yield single(MARKS, row, ALL_DELETED.SerializeToString() + data)
+    Args:
+        description: The scenes.
+        stamps: The timestamp of each.
+    """
+    if description.batch.fresh and not (description.marks and description.marks[0][0] == 0):
+        yield single(MARKS, 0, ALL_DELETED)
+    for row, locations in description.marks:
+        data = b"".join(_mark(number, location, stamps[row]) for number, location in enumerate(locations))
+        yield single(MARKS, row, ALL_DELETED.SerializeToString() + data)
 
 
 def _mark(number: int, location: Floats, stamp: Stamps) -> bytes:

@@ -18,7 +18,6 @@ from carla_recap.model.records import Spawn
 from carla_recap.replay import quaternions, right_handed
 from carla_recap.replay.pose import LOCATION, change
 from carla_recap.replay.selection import NO_IDS, find
-from carla_recap.scene.actors import BRAKE, REVERSE
 from carla_recap.scene.appearance import look_of_present
 from carla_recap.show.foxglove import bodies
 from carla_recap.show.foxglove.messages import (
@@ -45,7 +44,8 @@ if TYPE_CHECKING:
     from carla_recap.replay.scene import SceneBatch
     from carla_recap.replay.selection import Ids
     from carla_recap.scene.appearance import Look
-    from carla_recap.scene.collisions import Fall, FallChange
+    from carla_recap.scene.description import LookColumns, SceneDescription
+    from carla_recap.scene.falls import Fall, FallChange
     from carla_recap.show.foxglove.messages import Floats, Indices, Stamps
 
 MOVED: Final = "/tf/actors"
@@ -55,7 +55,6 @@ _MOVED_BY: Final = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])  # cm and degrees; a
 _FAR: Final = 1e9  # cm and degrees; a pose beyond is not shown
 _MOST_MODELS: Final = 300  # of the present actors; further ones are boxes
 _MOST_BYTES: Final = 1 << 29  # of models; a recording whose actors come and go that often has boxes from then on
-_BRAKING: Final = 0.02  # of the brake pedal, from which on the lamps are lit
 
 _POSE: Final = pose_numbers(FrameTransform.TRANSLATION_FIELD_NUMBER, FrameTransform.ROTATION_FIELD_NUMBER)
 _CHANGING: Final = _POSE + timestamp(FrameTransform.TIMESTAMP_FIELD_NUMBER)
@@ -252,17 +251,17 @@ class ActorEntities:
         self._states = _TopicEntities(bodies.SIGNALS)
 
     def messages(
-        self, batch: SceneBatch, rows: Indices, stamps: Stamps, falls: Sequence[FallChange]
+        self, description: SceneDescription, rows: Indices, stamps: Stamps, falls: Sequence[FallChange]
     ) -> Iterator[TopicMessages]:
         """Yield the messages of some scenes of a batch.
 
         Args:
-            batch: The scenes.
+            description: The scenes.
             rows: The positions of the scenes that are shown.
             stamps: The timestamp of each of these.
             falls: The walkers that fall or get up, until the last of these.
         """
-        changed = self._take_actors(batch)
+        batch, changed = description.batch, self._take_actors(description)
         fall_rows = np.searchsorted(rows, [fall.row for fall in falls]).tolist()
         if changed:
             self._bodies_shown = None
@@ -289,7 +288,7 @@ class ActorEntities:
                 yield self._transforms(STILL, indices, rows[some], stamps[some], poses.take(indices, some))
             yield from self._show_bodies(present[start], int(rows[start]), stamps[start], fresh=fresh)
             changed = False
-        yield from self._show_lamps(batch, rows, stamps, present)
+        yield from self._show_lamps(description, rows, stamps, present)
 
     def _show_bodies(self, present: NDArray[np.bool_], row: int, stamp: Stamps, *, fresh: bool) -> Iterator[TopicMessages]:
         now = present.tobytes()
@@ -310,14 +309,14 @@ class ActorEntities:
                 shown.set_fall(shown.fall)
 
     def _show_lamps(
-        self, batch: SceneBatch, rows: Indices, stamps: Stamps, present: NDArray[np.bool_]
+        self, description: SceneDescription, rows: Indices, stamps: Stamps, present: NDArray[np.bool_]
     ) -> Iterator[TopicMessages]:
         """Yield the messages of the lamps, whenever one goes on or off."""
-        lit = self._lit_lamps(batch, rows)
+        lit = self._lit_lamps(description, rows)
         lit[~present] = 0
         starts = (0, *(np.flatnonzero((lit[1:] != lit[:-1]).any(axis=1)) + 1).tolist())
         for start in starts:
-            fresh = batch.fresh and not rows[start]
+            fresh = description.batch.fresh and not rows[start]
             known = (self._shown_ids.tobytes(), lit[start].tobytes())
             if known == self._lit and not fresh:
                 continue
@@ -334,21 +333,15 @@ class ActorEntities:
             yield from self._lamps.messages(lamps, int(rows[start]), stamps[start], fresh=fresh)
             yield from self._states.messages(states, int(rows[start]), stamps[start], fresh=fresh)
 
-    def _lit_lamps(self, batch: SceneBatch, rows: Indices) -> NDArray[np.int64]:
+    def _lit_lamps(self, description: SceneDescription, rows: Indices) -> NDArray[np.int64]:
         """Return CARLA's VehicleLightState of each vehicle, and 1 more than the state of each light, (scenes, actors)."""
         lit = np.zeros((len(rows), len(self._shown)), np.int64)
         lit[:, self._signals] = 1 + TRAFFIC_LIGHT_COLOR_UNKNOWN
-        for name in ("vehicle_lights", "vehicle_controls"):
-            records = batch.records(name)
-            columns, known = self._columns_of(records["id"][0])
-            if name == "vehicle_lights":
-                lit[:, columns] |= records["flags"][rows][:, known].astype(np.int64)
-            else:
-                for bit, are in ((BRAKE, records["brake"] > _BRAKING), (REVERSE, records["gear"] < 0)):
-                    if are.any():
-                        lit[:, columns] |= bit * are[rows][:, known]
-        columns, known = self._columns_of(batch.light_states["id"][0])
-        states = batch.light_states["state"][rows][:, known].astype(np.int64)
+        columns, known = self._columns_of(description.vehicles)
+        lit[:, columns] = description.flags[rows][:, known]
+        light_states = description.batch.light_states
+        columns, known = self._columns_of(light_states["id"][0])
+        states = light_states["state"][rows][:, known].astype(np.int64)
         states[(states < 0) | (states > TRAFFIC_LIGHT_COLOR_UNKNOWN)] = TRAFFIC_LIGHT_COLOR_UNKNOWN
         signals = np.isin(columns, self._signals)
         lit[:, columns[signals]] = 1 + states[:, signals]
@@ -371,14 +364,17 @@ class ActorEntities:
                 shown.set_fall(now)
                 self._bodies_shown = None
 
-    def _take_actors(self, batch: SceneBatch) -> bool:
+    def _take_actors(self, description: SceneDescription) -> bool:
         """Set what depends on the actors of a batch; return whether they have changed."""
+        batch = description.batch
         actors = list(batch.actors.values())
         if actors == self._actors and batch.ids is self._ids:
             return False
         unknown = sorted(set(batch.ids.tolist()).difference(batch.actors))
         if actors != self._actors or unknown != self._unknown:
-            self._take_entities([*actors, *(ActorLife.of(Spawn(id), batch.time[0].item()) for id in unknown)])
+            self._take_entities(
+                [*actors, *(ActorLife.of(Spawn(id), batch.time[0].item()) for id in unknown)], description.actors
+            )
         self._actors, self._unknown, self._ids = actors, unknown, batch.ids
         self._columns, recorded = find(self._shown_ids, batch.ids)
         others = np.flatnonzero(~recorded)
@@ -388,21 +384,21 @@ class ActorEntities:
         self._carried = list(zip(carried.tolist(), self._shown_ids[others[carried]].tolist(), strict=True))
         return True
 
-    def _take_entities(self, actors: Iterable[ActorLife]) -> None:
-        """Set the shown actors, given all actors."""
+    def _take_entities(self, actors: Iterable[ActorLife], looks: LookColumns) -> None:
+        """Set the shown actors, given all actors, and the looks of those that are known."""
         known, self._all = self._all, {}
         models = sum(shown.detailed for _, shown in known.values() if shown is not None)
         for actor in actors:
             before, shown = known.get(actor.id, (None, None))
             if before is None or (before is not actor and before.spawn != actor.spawn):
-                look = look_of_present(actor)
+                look = looks.look_of(actor.id) if actor.type_id else look_of_present(actor)
                 shown = None
                 if look is not None:
                     shown = _ShownActor(actor, look, models < _MOST_MODELS and self._written <= _MOST_BYTES)
                     models += shown.detailed
                     shown.draw(actor, look)
             elif shown is not None and before is not actor and before != actor:
-                shown.draw(actor, look_of_present(actor) or shown.look)
+                shown.draw(actor, looks.look_of(actor.id) or shown.look)
             self._all[actor.id] = actor, shown
         self._shown = [shown for _, shown in self._all.values() if shown is not None]
         self._shown_ids = np.array([shown.actor.id for shown in self._shown], np.uint32)

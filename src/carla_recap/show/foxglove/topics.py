@@ -12,7 +12,7 @@ from carla_recap.formats.mcap.container import Topic
 from carla_recap.formats.mcap.schema import LogClock
 from carla_recap.replay import Played
 from carla_recap.scene.captions import EventText, Level, incident_lines
-from carla_recap.scene.collisions import FallenWalkers
+from carla_recap.scene.description import SceneDescriber
 from carla_recap.scene.follow import FollowedActor
 from carla_recap.show.foxglove import bodies, followed, marks, scene
 from carla_recap.show.foxglove.messages import FrameTransforms, Log, SceneUpdate, single, timestamps
@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from carla_recap.replay.scene import SceneBatch
     from carla_recap.scene.ahead import StopPoints
     from carla_recap.scene.captions import Line
-    from carla_recap.scene.collisions import FallChange
+    from carla_recap.scene.description import SceneDescription
+    from carla_recap.scene.falls import FallChange
     from carla_recap.scene.follow import FollowedSeries
     from carla_recap.show.foxglove.messages import Floats, Indices, Times, TopicMessages
 
@@ -96,16 +97,15 @@ class SceneMessages:
         self._clock = LogClock(header)
         self._followed = FollowedActor(follow, stops or {})
         self._town = town
+        self._describer = SceneDescriber()
         self._entities = scene.ActorEntities()
-        self._marks = marks.MarkEntities()
-        self._walkers = FallenWalkers()
         self._falls: list[FallChange] = []  # since the latest scene that is shown
         self._frames = followed.ViewFrames()
         self._lights = followed.LightMessages()
         self._text = EventText()
         self._due = 0.0  # the elapsed time of the next scene to show
         self._start = 0.0  # the elapsed time of the first scene
-        self._last: tuple[SceneBatch, Times, FollowedSeries] | None = None
+        self._last: tuple[SceneDescription, Times, FollowedSeries] | None = None
         self._shown = False  # whether the last scene is shown
         self._count = 0
         self._clock_rows: list[tuple[Floats, Times]] = []  # elapsed seconds and log times of all scenes
@@ -117,8 +117,9 @@ class SceneMessages:
             times = self._times_of(part)
             self._clock_rows.append((part.time, times))
             series = self._followed.series(part)
-            messages = list(self._messages(part, times, series))
-            self._last = part, times, series
+            description = self._describer.describe(part)
+            messages = list(self._messages(description, times, series))
+            self._last = description, times, series
             self._count += len(part)
             yield TimedMessages(messages, times)
 
@@ -126,11 +127,12 @@ class SceneMessages:
         """Yield the messages that show the last scene, as far as it is not shown yet."""
         if self._last is None:
             return
-        batch, times, series = self._last
+        description, times, series = self._last
+        batch = description.batch
         row, elapsed = len(batch) - 1, batch.time[-1].item()
         messages: list[TopicMessages] = []
         if not self._shown:
-            messages += self._show(batch, np.array([row]), times, series)
+            messages += self._show(description, np.array([row]), times, series)
         if self._lights.latest.elapsed != elapsed:
             self._lights.latest.elapsed = elapsed
             messages.append(single(followed.LIGHTS, row, self._lights.latest))
@@ -139,7 +141,7 @@ class SceneMessages:
     @property
     def played(self) -> Played:
         """How many scenes there were, and the seconds that they span."""
-        return Played(self._count, self._last[0].time[-1].item() - self._start) if self._last else Played(0, 0.0)
+        return Played(self._count, self._last[0].batch.time[-1].item() - self._start) if self._last else Played(0, 0.0)
 
     def incidents(self, found: Iterable[Incident]) -> Iterator[TimedMessages]:
         """Yield the incidents that began during the scenes so far as text, each at the scene at which it began."""
@@ -149,8 +151,9 @@ class SceneMessages:
         lines = [_log_line(line, row, times) for row, line in incident_lines(found, elapsed)]
         yield TimedMessages(lines, times)
 
-    def _messages(self, batch: SceneBatch, times: Times, series: FollowedSeries) -> Iterator[TopicMessages]:
+    def _messages(self, description: SceneDescription, times: Times, series: FollowedSeries) -> Iterator[TopicMessages]:
         """Yield the messages of scenes, given the time of each in ns since 1970, and the followed actor in them."""
+        batch = description.batch
         if self._last is None:
             self._start = batch.time[0].item()
             yield single(MAP, 0, map_message(self._town, int(times[0])))
@@ -158,11 +161,11 @@ class SceneMessages:
             yield _log_line(line, 0, times)
         if self._followed.id is not None:
             yield from followed.motion_messages(batch, self._followed.id, series)
-        yield from self._marks.messages(batch, timestamps(times))
-        self._falls = [*(fall._replace(row=0) for fall in self._falls), *self._walkers.changes(batch)]
+        yield from marks.mark_messages(description, timestamps(times))
+        self._falls = [*(fall._replace(row=0) for fall in self._falls), *description.falls]
         rows = self._choose(batch)
         if len(rows):
-            yield from self._show(batch, rows, times, series)
+            yield from self._show(description, rows, times, series)
 
     def _choose(self, batch: SceneBatch) -> Indices:
         """Return the positions of the scenes that are shown."""
@@ -174,13 +177,15 @@ class SceneMessages:
                 rows.append(row)
         return np.array(rows, np.intp)
 
-    def _show(self, batch: SceneBatch, rows: Indices, times: Times, series: FollowedSeries) -> Iterator[TopicMessages]:
+    def _show(
+        self, description: SceneDescription, rows: Indices, times: Times, series: FollowedSeries
+    ) -> Iterator[TopicMessages]:
         """Yield the messages of the scenes that are shown, given the followed actor in the batch."""
-        series, stamps = series.take(rows), timestamps(times[rows])
+        batch, series, stamps = description.batch, series.take(rows), timestamps(times[rows])
         yield from self._frames.messages(batch, rows, stamps, series)
         falls = [fall for fall in self._falls if fall.row <= rows[-1]]
         self._falls = [fall for fall in self._falls if fall.row > rows[-1]]
-        yield from self._entities.messages(batch, rows, stamps, falls)
+        yield from self._entities.messages(description, rows, stamps, falls)
         yield from self._lights.messages(batch, rows, stamps, series)
 
     def _times_of(self, batch: SceneBatch) -> Times:

@@ -14,10 +14,8 @@ from carla_recap.model.records import CM, Spawn
 from carla_recap.replay import Destroyed, Spawned, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION
 from carla_recap.scene import style
-from carla_recap.scene.appearance import Look, look_of_present
 from carla_recap.show.rerun import paths
 from carla_recap.show.rerun.corridors import CorridorWriter
-from carla_recap.show.rerun.fallen import FallenWriter
 from carla_recap.show.rerun.followed import CameraAxes
 from carla_recap.show.rerun.lamps import LampWriter
 from carla_recap.show.rerun.meshes import drawn, model_mesh
@@ -29,8 +27,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.replay import SceneBatch
     from carla_recap.replay.selection import Ids
+    from carla_recap.scene.appearance import Look
+    from carla_recap.scene.description import SceneDescription
     from carla_recap.show.rerun.poses import PoseBlock
     from carla_recap.show.rerun.stream import Stream, TimeColumns, TimePoint
 
@@ -57,23 +56,20 @@ class ActorWriter:
         followed: The actor that the camera follows: its name is always shown.
         roads: Whether the map has roads.
         cameras: Ids of other actors that get the axes of a camera, if they are vehicles or walkers.
-        signs: Whether signs are drawn; those of a map are part of its surfaces.
 
     Attributes:
         looks: The looks of the present actors that are drawn as models, by id.
     """
 
-    def __init__(self, stream: Stream, followed: int | None, *, roads: bool, cameras: Iterable[int], signs: bool) -> None:
+    def __init__(self, stream: Stream, followed: int | None, *, roads: bool, cameras: Iterable[int]) -> None:
         self._stream = stream
         self._followed = followed
         self._roads = roads
-        self._signs = signs
         self._cameras = {id: CameraAxes(stream, paths.camera(id)) for id in cameras if id != followed}
         self._present: set[int] = set()
         self._models = 0
         self.looks: dict[int, Look] = {}
         self._lamps = LampWriter(stream)
-        self._fallen = FallenWriter(stream)
         self._named: int | None = None  # the actor whose name has to be shown from the next scene on
         self._boxed: set[int] = set() if followed is None else {followed}  # actors that have had a box, or will have one
         self._left_out: set[int] = set()
@@ -96,25 +92,25 @@ class ActorWriter:
         self._followed = self._named = id
         self._boxed.add(id)
 
-    def write(self, batch: SceneBatch, times: TimeColumns) -> None:
+    def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
-        spawned = []
+        batch, spawned = description.batch, []
         for event in batch.events:
             if isinstance(event, Spawned):
-                self._draw(event.actor, batch, times.point(0))
+                self._draw(event.actor, description, times.point(0))
                 spawned.append(event.actor.id)
             elif isinstance(event, Destroyed):
                 self._erase(event.id, times.point(0))
         if batch.ids is not self._ids:
             self._ids = batch.ids
             for id in set(batch.ids.tolist()) - self._present:
-                self._draw(ActorLife.of(Spawn(id), float(batch.time[0])), batch, times.point(0))
+                self._draw(ActorLife.of(Spawn(id), float(batch.time[0])), description, times.point(0))
         named = None if self._named is None else batch.actors.get(self._named)
         if named is not None:
-            self._stream.log(paths.actor(named.id), times.point(0), _name(named, look_of_present(named)))
+            self._stream.log(paths.actor(named.id), times.point(0), _name(named, description.actors.look_of(named.id)))
             self._named = None
-        self._lamps.write(batch, times)
-        self._fallen.write(batch, times)
+        self._lamps.write(description, times)
+        self._lay(description, times)
         self._poses.add(batch, times, spawned)
         if self._poses.is_full:
             self._write_poses()
@@ -153,7 +149,7 @@ class ActorWriter:
             corners = [(left, top), (right, top), (right, bottom), (left, bottom), (left, top)]
             self._stream.log_static(paths.MAP_EDGE, rr.LineStrips2D([corners], colors=[_EDGE], radii=screen_radii(0.5)))
 
-    def _draw(self, actor: ActorLife, batch: SceneBatch, time: TimePoint) -> None:
+    def _draw(self, actor: ActorLife, description: SceneDescription, time: TimePoint) -> None:
         path = paths.actor(actor.id)
         if actor.id in self._present and actor.id in self._boxed:
             self._stream.clear(path, time)
@@ -169,7 +165,7 @@ class ActorWriter:
             self._left_out.add(actor.id)
             return
         self._boxed.add(actor.id)
-        look = look_of_present(actor, signs=self._signs) if actor.type_id else None
+        look = description.actors.look_of(actor.id)
         archetypes: list[rr.AsComponents] = [rr.AnyValues(name=style.label_of(actor))]
         if look is not None and self._models < MOST_MODELS:
             self._models += 1
@@ -182,7 +178,7 @@ class ActorWriter:
             archetypes.append(_box(actor, look))
         if actor.is_hero or actor.id == self._followed:
             archetypes.append(_name(actor, look))
-        if batch.index_of(actor.id) is None:
+        if description.batch.index_of(actor.id) is None:
             archetypes.append(_location(actor))
         self._stream.log(path, time, *archetypes)
 
@@ -193,6 +189,17 @@ class ActorWriter:
             self.looks.pop(id, None)
             if id in self._boxed:
                 self._stream.clear(paths.actor(id), time)
+
+    def _lay(self, description: SceneDescription, times: TimeColumns) -> None:
+        """Lay down the models of walkers; the transforms of their entities stay those that are recorded."""
+        for row, id, fall in description.falls:
+            look = description.actors.look_of(id)
+            if look is not None:
+                matrix = np.eye(3) if fall is None else fall.matrix
+                offset = np.zeros(3) if fall is None else fall.offset - matrix @ look.center
+                self._stream.log(
+                    paths.actor(id), times.point(row), rr.InstancePoses3D(translations=[offset], mat3x3=[matrix])
+                )
 
     def _write_map(self, block: PoseBlock) -> None:
         shown = np.isin(block.ids, list(self._colors))

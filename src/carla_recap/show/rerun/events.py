@@ -9,7 +9,7 @@ import rerun as rr
 
 from carla_recap.scene import style
 from carla_recap.scene.captions import EventText, Level, incident_lines
-from carla_recap.scene.collisions import MARK_RADIUS, CollisionMarks
+from carla_recap.scene.marks import MARK_RADIUS
 from carla_recap.show.rerun import paths
 from carla_recap.show.rerun.stream import TimeColumns
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.queries.incidents import Incident
-    from carla_recap.replay import SceneBatch
     from carla_recap.scene.captions import Line
+    from carla_recap.scene.description import SceneDescription
     from carla_recap.show.rerun.stream import Stream, TimePoint
 
     Floats = NDArray[np.float64]
@@ -50,14 +50,13 @@ class EventWriter:
         self._text = EventText()
         self._lines: list[tuple[TimePoint, Line]] = []
         self._clock: list[TimeColumns] = []  # of all scenes
-        self._marks = CollisionMarks()
 
-    def write(self, batch: SceneBatch, times: TimeColumns) -> None:
+    def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
         self._clock.append(times)
         time = times.point(0)
-        self._lines += [(time, line) for line in self._text.lines(batch.scene(0))]
-        for row, locations in self._marks.changes(batch):
+        self._lines += [(time, line) for line in self._text.lines(description.batch.scene(0))]
+        for row, locations in description.marks:
             self._draw(locations, times.point(row))
         if len(self._lines) >= _MAX_LINES:
             self.flush()

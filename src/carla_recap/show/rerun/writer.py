@@ -18,6 +18,7 @@ from carla_recap.replay.pose import LOCATION
 from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.ahead import stop_points
 from carla_recap.scene.captions import PlayedIncidents
+from carla_recap.scene.description import SceneDescriber
 from carla_recap.scene.follow import FollowedActor
 from carla_recap.show.rerun import paths
 from carla_recap.show.rerun.actors import ActorWriter
@@ -105,7 +106,8 @@ class SceneWriter:
             write_sky(self._stream, np.zeros(3), 0.0)
             write_ground(self._stream)
         self._is_ground_placed = town is not None
-        self._actors = ActorWriter(self._stream, followed, roads=road_map is not None, cameras=cameras, signs=town is None)
+        self._actors = ActorWriter(self._stream, followed, roads=road_map is not None, cameras=cameras)
+        self._describer = SceneDescriber(signs=town is None)
         self._lights = TrafficLightWriter(self._stream)
         self._events = EventWriter(self._stream)
         self._actor: FollowedActor | None = None
@@ -132,9 +134,10 @@ class SceneWriter:
         times = TimeColumns.of(batch)
         if self._followed is None and not self._is_ground_placed:
             self._place_ground(batch, times)
-        self._actors.write(batch, times)
+        description = self._describer.describe(batch)
+        self._actors.write(description, times)
         self._lights.write(batch, times)
-        self._events.write(batch, times)
+        self._events.write(description, times)
         if self._actor is not None:
             series = self._actor.series(batch)
             for writer in (self._followed, self._ahead, self._opacity):

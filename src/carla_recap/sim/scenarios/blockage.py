@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.model.actors import HERO
+from carla_recap.scene.lamps import LEFT_BLINKER, RIGHT_BLINKER
 from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.scenarios.places import spawn_on_lane, straight_section
-from carla_recap.sim.traffic.autopilot.controls import LEFT_BLINKER, RIGHT_BLINKER
 
 if TYPE_CHECKING:
     from carla_recap.sim.actors.moving import Vehicle

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.scene.lamps import BRAKE, BRAKING, LEFT_BLINKER, RIGHT_BLINKER
 from carla_recap.sim.physics.drivetrain import GRAVITY, SPEEDS
 from carla_recap.sim.traffic.autopilot.lane_changes import shift_poses, transition_progress
 
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Integers = NDArray[np.int64]
 
-BRAKE, RIGHT_BLINKER, LEFT_BLINKER = 8, 16, 32
-"""Bits of CARLA's VehicleLightState."""
 _OWN_LIGHTS: Final = np.uint32(BRAKE | RIGHT_BLINKER | LEFT_BLINKER)
 _INDICATION: Final = 30.0  # m before a turn
 _LANE_CHANGE: Final = 1.0  # m: transitions from a greater lateral offset are indicated
@@ -127,5 +126,5 @@ def set_lights(cars: DrivenVehicles, drivers: Drivers, routes: Routes, network: 
     side = np.where(near.any(axis=1), turns[np.arange(len(turns)), near.argmax(axis=1)], 0)
     changing = (transition_progress(drivers, routes.position) < 1) & (np.abs(drivers.transition_offset) > _LANE_CHANGE)
     side = np.where(changing, -np.sign(drivers.transition_offset), side)
-    lights = BRAKE * (vehicles.brake[cars.rows] > 0) + RIGHT_BLINKER * (side > 0) + LEFT_BLINKER * (side < 0)
+    lights = BRAKE * (vehicles.brake[cars.rows] > BRAKING) + RIGHT_BLINKER * (side > 0) + LEFT_BLINKER * (side < 0)
     vehicles.light_state[cars.rows] = (vehicles.light_state[cars.rows] & ~_OWN_LIGHTS) | lights.astype(np.uint32)

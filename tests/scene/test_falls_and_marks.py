@@ -10,7 +10,8 @@ import pytest
 
 from carla_recap import open_recording
 from carla_recap.replay import Player
-from carla_recap.scene.collisions import MARKED, MOST_MARKS, CollisionMarks, FallenWalkers
+from carla_recap.scene.falls import FallenWalkers
+from carla_recap.scene.marks import MARKED, MOST_MARKS, CollisionMarks
 from tests.replay.scripts import pose, spawn, write
 
 CAR, WALKER = 1, 2

@@ -1,0 +1,237 @@
+"""What is to be seen in scenes: the only description, which viewers, videos, pages and cameras translate."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.replay.pose import right_handed
+from carla_recap.replay.selection import NO_IDS, find
+from carla_recap.scene.appearance import look_of_present
+from carla_recap.scene.falls import FallenWalkers
+from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehicles
+from carla_recap.scene.marks import CollisionMarks, collision_scenes
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.actors import ActorLife
+    from carla_recap.recording import Recording
+    from carla_recap.replay import SceneBatch
+    from carla_recap.replay.selection import Ids
+    from carla_recap.scene.appearance import Look
+    from carla_recap.scene.falls import Fall, FallChange
+
+    Booleans = NDArray[np.bool_]
+    Floats = NDArray[np.float64]
+    Indices = NDArray[np.intp]
+    Integers = NDArray[np.int64]
+    Lamps = NDArray[np.uint64]
+
+_FAR: Final = 1e9  # cm and degrees; an actor with a pose beyond is not shown
+_STEERED: Final = math.radians(40)  # of the front wheels at full steering
+
+
+class LookColumns:
+    """The looks of actors as arrays.
+
+    Attributes:
+        ids: The ids of the actors, ascending.
+        looks: Their looks.
+        models: Their models, as indices of `carla_recap.scene.models.MODELS`.
+        half_extents: Half the sizes of their boxes in m, (actors, 3).
+        centers: The centres of these in their own axes in m, (actors, 3).
+        colors: Red, green, blue of the paint, (actors, 3).
+        tags: The semantic tags.
+    """
+
+    def __init__(self, ids: Ids, looks: Sequence[Look]) -> None:
+        self.ids = ids
+        self.looks = looks
+        self.models = np.array([look.model for look in looks], np.uint16)
+        self.half_extents = np.array([look.half_extents for look in looks], np.float32).reshape(-1, 3)
+        self.centers = np.array([look.center for look in looks]).reshape(-1, 3)
+        self.colors = np.array([look.color for look in looks], np.uint8).reshape(-1, 3)
+        self.tags = np.array([look.tag for look in looks], np.uint8)
+
+    def look_of(self, id: int) -> Look | None:
+        """Return the look of an actor; None if it is not among these."""
+        row = int(self.ids.searchsorted(id))
+        return self.looks[row] if row < len(self.ids) and self.ids[row] == id else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """Where the poses of actors are to be found.
+
+    Attributes:
+        rows: The positions of the actors among the recorded poses; -1 without one, (actors,).
+        standing: The poses of those without recorded ones; NaN of all others, (actors, 6).
+        attached: The positions and ids of those that move with a parent.
+    """
+
+    rows: Indices
+    standing: Floats
+    attached: list[tuple[int, int]]
+
+
+@dataclass(frozen=True, eq=False)
+class SceneDescription:
+    """What is to be seen in the scenes of a batch; the actors are those with a look: no sensors, no spectator.
+
+    Attributes:
+        batch: The scenes.
+        actors: The present actors, and their looks; the same object as before if they are the same.
+        vehicles: The ids of the vehicles, ascending.
+        flags: Their lit lamps as bits of CARLA's VehicleLightState, (scenes, vehicles).
+        falls: The walkers that fall and get up in these scenes.
+        fallen: How the walkers lie that have fallen before these scenes, by their ids.
+        marks: The rows at which marks of collisions appear or disappear, and where all marks are from then on, (marks, 3)
+            in m, right-handed.
+        marked: Where the marks are before these scenes.
+    """
+
+    batch: SceneBatch
+    actors: LookColumns
+    vehicles: Ids
+    flags: Integers
+    falls: list[FallChange]
+    fallen: Mapping[int, Fall]
+    marks: list[tuple[int, Floats]]
+    marked: Floats
+    _places: _Places
+
+    def __len__(self) -> int:
+        return len(self.batch)
+
+    @property
+    def ids(self) -> Ids:
+        """The ids of the actors, ascending."""
+        return self.actors.ids
+
+    @cached_property
+    def poses(self) -> Floats:
+        """The poses in m and degrees, right-handed, (scenes, ids, 6); NaN where they are unknown."""
+        places, batch = self._places, self.batch
+        poses = np.empty((len(batch), len(self.ids), 6))
+        recorded = places.rows >= 0
+        poses[:, recorded] = batch.poses[:, places.rows[recorded]]
+        poses[:, ~recorded] = places.standing[~recorded]
+        for row, id in places.attached:
+            pose = batch.pose_of(id)
+            poses[:, row] = np.nan if pose is None else pose
+        return right_handed(poses)
+
+    @cached_property
+    def shown(self) -> Booleans:
+        """Whether an actor is somewhere to be seen, (scenes, ids)."""
+        return np.asarray((np.abs(self.poses) < _FAR).all(axis=2))  # not so if any is NaN
+
+    @cached_property
+    def lamps(self) -> Lamps:
+        """The lit lamps: a bit `1 << material` for each lamp `Material` that is lit, (scenes, ids)."""
+        lamps = np.zeros((len(self.batch), len(self.ids)), np.uint64)
+        columns, known = find(self.vehicles, self.ids)
+        lamps[:, columns[known]] = lamps_of_vehicles(self.flags[:, known])
+        states = self.batch.light_states
+        columns, known = find(states["id"][0], self.ids)
+        lamps[:, columns[known]] |= lamps_of_lights(states["state"][:, known].astype(np.int64))
+        return lamps
+
+    @cached_property
+    def steering(self) -> Floats:
+        """The angles of the front wheels in radians, positive to the left, (scenes, ids)."""
+        steering = np.zeros((len(self.batch), len(self.ids)))
+        controls = self.batch.records("vehicle_controls")
+        columns, known = find(controls["id"][0], self.ids)
+        steer = np.nan_to_num(controls["steer"][:, known].astype(np.float64))
+        steering[:, columns[known]] = np.clip(-steer, -1, 1) * _STEERED
+        return steering
+
+    def fallen_at(self, row: int) -> dict[int, Fall]:
+        """Return how walkers lie in a scene, by their ids."""
+        found = dict(self.fallen)
+        for change in self.falls:
+            if change.row <= row:
+                found.pop(change.id, None)
+                if change.fall is not None:
+                    found[change.id] = change.fall
+        return found
+
+    def marks_at(self, row: int) -> Floats:
+        """Return where marks are in a scene, (marks, 3) in m, right-handed."""
+        return next((locations for since, locations in reversed(self.marks) if since <= row), self.marked)
+
+
+class SceneDescriber:
+    """Describes batches of scenes, which have to come in order; after a seek, it begins anew.
+
+    Args:
+        signs: Whether signs are actors to be seen; those of a map are part of its `TownMesh`.
+    """
+
+    def __init__(self, *, signs: bool = False) -> None:
+        self._signs = signs
+        self._lamps = VehicleLamps()
+        self._walkers = FallenWalkers()
+        self._marks = CollisionMarks()
+        self._present: Mapping[int, ActorLife] = {}
+        self._ids: Ids | None = None
+        self._known: dict[int, tuple[ActorLife, Look | None]] = {}
+        self._actors = LookColumns(NO_IDS, [])
+        self._places = _Places(np.zeros(0, np.intp), np.zeros((0, 6)), [])
+        self._recalled = False
+
+    def recall(self, recording: Recording, time: float) -> None:
+        """Learn what of the time before a moment is still to be seen then; the next scene is one of that moment.
+
+        Args:
+            recording: The recording.
+            time: The moment, in elapsed seconds.
+        """
+        self._lamps, self._walkers, self._marks = VehicleLamps(), FallenWalkers(), CollisionMarks()
+        self._lamps.recall(recording, time)
+        for batch in collision_scenes(recording, time):
+            self._walkers.changes(batch, keep=True)
+            self._marks.changes(batch, keep=True)
+        self._recalled = True
+
+    def describe(self, batch: SceneBatch) -> SceneDescription:
+        """Return what is to be seen in the next scenes."""
+        keep, self._recalled = self._recalled, False
+        if batch.ids is not self._ids or batch.actors != self._present:
+            self._take(batch)
+        flags = self._lamps.flags(batch)
+        fallen, marked = dict(self._walkers.falls), self._marks.locations
+        falls, marks = self._walkers.changes(batch, keep=keep), self._marks.changes(batch, keep=keep)
+        return SceneDescription(batch, self._actors, self._lamps.ids, flags, falls, fallen, marks, marked, self._places)
+
+    def _take(self, batch: SceneBatch) -> None:
+        """Take the actors of a batch."""
+        self._ids, self._present = batch.ids, batch.actors
+        known: dict[int, tuple[ActorLife, Look | None]] = {}
+        for id, actor in batch.actors.items():
+            before = self._known.get(id)
+            same = before is not None and before[0] is actor
+            known[id] = before if before is not None and same else (actor, look_of_present(actor, signs=self._signs))
+        self._known = known
+        seen = sorted((id, look) for id, (_, look) in known.items() if look is not None)
+        ids = np.array([id for id, _ in seen], np.uint32)
+        looks = [look for _, look in seen]
+        if looks != self._actors.looks or not np.array_equal(ids, self._actors.ids):
+            self._actors = LookColumns(ids, looks)
+        index, recorded = find(ids, batch.ids)
+        standing, attached = np.full((len(ids), 6), np.nan), []
+        for row in np.flatnonzero(~recorded).tolist():
+            actor = batch.actors[int(ids[row])]
+            if actor.attached:
+                attached.append((row, actor.id))
+            else:
+                standing[row] = actor.spawn_pose
+        self._places = _Places(np.where(recorded, index, -1), standing, attached)

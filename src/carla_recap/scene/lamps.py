@@ -1,0 +1,266 @@
+"""Which lamps are lit: the only place that decides it, for every viewer, for cameras, and for what the autopilot records."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.model.records import CM
+from carla_recap.replay.events import Spawned
+from carla_recap.replay.player import Player
+from carla_recap.replay.selection import NO_IDS, find
+from carla_recap.scene.materials import Material
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.actors import ActorLife
+    from carla_recap.recording import Recording
+    from carla_recap.replay import SceneBatch
+    from carla_recap.replay.selection import Ids
+
+    Booleans = NDArray[np.bool_]
+    Floats = NDArray[np.float64]
+    Indices = NDArray[np.intp]
+    Integers = NDArray[np.int64]
+
+BRAKE, RIGHT_BLINKER, LEFT_BLINKER, REVERSE = 8, 16, 32, 64
+"""Bits of CARLA's VehicleLightState."""
+_POSITION, _LOW, _HIGH, _FOG, _SPECIAL = 1, 2, 4, 128, 512 | 1024
+
+BRAKING: Final = 0.02
+"""The brake control beyond which brake lamps are lit: about 0.2 m/s², less than a driver means by braking."""
+HELD: Final = 0.5
+"""The time in s for which they stay lit, so that they do not flicker with the control."""
+DECELERATION: Final = 1.3
+"""The deceleration in m/s² beyond which brake lamps are lit where neither controls nor lights are recorded: from it on,
+UN Regulation 13-H has them lit whatever slows the vehicle down."""
+_SPAN: Final = 0.3  # s; the time over which a deceleration is a mean
+_LONGEST: Final = 1.0  # s; over a longer step there is no deceleration
+LOOK_BACK: Final = HELD + 2 * _SPAN
+"""The time in s before a moment that decides which lamps are lit at it."""
+
+_FIRMEST: Final = 13.0  # m/s²: no brakes slow a vehicle down by more; a collision does, and a jump
+_LIT_BY: Final = (
+    (Material.HEADLIGHT, _LOW | _HIGH | _FOG),
+    (Material.TAIL_LIGHT, _POSITION | _LOW | _HIGH | BRAKE),
+    (Material.BRAKE_LIGHT, BRAKE),
+    (Material.LEFT_INDICATOR, LEFT_BLINKER),
+    (Material.RIGHT_INDICATOR, RIGHT_BLINKER),
+    (Material.REVERSE_LIGHT, REVERSE),
+    (Material.BEACON, _SPECIAL),
+)
+"""The lamps, and the bits of CARLA's VehicleLightState of which any lights them."""
+_STATES: Final = np.array([1 << Material.RED_LAMP, 1 << Material.YELLOW_LAMP, 1 << Material.GREEN_LAMP, 0, 0], np.uint64)
+_KNOWN_BITS: Final = 0xFFF
+_LAMPS_OF_FLAGS: Final = np.array(
+    [sum(1 << material for material, bits in _LIT_BY if flags & bits) for flags in range(_KNOWN_BITS + 1)], np.uint64
+)
+
+
+def lamps_of_vehicles(flags: NDArray[np.integer]) -> NDArray[np.uint64]:
+    """Return the lit lamps of vehicles, a bit `1 << material` for each, by the bits of CARLA's VehicleLightState."""
+    lamps: NDArray[np.uint64] = _LAMPS_OF_FLAGS[flags & _KNOWN_BITS]
+    return lamps
+
+
+def lamps_of_lights(states: NDArray[np.integer]) -> NDArray[np.uint64]:
+    """Return the lit lamps of traffic lights, by CARLA's states: 0 red, 1 yellow, 2 green, none of others."""
+    lamps: NDArray[np.uint64] = _STATES[np.where((states >= 0) & (states < len(_STATES)), states, -1)]
+    return lamps
+
+
+class VehicleLamps:
+    """Decides which lamps of vehicles are lit, from one batch of scenes to the next.
+
+    Lit are those of the recorded light flags; brake lamps also while the brake control is above 0.02, and for 0.5 s after
+    it; reversing lamps also in a reverse gear. Of a vehicle that has neither controls nor flags, brake lamps are lit while
+    it slows down by more than 1.3 m/s² as a mean of 0.3 s, and for 0.5 s after it.
+
+    Attributes:
+        ids: The vehicles of the latest batch, ascending.
+    """
+
+    def __init__(self) -> None:
+        self.ids: Ids = NO_IDS
+        self._actors: Mapping[int, ActorLife] = {}
+        self._braked: Floats = np.zeros(0)  # the latest time at which each has braked, in elapsed seconds
+        self._slowing = _Slowing()
+        self._time = -np.inf  # of the latest scene
+        self._recalled = False
+        self._found: dict[str, tuple[bytes, Ids, Indices, Indices]] = {}  # the last answers of `_columns`
+
+    def recall(self, recording: Recording, time: float) -> None:
+        """Learn what decides about the lamps at a moment; the next batch begins at it.
+
+        Args:
+            recording: The recording.
+            time: The moment, in elapsed seconds.
+        """
+        start = max(time - LOOK_BACK, 0.0)
+        if start < time:
+            for batch in Player(recording, start=start, duration=time - start).batches():
+                self.flags(batch)
+        self._recalled = True
+
+    def flags(self, batch: SceneBatch) -> Integers:
+        """Return the lit lamps of the vehicles in each scene, as bits of CARLA's VehicleLightState, (scenes, ids).
+
+        Args:
+            batch: The scenes; each batch has to be given, in order.
+        """
+        is_new = (batch.fresh and not self._recalled) or not batch.time[0] >= self._time
+        self._recalled = False
+        self._time = float(batch.time[-1])
+        if is_new or batch.actors != self._actors:
+            self._take(batch, forget=is_new)
+        flags = np.zeros((len(batch), len(self.ids)), np.int64)
+        if not len(self.ids):
+            return flags
+        silent = np.ones(len(self.ids), np.bool_)  # those without recorded flags and controls
+        lights = batch.frames.records("vehicle_lights")
+        known, where = self._columns("vehicle_lights", lights)
+        if len(known):
+            silent[known] = False
+            flags[:, known] = lights["flags"][:, where]
+        controls = batch.frames.records("vehicle_controls")
+        known, where = self._columns("vehicle_controls", controls)
+        if len(known):
+            silent[known] = False
+            self._brake(batch, known, controls["brake"][:, where] > BRAKING, flags)
+            reversing = controls["gear"] < 0
+            if reversing.any():
+                flags[:, known] |= np.where(reversing[:, where], REVERSE, 0)
+        if silent.any():
+            index, recorded = find(self.ids, batch.ids)
+            known = np.flatnonzero(silent & recorded)
+            if len(known):
+                self._brake(batch, known, self._slowing.brakes(batch, self.ids[known], index[known]), flags)
+        return flags
+
+    def flags_at(self, time: float, ids: Ids, lights: NDArray[np.integer], brakes: Floats, reversing: Booleans) -> Integers:
+        """Return the lit lamps of the vehicles of a running simulation at a moment, as `flags` does.
+
+        Args:
+            time: The moment, in elapsed seconds, later than those before.
+            ids: The vehicles.
+            lights: Their light flags.
+            brakes: Their brake controls, from 0 to 1.
+            reversing: Whether each is in a reverse gear.
+        """
+        if not np.array_equal(ids, self.ids):
+            order = np.argsort(self.ids)
+            index, known = find(ids, self.ids[order])
+            braked = np.full(len(ids), -np.inf)
+            braked[known] = self._braked[order[index[known]]]
+            self.ids, self._braked = ids, braked
+        if time < self._time:
+            self._braked[:] = -np.inf
+        self._time = time
+        self._braked[brakes > BRAKING] = time
+        return lights.astype(np.int64) | np.where(time - self._braked < HELD, BRAKE, 0) | np.where(reversing, REVERSE, 0)
+
+    def _take(self, batch: SceneBatch, *, forget: bool) -> None:
+        """Take the vehicles of a batch."""
+        self._actors = batch.actors
+        spawned = {event.actor.id for event in batch.events if isinstance(event, Spawned)} if not batch.fresh else set()
+        before, braked = self.ids, self._braked
+        self.ids = np.array(sorted(id for id, actor in batch.actors.items() if actor.kind == "vehicle"), np.uint32)
+        self._braked = np.full(len(self.ids), -np.inf)
+        if forget:
+            self._slowing = _Slowing()
+        else:
+            index, known = find(self.ids, before)
+            self._braked[known] = braked[index[known]]
+        if spawned:
+            self._braked[np.isin(self.ids, list(spawned))] = -np.inf
+            self._slowing.forget(spawned)
+        self._found.clear()
+
+    def _brake(self, batch: SceneBatch, known: Indices, braking: Booleans, flags: Integers) -> None:
+        """Light the brake lamps of some vehicles, given when these brake, (scenes, vehicles)."""
+        if not braking.any() and not (batch.time[0] - self._braked[known] < HELD).any():
+            return
+        braked = np.where(braking, batch.frames.elapsed[:, None], -np.inf)
+        braked = np.maximum.accumulate(np.concatenate((self._braked[None, known], braked)))[1:]
+        self._braked[known] = braked[-1]
+        flags[:, known] |= np.where(batch.time[:, None] - braked < HELD, BRAKE, 0)
+
+    def _columns(self, name: str, records: NDArray[np.void]) -> tuple[Indices, Indices]:
+        """Return the indices of the vehicles that have records, and the columns of the last record of each."""
+        nothing = np.zeros(0, np.intp)
+        if not records.size:
+            return nothing, nothing
+        recorded = records["id"][0]
+        key = recorded.tobytes()
+        if name not in self._found or self._found[name][0] != key:
+            order = np.argsort(recorded, kind="stable")
+            last = np.searchsorted(recorded[order], self.ids, "right") - 1
+            columns = order[last]
+            known = np.flatnonzero((last >= 0) & (recorded[columns] == self.ids))
+            self._found[name] = key, self.ids, known, columns[known]
+        return self._found[name][2:]
+
+
+class _Slowing:
+    """Whether vehicles slow down as by brakes, by their poses and recorded velocities."""
+
+    def __init__(self) -> None:
+        self._ids: Ids = NO_IDS
+        self._time: Floats = np.zeros(0)  # of the last frames
+        self._motion: Floats = np.zeros((0, 0, 3))  # x, y in m and the speed in m/s then, (frames, ids, 3)
+        self._latest: Booleans = np.zeros((1, 0), np.bool_)
+
+    def forget(self, ids: set[int]) -> None:
+        """Forget where some vehicles were."""
+        self._motion[:, np.isin(self._ids, list(ids))] = np.nan
+
+    def brakes(self, batch: SceneBatch, ids: Ids, columns: Indices) -> Booleans:
+        """Return whether vehicles slow down in each scene, (scenes, ids).
+
+        Args:
+            batch: The scenes.
+            ids: The vehicles, ascending.
+            columns: Their positions in the ids of the batch.
+        """
+        if not np.array_equal(ids, self._ids):
+            index, known = find(ids, self._ids)
+            motion, latest = np.full((len(self._time), len(ids), 3), np.nan), np.zeros((1, len(ids)), np.bool_)
+            motion[:, known], latest[:, known] = self._motion[:, index[known]], self._latest[:, index[known]]
+            self._ids, self._motion, self._latest = ids, motion, latest
+        held, time = len(self._time), batch.frames.elapsed
+        if held and not (time > self._time[-1]).all():  # scenes within a frame that is known
+            return np.broadcast_to(self._latest, (len(time), len(ids)))
+        transforms, velocities = batch.records("transforms"), batch.records("velocities")
+        motion = np.full((len(time), len(ids), 3), np.nan)
+        for axis, name in enumerate("xy"):
+            motion[..., axis] = transforms[name][:, columns] * CM
+        index, known = find(ids, velocities["id"][0])
+        if known.any():
+            motion[:, known, 2] = np.hypot(velocities["x"][:, index[known]], velocities["y"][:, index[known]])
+        time, motion = np.concatenate((self._time, time)), np.concatenate((self._motion, motion))
+        first, last, seconds = _spans(time, held)
+        slows = np.zeros((len(time), len(ids)), np.bool_)
+        if len(last):
+            with np.errstate(invalid="ignore", over="ignore"):
+                derived = np.full(motion.shape[:2], np.nan)
+                steps = motion[last, :, :2] - motion[first, :, :2]
+                derived[last] = np.hypot(steps[..., 0], steps[..., 1]) / seconds[:, None]
+                motion[held:, :, 2] = np.where(np.isfinite(motion[held:, :, 2]), motion[held:, :, 2], derived[held:])
+                deceleration = (motion[first, :, 2] - motion[last, :, 2]) / seconds[:, None]
+                slows[last] = (deceleration > DECELERATION) & (deceleration < _FIRMEST)
+        kept = min(int(np.searchsorted(time, time[-1] - _SPAN)), len(time) - 1)
+        self._time, self._motion, self._latest = time[kept:], motion[kept:], slows[-1:]
+        return slows[held:]
+
+
+def _spans(time: Floats, held: int) -> tuple[Indices, Indices, Floats]:
+    """Return spans of about 0.3 s up to each time but the first ones: the first and the last time, and the length in s."""
+    last = np.arange(max(held, 1), len(time))
+    first = np.clip(np.searchsorted(time, time[last] - _SPAN), 0, last - 1)
+    seconds = time[last] - time[first]
+    usable = (seconds > 0) & (seconds <= _LONGEST)
+    return first[usable], last[usable], seconds[usable]
