@@ -158,3 +158,10 @@ def test_few_points_of_a_road_are_near_its_course() -> None:
 )
 def test_limits_have_units(value: str | None, unit: str | None, limit: float | None) -> None:
     assert in_metres_per_second(value, unit) == (None if limit is None else pytest.approx(limit))
+
+
+@pytest.mark.parametrize(("length", "count"), [("", 0), ('length="x"', 0), ('length="0.01"', 0), ('length="0.02"', 1)])
+def test_a_road_has_a_length(length: str, count: int) -> None:
+    geometry = '<geometry s="0" x="0" y="0" hdg="0" length="9"><line/></geometry>'
+    road = f'<road id="1" {length}><planView>{geometry}</planView><lanes>{ONE_LANE}</lanes></road>'
+    assert len(read_opendrive(f"<OpenDRIVE>{road}</OpenDRIVE>").roads) == count

@@ -100,3 +100,13 @@ def test_pairs_have_a_subject_and_a_vehicle_and_no_one_is_attached():
 def test_the_location_of_an_actor_is_off_the_centre_of_its_box(yaw, expected):
     block = block_of([10], y=20, z=30, offset=(1, 2, 3), yaw=yaw)
     assert block.location(0, 1) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("distance", "seconds"), [(50.0, 4.6), (103.9, 9.99), (104.1, np.inf)])
+def test_times_to_collision_are_known_up_to_a_horizon(distance, seconds):
+    """Boxes of 4 m length close up at 10 m/s."""
+    block = block_of([0, distance])
+    block = replace(block, vx=np.stack([np.full(3, 10.0), np.zeros(3)]))
+    pairs = PairFrames.of(block, 0, np.array([0]), np.array([1]))
+    assert pairs.time_to_collision(10.0) == pytest.approx(seconds)
+    assert pairs.turned().time_to_collision(10.0) == pytest.approx(seconds)

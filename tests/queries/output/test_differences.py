@@ -31,3 +31,8 @@ def test_distances_have_digits_that_matter(value, text):
 @pytest.mark.parametrize(("value", "text"), [(0.0, ""), (0.042, "0.04"), (0.1, "0.1"), (12.34, "12.3")])
 def test_angles_do_too(value, text):
     assert differences._degrees(value) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [(None, ""), (math.nan, ""), (0.0, "0.00"), (1.236, "1.24")])
+def test_times_that_are_unknown_are_empty(value, text):
+    assert differences._seconds(value) == text
