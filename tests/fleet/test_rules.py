@@ -487,4 +487,4 @@ def test_baselines_that_are_missing_are_faults_of_the_file(tmp_path):
     with pytest.raises(RulesError) as caught:
         load_rules(path)
     expected = "a recording, or a folder of recordings, was expected"
-    assert caught.value.faults == (f"{path}: rules.a.same_as.baseline: there is no {tmp_path / 'absent'}; {expected}",)
+    assert caught.value.faults == (f"{path}: rule 'a': same_as.baseline: there is no {tmp_path / 'absent'}; {expected}",)

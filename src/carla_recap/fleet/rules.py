@@ -147,7 +147,7 @@ def load_rules(path: Path | str) -> RuleSet:
     baselines = {rule.name: rule.condition for rule in rules if isinstance(rule.condition, conditions.SameAs)}
     missing = {name: condition.baseline for name, condition in baselines.items() if not condition.exists()}
     if missing:
-        text = "{}: rules.{}.same_as.baseline: there is no {}; a recording, or a folder of recordings, was expected"
+        text = "{}: rule {!r}: same_as.baseline: there is no {}; a recording, or a folder of recordings, was expected"
         raise RulesError([text.format(path, name, baseline) for name, baseline in missing.items()])
     return rules
 

@@ -75,6 +75,8 @@ def find_sources(sources: Iterable[str | Path], *, errors: Literal["raise", "yie
     seen: set[str] = set()
     for source in _named(sources):
         try:
+            if not source:
+                raise RecapError("'': a path or a URL was expected")
             for found in _expanded(source):
                 if found.location not in seen:
                     seen.add(found.location)
