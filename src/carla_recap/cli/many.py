@@ -66,8 +66,8 @@ def answer(
     """
     shape = form_of(form, compat=compat)
     if len(sources) == 1 and is_one(sources[0]):
-        found = collect_warnings() if shape == "json" else None
-        show(query(options.opened(sources[0])), form, max_rows, found)
+        warned = collect_warnings() if shape == "json" else None
+        show(query(options.opened(sources[0])), form, max_rows, warned)
     with ExitStack() as stack:
         from carla_recap.fleet.answers import answers
         from carla_recap.util.signals import unwind_on_termination
