@@ -175,7 +175,7 @@ def test_the_frame_rate_changes_little(rate: int) -> None:
 @pytest.mark.parametrize(("dz", "some"), [(2.0, True), (-2.0, True), (2.001, False), (-2.001, False)])
 def test_a_bridge_is_no_crossing(dz: float, some: bool) -> None:
     """Boxes of 1.5 m and 2.5 m height touch up to 2 m between their centres."""
-    z = np.stack([np.zeros(len(TIME)), np.full(len(TIME), dz)])
+    z = np.stack([np.full(len(TIME), 5.0), np.full(len(TIME), 5.0 + dz)])
     assert (len(found_in(crossing(TIME, z=z)).time) > 0) == some
 
 
