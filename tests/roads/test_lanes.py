@@ -1,0 +1,42 @@
+"""The lanes of a town as CARLA samples them, on a small map; `test_as_carla.py` compares whole towns with CARLA."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carla_recap.roads.lanes import LaneGeometry, TownRoads
+from carla_recap.roads.opendrive import read_opendrive
+from tests.roads.straight_road import STRAIGHT_ROAD
+
+
+@pytest.fixture(scope="module")
+def lanes() -> dict[tuple[int, int], LaneGeometry]:
+    """The lanes of the straight road, whose junction is 1, by road and number."""
+    text = STRAIGHT_ROAD.replace('junction="9"', 'junction="1"').replace('<junction id="9"', '<junction id="1"')
+    text = text.replace('elementId="9"', 'elementId="1"')
+    return {(lane.road, lane.id): lane for lane in TownRoads(read_opendrive(text)).lanes}
+
+
+def test_roads_outside_a_junction_are_in_none(lanes: dict[tuple[int, int], LaneGeometry]) -> None:
+    assert {road: lane.junction == 1 for (road, _), lane in lanes.items()} == {1: False, 2: False, 3: True}
+
+
+def test_stations_lead_from_the_start_to_just_before_the_end(lanes: dict[tuple[int, int], LaneGeometry]) -> None:
+    for (road, _), lane in lanes.items():
+        length = 20 if road == 3 else 100
+        assert 0 <= lane.stations[0] < 0.1
+        assert length - 0.1 < lane.stations[-1] < length
+        assert (np.diff(lane.stations) > 0).all()
+
+
+def test_borders_are_half_a_width_beside_the_centre(lanes: dict[tuple[int, int], LaneGeometry]) -> None:
+    for (road, number), lane in lanes.items():
+        start = {1: 0, 2: 120, 3: 100}[road]
+        assert lane.centre[:, 0] == pytest.approx(start + lane.stations, abs=1e-3)
+        middle, half = {1: (1.75, 1.75), -1: (-1.75, 1.75), -2: (-4.0, 0.5)}[number]
+        ahead = 1 if number < 0 else -1
+        assert lane.centre[:, 1] == pytest.approx(middle, abs=1e-4)
+        assert lane.left[:, 1] == pytest.approx(middle + ahead * half, abs=1e-4)
+        assert lane.right[:, 1] == pytest.approx(middle - ahead * half, abs=1e-4)
+        assert np.cos(lane.headings) == pytest.approx(ahead)
