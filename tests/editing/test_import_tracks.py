@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from carla_recap import RecapError, RecapWarning, create_recording, export_csv, import_tracks, open_recording
+from carla_recap.model.blueprints import blueprint_sizes
 from carla_recap.model.records import ActorKind, Spawn
 from tests.samples import CARLA_LOGS
 
@@ -115,7 +116,7 @@ def test_kinds_choose_blueprints_and_sizes_become_boxes(table):
         "time,id,x,y,class,length,width,height\n0,a,0,0,pedestrian,0.5,0.6,1.8\n0,b,5,0,Truck,8,2.5,3\n"
     ) as recording:
         walker, truck = recording.actors.values()
-        assert (walker.kind, truck.type_id) == ("walker", "vehicle.carlamotors.carlacola")
+        assert (walker.kind, truck.type_id) == ("walker", "vehicle.carlamotors.european_hgv")
         assert (truck.bounding_box.extent_x, truck.bounding_box.z) == (4, 1.5)
         assert [actor.attributes["track_id"] for actor in (walker, truck)] == ["a", "b"]
 
@@ -298,3 +299,27 @@ def test_a_map_name_that_no_header_holds_is_an_error(tmp_path, suffix):
 def test_bytes_that_are_no_text_are_an_error(tmp_path):
     with pytest.raises(RecapError, match="no UTF-8"):
         import_tracks(SAMPLES / "crash.mcap", tmp_path / "out.log")
+
+
+def test_vehicles_look_like_those_of_their_size_and_differ(table):
+    rows = [(number, 1.8 if number > 5 else 4.5, 0.7 if number > 5 else 1.8) for number in range(10)]
+    text = "time,id,x,y,length,width\n" + "".join(f"0,{id},{9 * id},0,{length},{width}\n" for id, length, width in rows)
+    with table(text) as recording:
+        names = [actor.type_id for actor in recording.actors.values()]
+    sizes = blueprint_sizes()
+    assert all(abs(sizes[name][0] - 4.5) < 0.6 for name in names[:6])
+    assert all(sizes[name][1] < 1 for name in names[6:])
+    assert len(set(names)) >= 6
+
+
+def test_vehicles_without_a_size_are_different_cars(table):
+    text = "time,id,x,y\n" + "".join(f"0,{id},{9 * id},0\n" for id in range(12))
+    with table(text) as recording:
+        assert len({actor.type_id for actor in recording.actors.values()}) == 12
+
+
+def test_walkers_are_different_adults(table):
+    text = "time,id,x,y,kind\n" + "".join(f"0,{id},{9 * id},0,walker\n" for id in range(12))
+    with table(text) as recording:
+        assert len({actor.type_id for actor in recording.actors.values()}) == 12
+        assert {actor.kind for actor in recording.actors.values()} == {"walker"}

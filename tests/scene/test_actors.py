@@ -350,3 +350,9 @@ def test_marks_are_forgotten_by_a_jump_back(played):
     actors = SceneActors()
     actors.at(player.at(1.0))
     assert instances_of(player.at(0.0)).ids.tolist() == actors.at(player.at(0.0)).ids.tolist() == [CAR, WALKER, LIGHT]
+
+
+def test_neighbouring_vehicles_without_a_recorded_colour_have_different_ones():
+    for step in (1, 2, 3, 4, 5):
+        colors = [look_of("vehicle.audi.tt", ActorKind.VEHICLE, {}, id=200 + step * number).color for number in range(10)]
+        assert len(set(colors)) == 10

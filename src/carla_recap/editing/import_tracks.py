@@ -19,6 +19,7 @@ from carla_recap.editing.author import create_recording
 from carla_recap.editing.convert import check_destination, check_new
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.actors import HERO
+from carla_recap.model.blueprints import blueprint_like
 from carla_recap.model.layout import MAX_COUNT
 from carla_recap.model.records import CM, NO_ACTOR, UE4, ActorKind, Spawn, attributes
 from carla_recap.util.text import first_of
@@ -65,20 +66,13 @@ ALIASES: Final[Mapping[str, tuple[str, ...]]] = {
 """The columns, and the names by which each is found; upper and lower case are the same."""
 REQUIRED: Final = ("time", "id", "x", "y")
 KINDS: Final[Mapping[str, str]] = {
-    "vehicle": "vehicle.tesla.model3",
-    "car": "vehicle.tesla.model3",
-    "van": "vehicle.mercedes.sprinter",
-    "truck": "vehicle.carlamotors.carlacola",
-    "truck_bus": "vehicle.carlamotors.carlacola",
-    "bus": "vehicle.mitsubishi.fusorosa",
-    "motorcycle": "vehicle.kawasaki.ninja",
-    "bicycle": "vehicle.diamondback.century",
-    "walker": "walker.pedestrian.0001",
-    "pedestrian": "walker.pedestrian.0001",
-    "2": "vehicle.tesla.model3",  # as ASAM OSI numbers moving objects
-    "3": "walker.pedestrian.0001",
+    **{name: name for name in ("vehicle", "car", "van", "truck", "bus", "motorcycle", "bicycle", "walker")},
+    "truck_bus": "truck",
+    "pedestrian": "walker",
+    "2": "vehicle",  # as ASAM OSI numbers moving objects
+    "3": "walker",
 }
-"""The blueprint of each kind; others become props."""
+"""What the blueprint of each kind is chosen from, by its size; see `blueprint_like`. Others become props."""
 
 _SEPARATORS: Final = ",;\t"
 _LONGEST_ROW: Final = 1 << 16  # characters
@@ -421,8 +415,16 @@ class _ImportedTracks:
     def _looks(self, row: int) -> tuple[str, ActorKind]:
         """Return the blueprint and the kind of the actor that a row is about."""
         by_kind = KINDS.get(self._text("kind", row).strip().lower() if "kind" in self._texts else "vehicle", "")
-        blueprint = self._text("type_id", row) or by_kind or _PROP
-        return blueprint, _ACTOR_KINDS.get((by_kind or blueprint).partition(".")[0], ActorKind.OTHER)
+        blueprint = self._text("type_id", row)
+        if by_kind:
+            length, width = (
+                self._numbers[name][row].item() * CM if name in self._numbers else math.nan for name in ("length", "width")
+            )
+            number = int(self._texts["id"][1][row])
+            blueprint = blueprint or blueprint_like(by_kind, length if length > 0 else math.nan, width, number)
+            return blueprint, ActorKind.WALKER if by_kind == "walker" else ActorKind.VEHICLE
+        blueprint = blueprint or _PROP
+        return blueprint, _ACTOR_KINDS.get(blueprint.partition(".")[0], ActorKind.OTHER)
 
     def _spawn(self, number: int) -> Spawn:
         """Return the spawn of an object, where its first row is."""

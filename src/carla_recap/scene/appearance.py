@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from functools import cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from carla_recap.model.blueprints import blueprint_sizes
+from carla_recap.model.actors import BoundingBox
+from carla_recap.model.blueprints import blueprint_box
 from carla_recap.model.records import ActorKind
 from carla_recap.scene.materials import Color, Tag
-from carla_recap.scene.models import INDEX, MODELS, own_model, plain_name
+from carla_recap.scene.models import INDEX, MODELS, own_model
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from carla_recap.model.actors import ActorLife, BoundingBox
+    from carla_recap.model.actors import ActorLife
 
 Triple = tuple[float, float, float]
 
@@ -153,8 +153,9 @@ _CALM: Final[tuple[Color, ...]] = (
     (40, 84, 74),
     (232, 232, 230),
     (70, 60, 56),
+    (188, 132, 52),
 )
-"""Colours of vehicles without a recorded one."""
+"""Colours of vehicles without a recorded one: a prime number of them, so that neighbouring ids have different ones."""
 _CLOTHES: Final[tuple[Color, ...]] = (
     (66, 98, 140),
     (156, 66, 60),
@@ -166,13 +167,13 @@ _CLOTHES: Final[tuple[Color, ...]] = (
     (226, 226, 222),
     (74, 128, 136),
     (148, 120, 98),
+    (92, 96, 74),
 )
-"""Colours of the clothes of walkers."""
+"""Colours of the clothes of walkers, a prime number of them, too."""
 
 _UNDRAWN: Final = ("sensor.", "controller.", "static.trigger", "util.", "spectator")
 _MOST: Final = 50.0  # m; a greater extent is none
 _LEAST: Final = 0.005  # m
-_MIXING: Final = 2_654_435_761  # of neighbouring ids, for colours that differ
 
 
 def look_of(
@@ -196,21 +197,20 @@ def look_of(
     """
     if kind == ActorKind.SENSOR or type_id.startswith(_UNDRAWN):
         return None
-    number = (id * _MIXING & 0xFFFF_FFFF) >> 12
-    if box is not None and not _is_sound(box):
-        box = None
+    recorded = box if box is None or _is_sound(box) else None
+    box = recorded or blueprint_box(type_id, kind)
     if kind == ActorKind.TRAFFIC_LIGHT or type_id.startswith("traffic.traffic_light"):
         return _fixed("traffic light", Tag.TRAFFIC_LIGHT)
     if kind == ActorKind.TRAFFIC_SIGN or type_id.startswith("traffic."):
         return _fixed(_sign_of(type_id), Tag.TRAFFIC_SIGNS) if signs else None
     if kind == ActorKind.VEHICLE or type_id.startswith("vehicle."):
-        name = _vehicle_of(type_id, attributes, box)
+        name = _vehicle_of(type_id, attributes, recorded)
         tag = _BASE_TYPES.get(attributes.get("base_type", ""), _TAGS.get(name, Tag.CAR))
-        color = _color_of(attributes) or _CALM[number % len(_CALM)]
+        color = _color_of(attributes) or _CALM[id % len(_CALM)]
         return _look(name, color, tag, type_id, box)
     if kind == ActorKind.WALKER or type_id.startswith("walker."):
-        name = _walker_of(attributes, box, number)
-        return _look(name, _CLOTHES[number // 7 % len(_CLOTHES)], Tag.PEDESTRIANS, type_id, box, upright=False)
+        name = _walker_of(attributes, recorded, id)
+        return _look(name, _CLOTHES[id % len(_CLOTHES)], Tag.PEDESTRIANS, type_id, box)
     name, color = _prop_of(type_id, attributes)
     return _look(name, _color_of(attributes) or color, Tag.STATIC, type_id, box)
 
@@ -227,7 +227,7 @@ def _is_sound(box: BoundingBox) -> bool:
     )
 
 
-def _look(name: str, color: Color, tag: Tag, type_id: str, box: BoundingBox | None, *, upright: bool = True) -> Look:
+def _look(name: str, color: Color, tag: Tag, type_id: str, box: BoundingBox | None) -> Look:
     """Return a look of the size of a box, else of a blueprint, else of a model.
 
     Args:
@@ -235,18 +235,16 @@ def _look(name: str, color: Color, tag: Tag, type_id: str, box: BoundingBox | No
         color: The paint.
         tag: The semantic tag.
         type_id: The blueprint.
-        box: The box.
-        upright: Whether the origin of the actor is on the ground; else it is the middle.
+        box: The box: as recorded, else that of the blueprint.
     """
     own = own_model(type_id)
     index = _index(name) if own is None else own
-    if box is not None:
-        half, center = (box.extent_x, box.extent_y, box.extent_z), (box.x, box.y, box.z)
-    else:
-        length, width, height = _sizes().get(plain_name(type_id)) or MODELS[index].size
-        half, center = (length / 2, width / 2, height / 2), (0.0, 0.0, height / 2 if upright else 0.0)
-    x, y, z = (max(extent, _LEAST) for extent in half)
-    return Look(index, color, (x, y, z), center, tag)
+    if box is None:
+        length, width, height = MODELS[index].size
+        middle = 0.0 if tag == Tag.PEDESTRIANS else height / 2
+        box = BoundingBox(0.0, 0.0, middle, length / 2, width / 2, height / 2)
+    x, y, z = (max(extent, _LEAST) for extent in (box.extent_x, box.extent_y, box.extent_z))
+    return Look(index, color, (x, y, z), (box.x, box.y, box.z), tag)
 
 
 def _fixed(name: str, tag: Tag) -> Look:
@@ -258,11 +256,6 @@ def _fixed(name: str, tag: Tag) -> Look:
 
 def _index(name: str) -> int:
     return INDEX.get(name, INDEX["box"])
-
-
-@cache
-def _sizes() -> dict[str, Triple]:
-    return {plain_name(type_id): size for type_id, size in blueprint_sizes().items()}
 
 
 def _color_of(attributes: Mapping[str, str]) -> Color | None:

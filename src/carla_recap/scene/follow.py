@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 
+from carla_recap.model.blueprints import box_of
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import TOP_SPEED, possible_step
 from carla_recap.model.records import CM
 from carla_recap.replay import Player, calm_headings, level, right_handed
 from carla_recap.replay.pose import LOCATION, YAW
-from carla_recap.scene import style
 from carla_recap.scene.ahead import NO_LIGHT, LightAheadFinder
 
 if TYPE_CHECKING:
@@ -191,7 +191,7 @@ class FollowedActor:
         if actor is None or actor.kind == "walker" or not batch.light_states.shape[1]:
             return np.full(len(batch), NO_LIGHT), np.full(len(batch), np.nan)
         found, distance = self._lights.find(batch, right_handed(poses))
-        box = style.box_of(actor)
+        box = box_of(actor)
         return found, np.maximum(distance - box.x - box.extent_x, 0.0)
 
 

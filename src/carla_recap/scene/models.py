@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final, overload
 import numpy as np
 
 from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.model.blueprints import plain_name
 from carla_recap.scene.gltf import MOST_BYTES, MOST_TRIANGLES, InvalidGltf, Part, read_glb
 from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
@@ -190,11 +191,6 @@ def _model(name: str, parts: list[Part]) -> Model:
     length, width, height = (2 * half).tolist()
     x, y, z = center.tolist()
     return Model(name, mesh, steered, pivots, (length, width, height), (x, y, z))
-
-
-def plain_name(type_id: str) -> str:
-    """Return a blueprint without what has changed between versions of CARLA: mkz2017, mkz_2017."""
-    return type_id.replace("_", "").replace("-", "").lower()
 
 
 def _letters(name: str) -> str:

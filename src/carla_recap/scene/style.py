@@ -1,10 +1,10 @@
-"""The look of actors in all exports: colours, boxes if none are recorded, and events in words."""
+"""The look of actors in all exports: colours, and events in words."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from carla_recap.model.actors import STATIC_OBJECT, BoundingBox
+from carla_recap.model.actors import STATIC_OBJECT
 from carla_recap.model.records import NO_ACTOR, ActorKind
 from carla_recap.replay.events import Collided, Destroyed, Parented, Spawned
 
@@ -31,22 +31,20 @@ COLLISION: Final[Color] = (255, 64, 64)
 
 
 class Style(NamedTuple):
-    """The name and colour of a kind of actor, and the half extents, in m, of an actor whose box is not recorded."""
+    """The name and colour of a kind of actor."""
 
     name: str
     color: Color
-    extent: tuple[float, float, float]
 
 
 STYLES: Final[dict[int, Style]] = {
-    ActorKind.VEHICLE: Style("vehicle", (80, 160, 255), (2.4, 1.0, 0.8)),
-    ActorKind.WALKER: Style("walker", (110, 220, 120), (0.25, 0.25, 0.93)),
-    ActorKind.TRAFFIC_LIGHT: Style("traffic light", (150, 150, 160), (0.2, 0.2, 0.5)),
-    ActorKind.TRAFFIC_SIGN: Style("traffic sign", (190, 160, 90), (0.05, 0.4, 0.4)),
-    ActorKind.SENSOR: Style("sensor", (200, 120, 220), (0.1, 0.1, 0.1)),
+    ActorKind.VEHICLE: Style("vehicle", (80, 160, 255)),
+    ActorKind.WALKER: Style("walker", (110, 220, 120)),
+    ActorKind.TRAFFIC_LIGHT: Style("traffic light", (150, 150, 160)),
+    ActorKind.TRAFFIC_SIGN: Style("traffic sign", (190, 160, 90)),
+    ActorKind.SENSOR: Style("sensor", (200, 120, 220)),
 }
-OTHER: Final = Style("other", (150, 150, 150), (0.15, 0.15, 0.15))
-TWO_WHEELS: Final = (0.95, 0.35, 0.75)  # half extents, in m
+OTHER: Final = Style("other", (150, 150, 150))
 
 LIGHTS: Final[tuple[tuple[str, Color], ...]] = (
     ("red", (235, 50, 45)),
@@ -96,19 +94,6 @@ def label_of(actor: ActorLife) -> str:
     """Return a short name of an actor, such as `hero 24` or `audi.tt 31`."""
     name = "hero" if actor.is_hero else actor.type_id.partition(".")[2] or actor.type_id or style_of(actor).name
     return f"{name} {actor.id}"
-
-
-def box_of(actor: ActorLife) -> BoundingBox:
-    """Return the box of an actor in its own right-handed axes: as recorded, or else that of its kind."""
-    if actor.bounding_box is not None:
-        return actor.bounding_box
-    extent = style_of(actor).extent
-    kind = _kind_of(actor)
-    if kind == ActorKind.VEHICLE and actor.spawn.attribute("number_of_wheels") == "2":
-        extent = TWO_WHEELS
-    # The origin of a walker or a sensor is its centre; that of all other actors is on the ground.
-    height = 0.0 if kind in (ActorKind.WALKER, ActorKind.SENSOR) else extent[2]
-    return BoundingBox(0.0, 0.0, height, *extent)
 
 
 def _kind_of(actor: ActorLife) -> int:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.actors import ROAD_USERS, BoundingBox
-from carla_recap.model.blueprints import blueprint_sizes
+from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.blueprints import box_of
 from carla_recap.model.motion import LONGEST_STEP, place_in_metres, possible_step
 from carla_recap.model.segment import SegmentBuffer, segments
 
@@ -37,10 +37,6 @@ _VALUES: Final = 1 << 20  # poses of a block, at most, where it has several fram
 _FAR: Final = 1e6  # m; poses farther out do not count
 _FASTEST: Final = 150.0  # m/s; velocities above it do not count
 _AROUND_JUMP: Final = 0.5  # s before and after a jump in which an actor does not count
-
-_SEDAN: Final = BoundingBox(0.0, 0.0, 0.75, 2.25, 0.95, 0.75)
-_TWO_WHEELS: Final = BoundingBox(0.0, 0.0, 0.8, 1.0, 0.4, 0.8)
-_PERSON: Final = BoundingBox(0.0, 0.0, 0.0, 0.25, 0.25, 0.9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,21 +221,6 @@ class MotionCollector:
             height=size[:, 2],
             offset=offset,
         )
-
-
-def box_of(actor: ActorLife) -> BoundingBox:
-    """Return the box of a vehicle or walker: as recorded, else of its blueprint's size, else that of its kind.
-
-    Without either, a vehicle is 4.5 m long and 1.9 m wide, one of two wheels 2 m and 0.8 m, and a walker 0.5 m and 0.5 m.
-    """
-    if actor.bounding_box is not None:
-        return actor.bounding_box
-    length, width, height = (value / 2 for value in blueprint_sizes().get(actor.type_id, (0.0, 0.0, 0.0)))
-    if length:  # the location of a walker is its centre, that of a vehicle is on the ground
-        return BoundingBox(0.0, 0.0, 0.0 if actor.kind == "walker" else height, length, width, height)
-    if actor.kind == "walker":
-        return _PERSON
-    return _TWO_WHEELS if actor.attributes.get("number_of_wheels") == "2" else _SEDAN
 
 
 def _margin(time: Floats, direction: int) -> int:

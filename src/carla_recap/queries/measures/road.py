@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.model.blueprints import blueprint_sizes
+from carla_recap.model.blueprints import box_of
 from carla_recap.model.motion import place_in_metres, possible_step
 from carla_recap.queries.measures.table import Extreme
 from carla_recap.queries.measures.traffic_lights import LightHistory
@@ -338,10 +338,8 @@ class RoadSearch:
 
 def _box(actor: ActorLife) -> tuple[float, float]:
     """Return how far the centre of the box of a vehicle is ahead of its location, and half of its length, in m."""
-    if actor.bounding_box is not None and actor.bounding_box.extent_x < _CELL:
-        return actor.bounding_box.x, actor.bounding_box.extent_x
-    size = blueprint_sizes().get(actor.type_id)
-    return _CAR if size is None else (0.0, size[0] / 2)
+    box = box_of(actor)
+    return (box.x, box.extent_x) if box.extent_x < _CELL else _CAR
 
 
 _SAMPLE: Final = np.dtype([("vehicle", "i8"), *((name, "f8") for name in ("time", "x", "y", "z", "yaw"))])

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.actors import ROAD_USERS, BoundingBox
+from carla_recap.model.actors import BoundingBox
+from carla_recap.model.blueprints import box_of
 from carla_recap.queries.kinds import KINDS
 from carla_recap.scene.appearance import look_of_present
 from carla_recap.scene.materials import Tag
-from carla_recap.scene.style import OTHER, box_of, color_of, label_of, style_of
+from carla_recap.scene.style import OTHER, color_of, label_of, style_of
 from carla_recap.show.page.base_map import LAYERS
 
 if TYPE_CHECKING:
@@ -35,6 +36,7 @@ MAP_UNIT: Final = 0.02  # m
 _TURN: Final = 16384 / 360  # units of a yaw per degree
 _PAINT: Final = re.compile(r" *(\d{1,3}) *, *(\d{1,3}) *, *(\d{1,3}) *")
 _LONG: Final = 2.65  # m, half the length from which a vehicle is drawn as a truck
+_UNKNOWN: Final = BoundingBox(0.0, 0.0, 0.0, 0.15, 0.15, 0.15)  # of an actor whose spawn is not recorded
 _CYCLES: Final = (Tag.MOTORCYCLE, Tag.BICYCLE, Tag.RIDER)
 
 
@@ -83,7 +85,7 @@ def actor_data(sampled: SampledActor) -> dict[str, Any]:
     """Return an actor; `box` is x, y and half extents in m, in its own axes."""
     actor = sampled.details
     look = None if actor is None else look_of_present(actor)
-    box = BoundingBox(0, 0, 0, *OTHER.extent) if actor is None else _box(actor, look)
+    box = _UNKNOWN if actor is None else box_of(actor)
     return {
         "id": sampled.id,
         "kind": OTHER.name if actor is None else style_of(actor).name,
@@ -107,13 +109,6 @@ def _paint(actor: ActorLife) -> str | None:
         return None
     red, green, blue = (min(255, int(part)) for part in match.groups())
     return hexadecimal((red, green, blue))
-
-
-def _box(actor: ActorLife, look: Look | None) -> BoundingBox:
-    """Return the box of an actor: as recorded, else that of its blueprint."""
-    if actor.bounding_box is not None or look is None or actor.kind not in ROAD_USERS:
-        return box_of(actor)
-    return BoundingBox(*look.center, *look.half_extents)
 
 
 def _shape(look: Look) -> str:

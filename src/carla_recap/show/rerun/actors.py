@@ -10,6 +10,7 @@ import rerun as rr
 
 from carla_recap.errors import RecapWarning
 from carla_recap.model.actors import ROAD_USERS, ActorLife
+from carla_recap.model.blueprints import box_of
 from carla_recap.model.records import CM, Spawn
 from carla_recap.replay import Destroyed, Spawned, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION
@@ -238,7 +239,7 @@ def _location(actor: ActorLife) -> rr.Transform3D:
 
 def _box(actor: ActorLife, look: Look | None) -> rr.Boxes3D:
     """Return the box of an actor: the edges alone of one that has no look."""
-    box = style.box_of(actor)
+    box = box_of(actor)
     return rr.Boxes3D(
         centers=[(box.x, box.y, box.z)],
         half_sizes=[(box.extent_x, box.extent_y, box.extent_z)],
@@ -249,7 +250,7 @@ def _box(actor: ActorLife, look: Look | None) -> rr.Boxes3D:
 
 def _name(actor: ActorLife, look: Look | None) -> rr.Points3D:
     """Return the name of an actor, behind it on the ground, where it hides nothing that is ahead."""
-    box = style.box_of(actor)
+    box = box_of(actor)
     half, center = (box.extent_x, box.extent_z), (box.x, box.z)
     if look is not None:
         half, center = (look.half_extents[0], look.half_extents[2]), (look.center[0], look.center[2])

@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
+from carla_recap.model.blueprints import box_of
 from carla_recap.replay import right_handed
 from carla_recap.replay.pose import LOCATION
 from carla_recap.scene import style
@@ -138,7 +139,7 @@ class FollowedWriter:
             self._axes.write_axes(TimeColumns.of_points([self._first]), series.camera[row : row + 1])
         actor = batch.actors.get(self._id)
         if actor is not None:
-            box = style.box_of(actor)
+            box = box_of(actor)
             self._bottom = box.z - box.extent_z
         color = style.OTHER.color if actor is None else style.color_of(actor)
         self._stream.log_static(paths.trail(self._id), rr.LineStrips3D.from_fields(colors=[color], radii=[_TRAIL]))

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from carla_recap.model.blueprints import box_of
 from carla_recap.rendering.camera import Camera
 from carla_recap.replay import right_handed
 from carla_recap.replay.pose import LOCATION, rotations
-from carla_recap.scene.style import box_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
