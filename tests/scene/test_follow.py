@@ -99,7 +99,7 @@ def test_the_light_ahead_is_the_nearest_in_front(tmp_path: Path) -> None:
     frame = {"transforms": [pose(1)], "spawned": spawned, "light_states": [light(id, id % 3) for id in places]}
     found = series(tmp_path, [frame])
     assert (found.light.tolist(), found.light_state.tolist()) == ([12], [0])
-    assert found.light_distance == pytest.approx([30 - 2.4])
+    assert found.light_distance == pytest.approx([30 - 2.09])  # half the length of the blueprint
 
 
 def test_a_walker_heeds_no_light(tmp_path: Path) -> None:
