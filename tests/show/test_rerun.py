@@ -27,9 +27,9 @@ pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
 from rerun.chunk import RrdReader
 
+from carla_recap.replay.follow import LiveChoice
 from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.show.rerun import APPLICATION, actors, blueprint, meshes, poses, writer
-from carla_recap.show.rerun.live import LiveChoice
 from carla_recap.show.rrd import export_rerun
 
 CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"

@@ -1,4 +1,4 @@
-"""Shows a server's world in Rerun's viewer while it goes on.
+"""Shows a server's world in Rerun's viewer or in Foxglove while it goes on.
 
 It is a client of its own, in a process of its own: a slow viewer never delays the world. It shows at most `RATE` ticks in a
 second, and leaves out the others.
@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import monotonic
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 from carla_recap.capture.observer import HOST, PORT, Observer
 from carla_recap.capture.recording import header_of, live_frames, until
@@ -19,7 +19,6 @@ from carla_recap.editing.convert import check_free
 from carla_recap.errors import RecapError
 from carla_recap.replay.follow import HERO, Follow
 from carla_recap.roads import RoadMap, load_map
-from carla_recap.show.rerun import LiveView, View, live_blueprint, piped, sent
 from carla_recap.show.viewer import GRPC_PORT, RerunViewer, has_display
 from carla_recap.show.viewer import HOST as LOOPBACK
 from carla_recap.util.files import WholeFile
@@ -28,8 +27,23 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     import carla
-    import rerun as rr
-    import rerun.blueprint as rrb
+
+    from carla_recap.model.frame import Frame, Header
+    from carla_recap.show.rerun import View
+
+
+class LiveViewer(Protocol):
+    """What shows frames as they come; see `LiveView` of Rerun and `FoxgloveView`."""
+
+    def enter(self, frame: Frame) -> None:
+        """Add a frame."""
+
+    def flush(self) -> None:
+        """Show all frames that were added."""
+
+    def close(self) -> None:
+        """Show what is known only at the end."""
+
 
 RATE: Final = 30.0
 """The most ticks that are shown in a second of real time."""
@@ -48,6 +62,8 @@ def watch(
     follow: Follow = HERO,
     view: View = "chase",
     force: bool = False,
+    foxglove_port: int | None = None,
+    ready: Callable[[str], object] = print,
 ) -> str:
     """Show the world of a CARLA server, until the viewer is closed, the server has gone, or Ctrl-C is pressed.
 
@@ -62,6 +78,8 @@ def watch(
         follow: The actor that the camera follows as soon as it is present: an id, or "hero".
         view: The camera that is shown first.
         force: Overwrite an existing file.
+        foxglove_port: The port of a WebSocket to which Foxglove connects instead, 0: any free one; None: no such WebSocket.
+        ready: Gets its address as soon as viewers can connect.
 
     Returns:
         The reason of the end, in words.
@@ -70,12 +88,15 @@ def watch(
         RecapError: There is no server, no display, or the file cannot be written.
         MissingExtra: There is no viewer.
     """
-    check_target(to, force=force)
+    check_target(to, foxglove_port, force=force)
     with Observer(host, port, additional_data=True, interval=1 / RATE) as observer, observer.until_signal():
         road_map = _road_map(observer.map)
-        arrangement = live_blueprint(road_map, view=view)
-        with _opened(to, arrangement) as (stream, is_open):
-            live = LiveView(stream, header_of(observer), f"{host}:{port}", follow=follow, view=view, road_map=road_map)
+        header = header_of(observer)
+        if foxglove_port is None:
+            opened = _in_rerun(to, header, f"{host}:{port}", follow, view, road_map)
+        else:
+            opened = _in_foxglove(foxglove_port, header, follow, road_map, ready)
+        with opened as (live, is_open):
 
             def show() -> None:
                 live.flush()
@@ -93,13 +114,18 @@ def watch(
     return observer.why
 
 
-def check_target(to: Path | str | None, *, force: bool) -> None:
+def check_target(to: Path | str | None, foxglove_port: int | None = None, *, force: bool) -> None:
     """Check that the world can be shown; for the arguments see `watch`.
 
     Raises:
-        RecapError: There is no display, or no such destination.
+        RecapError: There is no display, or no such destination, or the port is in use.
         MissingExtra: There is no viewer.
     """
+    if foxglove_port is not None:
+        from carla_recap.show.foxglove.websocket import FoxgloveServer
+
+        with FoxgloveServer("", foxglove_port):
+            return
     if to is None:
         if not has_display():
             raise RecapError("there is no display for the Rerun viewer; an .rrd can be written instead")
@@ -111,18 +137,37 @@ def check_target(to: Path | str | None, *, force: bool) -> None:
 
 
 @contextmanager
-def _opened(to: Path | str | None, arrangement: rrb.Blueprint) -> Iterator[tuple[rr.RecordingStream, Callable[[], bool]]]:
-    """Open the destination; yield its stream, and a function that returns whether it is still open."""
+def _in_foxglove(
+    port: int, header: Header, follow: Follow, road_map: RoadMap | None, ready: Callable[[str], object]
+) -> Iterator[tuple[LiveViewer, Callable[[], bool]]]:
+    """Let Foxglove connect; yield what shows frames, and a function that returns whether it is still open."""
+    from carla_recap.show.foxglove.websocket import FoxgloveServer, FoxgloveView
+
+    with FoxgloveServer(header.map_name, port) as server:
+        ready(server.address)
+        yield FoxgloveView(server, header, follow, road_map), lambda: True
+
+
+@contextmanager
+def _in_rerun(
+    to: Path | str | None, header: Header, source: str, follow: Follow, view: View, road_map: RoadMap | None
+) -> Iterator[tuple[LiveViewer, Callable[[], bool]]]:
+    """Open Rerun's viewer or a file; yield what shows frames, and a function that returns whether it is still open."""
+    from carla_recap.show.rerun import LiveView, live_blueprint, piped, sent
+
+    arrangement = live_blueprint(road_map, view=view)
     with ExitStack() as stack:
+        is_open: Callable[[], bool] = lambda: True  # noqa: E731
         if to is None:
             process = stack.enter_context(RerunViewer())
             address = f"rerun+http://{LOOPBACK}:{process.port(GRPC_PORT)}/proxy"
-            yield stack.enter_context(sent(arrangement, address)), lambda: process.is_running
+            stream, is_open = stack.enter_context(sent(arrangement, address)), lambda: process.is_running
         elif str(to).startswith(_ADDRESS):
-            yield stack.enter_context(sent(arrangement, str(to))), lambda: True
+            stream = stack.enter_context(sent(arrangement, str(to)))
         else:
             file = stack.enter_context(WholeFile(to, live=True))
-            yield stack.enter_context(piped(arrangement, file.write)), lambda: True
+            stream = stack.enter_context(piped(arrangement, file.write))
+        yield LiveView(stream, header, source, follow=follow, view=view, road_map=road_map), is_open
 
 
 def _road_map(map: carla.Map) -> RoadMap | None:

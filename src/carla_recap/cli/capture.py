@@ -72,9 +72,24 @@ def capture(destination: str, host: str, port: int, duration: float, additional_
 @_follow
 @options.camera
 @options.models
-def watch(to: str | None, host: str, port: int, duration: float, follow: Follow, view: View, force: bool) -> None:
-    """Show what a CARLA server does in Rerun's viewer, live."""
+@options.foxglove
+def watch(
+    to: str | None,
+    host: str,
+    port: int,
+    duration: float,
+    follow: Follow,
+    view: View,
+    force: bool,
+    foxglove: bool,
+    foxglove_port: int | None,
+) -> None:
+    """Show what a CARLA server does live, in Rerun's viewer or in Foxglove."""
     from carla_recap.capture.live import watch as run
 
-    why = run(to, host=host, port=port, duration=duration, follow=follow, view=view, force=force)
-    note(f"{to or 'the viewer'}: {why}")
+    foxglove_port = options.foxglove_port_of(foxglove, foxglove_port)
+    if foxglove_port is not None and to is not None:
+        raise click.UsageError("--to goes with Rerun's viewer.", click.get_current_context())
+    shown: dict[str, Any] = {"follow": follow, "view": view, "foxglove_port": foxglove_port, "ready": click.echo}
+    why = run(to, host=host, port=port, duration=duration, force=force, **shown)
+    note(f"{to or ('the viewer' if foxglove_port is None else 'Foxglove')}: {why}")

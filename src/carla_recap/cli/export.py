@@ -20,6 +20,8 @@ from carla_recap.fleet.outcomes import WrittenFile
 from carla_recap.util.text import number
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.replay.follow import Follow
     from carla_recap.show.clips import IncidentClip
@@ -158,6 +160,7 @@ def _facts(clip: IncidentClip) -> dict[str, Any]:
 @options.camera
 @options.models
 @click.option("--web", is_flag=True, help="Serve the viewer to a browser on this machine.")
+@options.foxglove
 def view(
     source: str,
     follow: Follow | None,
@@ -166,28 +169,34 @@ def view(
     road_map: str | None,
     view: View,
     web: bool,
+    foxglove: bool,
+    foxglove_port: int | None,
 ) -> None:
-    """Open a recording in Rerun's viewer.
+    """Open a recording in Rerun's viewer, or let Foxglove play it.
 
     SRC#t=12.1 means from 5 s before that moment to 5 s after it.
     """
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.recording import open_recording
-    from carla_recap.show.viewer import view as run
 
+    port, context = options.foxglove_port_of(foxglove, foxglove_port), click.get_current_context()
+    for name in ("view", "web"):
+        if port is not None and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            raise click.UsageError(f"--{name} goes with Rerun's viewer.", context)
     source, start, duration = options.timed(source, start, duration)
+    shown: dict[str, Any] = {"follow": follow, "start": start, "duration": duration, "ready": _announce}
     with open_recording(source) as recording:
-        run(
-            recording,
-            road_map=options.road_map_of(recording, road_map, start, duration),
-            progress=watch_scenes("exporting"),
-            ready=_announce,
-            follow=follow,
-            start=start,
-            duration=duration,
-            view=view,
-            web=web,
-        )
+        roads = options.road_map_of(recording, road_map, start, duration)
+        if port is None:
+            from carla_recap.show.viewer import view as open_viewer
+
+            open_viewer(recording, road_map=roads, progress=watch_scenes("exporting"), view=view, web=web, **shown)
+        else:
+            from carla_recap.show.foxglove import layout_hints
+            from carla_recap.show.foxglove.websocket import serve_recording
+
+            shown["ready"] = partial(_announce, hints=layout_hints())
+            serve_recording(recording, road_map=roads, progress=watch_scenes("searching"), port=port, **shown)
 
 
 @click.command()
@@ -396,8 +405,10 @@ def _report(
     return WrittenFile(notes, size=written.size, facts=facts, path=path)
 
 
-def _announce(address: str) -> None:
-    """Print the address of a server, on stdout for programs."""
+def _announce(address: str, hints: Iterable[str] = ()) -> None:
+    """Print the address of a server, on stdout for programs, and how to use it."""
     click.echo(address)
     sys.stdout.flush()
+    for hint in hints:
+        note(hint)
     note("Ctrl-C ends it")

@@ -366,6 +366,26 @@ def together(*decorators: Callable[[Command], Command]) -> Callable[[Command], C
     return decorate
 
 
+foxglove = together(
+    click.option("--foxglove", is_flag=True, help="Let Foxglove connect to a WebSocket instead of opening Rerun's viewer."),
+    click.option(
+        "--foxglove-port",
+        type=click.IntRange(0, 65535),
+        metavar="N",
+        help="The port of that WebSocket, 0 for any free one; else 8765.",
+    ),
+)
+
+
+def foxglove_port_of(is_wanted: bool, port: int | None) -> int | None:
+    """Return the port to which Foxglove is to connect; None if it is not wanted."""
+    if port is None and is_wanted:
+        from carla_recap.show.foxglove.websocket import PORT
+
+        return PORT
+    return port
+
+
 def opened(path: str) -> Reader:
     """Open a recording, which is closed when the command ends."""
     from carla_recap.formats import open_reader

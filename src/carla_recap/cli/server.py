@@ -61,6 +61,7 @@ _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 @click.option(
     "--rerun-to", metavar="FILE|URL", help="The same in an .rrd, or in the viewer that listens at rerun+http://..."
 )
+@options.foxglove
 @click.option(
     "--follow",
     type=options.FOLLOW,
@@ -83,6 +84,8 @@ def serve(
     quality: Quality,
     rerun: bool,
     rerun_to: str | None,
+    foxglove: bool,
+    foxglove_port: int | None,
     follow: Follow | None,
     attached: bool,
 ) -> None:
@@ -101,7 +104,11 @@ def serve(
         _make_folder(recordings)
     if host not in (_LOOPBACK, "localhost", "::1"):
         warn(f"{host} can be reached from other machines, and the protocol has no authentication")
-    viewer = _viewer(rerun_to, follow) if rerun or rerun_to or follow is not None else nullcontext()
+    foxglove_port = options.foxglove_port_of(foxglove, foxglove_port)
+    if foxglove_port is not None and (rerun or rerun_to):
+        raise click.UsageError("--foxglove or --rerun was expected, not both.", click.get_current_context())
+    is_shown = rerun or rerun_to or foxglove_port is not None or follow is not None
+    viewer = _viewer(rerun_to, follow, foxglove_port) if is_shown else nullcontext()
     with viewer as shown, World(_town(town, maps, stand_in), seed=seed, recordings=recordings, maps=maps) as world:
 
         def ready(port: int) -> None:
@@ -128,10 +135,10 @@ def _town(name: str, maps: Path | None, stand_in: bool) -> Town:
     return load_town(name, maps)
 
 
-def _viewer(to: str | None, follow: Follow | None) -> ViewerProcess:
+def _viewer(to: str | None, follow: Follow | None, foxglove_port: int | None) -> ViewerProcess:
     from carla_recap.server.viewer import ViewerProcess
 
-    return ViewerProcess(to, "hero" if follow is None else follow)
+    return ViewerProcess(to, "hero" if follow is None else follow, foxglove_port)
 
 
 def _make_folder(folder: Path) -> None:

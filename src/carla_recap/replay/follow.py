@@ -22,12 +22,15 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.actors import ActorLife
+    from carla_recap.replay.scene import Scene
 
-__all__ = ["HERO", "Follow", "choose_followed", "find_followed"]
+__all__ = ["HERO", "Follow", "LiveChoice", "choose_followed", "find_followed"]
 
 Follow = ActorName
 
 _MAX_STEP: Final = 0.5  # s; the longest step in which distances are measured
+_PATIENCE: Final = 3.0  # s after which an actor is followed that does not move, in a running simulation
+_MOVED: Final = 1.0  # cm from one frame to the next
 _MIN_STEPS: Final = 100  # the number of steps in a short recording
 
 
@@ -138,3 +141,47 @@ def _samples(reader: Reader, start: float, stop: float, step: float) -> Iterator
 def _add(distances: dict[int, float], ids: Ids, more: NDArray[np.float64]) -> None:
     for id, distance in zip(ids.tolist(), more.tolist(), strict=True):
         distances[id] = distances.get(id, 0.0) + distance
+
+
+class LiveChoice:
+    """Chooses the actor that the camera follows while nothing is known of what comes.
+
+    Args:
+        follow: An id, or "hero": the hero as soon as there is one; until then, a vehicle that moves, else a walker that
+            does; and if nothing has moved for some seconds, the first vehicle or walker.
+    """
+
+    def __init__(self, follow: Follow) -> None:
+        self._follow = follow
+        self._chosen: int | None = None
+        self._since: float | None = None  # the time since which no actor is followed
+        self._before: dict[int, NDArray[np.float64]] = {}
+
+    def choose(self, scene: Scene) -> int | None:
+        """Return the actor to follow from the next scene on; None if there is none."""
+        if self._follow != HERO:
+            return self._follow if self._follow in scene.actors else None
+        if heroes := heroes_of(scene.actors.values()):
+            self._chosen = heroes[0].id
+        elif self._chosen not in scene.actors:
+            self._chosen = self._other(scene)
+        return self._chosen
+
+    def _other(self, scene: Scene) -> int | None:
+        if self._since is None:
+            self._since = scene.time
+        movers = {kind: [id for id, actor in scene.actors.items() if actor.kind == kind] for kind in ROAD_USERS}
+        here = {id: pose[LOCATION] for those in movers.values() for id in those if (pose := scene.pose_of(id)) is not None}
+        before, self._before = self._before, here
+        with np.errstate(invalid="ignore"):
+            moved = {id for id in here if id in before and (np.abs(here[id] - before[id]) > _MOVED).any()}
+        patient = scene.time - self._since < _PATIENCE
+        for those in movers.values():
+            found = next((id for id in those if id in moved), None)
+            if found is not None:
+                break
+        else:
+            found = None if patient else next((id for those in movers.values() for id in those if id in here), None)
+        if found is not None:
+            self._since, self._before = None, {}
+        return found

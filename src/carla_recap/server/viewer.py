@@ -1,4 +1,4 @@
-"""Rerun's viewer on the served world, as a client in a process of its own."""
+"""Rerun's viewer or a connection for Foxglove on the served world, as a client in a process of its own."""
 
 from __future__ import annotations
 
@@ -25,25 +25,30 @@ class ViewerProcess:
     Args:
         to: An .rrd or the address of a viewer; else a viewer is opened. See `carla_recap.capture.live.watch`.
         follow: The actor that the camera follows.
+        foxglove_port: The port to which Foxglove connects instead; its address is printed.
 
     Raises:
         RecapError: There is no display, or the file cannot be written.
         MissingExtra: No viewer is installed.
     """
 
-    def __init__(self, to: str | None = None, follow: Follow = HERO) -> None:
-        check_target(to, force=False)
+    def __init__(self, to: str | None = None, follow: Follow = HERO, foxglove_port: int | None = None) -> None:
+        check_target(to, foxglove_port, force=False)
         if to is not None and "://" not in to and not Path(to).parent.is_dir():
             raise RecapError(f"{to}: cannot be written: there is no folder {Path(to).parent}")
         models = models_directory()
         self._options = [f"--follow={follow}", *([f"--to={to}"] if to else []), *([f"--models={models}"] if models else [])]
+        if foxglove_port is not None:
+            self._options.append(f"--foxglove-port={foxglove_port}")
+        self._prints = foxglove_port is not None  # the address to which Foxglove connects
         self._process: subprocess.Popen[bytes] | None = None
 
     def open(self, host: str, port: int) -> None:
         """Show the server at an address."""
         options = [f"--host={_WILDCARDS.get(host, host)}", f"--port={port}", *self._options]
         command, nothing = module_command("carla_recap", "watch", *options), subprocess.DEVNULL
-        self._process = subprocess.Popen(command, stdin=nothing, stdout=nothing, env=module_environment())
+        output = None if self._prints else nothing
+        self._process = subprocess.Popen(command, stdin=nothing, stdout=output, env=module_environment())
 
     def __enter__(self) -> Self:
         return self

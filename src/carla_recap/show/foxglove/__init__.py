@@ -20,6 +20,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from carla_recap.editing.convert import check_destination
 from carla_recap.replay import Played, Player
 from carla_recap.util.resources import viewer_folder
@@ -74,7 +76,7 @@ def export_foxglove(
     from carla_recap.scene.ahead import stop_points
     from carla_recap.scene.captions import PlayedIncidents
     from carla_recap.show.foxglove.mcap import FoxgloveFile
-    from carla_recap.show.foxglove.topics import SceneMessages
+    from carla_recap.show.foxglove.topics import SceneMessages, incident_messages
     from carla_recap.show.foxglove.town import town_of
 
     reader = source.reader
@@ -84,11 +86,15 @@ def export_foxglove(
     messages = SceneMessages(reader.header, player.followed, town, stop_points(reader))
     with FoxgloveFile(destination, _description(reader, player)) as file:
         played = PlayedIncidents(player, road_network_of_map(road_map) if town is not None else None, incidents)
+        elapsed, times = [np.zeros(0)], [np.zeros(0, np.uint64)]
         for batch in player.batches(progress):
-            file.write(messages.of(batch))
+            for part in messages.of(batch):
+                file.write(part)
+                elapsed.append(part.elapsed)
+                times.append(part.times)
         file.write(messages.end())
         file.end_chunk()  # the times of what follows begin again
-        file.write(messages.incidents(played.found()))
+        file.write(incident_messages(played.found(), np.concatenate(elapsed), np.concatenate(times)))
         return messages.played
 
 

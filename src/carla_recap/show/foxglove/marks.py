@@ -35,9 +35,10 @@ def mark_messages(description: SceneDescription, stamps: Stamps) -> Iterator[Top
         description: The scenes.
         stamps: The timestamp of each.
     """
-    if description.batch.fresh and not (description.marks and description.marks[0][0] == 0):
-        yield single(MARKS, 0, ALL_DELETED)
-    for row, locations in description.marks:
+    changes = description.marks
+    if description.batch.fresh and not (changes and changes[0][0] == 0):
+        changes = [(0, description.marked), *changes]
+    for row, locations in changes:
         data = b"".join(_mark(number, location, stamps[row]) for number, location in enumerate(locations))
         yield single(MARKS, row, ALL_DELETED.SerializeToString() + data)
 

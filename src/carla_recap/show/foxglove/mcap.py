@@ -12,7 +12,6 @@ from carla_recap.formats.mcap.schema import EXPORT_METADATA, MESSAGE, MESSAGE_DT
 from carla_recap.show.foxglove.topics import TOPICS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
     from pathlib import Path
 
     from carla_recap.show.foxglove.messages import Times, TopicMessages
@@ -39,23 +38,15 @@ class FoxgloveFile(ChunkedFile):
         self._chunk = ChunkBuilder()
         self._begin(lambda: self._write_description(description))
 
-    def write(self, batches: Iterable[TimedMessages]) -> None:
+    def write(self, added: TimedMessages) -> None:
         """Add messages in the order of time; where times are equal, in the given order.
 
         Raises:
             RecapError: The disk is full, or broken.
         """
-        for messages, times in batches:
-            if messages:
-                self._add(messages, times)
-
-    def _write_description(self, description: dict[str, str]) -> None:
-        self._write_start()
-        self._write_metadata(EXPORT_METADATA, description)
-        for channel in self._channel_of.values():
-            self._declare(channel)
-
-    def _add(self, messages: list[TopicMessages], times: Times) -> None:
+        messages, times, _ = added
+        if not messages:
+            return
         rows = np.concatenate([some.rows for some in messages])
         order = np.argsort(rows, kind="stable")
         counts = [len(some.rows) for some in messages]
@@ -71,8 +62,8 @@ class FoxgloveFile(ChunkedFile):
             stop = max(begin + 1, min(int(np.searchsorted(offsets, room)), len(order)))
             entries = np.stack((log_times[begin:stop], (offsets[begin:stop] - offsets[begin]).astype(np.uint64)), axis=1)
             index = {channel: entries[channels[begin:stop] == channel] for channel in set(channels[begin:stop].tolist())}
-            added = [records[record] for record in order[begin:stop].tolist()]
-            self._chunk.add_records(added, index, int(log_times[begin]), int(log_times[stop - 1]))
+            packed = [records[record] for record in order[begin:stop].tolist()]
+            self._chunk.add_records(packed, index, int(log_times[begin]), int(log_times[stop - 1]))
             if self._chunk.size >= _CHUNK_SIZE:
                 self.end_chunk()
             begin = stop
@@ -82,6 +73,12 @@ class FoxgloveFile(ChunkedFile):
         if not self._chunk.is_empty:
             chunk, self._chunk = self._chunk, ChunkBuilder()
             self._add_chunk(chunk)
+
+    def _write_description(self, description: dict[str, str]) -> None:
+        self._write_start()
+        self._write_metadata(EXPORT_METADATA, description)
+        for channel in self._channel_of.values():
+            self._declare(channel)
 
     def _finish(self) -> None:
         self.end_chunk()

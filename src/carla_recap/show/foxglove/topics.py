@@ -9,10 +9,11 @@ import numpy as np
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from carla_recap.formats.mcap.container import Topic
-from carla_recap.formats.mcap.schema import LogClock
+from carla_recap.formats.mcap.schema import MESSAGE, LogClock
 from carla_recap.replay import Played
 from carla_recap.scene.captions import EventText, Level, incident_lines
 from carla_recap.scene.description import SceneDescriber
+from carla_recap.scene.falls import FallChange
 from carla_recap.scene.follow import FollowedActor
 from carla_recap.show.foxglove import bodies, followed, marks, scene
 from carla_recap.show.foxglove.messages import FrameTransforms, Log, SceneUpdate, single, timestamps
@@ -26,12 +27,12 @@ if TYPE_CHECKING:
 
     from carla_recap.model.frame import Header
     from carla_recap.queries.incidents import Incident
+    from carla_recap.recording import Recording
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay.scene import SceneBatch
     from carla_recap.scene.ahead import StopPoints
     from carla_recap.scene.captions import Line
     from carla_recap.scene.description import SceneDescription
-    from carla_recap.scene.falls import FallChange
     from carla_recap.scene.follow import FollowedSeries
     from carla_recap.show.foxglove.messages import Floats, Indices, Times, TopicMessages
 
@@ -64,7 +65,7 @@ TOPICS: Final = [Topic(name, type.DESCRIPTOR.full_name, partial(_schema, type)) 
 """All topics."""
 
 RATE: Final = 20.0
-"""The number of scenes shown per second, at most; scenes with events are shown besides."""
+"""The number of scenes shown per second, at most."""
 
 _TOGETHER: Final = 128  # scenes whose messages are made at once
 _SLACK: Final = 0.9  # frames do not come quite evenly
@@ -76,11 +77,21 @@ class TimedMessages(NamedTuple):
 
     Attributes:
         messages: The messages; the rows of each topic are positions in `times`.
-        times: Moments, in ns since 1970.
+        times: The moments of scenes, in ns since 1970.
+        elapsed: The same in elapsed seconds.
     """
 
     messages: list[TopicMessages]
     times: Times
+    elapsed: Floats
+
+    def in_order(self) -> Iterator[tuple[int, str, bytes]]:
+        """Yield the time in ns since 1970, the topic and the data of each message, in the order of time."""
+        found = [(some.topic, row) for some in self.messages for row in some.data]
+        rows = np.concatenate([some.rows for some in self.messages]) if self.messages else np.zeros(0, np.intp)
+        for index in np.argsort(rows, kind="stable").tolist():
+            topic, data = found[index]
+            yield int(self.times[rows[index]]), topic, data[MESSAGE.size :].tobytes()
 
 
 class SceneMessages:
@@ -90,12 +101,16 @@ class SceneMessages:
         header: The header of the recording.
         follow: The id of the followed actor.
         town: The town, if it is known.
-        stops: The points at which traffic lights stop cars; see `carla_recap.scene.ahead`.
+        stops: The points at which traffic lights stop cars; see `carla_recap.scene.ahead`. More may be added later.
+
+    Attributes:
+        rate: The number of scenes shown per second, at most; scenes with events are shown besides.
     """
 
     def __init__(self, header: Header, follow: int | None, town: TownMesh | None, stops: StopPoints | None = None) -> None:
         self._clock = LogClock(header)
-        self._followed = FollowedActor(follow, stops or {})
+        self._stops = {} if stops is None else stops
+        self._followed = FollowedActor(follow, self._stops)
         self._town = town
         self._describer = SceneDescriber()
         self._entities = scene.ActorEntities()
@@ -108,25 +123,32 @@ class SceneMessages:
         self._last: tuple[SceneDescription, Times, FollowedSeries] | None = None
         self._shown = False  # whether the last scene is shown
         self._count = 0
-        self._clock_rows: list[tuple[Floats, Times]] = []  # elapsed seconds and log times of all scenes
+        self.rate = RATE
+
+    def follow(self, id: int) -> None:
+        """Follow another actor from the next scene on."""
+        self._followed = FollowedActor(id, self._stops)
+
+    def recall(self, recording: Recording, time: float) -> None:
+        """Learn what of the time before the first scene is still to be seen then; see `SceneDescriber.recall`."""
+        self._describer.recall(recording, time)
 
     def of(self, batch: SceneBatch) -> Iterator[TimedMessages]:
         """Yield the messages of scenes, which follow those before."""
         for start in range(0, len(batch), _TOGETHER):
             part = batch if len(batch) <= _TOGETHER else batch[start : start + _TOGETHER]
             times = self._times_of(part)
-            self._clock_rows.append((part.time, times))
             series = self._followed.series(part)
             description = self._describer.describe(part)
             messages = list(self._messages(description, times, series))
             self._last = description, times, series
             self._count += len(part)
-            yield TimedMessages(messages, times)
+            yield TimedMessages(messages, times, part.time)
 
-    def end(self) -> Iterator[TimedMessages]:
-        """Yield the messages that show the last scene, as far as it is not shown yet."""
+    def end(self) -> TimedMessages:
+        """Return the messages that show the last scene, as far as it is not shown yet."""
         if self._last is None:
-            return
+            return TimedMessages([], np.zeros(0, np.uint64), np.zeros(0))
         description, times, series = self._last
         batch = description.batch
         row, elapsed = len(batch) - 1, batch.time[-1].item()
@@ -136,26 +158,19 @@ class SceneMessages:
         if self._lights.latest.elapsed != elapsed:
             self._lights.latest.elapsed = elapsed
             messages.append(single(followed.LIGHTS, row, self._lights.latest))
-        yield TimedMessages(messages, times)
+        return TimedMessages(messages, times, batch.time)
 
     @property
     def played(self) -> Played:
         """How many scenes there were, and the seconds that they span."""
         return Played(self._count, self._last[0].batch.time[-1].item() - self._start) if self._last else Played(0, 0.0)
 
-    def incidents(self, found: Iterable[Incident]) -> Iterator[TimedMessages]:
-        """Yield the incidents that began during the scenes so far as text, each at the scene at which it began."""
-        if not self._clock_rows:
-            return
-        elapsed, times = (np.concatenate(column) for column in zip(*self._clock_rows, strict=True))
-        lines = [_log_line(line, row, times) for row, line in incident_lines(found, elapsed)]
-        yield TimedMessages(lines, times)
-
     def _messages(self, description: SceneDescription, times: Times, series: FollowedSeries) -> Iterator[TopicMessages]:
         """Yield the messages of scenes, given the time of each in ns since 1970, and the followed actor in them."""
         batch = description.batch
         if self._last is None:
             self._start = batch.time[0].item()
+            self._falls = [FallChange(0, id, fall) for id, fall in description.fallen.items()]
             yield single(MAP, 0, map_message(self._town, int(times[0])))
         for line in self._text.lines(batch.scene(0)):
             yield _log_line(line, 0, times)
@@ -173,7 +188,7 @@ class SceneMessages:
         for row, time in enumerate(batch.time.tolist()):
             self._shown = not time < self._due or (not row and bool(batch.events))
             if self._shown:
-                self._due = time + _SLACK / RATE
+                self._due = time + _SLACK / self.rate
                 rows.append(row)
         return np.array(rows, np.intp)
 
@@ -193,6 +208,18 @@ class SceneMessages:
         if times is None:
             return np.array([self._clock.times(time)[0] for time in batch.time.tolist()], np.uint64)
         return times[:, 0]
+
+
+def incident_messages(found: Iterable[Incident], elapsed: Floats, times: Times) -> TimedMessages:
+    """Return the incidents that began during some scenes as text, each at the scene at which it began.
+
+    Args:
+        found: The incidents.
+        elapsed: The moments of the scenes, in elapsed seconds.
+        times: The same in ns since 1970.
+    """
+    lines = [_log_line(line, row, times) for row, line in incident_lines(found, elapsed)]
+    return TimedMessages(lines, times, elapsed)
 
 
 def _log_line(line: Line, row: int, times: Times) -> TopicMessages:

@@ -35,10 +35,8 @@ def town_of(road_map: RoadMap | None, player: Player, source: Recording) -> Town
     """
     if road_map is None or not road_map.opendrive:
         return _corridors(source) if player.total <= _SHORT else None
-    try:
-        town = town_mesh_of(road_map.opendrive, road_map.name)
-    except RecapError as error:
-        warnings.warn(f"the roads have no surfaces: {error}", RecapWarning, stacklevel=3)
+    town = mesh_of(road_map)
+    if town is None:
         return None
     locations = right_handed(Player(player.reader).at(player.start).poses)[:, :2]
     locations = locations[np.isfinite(locations).all(axis=1)]
@@ -47,6 +45,21 @@ def town_of(road_map: RoadMap | None, player: Player, source: Recording) -> Town
         warnings.warn(f"{road_map.name}: no actor is near this map, which is left out", RecapWarning, stacklevel=3)
         return _corridors(source) if player.total <= _SHORT else None
     return town
+
+
+def mesh_of(road_map: RoadMap) -> TownMesh | None:
+    """Return the surfaces of a map; None if they cannot be made.
+
+    Warns:
+        RecapWarning: They cannot.
+    """
+    if not road_map.opendrive:
+        return None
+    try:
+        return town_mesh_of(road_map.opendrive, road_map.name)
+    except RecapError as error:
+        warnings.warn(f"the roads have no surfaces: {error}", RecapWarning, stacklevel=4)
+        return None
 
 
 def _corridors(source: Recording) -> TownMesh | None:

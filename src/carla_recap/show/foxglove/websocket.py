@@ -1,0 +1,436 @@
+"""A WebSocket to which Foxglove connects: it plays a recording by its own timeline, or shows a running world.
+
+The messages are those of an export; Foxglove's SDK only sends them. What viewers request arrives in threads of the SDK, and
+is done in the thread that sends.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from bisect import bisect_left
+from heapq import merge
+from threading import Event, Lock
+from time import monotonic
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import numpy as np
+
+from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.formats.mcap.schema import SECOND, LogClock
+from carla_recap.replay import Player
+from carla_recap.replay.follow import HERO, LiveChoice
+from carla_recap.replay.player import LiveScenes
+from carla_recap.roads.surfaces import road_network_of_map
+from carla_recap.scene.ahead import add_stop_points, stop_points
+from carla_recap.scene.captions import PlayedIncidents
+from carla_recap.show.foxglove.topics import LOG, RATE, TOPICS, SceneMessages, incident_messages
+from carla_recap.show.foxglove.town import mesh_of, town_of
+from carla_recap.util.signals import unwind_on_termination
+
+try:
+    import foxglove
+    from foxglove.websocket import Capability, PlaybackCommand, PlaybackState, PlaybackStatus, ServerListener
+except ImportError:
+    raise MissingExtra("a connection of Foxglove", "foxglove-live") from None
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from types import TracebackType
+
+    from foxglove.websocket import ChannelView, Client, PlaybackControlRequest
+
+    from carla_recap.model.frame import Frame, Header
+    from carla_recap.recording import Recording
+    from carla_recap.replay import Follow
+    from carla_recap.replay.player import Progress
+    from carla_recap.roads import RoadMap
+    from carla_recap.show.foxglove.messages import Floats
+
+    Sent = tuple[int, str, bytes]
+    """Time in ns since 1970, topic and data of a message."""
+
+PORT: Final = 8765
+"""The port that Foxglove suggests."""
+
+_HOST: Final = "127.0.0.1"
+_LEAD: Final = 5.0  # s before a moment that is sought, in which the view of the followed actor becomes calm
+_STEP: Final = 0.02  # s of real time between two sendings
+_LONGEST: Final = 0.25  # s of real time that pass between them at most; a machine that is slower plays more slowly
+_PAUSE: Final = 0.5  # s; the longest wait for a request
+_FASTEST: Final = 100.0
+_MOST_WAITING: Final = 1024  # messages that wait for a slow viewer, which loses older ones
+
+
+class FoxgloveServer:
+    """Sends messages to all viewers that are connected, during a `with` block; it listens on the loopback alone.
+
+    Args:
+        name: What viewers call the connection.
+        port: The port; 0: any free one.
+        timeline: The timeline by which viewers play a recording; None: what is sent is live.
+
+    Raises:
+        RecapError: The port is in use.
+    """
+
+    def __init__(self, name: str, port: int = PORT, timeline: Timeline | None = None) -> None:
+        self._timeline = timeline
+        self._listener = _Listener(timeline)
+        self._latest: dict[str, tuple[int, bytes]] = {}  # of each topic
+        logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # viewers may leave without a word
+        self._context = foxglove.Context()
+        try:
+            self._server = foxglove.start_server(
+                name=name,
+                host=_HOST,
+                port=port,
+                context=self._context,
+                server_listener=self._listener,
+                capabilities=[Capability.Time],
+                playback_time_range=None if timeline is None else (timeline.start, timeline.stop),
+                message_backlog_size=_MOST_WAITING,
+            )
+        except (OSError, RuntimeError) as error:
+            reason = str(error).rpartition(": ")[2].partition(" (os error")[0]
+            raise RecapError(f"{_HOST}:{port}: Foxglove cannot connect to it: {reason}") from None
+        self._channels = {
+            topic.name: foxglove.Channel(
+                topic.name,
+                schema=foxglove.Schema(name=topic.message, encoding="protobuf", data=topic.schema()),
+                message_encoding="protobuf",
+                context=self._context,
+            )
+            for topic in TOPICS
+        }
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._server.stop()
+
+    @property
+    def address(self) -> str:
+        """The address that Foxglove is given."""
+        return f"ws://{_HOST}:{self._server.port}"
+
+    def send(self, time: int, topic: str, data: bytes) -> None:
+        """Send a message, which becomes the latest one of its topic."""
+        self._latest[topic] = time, data
+        self._channels[topic].log(data, log_time=time)
+
+    def send_latest(self) -> None:
+        """Send the latest message of each topic."""
+        for topic, (moment, data) in self._latest.items():
+            self._channels[topic].log(data, log_time=moment)
+
+    def keep(self, time: int, topic: str, data: bytes) -> None:
+        """Make a message the latest one of its topic, without sending it."""
+        self._latest[topic] = time, data
+
+    def clear(self) -> None:
+        """Forget the latest messages."""
+        self._latest.clear()
+
+    def wait(self, seconds: float) -> None:
+        """Wait for a request of a viewer."""
+        self._listener.requested.wait(seconds)
+        self._listener.requested.clear()
+
+    def welcome(self) -> None:
+        """Send the latest messages of topics to which viewers have subscribed since the last call, and the state."""
+        topics = self._listener.take_topics()
+        for topic in topics - {LOG}:  # each message on it is shown, not the latest one
+            if topic in self._latest:
+                time, data = self._latest[topic]
+                self._channels[topic].log(data, log_time=time)
+        if topics and self._timeline is not None:
+            self.show(self._timeline.state())
+
+    def show(self, state: PlaybackState) -> None:
+        """Tell viewers where playback is."""
+        self._server.broadcast_playback_state(state)
+        self._server.broadcast_time(state.current_time)
+
+    def show_time(self, time: int) -> None:
+        """Tell viewers the time, in ns since 1970."""
+        self._server.broadcast_time(time)
+
+
+class Timeline:
+    """Where playback is, which viewers change in threads of theirs. It begins paused.
+
+    Args:
+        start: The first moment, in ns since 1970.
+        stop: The last one.
+    """
+
+    def __init__(self, start: int, stop: int) -> None:
+        self.start, self.stop = start, stop
+        self._lock = Lock()
+        self._now: float = start
+        self._speed = 1.0
+        self._playing = self._ended = False
+        self._sought = True  # whether the messages of another moment follow
+
+    @property
+    def speed(self) -> float:
+        """The seconds of the recording that are played in a second."""
+        return self._speed
+
+    @property
+    def is_playing(self) -> bool:
+        """Whether time passes."""
+        return self._playing
+
+    def pause(self) -> None:
+        """Stop the time."""
+        with self._lock:
+            self._playing = False
+
+    def request(self, request: PlaybackControlRequest) -> PlaybackState:
+        """Do what a viewer requests, and return the new state."""
+        with self._lock:
+            seek = request.seek_time
+            self._playing = request.playback_command == PlaybackCommand.Play
+            if seek is None and self._playing and self._now >= self.stop:
+                seek = self.start
+            if seek is not None:
+                self._now, self._sought = min(max(seek, self.start), self.stop), True
+            self._ended = False
+            if 0 < request.playback_speed < math.inf:
+                self._speed = min(request.playback_speed, _FASTEST)
+            return self._state(did_seek=seek is not None, request=request.request_id)
+
+    def advance(self, seconds: float) -> tuple[int, bool]:
+        """Let real time pass; return the moment, and whether it was sought since the last call."""
+        with self._lock:
+            if self._playing:
+                self._now = min(self._now + seconds * self._speed * SECOND, self.stop)
+            sought, self._sought = self._sought, False
+            return int(self._now), sought
+
+    def end(self) -> bool:
+        """Return whether playback has come to the end, and end it."""
+        with self._lock:
+            self._ended = self._playing and self._now >= self.stop and not self._sought
+            self._playing = self._playing and not self._ended
+            return self._ended
+
+    def state(self) -> PlaybackState:
+        """Return the state, for viewers that have not changed it."""
+        with self._lock:
+            return self._state()
+
+    def _state(self, *, did_seek: bool = False, request: str | None = None) -> PlaybackState:
+        status = PlaybackStatus.Ended if self._ended else PlaybackStatus.Playing if self._playing else PlaybackStatus.Paused
+        return PlaybackState(status, int(self._now), self._speed, did_seek, request)
+
+
+class _Listener(ServerListener):
+    """Takes the requests of viewers, in threads of the SDK.
+
+    Attributes:
+        requested: Is set by each request.
+    """
+
+    def __init__(self, timeline: Timeline | None) -> None:
+        self._timeline = timeline
+        self._lock = Lock()
+        self.requested = Event()
+        self._topics: set[str] = set()
+        self._subscriptions = 0
+
+    def take_topics(self) -> set[str]:
+        """Return the topics that have got new subscribers."""
+        with self._lock:
+            topics, self._topics = self._topics, set()
+        return topics
+
+    def on_subscribe(self, client: Client, channel: ChannelView) -> None:
+        with self._lock:
+            self._subscriptions += 1
+            self._topics.add(channel.topic)
+        self.requested.set()
+
+    def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
+        with self._lock:
+            self._subscriptions -= 1
+            is_alone = not self._subscriptions
+        if is_alone and self._timeline is not None:
+            self._timeline.pause()
+
+    def on_playback_control_request(self, playback_control_request: PlaybackControlRequest) -> PlaybackState | None:
+        state = None if self._timeline is None else self._timeline.request(playback_control_request)
+        self.requested.set()
+        return state
+
+
+def serve_recording(
+    source: Recording,
+    *,
+    port: int = PORT,
+    follow: Follow | None = None,
+    start: float = 0.0,
+    duration: float = 0.0,
+    road_map: RoadMap | None = None,
+    progress: Progress | None = None,
+    ready: Callable[[str], object] = print,
+) -> None:
+    """Let Foxglove play a recording, until Ctrl-C is pressed.
+
+    Args:
+        source: The recording.
+        port: The port of the WebSocket; 0: any free one.
+        follow: The actor that the layouts follow: see `export_foxglove`.
+        start: The beginning, in elapsed seconds; negative: before the end.
+        duration: The length in seconds; 0: all of the rest.
+        road_map: The map of the town.
+        progress: Is given the scenes and their player while incidents are searched, and passes the scenes on.
+        ready: Gets the address as soon as viewers can connect.
+
+    Raises:
+        RecapError: The actor or the time does not exist, or the port is in use.
+        FormatError: The file contradicts its format.
+    """
+    played = _PlayedRecording(source, follow, start, duration, road_map, progress)
+    timeline = Timeline(*played.span)
+    try:
+        with unwind_on_termination(), FoxgloveServer(source.reader.path.name, port, timeline) as server:
+            ready(server.address)
+            _play(played, timeline, server)
+    except (KeyboardInterrupt, BrokenPipeError):  # the latter: the output of `ready` is closed
+        return
+
+
+def _play(played: _PlayedRecording, timeline: Timeline, server: FoxgloveServer) -> None:
+    """Send the messages of a recording by a timeline, for ever."""
+    messages: Iterator[Sent] = iter(())
+    waiting: Sent | None = None
+    before = monotonic()
+    while True:
+        now = monotonic()
+        moment, sought = timeline.advance(min(now - before, _LONGEST))
+        before = now
+        if sought:
+            messages = played.messages(moment, lambda: RATE / max(timeline.speed, 1.0))
+            server.clear()
+            waiting = next(messages, None)
+            while waiting is not None and waiting[0] <= moment:
+                server.keep(*waiting)
+                waiting = next(messages, None)
+            server.send_latest()
+        else:
+            while waiting is not None and waiting[0] <= moment:
+                server.send(*waiting)
+                waiting = next(messages, None)
+        server.welcome()
+        if timeline.end():
+            server.show(timeline.state())
+        elif sought or timeline.is_playing:
+            server.show_time(moment)
+        server.wait(_STEP if timeline.is_playing else _PAUSE)
+
+
+class _PlayedRecording:
+    """A recording that is played from any moment on.
+
+    Attributes:
+        span: Its first and its last moment, in ns since 1970.
+    """
+
+    def __init__(
+        self,
+        source: Recording,
+        follow: Follow | None,
+        start: float,
+        duration: float,
+        road_map: RoadMap | None,
+        progress: Progress | None,
+    ) -> None:
+        self._source = source
+        player = Player(source, start=start, duration=duration, follow=follow)
+        self._start, self._stop, self._followed = player.start, player.stop, player.followed
+        self._town = town_of(road_map, player, source)
+        self._stops = stop_points(source.reader)
+        clock = LogClock(source.reader.header)
+        first, last, self._zero = clock.at(player.start), clock.at(player.stop), clock.at(0.0)
+        if first is None or last is None or self._zero is None:
+            raise RecapError(f"{source.location}: its times cannot be shown; they end at {player.stop:g} s")
+        self.span = first, last
+        self._incidents = self._find_incidents(player, clock, road_map, progress)
+
+    def messages(self, moment: int, rate: Callable[[], float]) -> Iterator[Sent]:
+        """Yield the messages from some time before a moment on, in the order of time.
+
+        Args:
+            moment: The moment, in ns since 1970.
+            rate: Returns how many scenes are shown in a second of the recording.
+        """
+        begin = max((moment - (self._zero or 0)) / SECOND - _LEAD, self._start)
+        first = bisect_left(self._incidents, moment, key=lambda sent: sent[0])
+        return merge(self._scenes(begin, rate), self._incidents[first:], key=lambda sent: sent[0])
+
+    def _scenes(self, begin: float, rate: Callable[[], float]) -> Iterator[Sent]:
+        player = Player(self._source, start=begin, duration=max(self._stop - begin, 0.0))
+        messages = SceneMessages(self._source.reader.header, self._followed, self._town, self._stops)
+        if begin > 0:
+            messages.recall(self._source, begin)
+        for batch in player.batches():
+            for part in messages.of(batch):
+                messages.rate = rate()
+                yield from part.in_order()
+        yield from messages.end().in_order()
+
+    def _find_incidents(
+        self, player: Player, clock: LogClock, road_map: RoadMap | None, progress: Progress | None
+    ) -> list[Sent]:
+        """Return the messages of incidents, in the order of time."""
+        incidents = PlayedIncidents(player, road_network_of_map(road_map) if self._town is not None else None)
+        seconds: Floats = np.concatenate([batch.time for batch in player.batches(progress)])
+        times = np.array([clock.at(time) or 0 for time in seconds.tolist()], np.uint64)
+        return sorted(incident_messages(incidents.found(), seconds, times).in_order(), key=lambda sent: sent[0])
+
+
+class FoxgloveView:
+    """Shows the frames of a running simulation as they come.
+
+    Args:
+        server: What sends them.
+        header: The header of the recording.
+        follow: The actor that the layouts follow as soon as it is present; see `LiveChoice`.
+        road_map: The map of the town.
+    """
+
+    def __init__(
+        self, server: FoxgloveServer, header: Header, follow: Follow = HERO, road_map: RoadMap | None = None
+    ) -> None:
+        town = None if road_map is None else mesh_of(road_map)
+        self._server = server
+        self._choice = LiveChoice(follow)
+        self._followed: int | None = None
+        self._scenes = LiveScenes()
+        self._stops: dict[int, Any] = {}
+        self._messages = SceneMessages(header, None, town, self._stops)
+
+    def enter(self, frame: Frame) -> None:
+        """Add a frame."""
+        scene = self._scenes.scene(frame)
+        add_stop_points(self._stops, frame)
+        chosen = self._choice.choose(scene)
+        if chosen is not None and chosen != self._followed:
+            self._followed = chosen
+            self._messages.follow(chosen)
+        for part in self._messages.of(scene.batch):
+            for sent in part.in_order():
+                self._server.send(*sent)
+
+    def flush(self) -> None:
+        """Send what new viewers need."""
+        self._server.welcome()
+
+    def close(self) -> None:
+        """Show the last frame."""
+        for sent in self._messages.end().in_order():
+            self._server.send(*sent)

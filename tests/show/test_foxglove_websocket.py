@@ -1,0 +1,399 @@
+"""Foxglove's connection over a WebSocket: a client of the real protocol plays a recording and watches a running world."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import struct
+import subprocess
+import sys
+from base64 import b64decode
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, Final
+
+import pytest
+
+from carla_recap import MissingExtra, RecapError, export, open_recording
+from tests.cli.command import COMMAND, ENVIRONMENT, error
+from tests.waiting import PATIENCE
+
+pytest.importorskip("foxglove", reason="the extra foxglove-live is not installed")
+pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
+pytest.importorskip("tornado", reason="tornado is not installed")
+
+from foxglove.websocket import PlaybackCommand
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from tornado.websocket import websocket_connect
+
+from carla_recap.show.foxglove.topics import TOPICS
+from carla_recap.show.foxglove.websocket import FoxgloveServer, FoxgloveView, Timeline
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    State = tuple[int, int, float, str]
+
+ROOT: Final = Path(__file__).parents[2]
+CROSSING: Final = ROOT / "samples" / "crossing.log"
+CRASH: Final = ROOT / "samples" / "crash.mcap"
+SECOND: Final = 10**9
+_PAUSE: Final = 0.05  # s
+PLAY, PAUSE = 0, 1
+PLAYING, PAUSED, ENDED = 0, 1, 3
+STILL: Final = {
+    "/map",
+    "/scene/vehicles",
+    "/scene/walkers",
+    "/scene/others",
+    "/scene/lamps",
+    "/scene/signals",
+    "/scene/marks",
+}
+
+
+class Viewer:
+    """A client, as Foxglove is one: it has subscribed to all topics.
+
+    Attributes:
+        info: What the server says of itself.
+        channels: What it offers, by topic.
+        messages: Topic, time in ns and data of the messages so far.
+        states: Status, time in ns, speed and request of the states of playback so far.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._loop = asyncio.new_event_loop()
+        self.messages: list[tuple[str, int, bytes]] = []
+        self.states: list[State] = []
+        self.channels: dict[str, dict[str, Any]] = {}
+        options = {"subprotocols": ["foxglove.sdk.v1"], "max_message_size": 1 << 28}
+        self._socket = self._run(lambda: websocket_connect(address, **options))
+        self.info = json.loads(self._run(self._socket.read_message))
+        while len(self.channels) < len(TOPICS):
+            for channel in json.loads(self._run(self._socket.read_message)).get("channels", []):
+                self.channels[channel["topic"]] = channel
+        self._topics = dict(enumerate(self.channels))
+        wanted = [{"id": id, "channelId": self.channels[topic]["id"]} for id, topic in self._topics.items()]
+        self._send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    def _run(self, call: Callable[[], Any]) -> Any:
+        async def answer() -> Any:
+            return await asyncio.wait_for(call(), PATIENCE)
+
+        return self._loop.run_until_complete(answer())
+
+    def _send(self, data: bytes | str) -> None:
+        self._run(lambda: self._socket.write_message(data, binary=isinstance(data, bytes)))
+
+    def control(self, command: int, speed: float = 1.0, seek: int | None = None, id: str = "me") -> State:
+        """Request a change of playback; return the state that the server answers."""
+        request = struct.pack("<BBfBQI", 3, command, speed, seek is not None, seek or 0, len(id)) + id.encode()
+        self.states.clear()
+        self._send(request)
+        self.receive(lambda: any(state[3] == id for state in self.states))
+        return next(state for state in self.states if state[3] == id)
+
+    def receive(self, is_enough: Callable[[], object], meanwhile: Callable[[], object] = lambda: None) -> None:
+        """Receive until a condition is met; meanwhile, call a function again and again."""
+        while not is_enough():
+            found = self._run(lambda: self._next(meanwhile))
+            assert isinstance(found, bytes), found
+            if found[0] == 1:
+                id, time = struct.unpack_from("<IQ", found, 1)
+                self.messages.append((self._topics[id], time, found[13:]))
+            elif found[0] == 5:
+                status, time, speed, _ = struct.unpack_from("<BQfB", found, 1)
+                self.states.append((status, time, speed, found[19:].decode()))
+
+    async def _next(self, meanwhile: Callable[[], object]) -> Any:
+        waiting = asyncio.ensure_future(self._socket.read_message())
+        while not waiting.done():
+            meanwhile()
+            await asyncio.wait([waiting], timeout=_PAUSE)
+        return waiting.result()
+
+    def latest(self, *topics: str) -> dict[str, bytes]:
+        """Receive until there is a message of each of some topics; return the latest of each."""
+        self.receive(lambda: set(topics) <= {topic for topic, _, _ in self.messages})
+        return {topic: data for topic, _, data in self.messages}
+
+    def close(self) -> None:
+        async def end() -> None:
+            self._socket.close()
+            while await self._socket.read_message() is not None:
+                pass
+
+        self._run(end)
+        self._loop.close()
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Viewer]:
+    viewer = Viewer(address)
+    try:
+        yield viewer
+    finally:
+        viewer.close()
+
+
+@contextmanager
+def viewing(*arguments: object) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    command = [COMMAND, "view", *map(str, arguments), "--foxglove", "--foxglove-port", "0"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, env=ENVIRONMENT) as process:
+        try:
+            assert process.stdout is not None
+            yield process.stdout.readline().strip(), process
+        finally:
+            process.kill()
+
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[str]:
+    """The address of a recording that is served."""
+    with viewing(CROSSING) as (address, _):
+        yield address
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("foxglove") / "crossing.mcap"
+    with open_recording(CROSSING) as recording:
+        export(recording, path, to="foxglove")
+    return path
+
+
+@pytest.fixture
+def viewer(served: str) -> Iterator[Viewer]:
+    """A viewer of it, which has sought its beginning."""
+    with connected(served) as found:
+        found.control(PAUSE, seek=start_of(found), id="begin")
+        found.receive(lambda: {topic for topic, time, _ in found.messages if time == start_of(found)} >= {*STILL, "/lights"})
+        found.messages.clear()
+        yield found
+
+
+def start_of(viewer: Viewer) -> int:
+    return moment(viewer.info["dataStartTime"])
+
+
+def moment(time: dict[str, int]) -> int:
+    return time["sec"] * SECOND + time["nsec"]
+
+
+def decoded(viewer: Viewer, topic: str, data: bytes) -> Any:
+    """Return a message, decoded by the schema that the server has sent."""
+    channel = viewer.channels[topic]
+    schema = SimpleNamespace(
+        id=channel["id"], name=channel["schemaName"], encoding="protobuf", data=b64decode(channel["schema"])
+    )
+    return DecoderFactory().decoder_for("protobuf", schema)(data)
+
+
+def test_the_topics_are_those_of_an_export(viewer: Viewer, exported: Path) -> None:
+    with exported.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    expected = {
+        channel.topic: (summary.schemas[channel.schema_id].name, summary.schemas[channel.schema_id].data)
+        for channel in summary.channels.values()
+    }
+    assert {
+        topic: (channel["schemaName"], b64decode(channel["schema"])) for topic, channel in viewer.channels.items()
+    } == expected
+    assert viewer.info["capabilities"] == ["time", "playbackControl"]
+    assert moment(viewer.info["dataEndTime"]) - start_of(viewer) == 53 * SECOND
+
+
+def test_a_viewer_gets_the_latest_messages_and_the_state(served: str, viewer: Viewer) -> None:
+    with connected(served) as other:
+        other.latest(*STILL)
+        other.receive(lambda: other.states)
+        assert other.states[0] == (PAUSED, start_of(viewer), 1.0, "")
+        assert {time for _, time, _ in other.messages} == {start_of(viewer)}
+
+
+def test_a_walker_that_has_fallen_long_ago_lies_where_it_is_sought(tmp_path: Path) -> None:
+    path = tmp_path / "crash.mcap"
+    with open_recording(CRASH) as recording:
+        export(recording, path, to="foxglove")
+        (hit, *_) = (row for row in recording.collisions() if "w" in (row.letter1, row.letter2))
+    with viewing(CRASH) as (address, _), connected(address) as viewer:
+        for second in (hit.elapsed + 5.5, hit.elapsed + 20):  # with the mark of the collision, and without
+            compare(viewer, path, second)
+
+
+@pytest.mark.parametrize("second", [0, 21, 24.7, 40, 53])
+def test_a_moment_that_is_sought_looks_as_in_an_export(viewer: Viewer, exported: Path, second: float) -> None:
+    compare(viewer, exported, second)
+
+
+def compare(viewer: Viewer, exported: Path, second: float) -> None:
+    """Compare what is shown of a moment that is sought with the latest messages of an export."""
+    viewer.messages.clear()
+    at = start_of(viewer) + round(second * SECOND)
+    state = viewer.control(PAUSE, seek=at)
+    assert state == (PAUSED, at, 1.0, "me")
+    viewer.receive(lambda: {topic for topic, time, _ in viewer.messages if time > at - SECOND // 7} >= {"/tf", "/hero"})
+    found = viewer.latest(*STILL, "/tf/still", "/lights", *(["/tf/actors"] if second else []))
+    expected = shown_at(exported, at)
+    for topic in STILL:
+        assert entities(viewer, topic, found[topic]) == entities(viewer, topic, expected[topic]), topic
+    assert frames(viewer, found) == {name: pytest.approx(pose, abs=0.6) for name, pose in frames(viewer, expected).items()}
+    light, other = (decoded(viewer, "/lights", each["/lights"]) for each in (found, expected))
+    assert (light.ahead.text, len(light.lights)) == (other.ahead.text, len(other.lights))
+
+
+def shown_at(exported: Path, time: int) -> dict[str, bytes]:
+    """Return the latest message of each topic of an export."""
+    with exported.open("rb") as file:
+        return {channel.topic: message.data for _, channel, message in make_reader(file).iter_messages(ending_at=time)}
+
+
+def entities(viewer: Viewer, topic: str, data: bytes) -> dict[str, str]:
+    """Return the entities of a message, without their times."""
+    found = {}
+    for entity in decoded(viewer, topic, data).entities:
+        entity.ClearField("timestamp")
+        found[entity.id] = str(entity)
+    return found
+
+
+def frames(viewer: Viewer, latest: dict[str, bytes]) -> dict[str, list[float]]:
+    """Return the positions of all frames."""
+    topics = [topic for topic in ("/tf", "/tf/still", "/tf/actors") if topic in latest]
+    transforms = [each for topic in topics for each in decoded(viewer, topic, latest[topic]).transforms]
+    return {
+        each.child_frame_id: [each.translation.x, each.translation.y, each.translation.z]
+        for each in transforms
+        if each.child_frame_id != "followed"  # its heading is calm, and depends on where playback began
+    }
+
+
+def test_time_passes_while_it_plays_as_fast_as_was_asked_for(viewer: Viewer) -> None:
+    assert viewer.control(PLAY, 8.0)[::2] == (PLAYING, 8.0)
+    viewer.receive(lambda: viewer.messages and viewer.messages[-1][1] >= start_of(viewer) + 4 * SECOND)
+    status, paused, *_ = viewer.control(PAUSE, 8.0, id="pause")
+    assert status == PAUSED
+    assert paused >= start_of(viewer) + 4 * SECOND
+    assert viewer.control(PLAY, 1.0, id="again")[1] == paused
+    times = [time for _, time, _ in viewer.messages]
+    assert times == sorted(times)
+    assert {"/hero", "/tf", "/tf/actors"} <= {topic for topic, _, _ in viewer.messages}
+
+
+def test_it_ends_and_begins_again(viewer: Viewer) -> None:
+    stop = moment(viewer.info["dataEndTime"])
+    viewer.control(PLAY, seek=stop - SECOND // 5)
+    viewer.receive(lambda: any(state[0] == ENDED for state in viewer.states))
+    assert (ENDED, stop, 1.0, "") in viewer.states
+    viewer.receive(lambda: viewer.messages and viewer.messages[-1][1] == stop)
+    assert viewer.control(PLAY, id="again")[:2] == (PLAYING, start_of(viewer))
+
+
+def test_incidents_are_in_the_log(viewer: Viewer) -> None:
+    viewer.control(PLAY, 4.0, seek=start_of(viewer) + 20 * SECOND)
+    texts = []
+
+    def is_there() -> bool:
+        texts[:] = [decoded(viewer, topic, data).message for topic, _, data in viewer.messages if topic == "/log"]
+        return any("collides with" in text for text in texts) and any("brakes" in text for text in texts)
+
+    viewer.receive(is_there)
+
+
+def test_it_goes_on_after_viewers_have_gone(served: str) -> None:
+    for _ in range(2):
+        with connected(served) as viewer:
+            viewer.control(PLAY, seek=start_of(viewer))
+    with connected(served) as viewer:
+        viewer.latest(*STILL)
+
+
+def test_ctrl_c_ends_it() -> None:
+    with viewing(CROSSING, "--duration", "2") as (address, process), connected(address) as viewer:
+        viewer.control(PLAY)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0
+        assert process.stderr is not None
+        said = process.stderr.read().splitlines()
+    assert [line.partition(":")[0] for line in said] == [
+        "the layout for Foxglove",
+        "the layout for Lichtblick and Foxglove 1.x",
+        "Ctrl-C ends it",
+    ]
+
+
+def test_wrong_arguments_are_errors() -> None:
+    assert "--web goes with Rerun's viewer" in error("view", CROSSING, "--foxglove", "--web")
+    assert "--view goes with Rerun's viewer" in error("view", CROSSING, "--foxglove", "--view", "top")
+    assert "no actor 7 to follow" in error("view", CROSSING, "--foxglove", "--follow", "7")
+    assert "--to goes with Rerun's viewer" in error("watch", "--foxglove", "--to", "out.rrd")
+
+
+def test_a_port_in_use_is_an_error() -> None:
+    with FoxgloveServer("first", 0) as server:
+        port = int(server.address.rpartition(":")[2])
+        with pytest.raises(RecapError, match=f"^127.0.0.1:{port}: Foxglove cannot connect to it: Address already in use$"):
+            FoxgloveServer("second", port)
+
+
+def test_the_missing_extra_is_named() -> None:
+    code = "import sys; sys.modules['foxglove'] = None; from carla_recap.cli import main; main()"
+    command = [sys.executable, "-c", code, "view", CROSSING, "--foxglove"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 2
+    assert done.stderr == f"carla-recap: {MissingExtra('carla-recap view', 'foxglove-live')}\n"
+
+
+# --- the timeline ------------------------------------------------------------------------------------------------
+
+
+def request(play: bool, speed: float = 1.0, seek: int | None = None) -> Any:
+    command = PlaybackCommand.Play if play else PlaybackCommand.Pause
+    return SimpleNamespace(playback_command=command, playback_speed=speed, seek_time=seek, request_id="me")
+
+
+def test_a_timeline_begins_paused_and_ends_once() -> None:
+    timeline = Timeline(10 * SECOND, 12 * SECOND)
+    assert timeline.advance(1.0) == (10 * SECOND, True)
+    timeline.request(request(play=True, speed=4.0))
+    assert timeline.advance(0.25) == (11 * SECOND, False)
+    assert not timeline.end()
+    assert timeline.advance(1.0) == (12 * SECOND, False)
+    assert [timeline.end(), timeline.end()] == [True, False]
+    assert timeline.advance(1.0) == (12 * SECOND, False)
+    assert not timeline.is_playing
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_speed_that_is_none_is_ignored(speed: float) -> None:
+    timeline = Timeline(0, SECOND)
+    assert timeline.request(request(play=True, speed=speed)).playback_speed == 1.0
+
+
+@pytest.mark.parametrize(("seek", "found"), [(0, 5), (7, 7), (1 << 63, 10)])
+def test_a_moment_outside_is_the_nearest_one_inside(seek: int, found: int) -> None:
+    state = Timeline(5, 10).request(request(play=False, seek=seek))
+    assert (state.current_time, state.did_seek, state.request_id) == (found, True, "me")
+
+
+# --- a running world -----------------------------------------------------------------------------------------------
+
+
+def test_frames_are_shown_as_they_come() -> None:
+    with open_recording(CROSSING) as recording, FoxgloveServer("live", 0) as server:
+        view = FoxgloveView(server, recording.header)
+        frames = recording.frames(stop=3.0)
+        view.enter(next(frames))
+        with connected(server.address) as viewer:
+            viewer.receive(lambda: {topic for topic, _, _ in viewer.messages} >= STILL, view.flush)
+            assert viewer.info["capabilities"] == ["time"]
+            for frame in frames:
+                view.enter(frame)
+            view.close()
+            hero = decoded(viewer, "/hero", viewer.latest("/hero", "/tf/actors")["/hero"])
+    assert hero.type_id == "vehicle.tesla.model3"
