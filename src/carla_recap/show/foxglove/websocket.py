@@ -28,17 +28,11 @@ from carla_recap.show.foxglove.topics import LOG, RATE, TOPICS, SceneMessages, i
 from carla_recap.show.foxglove.town import mesh_of, town_of
 from carla_recap.util.signals import unwind_on_termination
 
-try:
-    import foxglove
-    from foxglove.websocket import Capability, PlaybackCommand, PlaybackState, PlaybackStatus, ServerListener
-except ImportError:
-    raise MissingExtra("a connection of Foxglove", "foxglove-live") from None
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import TracebackType
 
-    from foxglove.websocket import ChannelView, Client, PlaybackControlRequest
+    from foxglove.websocket import ChannelView, Client, PlaybackControlRequest, PlaybackState
 
     from carla_recap.model.frame import Frame, Header
     from carla_recap.recording import Recording
@@ -72,11 +66,21 @@ class FoxgloveServer:
 
     Raises:
         RecapError: The port is in use.
+        MissingExtra: Foxglove's SDK is not installed.
     """
 
     def __init__(self, name: str, port: int = PORT, timeline: Timeline | None = None) -> None:
+        try:
+            import foxglove
+            from foxglove.websocket import Capability, ServerListener
+        except ImportError:
+            raise MissingExtra("a connection of Foxglove", "foxglove-live") from None
+
+        class Listener(_Requests, ServerListener):
+            """Has the other callbacks, too, which do nothing."""
+
         self._timeline = timeline
-        self._listener = _Listener(timeline)
+        self._requests = Listener(timeline)
         self._latest: dict[str, tuple[int, bytes]] = {}  # of each topic
         logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # viewers may leave without a word
         self._context = foxglove.Context()
@@ -86,7 +90,7 @@ class FoxgloveServer:
                 host=_HOST,
                 port=port,
                 context=self._context,
-                server_listener=self._listener,
+                server_listener=self._requests,
                 capabilities=[Capability.Time],
                 playback_time_range=None if timeline is None else (timeline.start, timeline.stop),
                 message_backlog_size=_MOST_WAITING,
@@ -135,12 +139,12 @@ class FoxgloveServer:
 
     def wait(self, seconds: float) -> None:
         """Wait for a request of a viewer."""
-        self._listener.requested.wait(seconds)
-        self._listener.requested.clear()
+        self._requests.requested.wait(seconds)
+        self._requests.requested.clear()
 
     def welcome(self) -> None:
         """Send the latest messages of topics to which viewers have subscribed since the last call, and the state."""
-        topics = self._listener.take_topics()
+        topics = self._requests.take_topics()
         for topic in topics - {LOG}:  # each message on it is shown, not the latest one
             if topic in self._latest:
                 time, data = self._latest[topic]
@@ -191,6 +195,8 @@ class Timeline:
 
     def request(self, request: PlaybackControlRequest) -> PlaybackState:
         """Do what a viewer requests, and return the new state."""
+        from foxglove.websocket import PlaybackCommand
+
         with self._lock:
             seek = request.seek_time
             self._playing = request.playback_command == PlaybackCommand.Play
@@ -224,11 +230,13 @@ class Timeline:
             return self._state()
 
     def _state(self, *, did_seek: bool = False, request: str | None = None) -> PlaybackState:
+        from foxglove.websocket import PlaybackState, PlaybackStatus
+
         status = PlaybackStatus.Ended if self._ended else PlaybackStatus.Playing if self._playing else PlaybackStatus.Paused
         return PlaybackState(status, int(self._now), self._speed, did_seek, request)
 
 
-class _Listener(ServerListener):
+class _Requests:
     """Takes the requests of viewers, in threads of the SDK.
 
     Attributes:
