@@ -37,6 +37,7 @@ _SMALLEST_TEXT: Final = 8
 _SMALLEST: Final = 150  # pixels; less high or wide, a picture has nothing but the bar of its time
 _SMOOTHING: Final = 4  # the factor by which round shapes are drawn larger
 _SHADES: Final = 32  # of bars, per full length
+_HIDDEN: Final = 0.1  # of the followed actor; captions that hide more move elsewhere
 _KMH: Final = 3.6  # in a m/s
 _SCALES: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)  # m
 _SCALE_WIDTH: Final = 0.14  # of the width of the picture, at most
@@ -110,11 +111,6 @@ class _Room(NamedTuple):
     height: int
 
 
-def _below(middle: float, top: int, width: int, height: int) -> Rectangle:
-    """Return the rectangle below the middle of its upper edge."""
-    return middle - width / 2, top, middle + width / 2, top + height
-
-
 def _common(first: Rectangle, second: Rectangle | None) -> float:
     """Return the area that rectangles have in common."""
     if second is None:
@@ -142,6 +138,7 @@ class Overlay:
         self._speed = speed
         self._marks = marks
         self._layers: dict[str, tuple[object, _Layer]] = {}
+        self._place: tuple[tuple[str, ...], int] = ((), -1)  # of the captions: their texts, and which of the places
         self._is_small = min(size) < _SMALLEST
 
     def draw(self, picture: Picture, readings: Readings) -> None:
@@ -195,7 +192,13 @@ class Overlay:
             left, right = room.left + gap + width / 2, room.right - gap - width / 2
             places += [(middle, edge) for middle in middles if left <= middle <= right]
             places.append((self._width / 2, edge + beyond))
-        middle, y = min(places, key=lambda place: _common(_below(*place, width, height), kept_free))
+        hidden = [_common((x - width / 2, y, x + width / 2, y + height), kept_free) for x, y in places]
+        texts = tuple(caption.text for caption in captions)
+        place = self._place[1] if self._place[0] == texts else -1  # where they have been, which they leave only if they must
+        if not 0 <= place < len(places) or (kept_free and hidden[place] > _HIDDEN * _common(kept_free, kept_free)):
+            place = hidden.index(min(hidden))
+        self._place = texts, place
+        middle, y = places[place]
         for layer in layers:
             layer.lay(picture, round(middle - layer.width / 2), y)
             y += layer.height + gap

@@ -54,7 +54,7 @@ class Transparency:
         own = _index(instances, followed)
         if own is None or not np.isfinite(instances.locations[own]).all():
             return {}
-        seen = ~is_flat(instances.half_extents) & is_near(instances.locations, camera.location)
+        seen = ~is_flat(instances.half_extents.astype(np.float64)) & is_near(instances.locations, camera.location)
         seen[own] = False
         others = np.flatnonzero(seen)
         opacity, other_opacity = wanted_opacities(
