@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from itertools import product
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from carla_recap.rendering.building import UP
+from carla_recap.roads.cells import LARGEST_GAP, NO_AREA, find_areas
 from carla_recap.scene.materials import Material
 
 if TYPE_CHECKING:
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from carla_recap.rendering.building import MeshBuilder
     from carla_recap.rendering.heights import TriangleGrid
     from carla_recap.rendering.surfaces import SampledSection
+    from carla_recap.roads.cells import Areas
 
     Floats = NDArray[np.float64]
     Flags = NDArray[np.bool_]
@@ -27,13 +30,12 @@ FILLED: Final = -0.012
 
 _CELL: Final = 0.5  # m
 _MARGIN: Final = 3  # cells
-_MOST_CELLS: Final = 600  # along a side
-_LARGEST_GAP: Final = 150.0  # square metres; the island of a roundabout is larger
+_MOST_CELLS: Final = 360_000  # of a junction
+_MOST_CELLS_OF_ALL: Final = 6_000_000  # of all junctions, about
 _ASPHALT: Final = 0.6  # the share of pavement around a gap that is filled
 _LONGEST: Final = 8  # cells of a quadrangle
 _FLAT: Final = 0.005  # m
 _SMOOTHINGS: Final = 40
-_SIDES: Final = ((1, 0), (-1, 0), (0, 1), (0, -1))
 
 
 def fill_junctions(builder: MeshBuilder, sections: Sequence[SampledSection], surfaces: TriangleGrid) -> None:
@@ -48,10 +50,11 @@ def fill_junctions(builder: MeshBuilder, sections: Sequence[SampledSection], sur
     for section in sections:
         if section.road.in_junction:
             junctions[section.road.junction].append(section.borders[[0, -1]].reshape(-1, 3))
+    most = min(_MOST_CELLS, _MOST_CELLS_OF_ALL / max(len(junctions), 1))
     for lines in junctions.values():
         points = np.concatenate(lines)
         low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-        cell = max(_CELL, float((high - low).max()) / _MOST_CELLS)
+        cell = max(_CELL, float((high - low).max()) / np.sqrt(most))
         _fill(builder, low - _MARGIN * cell, high + _MARGIN * cell, cell, surfaces)
 
 
@@ -71,11 +74,10 @@ def _fill(builder: MeshBuilder, low: Floats, high: Floats, cell: float, surfaces
     on_road = np.isfinite(heights)
     if not on_road.any():
         return
-    wanted = np.logical_or.reduce(list(_gaps(empty, on_road, _LARGEST_GAP / cell**2)), initial=False)
-    wanted = _grown(_grown(np.broadcast_to(wanted, on_road.shape)))  # as far as below the lanes
+    wanted = _grown(_grown(_gaps(empty, on_road, LARGEST_GAP / cell**2)))  # as far as below the lanes
     wanted |= ~_grown(~_grown(on_road))  # narrow gaps, too
     if float(np.ptp(heights[on_road])) < _FLAT:
-        z, longest = np.full(on_road.shape, heights[on_road].min()), _MOST_CELLS
+        z, longest = np.full(on_road.shape, heights[on_road].min()), max(columns, rows)
     else:
         z, longest = _spread(np.where(on_road, heights, np.nan)), _LONGEST
     full = _squares(wanted) & ~_squares(elsewhere)
@@ -87,32 +89,27 @@ def _fill(builder: MeshBuilder, low: Floats, high: Floats, cell: float, surfaces
         builder.add_quads(np.array(boxes), UP, Material.JUNCTION)
 
 
-def _gaps(empty: Flags, on_road: Flags, most: float) -> Iterator[Flags]:
-    """Yield the connected empty parts that are enclosed, not too large, and mostly beside pavement."""
-    left = empty.copy()
-    for start in np.argwhere(empty).tolist():
-        if not left[tuple(start)]:
-            continue
-        part = np.zeros_like(empty)
-        stack = [(start[0], start[1])]
-        left[tuple(start)] = False
-        part[tuple(start)] = True
-        count, is_open = 0, False
-        while stack:
-            i, j = stack.pop()
-            count += 1
-            if not (0 < i < empty.shape[0] - 1 and 0 < j < empty.shape[1] - 1):
-                is_open = True
-                continue
-            for di, dj in _SIDES:
-                if left[i + di, j + dj]:
-                    left[i + di, j + dj] = False
-                    part[i + di, j + dj] = True
-                    stack.append((i + di, j + dj))
-        if not is_open and count <= most:
-            rim = _grown(part) & ~part
-            if on_road[rim].mean() >= _ASPHALT:
-                yield part
+def _gaps(empty: Flags, on_road: Flags, most: float) -> Flags:
+    """Return the cells of empty areas that are enclosed, not too large, and mostly beside pavement."""
+    areas = find_areas(empty)
+    wanted = areas.enclosed & (areas.sizes <= most) & (_shares_of_rims(areas, on_road) >= _ASPHALT)
+    return areas.cells(wanted)
+
+
+def _shares_of_rims(areas: Areas, on_road: Flags) -> Floats:
+    """Return which share of the cells beside each area is on the road."""
+    padded = np.pad(areas.numbers, 1, constant_values=NO_AREA)
+    columns, rows = on_road.shape
+    cells = np.arange(on_road.size).reshape(on_road.shape)
+    beside = []
+    for dx, dy in product((0, 1, 2), repeat=2):
+        area = padded[dx : dx + columns, dy : dy + rows]
+        other = (area != NO_AREA) & (area != areas.numbers)
+        beside.append(area[other] * on_road.size + cells[other])
+    area, cell = np.divmod(np.unique(np.concatenate(beside)), on_road.size)
+    counts = np.bincount(area, minlength=len(areas.sizes))
+    shares: Floats = np.bincount(area, on_road.ravel()[cell], len(areas.sizes)) / np.maximum(counts, 1)
+    return shares
 
 
 def _squares(corners: Flags) -> Flags:

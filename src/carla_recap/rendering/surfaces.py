@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.rendering.heights import TriangleGrid
-from carla_recap.roads.opendrive import borders_at, sparse_stations
+from carla_recap.roads.opendrive import borders_at, sparse_sections
 from carla_recap.scene.materials import Material
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.rendering.building import MeshBuilder
-    from carla_recap.roads.opendrive import Road, RoadLane, RoadSection
+    from carla_recap.roads.opendrive import Road, RoadLane, RoadSection, SparseSection
 
     Floats = NDArray[np.float64]
     Flags = NDArray[np.bool_]
@@ -54,6 +54,7 @@ _LAYERS: Final = {
 
 _DENSE: Final = 1.0  # m between the points at which the course of a road is examined
 _MOST_POINTS: Final = 400_000  # at which roads are examined
+_MOST_PARTS: Final = 200_000  # of lanes, about; of longer roads, each part is longer
 _NARROW: Final = 0.02  # m
 
 
@@ -110,29 +111,18 @@ def height_of(material: Material | None) -> float:
 
 def sample_roads(roads: Sequence[Road]) -> list[SampledSection]:
     """Return the borders of all lanes as points, close together where roads bend, and without those of invalid roads."""
-    length = sum(road.length for road in roads)
-    spacing = max(_DENSE, length / _MOST_POINTS)
-    sections = [
-        sampled
-        for number, road in enumerate(roads)
-        for section in road.sections
-        for sampled in _sample(road, number, section, spacing)
-    ]
+    sections = [_sampled(part) for part in sparse_sections(roads, _DENSE, _MOST_POINTS, _MOST_PARTS)]
     return [section for section in sections if np.isfinite(section.borders).all()]
 
 
-def _sample(road: Road, number: int, section: RoadSection, spacing: float) -> Iterator[SampledSection]:
-    lanes = (*section.left[::-1], *section.right)
-    if not lanes:
-        return
-    stations = sparse_stations(road, section, spacing)
+def _sampled(part: SparseSection) -> SampledSection:
+    number, road, section, stations = part
     borders, offsets, lefts, _ = borders_at(road, section, stations)
     along = np.gradient(borders[len(section.left)], axis=0)
     normals = np.cross(along, lefts)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    yield SampledSection(
-        road, number, section, stations, lefts, normals, offsets, borders, lanes, tuple(_materials(road, lanes))
-    )
+    materials = tuple(_materials(road, section.lanes))
+    return SampledSection(road, number, section, stations, lefts, normals, offsets, borders, section.lanes, materials)
 
 
 def _materials(road: Road, lanes: Sequence[RoadLane]) -> Iterator[Material | None]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -54,8 +55,8 @@ REACH: Final = 20.0
 
 _CELL: Final = 2.0  # m
 _MARGIN: Final = 0.5  # m around the cells of a piece within which it is found
-_MOST_ENTRIES: Final = 8_000_000
-_MOST_CELLS: Final = 8_000_000  # in a table; more are searched
+_MOST_ENTRIES: Final = 4_000_000
+_MOST_CELLS: Final = 4_000_000  # in a table; more are searched
 _MOST_PIECES: Final = 64  # of a cell, in areas of less than a lane's length
 _MOST_FAR_PIECES: Final = 512  # of a cell, in wide areas
 _BLOCK: Final = 1 << 15  # points that are evaluated together
@@ -175,8 +176,13 @@ _FOUND: Final = np.dtype(
 )
 
 
+_NEAR: Final = np.dtype(
+    [("cost", "f8"), ("piece", "i8"), ("offset", "f8"), ("beside", "f8"), ("outside", "f8"), ("in_junction", "?")]
+)
+
+
 class _PieceGrid:
-    """The pieces of lanes by the squares of a grid.
+    """The pieces of lanes by the squares of a grid, each in all squares near it; or in its own, if it were too many.
 
     Args:
         roads: The roads.
@@ -194,13 +200,17 @@ class _PieceGrid:
         self._lane, self._limit = pieces["lane"].astype(np.int64), pieces["limit"]
         self._shapes = _Shapes(pieces)
         low, high = _bounds(pieces)
+        self._around, within = [(0, 0)], margin
         self._origin = low.min(axis=0, initial=0.0) - margin
         while True:
-            first = np.floor((low - margin - self._origin) / cell).astype(np.int64)
-            counts = np.floor((high + margin - self._origin) / cell).astype(np.int64) - first + 1
+            first = np.floor((low - within - self._origin) / cell).astype(np.int64)
+            counts = np.floor((high + within - self._origin) / cell).astype(np.int64) - first + 1
             if counts.prod(axis=1).sum() <= _MOST_ENTRIES:
                 break
-            cell *= 2
+            if within > cell:  # large maps
+                self._around, within, cell = list(product((0, -1, 1), repeat=2)), 0.0, margin
+            else:
+                cell *= 2
         self._cell = cell
         self._rows = int((first + counts)[:, 1].max(initial=1))
         self._columns = int((first + counts)[:, 0].max(initial=1))
@@ -209,11 +219,12 @@ class _PieceGrid:
     def _fill(self, first: Integers, counts: Integers) -> None:
         """Sort the pieces by cells."""
         sizes = counts.prod(axis=1)
-        piece = np.repeat(np.arange(len(sizes)), sizes)
-        number = np.arange(len(piece)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-        column = first[piece, 0] + number // counts[piece, 1]
-        cells = column * self._rows + first[piece, 1] + number % counts[piece, 1]
-        order = np.lexsort((~self._is_driving[piece], cells))
+        piece = np.repeat(np.arange(len(sizes), dtype=np.int32), sizes)
+        number = np.arange(len(piece), dtype=np.int32) - np.repeat((np.cumsum(sizes) - sizes).astype(np.int32), sizes)
+        rows = counts[:, 1].astype(np.int32)[piece]
+        cells = (first[:, 0][piece] + number // rows) * self._rows
+        cells += first[:, 1][piece] + number % rows
+        order = np.argsort(2 * cells + ~self._is_driving[piece], kind="stable")
         self._pieces = piece[order]
         self._cells, starts, amounts = np.unique(cells[order], return_index=True, return_counts=True)
         amounts = np.minimum(amounts, self._most)
@@ -237,7 +248,25 @@ class _PieceGrid:
         return found
 
     def _find(self, points: Floats, headings: Floats | None, found: NDArray[np.void]) -> None:
-        slots = self._slots(points)
+        near = self._search(points, headings, self._around[0])
+        for step in self._around[1:]:
+            other = self._search(points, headings, step)
+            better = other["cost"] < near["cost"]
+            outside = np.fmin(near["outside"], other["outside"])
+            in_junction = near["in_junction"] | other["in_junction"]
+            near[better] = other[better]
+            near["outside"], near["in_junction"] = outside, in_junction
+        known = np.flatnonzero((near["piece"] != NONE) & (near["beside"] <= self._margin))
+        piece = near["piece"][known]
+        found["lane"][known], found["limit"][known] = self._lane[piece], self._limit[piece]
+        found["heading"][known] = np.arctan2(self._shapes.ahead_y[piece], self._shapes.ahead_x[piece])
+        found["offset"][known], found["beside"][known] = near["offset"][known], near["beside"][known]
+        found["in_junction"] = near["in_junction"]
+        found["outside"] = np.where(near["outside"] <= self._margin, near["outside"], np.inf)
+
+    def _search(self, points: Floats, headings: Floats | None, step: tuple[int, int]) -> NDArray[np.void]:
+        """Return the nearest pieces of the cells some steps from points."""
+        slots = self._slots(points, step)
         starts, amounts = self._starts[slots], self._amounts[slots]
         shapes = self._shapes
         best = np.full(len(points), np.inf)
@@ -261,18 +290,16 @@ class _PieceGrid:
             better = np.flatnonzero(self._is_driving[index] & (cost < best[:end]))
             best[better], piece[better] = cost[better], index[better]
             offset[better], beside[better] = lateral[better], away[better]
-        known = np.flatnonzero((piece != NONE) & (beside <= self._margin))
-        rows, taken = order[known], piece[known]
-        found["lane"][rows], found["limit"][rows] = self._lane[taken], self._limit[taken]
-        found["heading"][rows] = np.arctan2(shapes.ahead_y[taken], shapes.ahead_x[taken])
-        found["offset"][rows], found["beside"][rows] = offset[known], beside[known]
-        found["in_junction"][order] = in_junction
-        found["outside"][order] = np.where(outside <= self._margin, outside, np.inf)
+        near = np.empty(len(points), _NEAR)
+        near["cost"][order], near["piece"][order] = best, piece
+        near["offset"][order], near["beside"][order] = offset, beside
+        near["outside"][order], near["in_junction"][order] = outside, in_junction
+        return near
 
-    def _slots(self, points: Floats) -> Integers:
-        """Return the index of the cell of each point among those that have pieces; the last one for none."""
+    def _slots(self, points: Floats, step: tuple[int, int]) -> Integers:
+        """Return the index of the cell some steps from each point among those that have pieces; the last one for none."""
         none = len(self._cells)
-        grid = np.floor((points[:, :2] - self._origin) / self._cell)
+        grid = np.floor((points[:, :2] - self._origin) / self._cell) + step
         within = ((grid >= 0) & (grid < (self._columns, self._rows))).all(axis=1)
         grid = np.where(within[:, None], grid, 0).astype(np.int64)
         cells = grid[:, 0] * self._rows + grid[:, 1]

@@ -8,15 +8,20 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
 from math import isfinite, nan
-from typing import TYPE_CHECKING, Final, NamedTuple, cast
-from xml.etree import ElementTree
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.roads.elements import read_elements
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
+    from xml.etree.ElementTree import Element
 
     from numpy.typing import ArrayLike, NDArray
 
@@ -36,24 +41,22 @@ STOP: Final = "206"
 YIELD: Final = "205"
 SPEED_LIMIT: Final = "274"
 
-# 5,000 roads with 1,000 km of lanes need 100 MB and 3 s of CPU to be read; with that, 190 MB and 9 s as a road network,
-# 290 MB and 33 s as lines, 750 MB and 36 s as a town to drive in, and 1,600 MB and 33 s as meshes (on a busy machine).
-_MOST_ROADS: Final = 5_000  # of a file; each of CARLA's small towns has about 100
-_MOST_ELEMENTS: Final = 1_000_000  # of a file; CARLA's towns have up to 15,000 in a megabyte
-_MOST_OF_ROAD: Final = 200_000  # elements of a road
-_MOST_SECTIONS: Final = 8_000  # of a file
-_MOST_LANES: Final = 40  # on one side
+# CARLA's small towns have about 100 roads. Its large maps are 10 km by 10 km: a road of Town12 has the number 10,915.
+_MOST_ROADS: Final = 20_000  # of a file
+_MOST_SECTIONS: Final = 40_000  # of a file
+_MOST_OF_SIDE: Final = 40  # lanes
+_MOST_LANES: Final = 150_000  # of a file
 _MOST_RECORDS: Final = 20_000  # of one kind, of a road
 _MOST_CORNERS: Final = 100
 _LIMIT_OBJECT: Final = re.compile(r"Speed_?(\d{1,3})")
-_CHUNK: Final = 1 << 20  # characters of a file that are parsed at once
 _MOST_IN_JUNCTION: Final = 500  # lanes; CARLA's junctions have up to 60
 _LONGEST: Final = 40_000.0  # m of a road
-_LONGEST_LANES: Final = 1_000_000.0  # m of all lanes; those of each of CARLA's small towns are about 20 km
+_LONGEST_LANES: Final = 5_000_000.0  # m of all lanes; those of each of CARLA's small towns are about 20 km
 _WIDEST: Final = 50.0  # m of a lane
-_TIGHTEST: Final = 100.0  # 1/m of a curve
 _FARTHEST: Final = 1e6  # m from the origin
-_CONTENT: Final = ("road", "junction", "controller")
+_FARTHEST_ASIDE: Final = 1_000.0  # m that a term of a width or of an offset of lanes may add
+_STEEPEST: Final = 10.0  # m that a term of a height or of a curve may add for each m along it
+_MOST_TURNS: Final = 100.0  # radians of a curve
 _UNITS: Final = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704}
 _SLOWEST: Final = 0.5  # m/s: what is slower is no limit
 _FASTEST: Final = 1e9  # m/s
@@ -79,23 +82,24 @@ class Profile:
 
     def __call__(self, stations: Floats) -> Floats:
         """Return the values at stations; 0 where there is no record."""
-        if not len(self.starts):
-            return np.zeros(len(stations))
-        index = np.maximum(np.searchsorted(self.starts, stations, "right") - 1, 0)
-        along = stations - self.starts[index]
-        a, b, c, d = self._coefficients[index].T
+        a, b, c, d, along = self._pieces(stations)
         values: Floats = a + along * (b + along * (c + along * d))
         return values
 
     def slope(self, stations: Floats) -> Floats:
         """Return the derivatives at stations."""
-        if not len(self.starts):
-            return np.zeros(len(stations))
-        index = np.maximum(np.searchsorted(self.starts, stations, "right") - 1, 0)
-        along = stations - self.starts[index]
-        _, b, c, d = self._coefficients[index].T
+        _, b, c, d, along = self._pieces(stations)
         slopes: Floats = b + along * (2 * c + along * 3 * d)
         return slopes
+
+    def _pieces(self, stations: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+        """Return the coefficients at stations, and the distances from the starts of their pieces."""
+        if not len(self.starts):
+            return (*np.zeros((4, 1)), np.zeros(len(stations)))
+        if len(self.starts) == 1:
+            return (*self._coefficients[0], stations - self.starts[0])
+        index = np.maximum(np.searchsorted(self.starts, stations, "right") - 1, 0)
+        return (*self._coefficients[index].T, stations - self.starts[index])
 
 
 class Marking(NamedTuple):
@@ -167,14 +171,14 @@ class RoadSection:
     def borders(self, stations: Floats) -> Floats:
         """Return how far to the left of the central line each border is: (lanes + 1, n), from the left."""
         along = stations - self.start
-        left = np.cumsum([np.zeros(len(along)), *(_width(lane, along) for lane in self.left)], axis=0)
-        right = np.cumsum([np.zeros(len(along)), *(_width(lane, along) for lane in self.right)], axis=0)
+        widths = np.zeros((len(self.lanes) + 2, len(along)))
+        for row, lane in enumerate((*self.left, *self.right), 1):
+            widths[row + (row > len(self.left))] = lane.width(along)
+        np.minimum(np.maximum(widths, 0.0, out=widths), _WIDEST, out=widths)
+        left = widths[: len(self.left) + 1].cumsum(axis=0)
+        right = widths[len(self.left) + 1 :].cumsum(axis=0)
         offsets: Floats = np.concatenate((left[::-1], -right[1:]))
         return offsets
-
-
-def _width(lane: RoadLane, along: Floats) -> Floats:
-    return np.clip(lane.width(along), 0.0, _WIDEST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,6 +371,10 @@ class Road:
     predecessor: int | None
     successor: int | None
 
+    @cached_property
+    def _starts(self) -> Floats:
+        return np.array([piece.start for piece in self.pieces])
+
     @property
     def number(self) -> int:
         """The id as a number, as CARLA has it."""
@@ -381,12 +389,16 @@ class Road:
         """Return the points of the reference line at stations, (n, 3), and its headings, (n,); with rounded coordinates."""
         points = np.empty((len(stations), 3))
         headings = np.empty(len(stations))
-        starts = np.array([piece.start for piece in self.pieces])
-        index = np.maximum(np.searchsorted(starts, stations, "right") - 1, 0)
-        for number in np.unique(index).tolist():
-            here = index == number
+        if len(self.pieces) == 1:
+            groups: list[tuple[int, slice | NDArray[np.int64]]] = [(0, slice(None))]
+        else:
+            index = np.maximum(np.searchsorted(self._starts, stations, "right") - 1, 0)
+            order = np.argsort(index, kind="stable")
+            cuts = np.flatnonzero(np.diff(index[order])) + 1
+            groups = [(int(index[rows[0]]), rows) for rows in np.split(order, cuts) if len(rows)]
+        for number, rows in groups:
             piece = self.pieces[number]
-            points[here, 0], points[here, 1], headings[here] = piece.at(stations[here] - piece.start, rounded)
+            points[rows, 0], points[rows, 1], headings[rows] = piece.at(stations[rows] - piece.start, rounded)
         points[:, 2] = rounded(self.elevation(stations))
         return points, headings
 
@@ -431,14 +443,52 @@ def borders_at(road: Road, section: RoadSection, stations: Floats) -> Borders:
     return Borders(points + offsets[..., None] * lefts, offsets, lefts, headings)
 
 
-def sparse_stations(road: Road, section: RoadSection, spacing: float) -> Floats:
-    """Return stations along a section, between which its outer borders and its middle are nearly straight.
+class SparseSection(NamedTuple):
+    """A section with stations, between which its lanes are nearly straight.
 
-    Args:
+    Attributes:
+        number: The number of the road among all.
         road: The road.
         section: The section.
-        spacing: The distance in m between the points at which the course is examined.
+        stations: The distances along the road, ascending, (n,).
     """
+
+    number: int
+    road: Road
+    section: RoadSection
+    stations: Floats
+
+
+def sparse_sections(roads: Sequence[Road], spacing: float, most_examined: int, most: int) -> list[SparseSection]:
+    """Return the sections of roads that have lanes, with stations.
+
+    Args:
+        roads: The roads.
+        spacing: The distance in m between the points at which their course is examined.
+        most_examined: The number of such points, above which they are farther apart.
+        most: The number of lanes' parts between stations, above which the stations are farther apart.
+    """
+    spacing = max(spacing, sum(road.length for road in roads) / most_examined)
+    found = [
+        SparseSection(number, road, section, _sparse_stations(road, section, spacing))
+        for number, road in enumerate(roads)
+        for section in road.sections
+        if section.lanes
+    ]
+    excess = sum((len(stations) - 1) * len(section.lanes) for _, _, section, stations in found) / most
+    if excess > 1:
+        found = [part._replace(stations=_thinned(part.stations, excess)) for part in found]
+    return found
+
+
+def _thinned(stations: Floats, excess: float) -> Floats:
+    """Return as many times fewer stations."""
+    last = len(stations) - 1
+    return np.interp(np.linspace(0, last, max(int(last / excess), 1) + 1), np.arange(last + 1), stations)
+
+
+def _sparse_stations(road: Road, section: RoadSection, spacing: float) -> Floats:
+    """Return stations along a section, between which its outer borders and its middle are nearly straight."""
     start, end = section.start, section.end - BEFORE_END
     stations = np.linspace(start, end, max(int((end - start) / spacing), 3) + 1)
     lines = borders_at(road, section, stations).points[[0, len(section.left), -1]]
@@ -470,39 +520,24 @@ class OpenDrive:
     controllers: dict[str, list[str]] = field(default_factory=dict)
 
 
-def read_opendrive(text: str) -> OpenDrive:
+def read_opendrive(text: str | Iterable[str]) -> OpenDrive:
     """Return the content of an OpenDRIVE file.
+
+    Args:
+        text: The text of the file, or its parts.
 
     Raises:
         ValueError: It is no OpenDRIVE file, or it is too large.
     """
     found = OpenDrive()
     controllers: list[tuple[float, str, list[str]]] = []
-    sections, length, in_junction = 0, 0.0, defaultdict[str, int](int)
-    for element in _elements(text):
+    totals = _Totals()
+    for element in read_elements(text):
         if element.tag == "road":
-            road = _road(element)
-            if road is None:
-                continue
-            sections += len(road.sections)
-            if len(found.roads) >= _MOST_ROADS:
-                raise ValueError(f"at most {_MOST_ROADS:,} roads, and it has {_count(text, 'road'):,}")
-            if sections > _MOST_SECTIONS:
-                raise ValueError(f"at most {_MOST_SECTIONS:,} sections of lanes, and it has {_count(text, 'laneSection'):,}")
-            length += sum((section.end - section.start) * len(section.lanes) for section in road.sections)
-            if length > _LONGEST_LANES:
-                raise ValueError(
-                    f"at most {_LONGEST_LANES / 1000:,.0f} km of lanes, and there are {length / 1000:,.0f} km in "
-                    f"{len(found.roads) + 1:,} of its {_count(text, 'road'):,} roads"
-                )
-            if road.in_junction:
-                in_junction[road.junction] += sum(len(section.lanes) for section in road.sections)
-                if in_junction[road.junction] > _MOST_IN_JUNCTION:
-                    raise ValueError(
-                        f"at most {_MOST_IN_JUNCTION} lanes in a junction, and {road.junction[:40]!r} has at least "
-                        f"{in_junction[road.junction]}"
-                    )
-            found.roads.append(road)
+            with suppress(_InvalidError):
+                road = _road(element)
+                totals.add(road)
+                found.roads.append(road)
         elif element.tag == "junction":
             id = _integer(element.get("id"))
             ways = found.connections.setdefault(id, {})
@@ -520,65 +555,69 @@ def read_opendrive(text: str) -> OpenDrive:
     return found
 
 
-def _count(text: str, tag: str) -> int:
-    """Return how many elements a file has of a tag, without parsing it."""
-    return len(re.findall(rf"<{tag}[\s>/]", text))
+class _Totals:
+    """What the roads of a file have together."""
+
+    def __init__(self) -> None:
+        self._roads = self._sections = self._lanes = 0
+        self._length = 0.0
+        self._in_junction = defaultdict[str, int](int)
+
+    def add(self, road: Road) -> None:
+        """Count a road.
+
+        Raises:
+            ValueError: They have more than any town.
+        """
+        lanes = sum(len(section.lanes) for section in road.sections)
+        self._roads += 1
+        self._sections += len(road.sections)
+        self._lanes += lanes
+        self._length += lanes_length((road,))
+        for name, value, most in (
+            ("roads", self._roads, _MOST_ROADS),
+            ("sections of lanes", self._sections, _MOST_SECTIONS),
+            ("lanes", self._lanes, _MOST_LANES),
+        ):
+            if value > most:
+                raise ValueError(f"at most {most:,} {name}, and it has more")
+        if self._length > _LONGEST_LANES:
+            raise ValueError(
+                f"at most {_LONGEST_LANES / 1000:,.0f} km of lanes, and its first {self._roads:,} roads have "
+                f"{self._length / 1000:,.0f} km"
+            )
+        if road.in_junction:
+            self._in_junction[road.junction] += lanes
+            if self._in_junction[road.junction] > _MOST_IN_JUNCTION:
+                raise ValueError(
+                    f"at most {_MOST_IN_JUNCTION} lanes in a junction, and {road.junction[:40]!r} has at least "
+                    f"{self._in_junction[road.junction]}"
+                )
 
 
-def _elements(text: str) -> Iterator[ElementTree.Element]:
-    """Yield the roads, junctions and controllers of a file; each is empty when the next one is asked for.
-
-    Raises:
-        ValueError: It is no OpenDRIVE file, or it has too many elements.
-    """
-    if "<!ENTITY" in text:
-        raise ValueError("it declares entities, which no map does")
-    parser: ElementTree.XMLPullParser[ElementTree.Element] = ElementTree.XMLPullParser(("start", "end"))
-    root: ElementTree.Element | None = None
-    depth = count = of_road = 0
-    try:
-        for start in range(0, len(text) + 1, _CHUNK):
-            parser.feed(text[start : start + _CHUNK])
-            if start + _CHUNK > len(text):
-                parser.close()
-            for event, element in cast("Iterator[tuple[str, ElementTree.Element]]", parser.read_events()):
-                if event == "start":
-                    if root is None:
-                        root = element
-                        if root.tag != "OpenDRIVE":
-                            raise ValueError(f"the root element is {root.tag[:40]!r}")
-                    depth, count, of_road = depth + 1, count + 1, of_road + 1
-                    if of_road > _MOST_OF_ROAD:
-                        raise ValueError(f"at most {_MOST_OF_ROAD:,} elements in a road or junction, and one has more")
-                    if count > _MOST_ELEMENTS:
-                        raise ValueError(f"at most {_MOST_ELEMENTS:,} elements, and it has more")
-                    continue
-                depth -= 1
-                if depth == 1 and root is not None:
-                    if element.tag in _CONTENT:
-                        yield element
-                    root.clear()
-                    of_road = 0
-    except ElementTree.ParseError as error:
-        raise ValueError(f"the XML is invalid: {error}") from None
+def lanes_length(roads: Iterable[Road]) -> float:
+    """Return the length of all lanes of roads, in m."""
+    return sum((section.end - section.start) * len(section.lanes) for road in roads for section in road.sections)
 
 
-def _road(element: ElementTree.Element) -> Road | None:
+class _InvalidError(Exception):
+    """A road has no course that can be driven, and is left out."""
+
+
+def _road(element: Element) -> Road:
     length = _number(element, "length", -1.0)
-    pieces = tuple(sorted(filter(None, map(_piece, element.findall("planView/geometry"))), key=lambda piece: piece.start))
     if length > _LONGEST:
         raise ValueError(f"roads of at most {_LONGEST / 1000:.0f} km, and one is {length / 1000:,.0f} km long")
-    if not length > 0.01 or not pieces:
-        return None
+    pieces = tuple(sorted(filter(None, map(_piece, element.findall("planView/geometry"))), key=lambda piece: piece.start))
     sections = _sections(element.findall("lanes/laneSection")[: _MOST_SECTIONS + 1], length)
-    if not sections:
-        return None
+    if not length > 0.01 or not pieces or not sections:
+        raise _InvalidError
     return Road(
         element.get("id", ""),
         element.get("junction", OUTSIDE),
         length,
-        _profile(element.findall("elevationProfile/elevation"), "s"),
-        _profile(element.findall("lanes/laneOffset"), "s"),
+        _profile(element.findall("elevationProfile/elevation"), "s", length, _FARTHEST, _STEEPEST),
+        _profile(element.findall("lanes/laneOffset"), "s", length, _FARTHEST_ASIDE),
         sections,
         tuple(_object(found) for found in element.findall("objects/object")[:_MOST_RECORDS]),
         tuple(_signal(found) for found in element.findall("signals/*")[:_MOST_RECORDS]),
@@ -589,7 +628,7 @@ def _road(element: ElementTree.Element) -> Road | None:
     )
 
 
-def _piece(element: ElementTree.Element) -> _Piece | None:
+def _piece(element: Element) -> _Piece | None:
     values = [_number(element, name, np.nan) for name in ("s", "x", "y", "hdg", "length")]
     shape = next(iter(element), None)
     if shape is None or not all(map(isfinite, values)) or max(map(abs, values)) > _FARTHEST or values[-1] < 0:
@@ -604,15 +643,23 @@ def _piece(element: ElementTree.Element) -> _Piece | None:
     if names is None:
         return None
     parameters = tuple(_number(shape, name, 0.0) for name in names)
-    if shape.tag in ("arc", "spiral") and max(map(abs, parameters)) > _TIGHTEST:
+    start, x, y, heading, length = values
+    if not _is_drivable(shape.tag, parameters, length, of_share=shape.get("pRange") != "arcLength"):
         return None
     if shape.tag == "paramPoly3":
         parameters = (float(shape.get("pRange") != "arcLength"), *parameters)
-    start, x, y, heading, length = values
     return _Piece(start, x, y, heading, length, shape.tag, parameters)
 
 
-def _sections(elements: Sequence[ElementTree.Element], length: float) -> tuple[RoadSection, ...]:
+def _is_drivable(shape: str, parameters: Sequence[float], length: float, *, of_share: bool) -> bool:
+    """Return whether a curve turns and bends no more than a road."""
+    if shape in ("arc", "spiral"):
+        return max(map(abs, parameters)) * length <= _MOST_TURNS
+    reach = 1.0 if shape == "paramPoly3" and of_share else length
+    return all(abs(value) * reach ** (n % 4) <= _STEEPEST * length + _STEEPEST for n, value in enumerate(parameters))
+
+
+def _sections(elements: Sequence[Element], length: float) -> tuple[RoadSection, ...]:
     starts = [min(max(_number(element, "s", 0.0), 0.0), length) for element in elements]
     order = sorted(range(len(elements)), key=starts.__getitem__)
     sections = []
@@ -621,16 +668,16 @@ def _sections(elements: Sequence[ElementTree.Element], length: float) -> tuple[R
         if end - starts[number] < 1e-3:
             continue
         element = elements[number]
-        left = sorted(_lanes(element, "left"), key=lambda lane: lane.id)
-        right = sorted(_lanes(element, "right"), key=lambda lane: -lane.id)
-        centre = next(iter(_lanes(element, "center")), None)
+        left = sorted(_lanes(element, "left", end - starts[number]), key=lambda lane: lane.id)
+        right = sorted(_lanes(element, "right", end - starts[number]), key=lambda lane: -lane.id)
+        centre = next(iter(_lanes(element, "center", end - starts[number])), None)
         sections.append(RoadSection(index, starts[number], end, tuple(left), tuple(right), centre))
     return tuple(sections)
 
 
-def _lanes(element: ElementTree.Element, side: str) -> list[RoadLane]:
+def _lanes(element: Element, side: str, length: float) -> list[RoadLane]:
     lanes = []
-    for found in element.findall(f"{side}/lane")[:_MOST_LANES]:
+    for found in element.findall(f"{side}/lane")[:_MOST_OF_SIDE]:
         marks = [
             Marking(
                 max(_number(mark, "sOffset", 0.0), 0.0),
@@ -645,7 +692,7 @@ def _lanes(element: ElementTree.Element, side: str) -> list[RoadLane]:
             RoadLane(
                 int(_number(found, "id", 0.0)),
                 found.get("type", "none").lower(),
-                _profile(found.findall("width"), "sOffset"),
+                _profile(found.findall("width"), "sOffset", length, _FARTHEST_ASIDE),
                 tuple(_changes(sorted(marks, key=lambda mark: mark.start))),
                 tuple(_limits(found.findall("speed")[:_MOST_RECORDS], "sOffset", ".")),
                 *(_integer(None if (link := found.find(f"link/{end}")) is None else link.get("id")) for end in _ENDS),
@@ -663,7 +710,7 @@ def _changes(markings: Iterable[Marking]) -> Iterator[Marking]:
         last = mark
 
 
-def _object(element: ElementTree.Element) -> RoadObject:
+def _object(element: Element) -> RoadObject:
     outlines = [*element.findall("outline"), *element.findall("outlines/outline")]
     corners = outlines[0].findall("cornerLocal")[:_MOST_CORNERS] if outlines else []
     return RoadObject(
@@ -681,7 +728,7 @@ def _object(element: ElementTree.Element) -> RoadObject:
     )
 
 
-def _signal(element: ElementTree.Element) -> RoadSignal:
+def _signal(element: Element) -> RoadSignal:
     ranges = [
         sorted((_integer(validity.get("fromLane")), _integer(validity.get("toLane"))))
         for validity in element.findall("validity")[:_MOST_CORNERS]
@@ -700,7 +747,7 @@ def _signal(element: ElementTree.Element) -> RoadSignal:
     )
 
 
-def _limits(elements: Iterable[ElementTree.Element], start: str, speed: str) -> Iterator[tuple[float, float]]:
+def _limits(elements: Iterable[Element], start: str, speed: str) -> Iterator[tuple[float, float]]:
     """Yield where speed limits begin, and the limits in m/s, in order; NaN for none."""
     for element in sorted(elements, key=lambda element: _number(element, start, 0.0)):
         found = element.find(speed)
@@ -722,15 +769,35 @@ def in_metres_per_second(value: str | float | None, unit: str | None) -> float |
     return limit if _SLOWEST <= limit < _FASTEST else None
 
 
-def _profile(elements: Iterable[ElementTree.Element], start: str) -> Profile:
-    """Return the function of some records; its value is NaN where a coefficient is invalid."""
-    return Profile(
+def _profile(elements: Iterable[Element], start: str, end: float, most: float, steepest: float = np.inf) -> Profile:
+    """Return the function of some records up to an end.
+
+    Args:
+        elements: The records.
+        start: The attribute that says where a record begins.
+        end: The end of the last one.
+        most: The largest absolute value of a term.
+        steepest: The largest absolute value of a term, but of the first one, for each m of the record and one more.
+
+    Raises:
+        _InvalidError: A coefficient is no number, or too large.
+    """
+    records = sorted(
         (
-            _number(element, start, 0.0),
-            tuple(_number(element, name, nan) if name in element.attrib else 0.0 for name in "abcd"),
-        )  # type: ignore[misc]
-        for element in elements
+            (
+                _number(element, start, 0.0),
+                tuple(_number(element, name, nan) if name in element.attrib else 0.0 for name in "abcd"),
+            )
+            for element in elements
+        ),
+        key=lambda record: record[0],
     )
+    for (first, (a, b, c, d)), (last, _) in pairwise((*records, (end, ()))):
+        length = max(last - first, 0.0)
+        bend = max(abs(b) * length, abs(c) * length**2, abs(d) * length**3)
+        if not (max(abs(a), bend) <= most and bend <= steepest * (length + 1)):
+            raise _InvalidError
+    return Profile(records)
 
 
 def _integer(text: str | None) -> int:
@@ -742,7 +809,7 @@ def _integer(text: str | None) -> int:
     return value if abs(value) < 1 << 31 else 0
 
 
-def _number(element: ElementTree.Element, name: str, default: float) -> float:
+def _number(element: Element, name: str, default: float) -> float:
     try:
         value = float(element.get(name, ""))
     except ValueError:

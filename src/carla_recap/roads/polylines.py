@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.roads.cells import LARGEST_GAP, find_areas
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -23,7 +25,6 @@ _CELL: Final = 0.25  # m
 _MOST_CELLS: Final = 2000  # along a side
 _AROUND: Final = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)])
 _SMALLEST_AREA: Final = 4.0  # square metres
-_LARGEST_HOLE: Final = 100.0  # square metres of a hole that is filled; the island of a roundabout is larger
 
 
 def simplify(line: Floats, tolerance: float = TOLERANCE) -> Floats:
@@ -102,10 +103,10 @@ class Surface:
         cells = self._cells(points)
         covered = np.zeros(cells.max(axis=0) + 3, np.bool_)  # with an empty rim
         covered[cells[:, 0], cells[:, 1]] = True
-        loops = list(_loops(_edges(covered)))
-        least, most = _SMALLEST_AREA / self._cell**2, _LARGEST_HOLE / self._cell**2
-        self._outer = [loop for loop in loops if _area(loop) > least]
-        filled = _fill([*self._outer, *(loop for loop in loops if _area(loop) < -most)], covered.shape)
+        free = find_areas(~covered)
+        parts = find_areas(covered | free.cells(free.enclosed & (free.sizes * self._cell**2 <= LARGEST_GAP)))
+        filled = parts.cells(parts.sizes * self._cell**2 > _SMALLEST_AREA)
+        self._outer = [loop for loop in _loops(_edges(filled)) if _area(loop) > 0]
         self._inner = filled.copy()
         for shift in _AROUND:
             self._inner &= np.roll(filled, shift, (0, 1))
@@ -175,13 +176,3 @@ def _area(loop: Integers) -> float:
     """Return the area within a closed line; negative for a clockwise one, around a hole."""
     x, y = loop.T
     return float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) / 2
-
-
-def _fill(loops: Iterable[Integers], shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return the cells within closed lines."""
-    windings = np.zeros(shape, np.int64)
-    for loop in loops:
-        upwards = np.diff(loop[:, 1])
-        np.add.at(windings, (loop[:-1, 0], np.minimum(loop[:-1, 1], loop[1:, 1])), -upwards)
-    filled: NDArray[np.bool_] = np.cumsum(windings, axis=0) > 0
-    return filled

@@ -14,11 +14,18 @@ import numpy as np
 from carla_recap.errors import FormatError
 from carla_recap.roads import network as roads
 from carla_recap.roads import opendrive
+from carla_recap.roads.cells import LARGEST_GAP, find_areas
 from carla_recap.roads.corridors import is_of_corridors
 from carla_recap.roads.files import decode, expecting_map, read_content
 from carla_recap.roads.find import find_map
 from carla_recap.roads.network import RoadNetwork
-from carla_recap.roads.opendrive import BEFORE_END, borders_at, in_metres_per_second, read_opendrive, sparse_stations
+from carla_recap.roads.opendrive import (
+    BEFORE_END,
+    borders_at,
+    in_metres_per_second,
+    read_opendrive,
+    sparse_sections,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -26,7 +33,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.roads.drawing import RoadMap
-    from carla_recap.roads.opendrive import Road, RoadLane, RoadSection, RoadSignal
+    from carla_recap.roads.opendrive import Road, RoadLane, RoadSection, RoadSignal, SparseSection
 
     Floats = NDArray[np.float64]
     Lane = tuple[int, int, int]
@@ -44,7 +51,7 @@ _KINDS: Final = {
 _SIGNALS: Final = {opendrive.LIGHT: roads.LIGHT, opendrive.STOP: roads.STOP, opendrive.YIELD: roads.YIELD}
 _SPACING: Final = 1.0  # m between the points at which the course of a road is examined
 _MOST_POINTS: Final = 300_000  # at which roads are examined
-_MOST_PIECES: Final = 1_000_000
+_MOST_PIECES: Final = 400_000  # about; of longer roads, each piece is longer
 _MOST_LINES: Final = 20_000
 _MOST_PLACES: Final = 200  # at which a signal applies
 _NARROW: Final = 0.02  # m
@@ -54,10 +61,9 @@ _SAME_LINE: Final = 0.5  # m between the middles of stop lines of a signal that 
 _SAME_HEADING: Final = np.cos(np.radians(15))
 
 _CELL: Final = 0.5  # m
-_MOST_CELLS: Final = 400  # along a side of a junction
-_MOST_CELLS_OF_ALL: Final = 8_000_000  # of all junctions
+_COARSEST: Final = 2.0  # m of a cell; larger junctions have no gaps
+_MOST_CELLS_OF_ALL: Final = 3_000_000  # of all junctions, about
 _MOST_GAPS: Final = 200_000  # pieces that fill gaps, of all junctions
-_LARGEST_GAP: Final = 100.0  # square metres; the island of a roundabout is larger
 
 
 def load_road_network(path: Path | str) -> RoadNetwork:
@@ -153,61 +159,57 @@ class _LaneMaker:
                 self.junctions.setdefault(road.junction, len(self.junctions))
         self._lanes: list[tuple[int, int, int, int, int]] = []
         self._pieces: list[NDArray[np.void]] = []
-        self._count = 0
-        spacing = max(_SPACING, sum(road.length for road in found) / _MOST_POINTS)
-        for number, road in enumerate(found):
-            signs = list(_signs(road))
-            for index, section in enumerate(road.sections):
-                self._add(number, road, index, section, signs, spacing)
+        signs = [list(_signs(road)) for road in found]
+        for part in sparse_sections(found, _SPACING, _MOST_POINTS, _MOST_PIECES):
+            self._add(part, signs[part.number])
 
     def tables(self) -> tuple[NDArray[np.void], NDArray[np.void]]:
         """Return the lanes and the pieces."""
         pieces = np.concatenate(self._pieces) if self._pieces else np.zeros(0, roads.PIECE)
-        return np.array(self._lanes, roads.LANE), pieces
+        good = np.maximum(pieces["half0"], pieces["half1"]) > _NARROW / 2
+        for name in roads.PIECE.names or ():
+            if name not in ("lane", "limit"):
+                good &= np.isfinite(pieces[name])
+        pieces = pieces[good]
+        used, pieces["lane"] = np.unique(pieces["lane"], return_inverse=True)
+        return np.array(self._lanes, roads.LANE)[used], pieces
 
-    def _add(
-        self, number: int, road: Road, index: int, section: RoadSection, signs: Sequence[_LimitSign], spacing: float
-    ) -> None:
-        lanes = (*section.left[::-1], *section.right)
+    def _add(self, part: SparseSection, signs: Sequence[_LimitSign]) -> None:
+        number, road, section, stations = part
+        lanes = section.lanes
         if not any(lane.kind in _KINDS for lane in lanes):
             return
         start, end = section.start, section.end - BEFORE_END
-        stations = sparse_stations(road, section, spacing)
         changes = [*(station for station, _ in road.limits), *(sign.station for sign in signs)]
         changes = [station for station in changes if start + 0.1 < station < end - 0.1]
         stations = np.union1d(stations, changes)
         points, offsets, lefts, _ = borders_at(road, section, stations)
         junction = self.junctions[road.junction] if road.in_junction else roads.NONE
-        for lane, (left, right, wide) in zip(
-            lanes, zip(points[:-1], points[1:], offsets[:-1] - offsets[1:], strict=True), strict=True
-        ):
-            kind = _KINDS.get(lane.kind)
-            if kind is None or self._count >= _MOST_PIECES:
+        middles, halves = (points[:-1] + points[1:]) / 2, (offsets[:-1] - offsets[1:]) / 2
+        position = road.sections.index(section)
+        for side, reverse in ((slice(None, len(section.left)), True), (slice(len(section.left), None), False)):
+            paved = np.array([lane.kind in _KINDS for lane in lanes[side]], np.bool_)
+            if not paved.any():
                 continue
-            pieces = _pieces(stations, (left + right) / 2, lefts, wide / 2, reverse=lane.id > 0)
-            middles = (stations[1:] + stations[:-1]) / 2
-            limits = _limits(road, section, lane, signs, middles)
-            pieces["limit"] = limits[::-1] if lane.id > 0 else limits
-            good = np.all(
-                [np.isfinite(pieces[name]) for name in roads.PIECE.names or () if name not in ("lane", "limit")], axis=0
-            )
-            good &= np.maximum(pieces["half0"], pieces["half1"]) > _NARROW / 2
-            pieces["lane"] = len(self._lanes)
-            if good.any():
-                self._lanes.append((number, index, lane.id, kind, junction))
-                self._pieces.append(pieces[good])
-                self._count += int(good.sum())
+            pieces = _pieces(middles[side][paved], lefts, halves[side][paved], reverse=reverse)
+            for row, lane in zip(pieces, (lane for lane in lanes[side] if lane.kind in _KINDS), strict=True):
+                limits = _limits(road, section, lane, signs, (stations[1:] + stations[:-1]) / 2)
+                row["limit"] = limits[::-1] if reverse else limits
+                row["lane"] = len(self._lanes)
+                self._lanes.append((number, position, lane.id, _KINDS[lane.kind], junction))
+            self._pieces.append(pieces.ravel())
 
 
-def _pieces(stations: Floats, middles: Floats, lefts: Floats, halves: Floats, *, reverse: bool) -> NDArray[np.void]:
-    pieces = np.zeros(len(stations) - 1, roads.PIECE)
+def _pieces(middles: Floats, lefts: Floats, halves: Floats, *, reverse: bool) -> NDArray[np.void]:
+    """Return the pieces of lanes, (lanes, n - 1), between points, (lanes, n)."""
+    pieces = np.zeros((len(middles), len(lefts) - 1), roads.PIECE)
     if reverse:
-        middles, lefts, halves = middles[::-1], -lefts[::-1], halves[::-1]
+        middles, lefts, halves = middles[:, ::-1], -lefts[::-1], halves[:, ::-1]
     for end, part in (("0", slice(None, -1)), ("1", slice(1, None))):
         for column, axis in enumerate("xyz"):
-            pieces[f"{axis}{end}"] = middles[part, column]
+            pieces[f"{axis}{end}"] = middles[:, part, column]
         pieces[f"left_x{end}"], pieces[f"left_y{end}"] = lefts[part, 0], lefts[part, 1]
-        pieces[f"half{end}"] = halves[part]
+        pieces[f"half{end}"] = halves[:, part]
     return pieces
 
 
@@ -242,6 +244,8 @@ def _side(ahead: bool | None) -> tuple[tuple[int, int], ...]:
 
 def _limits(road: Road, section: RoadSection, lane: RoadLane, signs: Sequence[_LimitSign], stations: Floats) -> Floats:
     """Return the speed limits of a lane: its own, else the higher one of those of the road and of the sign before."""
+    if not (lane.limits or road.limits or signs):
+        return np.full(len(stations), np.nan)
     own = _stepwise(lane.limits, stations - section.start)
     of_road = _stepwise(road.limits, stations)
     of_lane = [(sign.station, sign.limit) for sign in signs if _is_among(lane.id, sign.lanes)]
@@ -360,19 +364,22 @@ def _is_same(line: _Cross, other: _Cross) -> bool:
 
 def _gaps(network: RoadNetwork) -> tuple[NDArray[np.void], NDArray[np.void]]:
     """Return the lanes and pieces of a network, with others for what the lanes of a junction enclose."""
-    lanes, pieces, count, cells = [network.lanes], [network.pieces], 0, 0
+    lanes, pieces, count = [network.lanes], [network.pieces], 0
     junctions = network.lanes["junction"][network.pieces["lane"]]
     order = np.argsort(junctions, kind="stable")
     bounds = np.searchsorted(junctions[order], np.arange(len(network.junction_ids) + 1)).tolist()
+    most = _MOST_CELLS_OF_ALL / max(len(network.junction_ids), 1)
     for junction, (first, last) in enumerate(pairwise(bounds)):
         if first == last or count >= _MOST_GAPS:
             continue
         of_it = network.pieces[order[first:last]]
-        low, shape = _extent(of_it)
-        if max(shape) > _MOST_CELLS or cells > _MOST_CELLS_OF_ALL:
+        low, high = _extent(of_it)
+        cell = max(_CELL, float(np.sqrt((high - low).prod() / most)))
+        columns, rows = (np.ceil((high - low) / cell).astype(np.int64) + 1).tolist()
+        if cell > _COARSEST:
             continue
-        gaps = _enclosed(network, of_it, low, shape)
-        count, cells = count + len(gaps), cells + shape[0] * shape[1]
+        gaps = _enclosed(network, of_it, low, (columns, rows), cell)
+        count += len(gaps)
         if len(gaps):
             gaps["lane"] = sum(map(len, lanes))
             lanes.append(np.array([(roads.NONE, 0, 0, roads.GAP, junction)], roads.LANE))
@@ -380,50 +387,28 @@ def _gaps(network: RoadNetwork) -> tuple[NDArray[np.void], NDArray[np.void]]:
     return np.concatenate(lanes), np.concatenate(pieces)
 
 
-def _extent(pieces: NDArray[np.void]) -> tuple[Floats, tuple[int, int]]:
-    """Return the corner of the least x and y around pieces, and the number of cells from there along x and y."""
+def _extent(pieces: NDArray[np.void]) -> tuple[Floats, Floats]:
+    """Return the corners of the least and largest x and y around pieces."""
     points = np.concatenate([np.stack((pieces[f"x{end}"], pieces[f"y{end}"]), axis=1) for end in "01"])
     reach = float(max(pieces["half0"].max(), pieces["half1"].max())) + 2 * _CELL
-    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
-    columns, rows = (np.ceil((high - low) / _CELL).astype(np.int64) + 1).tolist()
-    return low, (columns, rows)
+    return points.min(axis=0) - reach, points.max(axis=0) + reach
 
 
-def _enclosed(network: RoadNetwork, pieces: NDArray[np.void], low: Floats, shape: tuple[int, int]) -> NDArray[np.void]:
+def _enclosed(
+    network: RoadNetwork, pieces: NDArray[np.void], low: Floats, shape: tuple[int, int], cell: float
+) -> NDArray[np.void]:
     """Return strips that cover the areas which the lanes of a junction enclose, but not those of large islands."""
     columns, rows = shape
-    x, y = np.meshgrid(low[0] + np.arange(columns) * _CELL, low[1] + np.arange(rows) * _CELL, indexing="ij")
-    free = ~network.on_road(np.stack((x.ravel(), y.ravel()), axis=1)).reshape(shape)
-    gaps = np.zeros_like(free)
-    for area in _areas(free):
-        if len(area) * _CELL**2 <= _LARGEST_GAP:
-            gaps[area[:, 0], area[:, 1]] = True
+    x, y = np.meshgrid(low[0] + np.arange(columns) * cell, low[1] + np.arange(rows) * cell, indexing="ij")
+    free = find_areas(~network.on_road(np.stack((x.ravel(), y.ravel()), axis=1)).reshape(shape))
+    gaps = free.cells(free.enclosed & (free.sizes * cell**2 <= LARGEST_GAP))
     edges = np.diff(gaps.astype(np.int8), axis=0, prepend=0, append=0)  # rows of squares are one piece each
     first, last = np.argwhere(edges.T > 0), np.argwhere(edges.T < 0)
     strips = np.zeros(len(first), roads.PIECE)
     strips["limit"] = np.nan
     height = np.median(pieces["z0"])
     for end, (line, column) in (("0", first.T), ("1", last.T)):
-        strips[f"x{end}"] = low[0] + (column - 0.5) * _CELL
-        strips[f"y{end}"] = low[1] + line * _CELL
-        strips[f"z{end}"], strips[f"left_y{end}"], strips[f"half{end}"] = height, 1.0, _CELL / 2
+        strips[f"x{end}"] = low[0] + (column - 0.5) * cell
+        strips[f"y{end}"] = low[1] + line * cell
+        strips[f"z{end}"], strips[f"left_y{end}"], strips[f"half{end}"] = height, 1.0, cell / 2
     return strips
-
-
-def _areas(free: NDArray[np.bool_]) -> Iterator[NDArray[np.int64]]:
-    """Yield the cells of each connected area that does not touch the border."""
-    left = {(int(column), int(row)) for column, row in np.argwhere(free)}
-    last = free.shape[0] - 1, free.shape[1] - 1
-    while left:
-        first = left.pop()
-        area, ends, outer = [first], [first], False
-        while ends:
-            column, row = ends.pop()
-            outer |= column in (0, last[0]) or row in (0, last[1])
-            for cell in ((column + 1, row), (column - 1, row), (column, row + 1), (column, row - 1)):
-                if cell in left:
-                    left.remove(cell)
-                    area.append(cell)
-                    ends.append(cell)
-        if not outer:
-            yield np.array(area, np.int64)
