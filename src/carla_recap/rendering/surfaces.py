@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.rendering.heights import TriangleGrid
-from carla_recap.roads.opendrive import borders_at, sparse_sections
+from carla_recap.roads.opendrive import borders_at, limit_lanes, sparse_sections
 from carla_recap.scene.materials import Material
 
 if TYPE_CHECKING:
@@ -54,7 +54,10 @@ _LAYERS: Final = {
 
 _DENSE: Final = 1.0  # m between the points at which the course of a road is examined
 _MOST_POINTS: Final = 400_000  # at which roads are examined
-_MOST_PARTS: Final = 200_000  # of lanes, about; of longer roads, each part is longer
+_MOST_PARTS: Final = 80_000  # of lanes, about; of longer roads, each part is longer
+_MOST_LANES: Final = 10_000
+_CROWDED: Final = 10.0  # m: the side of a square
+_MOST_NEIGHBOURS: Final = 100_000_000  # pairs of such parts in the same square; CARLA's towns have up to a million
 _NARROW: Final = 0.02  # m
 
 
@@ -110,9 +113,30 @@ def height_of(material: Material | None) -> float:
 
 
 def sample_roads(roads: Sequence[Road]) -> list[SampledSection]:
-    """Return the borders of all lanes as points, close together where roads bend, and without those of invalid roads."""
+    """Return the borders of all lanes as points, close together where roads bend, and without those of invalid roads.
+
+    Raises:
+        ValueError: The roads are too many for a town, or too many lie above each other.
+    """
+    limit_lanes(roads, _MOST_LANES)
     sections = [_sampled(part) for part in sparse_sections(roads, _DENSE, _MOST_POINTS, _MOST_PARTS)]
-    return [section for section in sections if np.isfinite(section.borders).all()]
+    sections = [section for section in sections if np.isfinite(section.borders).all()]
+    _limit_crowd(sections)
+    return sections
+
+
+def _limit_crowd(sections: Sequence[SampledSection]) -> None:
+    """Examine how many lanes lie above each other, or cross.
+
+    Raises:
+        ValueError: They are more than in any town.
+    """
+    if not sections:
+        return
+    parts = np.concatenate([section.borders[1:, :-1, :2].reshape(-1, 2) for section in sections])
+    _, counts = np.unique(np.floor(parts / _CROWDED), axis=0, return_counts=True)
+    if (counts.astype(np.float64) ** 2).sum() > _MOST_NEIGHBOURS:
+        raise ValueError(f"{counts.max():,} parts of lanes lie within {_CROWDED:.0f} m, more than in any town")
 
 
 def _sampled(part: SparseSection) -> SampledSection:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
 from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
@@ -23,13 +24,15 @@ from carla_recap.rendering.surfaces import PAVED, add_lanes, driving_grid, sampl
 from carla_recap.rendering.terrain import Terrain, add_edges
 from carla_recap.rendering.trees import add_trees
 from carla_recap.roads.corridors import is_of_corridors
-from carla_recap.roads.files import decode, expecting_map, read_content
+from carla_recap.roads.files import content_digest, expecting_map, read_parts
 from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
 from carla_recap.util import cache
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from carla_recap.recording import Recording
@@ -94,7 +97,7 @@ def load_town_mesh(path: Path | str) -> TownMesh:
         RecapError: The file cannot be read, or is no OpenDRIVE map with lanes.
     """
     path = Path(path)
-    return _town_mesh(path.stem, path, read_content(path))
+    return _town_mesh(path.stem, path, content_digest(path))
 
 
 def town_mesh_of(opendrive: str, name: str = "") -> TownMesh:
@@ -107,7 +110,8 @@ def town_mesh_of(opendrive: str, name: str = "") -> TownMesh:
     Raises:
         FormatError: It is no OpenDRIVE map with lanes.
     """
-    return _town_mesh(name, Path(name or "map"), opendrive.encode())
+    digest = sha256(opendrive.encode("utf-8", "replace")).digest()
+    return _town_mesh(name, Path(name or "map"), digest, opendrive)
 
 
 def load_town_of(
@@ -140,13 +144,14 @@ _towns: OrderedDict[bytes, TownMesh] = OrderedDict()
 _lock = Lock()
 
 
-def _town_mesh(name: str, path: Path, content: bytes) -> TownMesh:
-    key = sha256(name.encode() + b"\0" + content).digest()
+def _town_mesh(name: str, path: Path, digest: bytes, text: str | None = None) -> TownMesh:
+    """Return the town of a text, or of a file."""
+    key = name.encode() + digest
     with _lock:
         if key in _towns:
             _towns.move_to_end(key)
             return _towns[key]
-    town = _cached_mesh(name, content) or _made_mesh(name, path, content)
+    town = _cached_mesh(name, digest) or _made_mesh(name, path, digest, text)
     with _lock:
         _towns[key] = town
         while len(_towns) > _KEPT:
@@ -154,9 +159,9 @@ def _town_mesh(name: str, path: Path, content: bytes) -> TownMesh:
     return town
 
 
-def _cached_mesh(name: str, content: bytes) -> TownMesh | None:
+def _cached_mesh(name: str, digest: bytes) -> TownMesh | None:
     """Return the town out of the user's cache folder; None if it is not there."""
-    key = cache.content_key(content, *_SOURCES)
+    key = cache.content_key(digest, *_SOURCES)
     data = cache.read_entry(key)
     if data is None:
         return None
@@ -167,23 +172,25 @@ def _cached_mesh(name: str, content: bytes) -> TownMesh | None:
         return None
 
 
-def _made_mesh(name: str, path: Path, content: bytes) -> TownMesh:
+def _made_mesh(name: str, path: Path, digest: bytes, text: str | None) -> TownMesh:
     with expecting_map(path):
-        tiles, lights = build_town(decode(content))
+        tiles, lights = build_town(read_parts(path) if text is None else text)
     if not tiles:
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane is in it")
-    cache.write_entry(cache.content_key(content, *_SOURCES), _packed(tiles, lights))
+    cache.write_entry(cache.content_key(digest, *_SOURCES), _packed(tiles, lights))
     return TownMesh.of_tiles(name, tiles, lights)
 
 
-def build_town(text: str) -> tuple[list[Mesh], list[LightPost]]:
-    """Return the tiles and lights of the text of an OpenDRIVE file, made in this process.
+def build_town(text: str | Iterable[str]) -> tuple[list[Mesh], list[LightPost]]:
+    """Return the tiles and lights of the text of an OpenDRIVE file, or of its parts, made in this process.
 
     Raises:
         ValueError: It is no OpenDRIVE file.
     """
     with np.errstate(all="ignore"):
-        roads = read_opendrive(text).roads
+        parts = iter((text,) if isinstance(text, str) else text)
+        start = next(parts, "")
+        roads = read_opendrive(chain((start,), parts)).roads
         sections = sample_roads(roads)
         if not sections:
             return [], []
@@ -201,7 +208,7 @@ def build_town(text: str) -> tuple[list[Mesh], list[LightPost]]:
             paint_objects(painter, road)
         paint_stops(painter, roads, sections)
         painter.finish()
-        if not is_of_corridors(text):
+        if not is_of_corridors(start):
             add_trees(builder, sections, surfaces, terrain)
         ground = builder.grid(_GROUND)
         add_signs(builder, roads, ground, driving)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import FormatError
-from carla_recap.roads.files import decode, expecting_map, read_content
+from carla_recap.roads.files import expecting_map, read_parts, read_text
 from carla_recap.roads.lanes import NO_JUNCTION, TownRoads
 from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.roads.polylines import Surface, distances_to, join, simplify
@@ -68,12 +68,11 @@ def load_map(path: Path | str) -> RoadMap:
         RecapError: The file cannot be read, or is no OpenDRIVE map with lanes for cars.
     """
     path = Path(path)
-    text = decode(read_content(path))
     with expecting_map(path):
-        lines = draw(TownRoads(read_opendrive(text)))
+        lines = draw(TownRoads(read_opendrive(read_parts(path))))
     if not lines["centre_lines"]:
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")
-    return RoadMap(path.stem, **lines, opendrive=text)
+    return RoadMap(path.stem, **lines, opendrive=read_text(path))
 
 
 def draw(roads: TownRoads) -> dict[str, list[Floats]]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from codecs import getincrementaldecoder
 from contextlib import contextmanager
+from hashlib import sha256
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import FormatError, RecapError
@@ -12,29 +14,53 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _LARGEST: Final = 128 << 20  # bytes of a file
+_PART: Final = 1 << 20  # bytes
 
 
-def read_content(path: Path) -> bytes:
-    """Return the content of an OpenDRIVE file.
+def read_text(path: Path) -> str:
+    """Return the text of an OpenDRIVE file.
 
     Raises:
         RecapError: The file cannot be read.
     """
+    return "".join(read_parts(path))
+
+
+def read_parts(path: Path) -> Iterator[str]:
+    """Yield the text of an OpenDRIVE file, part by part.
+
+    Raises:
+        RecapError: The file cannot be read.
+    """
+    decoder = getincrementaldecoder("utf-8-sig")("replace")
+    for part in _parts(path):
+        yield decoder.decode(part)
+    yield decoder.decode(b"", final=True)
+
+
+def content_digest(path: Path) -> bytes:
+    """Return a digest of the content of an OpenDRIVE file.
+
+    Raises:
+        RecapError: The file cannot be read.
+    """
+    digest = sha256()
+    for part in _parts(path):
+        digest.update(part)
+    return digest.digest()
+
+
+def _parts(path: Path) -> Iterator[bytes]:
     if path.exists() and not path.is_file():
         raise RecapError(f"{path}: is not a regular file")
     try:
         with path.open("rb") as file:
-            content = file.read(_LARGEST + 1)
+            while part := file.read(_PART):
+                if file.tell() > _LARGEST:
+                    raise RecapError(f"{path}: is larger than {_LARGEST >> 20} MB, which no map is")
+                yield part
     except (OSError, ValueError) as error:
         raise RecapError(f"{path}: {getattr(error, 'strerror', error)}") from None
-    if len(content) > _LARGEST:
-        raise RecapError(f"{path}: is larger than {_LARGEST >> 20} MB, which no map is")
-    return content
-
-
-def decode(content: bytes) -> str:
-    """Return the text of an OpenDRIVE file."""
-    return content.decode("utf-8-sig", "replace")
 
 
 @contextmanager

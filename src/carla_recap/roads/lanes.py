@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.roads.opendrive import LIGHT, SPEED_LIMIT, STOP, RoadSignal, single
+from carla_recap.roads.opendrive import LIGHT, SPEED_LIMIT, STOP, RoadSignal, lanes_length, limit_lanes, single
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 DRIVING: Final = "driving"
 NO_JUNCTION: Final = -1
 _STEP: Final = 0.5  # m between points of a lane
-_MOST_POINTS: Final = 1_500_000  # of all lanes; from then on they are farther apart
+_MOST_POINTS: Final = 400_000  # of all lanes; from then on they are farther apart
+_MOST_LANES: Final = 20_000  # of a map; each of CARLA's small towns has about 500
 _BEGIN: Final = 10 * np.finfo(np.float64).eps  # m, where CARLA has the first point of a road
 _SHARE: Final = 4096  # of a metre, to which the end of a lane is exact
 _BUCKETS: Final = (1, 13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753)
@@ -131,9 +132,14 @@ class TownRoads:
 
     Args:
         content: The content of the OpenDRIVE file.
+        most_lanes: The largest number of lanes.
+
+    Raises:
+        ValueError: It has more lanes.
     """
 
-    def __init__(self, content: OpenDrive) -> None:
+    def __init__(self, content: OpenDrive, most_lanes: int = _MOST_LANES) -> None:
+        limit_lanes(content.roads, most_lanes)
         self.content = content
         numbered = {road.number: road for road in reversed(content.roads)}
         self._roads = {number: numbered[number] for number in _in_order(road.number for road in content.roads)}
@@ -141,10 +147,7 @@ class TownRoads:
     @cached_property
     def lanes(self) -> list[LaneGeometry]:
         """The lanes for cars, and all lanes of their sections, in the order in which CARLA lists roads."""
-        total = sum(
-            (section.end - section.start) * len(section.lanes) for road in self._roads.values() for section in road.sections
-        )
-        step = max(_STEP, total / _MOST_POINTS)
+        step = max(_STEP, lanes_length(self._roads.values()) / _MOST_POINTS)
         with np.errstate(all="ignore"):
             return [
                 lane
@@ -193,16 +196,24 @@ class TownRoads:
         stations = _stations(section, step)
         if len(stations) < 2:
             return
+        reference = road.reference(stations, single)
         for side, lanes in ((1, section.left), (-1, section.right)):
             consecutive = [lane for number, lane in enumerate(lanes, 1) if lane.id == side * number]
             for index, lane in enumerate(consecutive):
-                yield self._lane(road, section, lane, consecutive[: index + 1], stations)
+                yield self._lane(road, section, lane, consecutive[: index + 1], stations, reference)
 
     def _lane(
-        self, road: Road, section: RoadSection, lane: RoadLane, inner: Sequence[RoadLane], stations: Floats
+        self,
+        road: Road,
+        section: RoadSection,
+        lane: RoadLane,
+        inner: Sequence[RoadLane],
+        stations: Floats,
+        reference: tuple[Floats, Floats],
     ) -> LaneGeometry:
         """Return a lane; `inner` are the lanes from the middle of the road to this one."""
-        centre, headings = _poses(road, stations, *_to_middle(section, inner, stations), reverse=lane.id > 0)
+        offset, slope = _to_middle(section, inner, stations)
+        centre, headings = _poses(road, stations, reference, offset, slope, reverse=lane.id > 0)
         width = lane.width(stations - section.start)
         leftwards = np.stack((-np.sin(headings), np.cos(headings), np.zeros(len(headings))), axis=1)
         to_border = leftwards * width[:, None] / 2
@@ -307,9 +318,17 @@ def _to_middle(section: RoadSection, inner: Sequence[RoadLane], stations: Floats
     return side * np.asarray(offset), side * np.asarray(slope)
 
 
-def _poses(road: Road, stations: Floats, offset: Floats, slope: Floats, *, reverse: bool = False) -> tuple[Floats, Floats]:
+def _poses(
+    road: Road,
+    stations: Floats,
+    reference: tuple[Floats, Floats],
+    offset: Floats,
+    slope: Floats,
+    *,
+    reverse: bool = False,
+) -> tuple[Floats, Floats]:
     """Return points at distances to the right of the central line of a road, and the headings of a lane there."""
-    points, headings = road.reference(stations, single)
+    points, headings = reference
     points = _aside(points, headings, -road.lane_offset(stations))
     points = _aside(points, headings, offset)
     turned = single(slope) - single(road.lane_offset.slope(stations))
@@ -341,13 +360,20 @@ def _sine_and_cosine(turns: Floats) -> tuple[Floats, Floats]:
     quarters = np.rint(turns * (2 / np.pi)).astype(np.int64)
     turns = turns - quarters * (np.pi / 2)
     squares = turns * turns
-    sine = single(turns * np.polynomial.polynomial.polyval(squares, _SINE))
-    cosine = single(np.polynomial.polynomial.polyval(squares, _COSINE))
+    sine = single(turns * _polynomial(squares, _SINE))
+    cosine = single(_polynomial(squares, _COSINE))
     quarters = quarters % 4
     return (
         np.choose(quarters, (sine, cosine, -sine, -cosine)),
         np.choose(quarters, (cosine, -sine, -cosine, sine)),
     )
+
+
+def _polynomial(x: Floats, coefficients: Sequence[float]) -> Floats:
+    value = np.full(x.shape, coefficients[-1])
+    for coefficient in coefficients[-2::-1]:
+        value = coefficient + value * x
+    return value
 
 
 def _changes(lane: RoadLane, beside: RoadLane | None, along: float) -> tuple[bool, bool]:
@@ -424,7 +450,7 @@ def _one_side(road: Road, station: float, *, ahead: bool | None) -> Iterator[tup
 
 def _crossing(road: Road, thing: RoadObject) -> Floats:
     station = np.array([min(max(thing.station, 0.0), road.length)])
-    (point,), (heading,) = _poses(road, station, np.zeros(1), np.zeros(1))
+    (point,), (heading,) = _poses(road, station, road.reference(station, single), np.zeros(1), np.zeros(1))
     along = single(np.degrees(heading))
     middle = single(point) + single(thing.offset) * _turned(along + single(90.0))[0]
     ahead, left = _turned(along + single(thing.heading) * _TO_DEGREES)

@@ -42,16 +42,16 @@ YIELD: Final = "205"
 SPEED_LIMIT: Final = "274"
 
 # CARLA's small towns have about 100 roads. Its large maps are 10 km by 10 km: a road of Town12 has the number 10,915.
-_MOST_ROADS: Final = 20_000  # of a file
-_MOST_SECTIONS: Final = 40_000  # of a file
+_MOST_ROADS: Final = 16_000  # of a file
+_MOST_SECTIONS: Final = 20_000  # of a file
 _MOST_OF_SIDE: Final = 40  # lanes
-_MOST_LANES: Final = 150_000  # of a file
+_MOST_LANES: Final = 80_000  # of a file
 _MOST_RECORDS: Final = 20_000  # of one kind, of a road
 _MOST_CORNERS: Final = 100
 _LIMIT_OBJECT: Final = re.compile(r"Speed_?(\d{1,3})")
 _MOST_IN_JUNCTION: Final = 500  # lanes; CARLA's junctions have up to 60
 _LONGEST: Final = 40_000.0  # m of a road
-_LONGEST_LANES: Final = 5_000_000.0  # m of all lanes; those of each of CARLA's small towns are about 20 km
+_LONGEST_LANES: Final = 4_000_000.0  # m of all lanes; those of each of CARLA's small towns are about 20 km
 _WIDEST: Final = 50.0  # m of a lane
 _FARTHEST: Final = 1e6  # m from the origin
 _FARTHEST_ASIDE: Final = 1_000.0  # m that a term of a width or of an offset of lanes may add
@@ -593,6 +593,17 @@ class _Totals:
                     f"at most {_MOST_IN_JUNCTION} lanes in a junction, and {road.junction[:40]!r} has at least "
                     f"{self._in_junction[road.junction]}"
                 )
+
+
+def limit_lanes(roads: Iterable[Road], most: int) -> None:
+    """Examine how many lanes roads have.
+
+    Raises:
+        ValueError: They have more than that.
+    """
+    count = sum(len(section.lanes) for road in roads for section in road.sections)
+    if count > most:
+        raise ValueError(f"at most {most:,} lanes to draw them or to drive on, and it has {count:,}")
 
 
 def lanes_length(roads: Iterable[Road]) -> float:

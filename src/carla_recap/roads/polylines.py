@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     Corner = tuple[int, int]
 
 TOLERANCE: Final = 0.03  # m
+_MOST_ROUNDS: Final = 60  # of simplification; the lines of CARLA's towns need about 10
 _TINY: Final = np.finfo(float).tiny
 _TOUCH: Final = 0.05  # m between ends that are joined
 _CELL: Final = 0.25  # m
@@ -36,25 +37,34 @@ def simplify(line: Floats, tolerance: float = TOLERANCE) -> Floats:
     """
     keep = np.zeros(len(line), np.bool_)
     keep[[0, -1]] = True
-    spans = [(0, len(line) - 1)]
-    while spans:
-        first, last = spans.pop()
-        if last - first < 2:
-            continue
-        distances = distances_to(line[first + 1 : last], line[first], line[last])
-        worst = int(distances.argmax())
-        if distances[worst] > tolerance:
-            middle = first + 1 + worst
-            keep[middle] = True
-            spans += (first, middle), (middle, last)
+    firsts, lasts = np.array([0]), np.array([len(line) - 1])
+    for _ in range(_MOST_ROUNDS):  # over the parts of the line between points that are kept
+        if not len(firsts):
+            break
+        long = lasts - firsts > 1
+        firsts, lasts = firsts[long], lasts[long]
+        counts = lasts - firsts - 1
+        starts = np.cumsum(counts) - counts
+        inner = np.arange(counts.sum()) + np.repeat(firsts + 1 - starts, counts)
+        distances = distances_to(line[inner], np.repeat(line[firsts], counts, 0), np.repeat(line[lasts], counts, 0))
+        farthest = np.maximum.reduceat(distances, starts) if len(starts) else distances
+        far = np.flatnonzero(farthest > tolerance)
+        worst = np.flatnonzero(distances == np.repeat(farthest, counts))
+        worst = inner[worst[np.searchsorted(worst, starts[far])]]
+        keep[worst] = True
+        firsts, lasts = np.concatenate((firsts[far], worst)), np.concatenate((worst, lasts[far]))
+        order = np.argsort(firsts)
+        firsts, lasts = firsts[order], lasts[order]
+    for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
+        keep[first:last] = True
     return line[keep]
 
 
 def distances_to(points: Floats, start: Floats, stop: Floats) -> Floats:
-    """Return the distances of points from a straight line between two points."""
+    """Return the distances of points from a straight line between two points, or from one each."""
     along = stop - start
     beyond = points - start
-    share = beyond @ along / max(float(along @ along), _TINY)
+    share = np.einsum("...j,...j", beyond, along) / np.maximum(np.einsum("...j,...j", along, along), _TINY)
     beyond -= np.minimum(np.maximum(share, 0.0), 1.0)[:, None] * along  # which is faster than np.clip
     distances: Floats = np.sqrt(np.einsum("ij,ij->i", beyond, beyond))
     return distances

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections import defaultdict
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import lru_cache
+from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -16,7 +18,7 @@ from carla_recap.roads import network as roads
 from carla_recap.roads import opendrive
 from carla_recap.roads.cells import LARGEST_GAP, find_areas
 from carla_recap.roads.corridors import is_of_corridors
-from carla_recap.roads.files import decode, expecting_map, read_content
+from carla_recap.roads.files import content_digest, expecting_map, read_parts
 from carla_recap.roads.find import find_map
 from carla_recap.roads.network import RoadNetwork
 from carla_recap.roads.opendrive import (
@@ -28,7 +30,7 @@ from carla_recap.roads.opendrive import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -76,7 +78,7 @@ def load_road_network(path: Path | str) -> RoadNetwork:
         RecapError: The file cannot be read, or is no OpenDRIVE map with lanes for cars.
     """
     path = Path(path)
-    return _network(path.stem, path, read_content(path))
+    return _network(_Source(path.stem, content_digest(path), path))
 
 
 def find_road_network(map_name: str, folder: Path | str | None = None) -> RoadNetwork | None:
@@ -99,7 +101,7 @@ def road_network_of(opendrive: str, name: str = "") -> RoadNetwork:
     Raises:
         FormatError: It is no OpenDRIVE map with lanes for cars.
     """
-    return _network(name, Path(name or "map"), opendrive.encode())
+    return _network(_Source(name, sha256(opendrive.encode("utf-8", "replace")).digest(), Path(name or "map"), opendrive))
 
 
 def road_network_of_map(road_map: RoadMap | None) -> RoadNetwork | None:
@@ -111,17 +113,28 @@ def road_network_of_map(road_map: RoadMap | None) -> RoadNetwork | None:
     return None
 
 
+@dataclass(frozen=True)
+class _Source:
+    """Where a map is: sources of equal names and contents are equal."""
+
+    name: str
+    digest: bytes
+    path: Path = field(compare=False)
+    text: str | None = field(default=None, compare=False)
+
+
 @lru_cache(4)
-def _network(name: str, path: Path, content: bytes) -> RoadNetwork:
+def _network(source: _Source) -> RoadNetwork:
+    path = source.path
     with expecting_map(path):
-        network = build_network(decode(content), name)
+        network = build_network(read_parts(path) if source.text is None else source.text, source.name)
     if not np.isin(network.lanes["kind"], (roads.DRIVING, roads.BOTH_WAYS)).any():
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")
     return network
 
 
-def build_network(text: str, name: str = "") -> RoadNetwork:
-    """Return the road network of the text of an OpenDRIVE file, made in this process.
+def build_network(text: str | Iterable[str], name: str = "") -> RoadNetwork:
+    """Return the road network of the text of an OpenDRIVE file, or of its parts, made in this process.
 
     Raises:
         ValueError: It is no OpenDRIVE file.

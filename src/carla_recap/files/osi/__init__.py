@@ -18,7 +18,7 @@ from carla_recap.files.osi.messages import GROUND_TRUTH, MAP, VERSION, message_c
 from carla_recap.formats.mcap.container import ChunkBuilder, ChunkedFile, Topic
 from carla_recap.formats.mcap.schema import EXPORT_METADATA
 from carla_recap.replay import Played, Player
-from carla_recap.roads.files import read_content
+from carla_recap.roads.files import read_text
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def export_osi(
     """
     reader = source.reader
     check_destination(reader.location, destination, force=force)
-    content = None if opendrive is None else read_content(Path(opendrive)).decode("utf-8", "replace")
+    content = None if opendrive is None else read_text(Path(opendrive))
     heroes = [actor.id for actor in source.heroes]
     player = Player(source, start=start, duration=duration, follow=follow)
     host = player.followed if follow is not None else next(iter(heroes), None)

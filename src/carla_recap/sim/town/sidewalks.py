@@ -92,9 +92,10 @@ class Ground:
         given = np.arange(len(left))
         left, right = (np.stack([np.interp(along, given, axis) for axis in side.T], axis=1) for side in (left, right))
         points = left + across * (right - left)
-        cells = np.floor((points[..., :2] - self._origin) / self._cell).astype(np.int64)
-        np.minimum.at(self._lowest, (cells[..., 0], cells[..., 1]), points[..., 2])
-        np.maximum.at(self._highest, (cells[..., 0], cells[..., 1]), points[..., 2])
+        columns, rows = np.floor((points[..., :2] - self._origin) / self._cell).astype(np.int64).reshape(-1, 2).T
+        cells, heights = columns * self._lowest.shape[1] + rows, points[..., 2].ravel()
+        np.minimum.at(self._lowest.reshape(-1), cells, heights)
+        np.maximum.at(self._highest.reshape(-1), cells, heights)
 
 
 def left_handed(points: Floats) -> Floats:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.roads.files import decode, expecting_map, read_content
+from carla_recap.roads.files import expecting_map, read_text
 from carla_recap.roads.find import described_folder, find_map, plain_name
 from carla_recap.roads.lanes import TownRoads
 from carla_recap.roads.opendrive import read_opendrive
@@ -39,6 +39,7 @@ _ABOVE: Final = 0.3  # m: the height of spawn points above the road, about as in
 _ABOVE_ENTRIES: Final = 3.0  # m: the same, in maps that clients send
 _APART: Final = 10.0  # m: between spawn points; longer than any of the vehicles
 _MOST_TOWNS: Final = 4  # in memory
+_MOST_LANES: Final = 8_000  # of a town
 _FROM_ENDS: Final = 5.0  # m: between a spawn point and the end of its lane
 
 
@@ -114,7 +115,7 @@ def load_town(name_or_path: str | Path = "", maps: Path | None = None) -> Town:
         RecapError: There is no such town, or the file cannot be read or is no OpenDRIVE map with lanes for cars.
     """
     name, path = _find(str(name_or_path), maps)
-    text = decode(read_content(path))
+    text = read_text(path)
     with _lock:
         same = [town for (known, _), town in _towns.items() if known == text]
         town = _towns.pop((text, name), None)
@@ -134,7 +135,7 @@ def make_town(text: str, path: Path) -> Town:
         FormatError: It is no OpenDRIVE map with lanes for cars.
     """
     with np.errstate(all="ignore"), expecting_map(path):
-        roads = TownRoads(read_opendrive(text))
+        roads = TownRoads(read_opendrive(text), _MOST_LANES)
         courses = sorted(
             (lane for lane in roads.lanes if lane.is_driving), key=lambda lane: (lane.road, lane.section, lane.id)
         )
@@ -163,9 +164,10 @@ def main_lanes(lanes: Sequence[Lane]) -> list[int]:
     order = _postorder([lane.successors for lane in lanes], range(len(lanes)))
     components = []
     left = set(order)
+    before = [lane.predecessors for lane in lanes]
     for start in reversed(order):
         if start in left:
-            component = _reached([lane.predecessors for lane in lanes], start, left)
+            component = _reached(before, start, left)
             components.append(sorted(component))
     return max(components, key=len)
 
