@@ -21,7 +21,7 @@ def test_cells_are_connected_by_their_sides_not_by_their_corners():
 
 def test_arms_that_meet_later_are_one_area():
     areas = find_areas(drawn("#.#.#", "#.#.#", "###.#", "..###"))
-    assert areas.sizes.tolist() == [12]
+    assert areas.sizes.tolist() == [13]
 
 
 def test_an_area_at_the_edge_is_not_enclosed():

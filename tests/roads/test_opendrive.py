@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from carla_recap.roads.opendrive import Profile, borders_at, in_metres_per_second, read_opendrive, sparse_stations
+from carla_recap.roads.opendrive import Profile, borders_at, in_metres_per_second, read_opendrive, sparse_sections
 
 if TYPE_CHECKING:
     from carla_recap.roads.opendrive import Road
@@ -134,11 +134,18 @@ def test_a_point_beside_a_road_is_to_the_left_of_its_heading() -> None:
 
 def test_few_points_of_a_road_are_near_its_course() -> None:
     straight, bent = road_of("<line/>"), road_of('<arc curvature="0.05"/>')
-    assert len(sparse_stations(straight, straight.sections[0], 1.0)) == 5  # 12 m apart at most
-    stations = sparse_stations(bent, bent.sections[0], 1.0)
+    few, stations = (part.stations for part in sparse_sections((straight, bent), 1.0, 1000, 1000))
+    assert len(few) == 5  # 12 m apart at most
     sagitta = np.diff(stations) ** 2 * (0.05 / (1 - 3 * 0.05)) / 8
     assert 0.008 < sagitta.max() < 0.04
     assert (stations[0], stations[-1]) == pytest.approx((0, 40), abs=0.1)
+
+
+def test_many_roads_have_fewer_points_each() -> None:
+    bent = road_of('<arc curvature="0.05"/>')
+    parts = sparse_sections([bent] * 20, 1.0, 1000, 100)
+    assert sum(len(part.stations) - 1 for part in parts) <= 100
+    assert all((part.stations[0], part.stations[-1]) == pytest.approx((0, 40), abs=0.1) for part in parts)
 
 
 @pytest.mark.parametrize(

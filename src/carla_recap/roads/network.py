@@ -208,7 +208,7 @@ class _PieceGrid:
             if counts.prod(axis=1).sum() <= _MOST_ENTRIES:
                 break
             if within > cell:  # large maps
-                self._around, within, cell = list(product((0, -1, 1), repeat=2)), 0.0, margin
+                self._around, within, cell = list(product((0, -1, 1), (0, -1, 1))), 0.0, margin
             else:
                 cell *= 2
         self._cell = cell

@@ -11,7 +11,6 @@ from collections import defaultdict
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 from math import isfinite, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -793,17 +792,12 @@ def _profile(elements: Iterable[Element], start: str, end: float, most: float, s
     Raises:
         _InvalidError: A coefficient is no number, or too large.
     """
-    records = sorted(
-        (
-            (
-                _number(element, start, 0.0),
-                tuple(_number(element, name, nan) if name in element.attrib else 0.0 for name in "abcd"),
-            )
-            for element in elements
-        ),
-        key=lambda record: record[0],
-    )
-    for (first, (a, b, c, d)), (last, _) in pairwise((*records, (end, ()))):
+    records: list[tuple[float, Coefficients]] = []
+    for element in elements:
+        a, b, c, d = (_number(element, name, nan) if name in element.attrib else 0.0 for name in "abcd")
+        records.append((_number(element, start, 0.0), (a, b, c, d)))
+    records.sort(key=lambda record: record[0])
+    for (first, (a, b, c, d)), last in zip(records, [*(start for start, _ in records[1:]), end], strict=True):
         length = max(last - first, 0.0)
         bend = max(abs(b) * length, abs(c) * length**2, abs(d) * length**3)
         if not (max(abs(a), bend) <= most and bend <= steepest * (length + 1)):
