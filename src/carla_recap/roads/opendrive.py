@@ -797,7 +797,8 @@ def _profile(elements: Iterable[Element], start: str, end: float, most: float, s
         a, b, c, d = (_number(element, name, nan) if name in element.attrib else 0.0 for name in "abcd")
         records.append((_number(element, start, 0.0), (a, b, c, d)))
     records.sort(key=lambda record: record[0])
-    for (first, (a, b, c, d)), last in zip(records, [*(start for start, _ in records[1:]), end], strict=True):
+    ends = [*(record[0] for record in records[1:]), end]
+    for (first, (a, b, c, d)), last in zip(records, ends, strict=False):
         length = max(last - first, 0.0)
         bend = max(abs(b) * length, abs(c) * length**2, abs(d) * length**3)
         if not (max(abs(a), bend) <= most and bend <= steepest * (length + 1)):
