@@ -15,6 +15,7 @@ import pytest
 
 from carla_recap import FormatError, RecapError, convert, open_recording, recover
 from carla_recap.formats.mcap.writer import McapWriter
+from carla_recap.formats.remote import RemoteSource
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4
 from tests.samples import collision, contents, explore, listed, save, spawn
@@ -144,6 +145,17 @@ def test_everything_is_read_as_from_a_file(small_web, name):
     assert explore(f"{small_web.url}/{name}") == [
         answer.replace(str(path), f"{small_web.url}/{name}") for answer in explore(path)
     ]
+
+
+def test_bytes_outside_a_file_are_refused_without_a_request(small_web, small_mcap):
+    source = RemoteSource(f"{small_web.url}/small.mcap")
+    requests = len(small_web.requests)
+    for offset, size in ((-1, 1), (0, -1), (source.size, 1), (0, source.size + 1)):
+        with pytest.raises(FormatError, match="does not fit in the file"):
+            source.read(offset, size, "a record")
+    assert source.read(source.size, 0, "a record") == b""
+    assert source.read(source.size - 1, 1, "a record") == small_mcap.read_bytes()[-1:]
+    assert len(small_web.requests) == requests
 
 
 def test_a_log_is_copied_once_and_its_copy_removed(web, folder, tmp_path, monkeypatch):
