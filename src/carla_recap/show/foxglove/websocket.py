@@ -56,6 +56,18 @@ _FASTEST: Final = 100.0
 _MOST_WAITING: Final = 1024  # messages that wait for a slow viewer, which loses older ones
 
 
+def check_sdk() -> None:
+    """Check that Foxglove's SDK is installed.
+
+    Raises:
+        MissingExtra: It is not.
+    """
+    try:
+        import foxglove  # noqa: F401
+    except ImportError:
+        raise MissingExtra("a connection of Foxglove", "foxglove-live") from None
+
+
 class FoxgloveServer:
     """Sends messages to all viewers that are connected, during a `with` block; it listens on the loopback alone.
 
@@ -70,17 +82,12 @@ class FoxgloveServer:
     """
 
     def __init__(self, name: str, port: int = PORT, timeline: Timeline | None = None) -> None:
-        try:
-            import foxglove
-            from foxglove.websocket import Capability, ServerListener
-        except ImportError:
-            raise MissingExtra("a connection of Foxglove", "foxglove-live") from None
-
-        class Listener(_Requests, ServerListener):
-            """Has the other callbacks, too, which do nothing."""
+        check_sdk()
+        import foxglove
+        from foxglove.websocket import Capability, ServerListener
 
         self._timeline = timeline
-        self._requests = Listener(timeline)
+        self._requests = type("Listener", (_Requests, ServerListener), {})(timeline)  # with callbacks that do nothing, too
         self._latest: dict[str, tuple[int, bytes]] = {}  # of each topic
         logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # viewers may leave without a word
         self._context = foxglove.Context()
@@ -300,8 +307,10 @@ def serve_recording(
 
     Raises:
         RecapError: The actor or the time does not exist, or the port is in use.
+        MissingExtra: Foxglove's SDK is not installed.
         FormatError: The file contradicts its format.
     """
+    check_sdk()
     played = _PlayedRecording(source, follow, start, duration, road_map, progress)
     timeline = Timeline(*played.span)
     try:
