@@ -221,6 +221,30 @@ def test_the_layers_on_the_page_are_those_of_the_contract_and_of_the_folder(cont
     assert {name for row in rows for name in row} == parts - {"__init__", "v1"}
 
 
+def test_the_tables_of_the_page_name_every_module():
+    """The table of the layers those at the top, and a table for each part of the package those in its folder."""
+    tables = re.findall(
+        r"^The modules of `(\w+/)`:\n\n\| Module \| Contents \|\n\|---\|---\|\n((?:\|.*\n)+)", ARCHITECTURE, re.MULTILINE
+    )
+    layers = ARCHITECTURE.partition("\n## The layers\n")[2].partition("\n\n## ")[0]
+    named = [
+        folder + name
+        for folder, rows in [("", layers), *tables]
+        for row in re.findall(r"^\| (.*?) \|", rows, re.MULTILINE)
+        for name in re.findall(r"`([\w/]+\.py)`", row)
+    ]
+    paths = [path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py") if path.name != "__init__.py"]
+    modules = {path for path in paths if not path.startswith("v1/")}
+    missing = [
+        f"`{name.partition('/')[2] or name}` to the table of `{name.partition('/')[0]}`" for name in modules - {*named}
+    ]
+    assert not missing, f"docs/architecture.md: add {', '.join(sorted(missing))}"
+    assert not {*named} - modules, (
+        f"docs/architecture.md: remove {', '.join(sorted({*named} - modules))}, which do not exist"
+    )
+    assert len(named) == len(modules), "docs/architecture.md names a module twice"
+
+
 def test_every_public_name_is_in_the_reference():
     reference = (ROOT / "docs" / "reference.md").read_text("utf-8")
     sections = dict(part.split("\n", 1) for part in re.split("^## ", reference, flags=re.MULTILINE)[1:])
