@@ -7,12 +7,15 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal, Protocol
 
+import numpy as np
+
 from carla_recap.errors import RecapError
 from carla_recap.model.actors import ROAD_USERS
 from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, BrakingDetector
 from carla_recap.model.braking import TYPES as BRAKING_TYPES
 from carla_recap.model.contacts import MOTION, UNKNOWN, Contact, Impact
 from carla_recap.model.motion import place_in_metres
+from carla_recap.model.presence import RoadHeights
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 from carla_recap.queries.blocked import longest_first
@@ -244,6 +247,7 @@ class LongStopIncidents:
     def __init__(self, search: Search) -> None:
         source, limits = search.source, (search.options.min_time, search.options.min_distance)
         self._search = search
+        self._heights = RoadHeights(list(search.actors))
         self._listed = source.stationary_intervals(*limits)
         self._tracker = None if self._listed is not None else StationaryTracker(source.header.table, *limits)
         self.types: Collection[str] = STATIONARY_TYPES if self._tracker else ()
@@ -259,7 +263,13 @@ class LongStopIncidents:
         yield from map(self._incident, (row for row in longest_first(rows) if self._counts(row)))
 
     def _counts(self, row: BlockedRow) -> bool:
-        return self._search.actors.kind(row.id, row.start) in ROAD_USERS
+        """Return whether a row is of a road user that is there, by where others have been spawned."""
+        if self._search.actors.kind(row.id, row.start) not in ROAD_USERS:
+            return False
+        others = [actor for actor in self._search.actors if actor.kind in ROAD_USERS and actor.id != row.id]
+        places = [(row.x, row.y, row.z), *(actor.spawn_pose[:3] for actor in others)]
+        ids = np.array([row.id, *(actor.id for actor in others)])
+        return not self._heights.away(ids, np.array(places)[None])[0, 0]
 
     def _incident(self, row: BlockedRow) -> Incident:
         return Incident(

@@ -74,6 +74,7 @@ class SceneBatch:
         self.doors = state.doors
         self.weather = state.weather
         self.scene_lights = state.scene_lights
+        self._heights = state.heights
         self._hidden = state.hidden
         self._selections = state.selections
         self._records: dict[str, NDArray[np.void]] = {}
@@ -91,7 +92,14 @@ class SceneBatch:
         part.poses, part.light_states = self.poses[rows], self.light_states[rows]
         part.fresh, part.events = self.fresh and not later, () if later else self.events
         part._records = {}
+        if "away" in vars(self):
+            part.away = self.away[rows]
         return part
+
+    @cached_property
+    def away(self) -> NDArray[np.bool_]:
+        """Whether an actor is so far from the height of the roads that it is not there, (scenes, ids)."""
+        return self._heights.away(self.ids, self.poses)
 
     def scene(self, row: int) -> Scene:
         """Return one of the scenes."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.model.actors import ActorLife, BoundingBox
+from carla_recap.model.presence import RoadHeights
 from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Spawned
 from carla_recap.replay.selection import NO_IDS, Ids, Selection, merged
 
@@ -40,6 +41,7 @@ class ReplayState:
         light_states: The latest state of each traffic light, ascending by id; that of an actor that was not spawned as a
             traffic light holds in its own frame only.
         lights: The present traffic lights, ascending.
+        heights: Which of the present actors are far from the height of the roads.
         selections: The rows of each record type that count.
         hidden: The ids of ignored and destroyed actors, whose records do not count, ascending.
     """
@@ -56,6 +58,7 @@ class ReplayState:
         self._doors: dict[int, frozenset[int]] = {}
         self._shared = False  # whether the two above have been returned, and must not be changed any more
         self.lights = NO_IDS
+        self.heights = RoadHeights()
         self._stray_lights = False  # whether `light_states` has an actor that is no traffic light
         self._selection = Selection()
         self.selections: defaultdict[str, Selection] = defaultdict(Selection)
@@ -186,6 +189,7 @@ class ReplayState:
         lights = sorted(id for id, actor in self._actors.items() if actor.kind == "traffic_light")
         self.lights = np.array(lights, np.uint32)
         self._stray_lights = len(self.light_states) > 0
+        self.heights = RoadHeights(self.actors.values())
         for index, event in enumerate(self._events):
             if isinstance(event, Spawned):
                 now = self._actors.get(event.actor.id)

@@ -131,7 +131,15 @@ class SceneDescription:
     @cached_property
     def shown(self) -> Booleans:
         """Whether an actor is somewhere to be seen, (scenes, ids)."""
-        return np.asarray((np.abs(self.poses) < _FAR).all(axis=2))  # not so if any is NaN
+        return np.asarray((np.abs(self.poses) < _FAR).all(axis=2)) & ~self._away  # not so if any is NaN
+
+    @cached_property
+    def _away(self) -> Booleans:
+        """Whether an actor is far from the height of the roads, (scenes, ids)."""
+        away, rows = np.zeros((len(self.batch), len(self.ids)), np.bool_), self._places.rows
+        if self.batch.away.any():
+            away[:, rows >= 0] = self.batch.away[:, rows[rows >= 0]]
+        return away
 
     @cached_property
     def lamps(self) -> Lamps:
@@ -142,6 +150,7 @@ class SceneDescription:
         states = self.batch.light_states
         columns, known = find(states["id"][0], self.ids)
         lamps[:, columns[known]] |= lamps_of_lights(states["state"][:, known].astype(np.int64))
+        lamps[self._away] = 0
         return lamps
 
     @cached_property

@@ -11,6 +11,7 @@ import numpy as np
 from carla_recap.model.actors import ROAD_USERS
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.motion import LONGEST_STEP, place_in_metres, possible_step
+from carla_recap.model.presence import RoadHeights
 from carla_recap.model.segment import SegmentBuffer, segments
 
 if TYPE_CHECKING:
@@ -50,7 +51,8 @@ class MotionBlock:
         ids: The ids of the actors, ascending, (actors,).
         actors: Their actors.
         is_vehicle: Whether each is a vehicle, not a walker, (actors,).
-        x, y, z: The centre of the box in m; NaN where the actor is absent, jumps, or is at no sensible position.
+        x, y, z: The centre of the box in m; NaN where the actor is absent, jumps, or is at no sensible place,
+            such as far below the roads.
         yaw: The heading in radians, counter-clockwise.
         vx, vy: The velocity in m/s: as recorded, else derived from the positions.
         length, width, height: The size of the box in m, (actors,).
@@ -110,6 +112,7 @@ class MotionCollector:
     def __init__(self, actors: ActorLives) -> None:
         self._actors = actors
         self._known = np.array(sorted(actors.ids(*ROAD_USERS)), np.uint32)
+        self._heights = RoadHeights(list(actors))
         self._poses, self._velocities = SegmentBuffer(), SegmentBuffer()
         self._time = np.zeros(0)  # of the frames that these hold
         self._index = 0  # of the first of them in the recording
@@ -200,7 +203,8 @@ class MotionCollector:
         boxes = [box_of(actor) for actor in actors]
         size = 2 * np.array([(box.extent_x, box.extent_y, box.extent_z) for box in boxes]).reshape(-1, 3)
         offset = np.array([(box.x, box.y, box.z) for box in boxes]).reshape(-1, 3)
-        x, y, z, yaw, vx, vy = _motion(time, pose, velocity)
+        away = self._heights.away(ids, pose[:3].T).T
+        x, y, z, yaw, vx, vy = _motion(time, pose, velocity, away)
         cos, sin = np.cos(yaw), np.sin(yaw)
         return MotionBlock(
             index=self._index + start,
@@ -234,12 +238,15 @@ def _margin(time: Floats, direction: int) -> int:
 
 
 @np.errstate(all="ignore")
-def _motion(time: Floats, pose: Floats, velocity: Floats) -> tuple[Floats, ...]:
-    """Return positions in m, headings in radians and velocities in m/s, right-handed, of CARLA's own; NaN where unusable."""
+def _motion(time: Floats, pose: Floats, velocity: Floats, away: Booleans) -> tuple[Floats, ...]:
+    """Return positions in m, headings in radians and velocities in m/s, right-handed, of CARLA's own; NaN where unusable.
+
+    Where actors are away, they are as absent.
+    """
     x, y, z = place_in_metres(*pose[:3])
     yaw = np.deg2rad(np.remainder(-pose[3], 360.0))
     vx, vy = velocity[0], -velocity[1]
-    absent = ~((np.abs(x) < _FAR) & (np.abs(y) < _FAR) & (np.abs(z) < _FAR) & np.isfinite(yaw))
+    absent = away | ~((np.abs(x) < _FAR) & (np.abs(y) < _FAR) & (np.abs(z) < _FAR) & np.isfinite(yaw))
     unknown = ~(np.hypot(vx, vy) < _FASTEST)
     vx[unknown] = vy[unknown] = np.nan
     if len(time) > 1:

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carla_recap.model.actors import BoundingBox
+from carla_recap.model.actors import ActorLife, BoundingBox
+from carla_recap.model.presence import RoadHeights
 from carla_recap.replay.pose import LOCATION, right_handed, rotations
 from carla_recap.scene.actors import instances, look_of
 from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehicles
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor
+from carla_recap.sim.recording.packets import spawn
 from carla_recap.sim.recording.poses import CM_PER_M, pose
 
 if TYPE_CHECKING:
@@ -64,7 +66,9 @@ class WorldActors:
             poses[rows, 3:] = movers.rotation[sources][:, [2, 0, 1]]
         for row, actor in self._others:
             poses[row] = pose(actor.transform)
-        return self._lit(self._at(poses))
+        found = self._lit(self._at(poses))
+        away = self._heights.away(found.ids, poses[None])[0]
+        return found.take(~away) if away.any() else found
 
     def _assemble(self, actors: Sequence[Actor]) -> None:
         """Make the columns that do not change."""
@@ -72,6 +76,7 @@ class WorldActors:
         self._looks = looks
         drawn = sorted((actor for actor in actors if looks[actor.id] is not None), key=lambda actor: actor.id)
         ids = [actor.id for actor in drawn]
+        self._heights = RoadHeights([ActorLife.of(spawn(actor), 0.0) for actor in actors])
         self._poses = np.zeros((len(ids), 6))
         self._fixed = instances(ids, [look for id in ids if (look := looks[id]) is not None], self._poses)
         self._centers = self._fixed.locations.copy()  # those of boxes without a pose are in the actors' axes

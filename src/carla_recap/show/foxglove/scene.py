@@ -180,12 +180,14 @@ class _ShownPoses:
 
     Args:
         recorded: The recorded poses, (scenes, actors, 6).
+        away: Whether each of these is so far from the roads that it is not there, (scenes, actors).
         others: The poses of the shown actors without recorded ones, (scenes, others, 6); of one scene if they are constant.
         columns: The position of each shown actor among both.
     """
 
-    def __init__(self, recorded: Floats, others: Floats, columns: Indices) -> None:
+    def __init__(self, recorded: Floats, away: NDArray[np.bool_], others: Floats, columns: Indices) -> None:
         self._recorded = recorded
+        self._away = away
         self._others = others
         self._columns = columns
 
@@ -205,7 +207,7 @@ class _ShownPoses:
     def present(self) -> NDArray[np.bool_]:
         """Return whether each shown actor is near enough to be shown, (scenes, actors); NaN is not."""
         others = np.broadcast_to(_within(self._others, _FAR), (len(self._recorded), self._others.shape[1]))
-        return np.concatenate((_within(self._recorded, _FAR), others), axis=1)[:, self._columns]
+        return np.concatenate((_within(self._recorded, _FAR) & ~self._away, others), axis=1)[:, self._columns]
 
     def away(self, actors: Indices, first: Floats) -> NDArray[np.bool_]:
         """Return whether some actors are away from their first poses, (scenes, actors)."""
@@ -419,7 +421,8 @@ class ActorEntities:
                 poses = batch.pose_of(id)
                 others[:, column] = np.nan if poses is None else poses[rows]
         recorded = batch.poses if len(rows) == len(batch) else batch.poses[rows]
-        return _ShownPoses(recorded, others, self._columns)
+        away = batch.away if len(rows) == len(batch) else batch.away[rows]
+        return _ShownPoses(recorded, away, others, self._columns)
 
     def _find_moves(self, poses: _ShownPoses, present: NDArray[np.bool_]) -> Indices:
         """Return the position of the scene in which each actor moves for the first time; the number of scenes if in none."""

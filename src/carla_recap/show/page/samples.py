@@ -190,6 +190,7 @@ class Sampler:
         self._actors = scene.actors
         self._spans[-1] = (self._spans[-1][0], scene.time)
         poses = right_handed(scene.poses)[:, _COLUMNS]
+        poses[scene.batch.away[scene.row]] = np.nan
         self._block.append((self._columns, np.concatenate((poses, self._fixed))))
         self._note_lights(scene)
         if len(self._block) > BLOCK:

@@ -68,6 +68,7 @@ class ActorWriter:
         self._roads = roads
         self._cameras = {id: CameraAxes(stream, paths.camera(id)) for id in cameras if id != followed}
         self._present: set[int] = set()
+        self._away: set[int] = set()  # those of the latest scene that are not there
         self._models = 0
         self.looks: dict[int, Look] = {}
         self._lamps = LampWriter(stream)
@@ -96,15 +97,21 @@ class ActorWriter:
     def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
         batch, spawned = description.batch, []
+        away = set(batch.ids[batch.away[0]].tolist())
         for event in batch.events:
             if isinstance(event, Spawned):
-                self._draw(event.actor, description, times.point(0))
+                if event.actor.id in away:
+                    self._erase(event.actor.id, times.point(0))
+                else:
+                    self._draw(event.actor, description, times.point(0))
                 spawned.append(event.actor.id)
             elif isinstance(event, Destroyed):
                 self._erase(event.id, times.point(0))
+        if away or self._away or batch.away.any():
+            self._hide(description, times)
         if batch.ids is not self._ids:
             self._ids = batch.ids
-            for id in set(batch.ids.tolist()) - self._present:
+            for id in set(batch.ids.tolist()) - self._present - away:
                 self._draw(ActorLife.of(Spawn(id), float(batch.time[0])), description, times.point(0))
         named = None if self._named is None else batch.actors.get(self._named)
         if named is not None:
@@ -190,6 +197,20 @@ class ActorWriter:
             self.looks.pop(id, None)
             if id in self._boxed:
                 self._stream.clear(paths.actor(id), time)
+
+    def _hide(self, description: SceneDescription, times: TimeColumns) -> None:
+        """Erase actors from when on they are away, and draw them again when they are there."""
+        batch = description.batch
+        before = np.isin(batch.ids, list(self._away))
+        changed = batch.away != np.concatenate((before[None], batch.away[:-1]))
+        for row, column in zip(*(index.tolist() for index in np.nonzero(changed)), strict=True):
+            id = int(batch.ids[column])
+            if batch.away[row, column]:
+                self._erase(id, times.point(row))
+            elif id not in self._present:
+                actor = batch.actors.get(id) or ActorLife.of(Spawn(id), float(batch.time[0]))
+                self._draw(actor, description, times.point(row))
+        self._away = set(batch.ids[batch.away[-1]].tolist())
 
     def _lay(self, description: SceneDescription, times: TimeColumns) -> None:
         """Lay down the models of walkers; the transforms of their entities stay those that are recorded."""

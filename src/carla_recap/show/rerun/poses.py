@@ -42,7 +42,7 @@ class PoseBlock:
         times: The times of the frames.
         ids: The actors, ascending.
         poses: x, y, z in cm and roll, pitch, yaw in degrees, left-handed.
-        present: Whether an actor has a pose of finite numbers.
+        present: Whether an actor has a pose of finite numbers, and is not away.
         written: Whether a pose has to be written: it differs from the one before, or the next one differs from it.
     """
 
@@ -69,7 +69,7 @@ class PoseBuffer:
 
     def __init__(self) -> None:
         self._times: list[TimeColumns] = []
-        self._pieces: list[tuple[Ids, Floats]] = []
+        self._pieces: list[tuple[Ids, Floats, Flags]] = []
         self._spawned: list[tuple[int, int]] = []  # row, id
         self._rows = self._count = 0
         self._before: PoseBlock | None = None
@@ -89,7 +89,7 @@ class PoseBuffer:
         """
         self._spawned += [(self._rows, id) for id in spawned]
         self._times.append(times)
-        self._pieces.append((batch.ids, batch.poses))
+        self._pieces.append((batch.ids, batch.poses, batch.away))
         self._rows += len(batch)
         self._count += len(batch) * len(batch.ids)
 
@@ -132,9 +132,8 @@ class PoseBuffer:
         for run in runs:
             those = run[0][0]
             columns: slice | NDArray[np.intp] = slice(None) if len(those) == len(ids) else np.searchsorted(ids, those)
-            start = row
-            for _, piece in run:
-                poses[row : row + len(piece), columns] = piece
+            for _, piece, away in run:
+                rows = slice(row, row + len(piece))
+                poses[rows, columns], present[rows, columns] = piece, ~away
                 row += len(piece)
-            present[start:row, columns] = True
         return ids, poses, present, was_written
