@@ -14,7 +14,7 @@ from carla_recap.fleet.sources import find_sources
 from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Generator, Iterable, Iterator
     from pathlib import Path
 
     from distributed import Client
@@ -37,7 +37,7 @@ def map_sources(
     *,
     jobs: int | None = None,
     client: Client | None = None,
-) -> Iterator[Outcome[T]]:
+) -> Generator[Outcome[T], None, None]:
     """Yield the outcome of a function for each of many recordings, in their order, as soon as it is known.
 
     Memory does not grow with the number of recordings. If a worker process ends, as for want of memory, its recordings are
