@@ -1,0 +1,280 @@
+"""One recording in Rerun, Foxglove, a video and the page: all show the same, moment for moment."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from carla_recap import import_tracks, open_recording
+from carla_recap.model.actors import ROAD_USERS
+from carla_recap.replay import Player
+from carla_recap.scene.materials import MATERIALS, Material
+from carla_recap.scene.models import MODELS
+from carla_recap.show.foxglove import export_foxglove
+from carla_recap.show.page.sampling import sample
+from carla_recap.show.video.film import Film
+from tests.replay.scripts import light, pose, spawn, write
+from tests.samples import carla_log
+
+pytest.importorskip("rerun", reason="the extra rerun is not installed")
+
+from carla_recap.show.rrd import export_rerun
+from tests.show.test_foxglove import corners, latest, read, seen, xyz
+from tests.show.test_rerun import Rrd
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+MOMENTS = 10
+LAMPS = [material for material, finish in MATERIALS.items() if finish.glow is not None and "LAMP" not in material.name]
+LYING = 1.0  # m: a body that is not higher lies
+
+
+@dataclass
+class Seen:
+    """What is seen of the road users at a moment.
+
+    Attributes:
+        places: The centres of their bodies in m and right-handed axes; in the page, where they are, without a height.
+        yaws: Their headings in degrees.
+        lamps: The colours of the lit lamps of those vehicles that have any lit.
+        lying: The walkers that lie.
+        marks: Where collisions are marked.
+    """
+
+    places: dict[int, tuple[float, ...]] = field(default_factory=dict)
+    yaws: dict[int, float] = field(default_factory=dict)
+    lamps: dict[int, set[tuple[int, ...]]] = field(default_factory=dict)
+    lying: set[int] = field(default_factory=set)
+    marks: list[tuple[float, ...]] = field(default_factory=list)
+
+
+def parked_below() -> list[dict]:
+    """Return frames in which a car is parked 499 m below the road beside the hero, and after 2 s is set on it and brakes."""
+    frames: list[dict] = []
+    for number in range(60):
+        below, braking = number < 20, number > 40
+        poses = [pose(1, 50 * number), pose(2, 3000, 350, -49900 if below else 0)]
+        controls = [(1, 0.0, 0.5, 0.0, 0, 1), (2, 0.0, 0.0, 0.7 * (below or braking), 0, 1)]
+        frames.append({"transforms": poses, "vehicle_controls": controls, "light_states": [light(9, 2)]})
+    frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2), spawn(9, "traffic.traffic_light", x=4000)]
+    return frames
+
+
+def tracks() -> str:
+    """Return tracks of two cars of another data set: one brakes at 6.5 m/s²."""
+    rows, x, speed = ["id,time,x,y,yaw,kind"], 0.0, 20.0
+    for number in range(50):
+        rows.append(f"7,{number / 10:.1f},{x:.4f},0,0,vehicle")
+        rows.append(f"8,{number / 10:.1f},{60 + 5 * number / 10:.4f},3.5,0,vehicle")
+        speed = max(speed - 0.65 * (number >= 15), 0.0)
+        x += speed / 10
+    return "\n".join(rows) + "\n"
+
+
+@pytest.fixture(scope="module", params=["crash", "junction", "real", "import", "parked below"])
+def recording(request, tmp_path_factory):
+    name, folder = request.param, tmp_path_factory.mktemp("same")
+    if name == "real":
+        path = carla_log("carla-0.9.13-lane-center.log")
+    elif name == "import":
+        (folder / "tracks.csv").write_text(tracks())
+        path = folder / "import.mcap"
+        import_tracks(folder / "tracks.csv", path)
+    elif name == "parked below":
+        path = write(folder / "below.log", parked_below(), tick=0.1)
+    else:
+        path = SAMPLES / f"{name}.mcap"
+    with open_recording(path) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def shown(recording, tmp_path_factory):
+    """What each viewer shows at ten moments."""
+    folder = tmp_path_factory.mktemp("shown")
+    export_rerun(recording, folder / "x.rrd")
+    export_foxglove(recording, folder / "x.mcap")
+    walkers = {actor.id for actor in recording.actors.values() if actor.kind == "walker"}
+    rrd, topics = Rrd(folder / "x.rrd"), read(folder / "x.mcap")
+    replay, _ = sample(recording, [], 0.0, 0.0, None)
+    times = _moments(replay.times, np.array([time for time, _ in topics["/tf/actors"]]))
+    users = {actor.id for actor in recording.actors.values() if actor.kind in ROAD_USERS}
+    return times, {
+        "video": [_in_video(recording, time, users, walkers) for time in times],
+        "rerun": [_in_rerun(rrd, time, users, walkers) for time in times],
+        "foxglove": [_in_foxglove(topics, time, users, walkers) for time in times],
+        "page": [_in_page(replay, time, users) for time in times],
+    }
+
+
+def _moments(*times: np.ndarray) -> list[float]:
+    """Return ten of the times that are among all of some others."""
+    common = [time for time in times[0] if all(np.abs(other - time).min() < 1e-3 for other in times[1:])]
+    assert len(common) >= MOMENTS
+    return [float(common[index]) for index in np.linspace(0, len(common) - 1, MOMENTS).round().astype(int)]
+
+
+def _in_video(recording, time: float, users: set[int], walkers: set[int]) -> Seen:
+    player = Player(recording, start=time)
+    film = Film(recording, player, "chase", (640, 360))
+    scene = player.tick(0)
+    assert scene is not None
+    instances, found = film.shot(scene).instances, Seen()
+    for row, id in enumerate(instances.ids.tolist()):
+        mesh, turn = MODELS[instances.models[row]].mesh, instances.rotations[row]
+        if MODELS[instances.models[row]].name == "collision mark":
+            found.marks.append(tuple(instances.locations[row].tolist()))
+        if id not in users:
+            continue
+        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        middle = instances.locations[row] + turn @ (instances.half_extents[row] * (low + high) / 2)
+        found.places[id] = tuple(middle.tolist())
+        if id in walkers and turn[2, 2] < 0.7:
+            found.lying.add(id)
+        else:
+            found.yaws[id] = math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
+        lit = {_glow(lamp) for lamp in LAMPS if int(instances.lamps[row]) >> lamp & 1 and (mesh.materials == lamp).any()}
+        if lit:
+            found.lamps[id] = lit
+    return found
+
+
+def _in_rerun(rrd: Rrd, time: float, users: set[int], walkers: set[int]) -> Seen:
+    found = Seen()
+    for id in users:
+        path = f"/world/actors/{id}"
+        place, vertices = rrd.place(path, time), rrd.at(path, "Mesh3D:vertex_positions", time)
+        if place is None or vertices is None:
+            continue
+        turn, middle = _matrix(rrd.at(path, "Transform3D:quaternion", time)[0]), _middle(np.array(vertices))
+        fallen, body = rrd.at(path, "InstancePoses3D:mat3x3", time), np.eye(3)
+        if fallen is not None:
+            body = np.array(fallen[0]).reshape(3, 3).T
+            middle = body @ middle + rrd.at(path, "InstancePoses3D:translation", time)[0]
+        if id in walkers and (turn @ body)[2, 2] < 0.7:
+            found.lying.add(id)
+        else:
+            found.yaws[id] = math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
+        found.places[id] = tuple(place + turn @ middle)
+        for lamp in LAMPS:
+            color = rrd.at(f"{path}/lamps/{lamp.name.lower()}", "Mesh3D:albedo_factor", time)
+            if color is not None and tuple(color[0].to_bytes(4, "big")[:3]) == _glow(lamp):
+                found.lamps.setdefault(id, set()).add(_glow(lamp))
+    strips = rrd.at("/world/collisions", "LineStrips3D:strips", time) or []
+    found.marks = sorted({tuple(np.mean(strip[:-1], axis=0).round(3).tolist()) for strip in strips if len(strip) > 2})
+    return found
+
+
+def _in_foxglove(topics, time: float, users: set[int], walkers: set[int]) -> Seen:
+    found = Seen()
+    transforms = {}
+    for topic in ("/tf/still", "/tf/actors"):
+        if any(at <= time + 1e-6 for at, _ in topics[topic]):
+            transforms |= {each.child_frame_id: each for each in latest(topics[topic], time).transforms}
+    for id in users:
+        body = {**seen(topics["/scene/vehicles"], time), **seen(topics["/scene/walkers"], time)}.get(f"actor {id}")
+        frame = transforms.get(f"actor {id}")
+        if body is None or frame is None:
+            continue
+        turn, points = _matrix([getattr(frame.rotation, axis) for axis in "xyzw"]), corners(body)
+        found.places[id] = tuple(xyz(frame.translation) + turn @ _middle(points))
+        if id in walkers and np.ptp((points @ turn.T)[:, 2]) < LYING:
+            found.lying.add(id)
+        else:
+            found.yaws[id] = math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
+        lit = seen(topics["/scene/lamps"], time).get(f"lamps {id}")
+        if lit is not None and lit.triangles:
+            found.lamps[id] = {tuple(round(255 * getattr(each.color, name)) for name in "rgb") for each in lit.triangles}
+    for entity in seen(topics["/scene/marks"], time).values():
+        found.marks.append(tuple(_middle(corners(entity)).tolist()))
+    return found
+
+
+def _in_page(replay, time: float, users: set[int]) -> Seen:
+    poses = {replay.actors[index].id: pose for index, pose in replay.poses(time).items()}
+    return Seen({id: pose[:2] for id, pose in poses.items() if id in users}, {id: pose[2] for id, pose in poses.items()})
+
+
+def _middle(points: np.ndarray) -> np.ndarray:
+    return (points.min(axis=0) + points.max(axis=0)) / 2
+
+
+def _matrix(quaternion) -> np.ndarray:
+    x, y, z, w = quaternion
+    return np.array(
+        [
+            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        ]
+    )
+
+
+def _glow(lamp: Material) -> tuple[int, ...]:
+    glow = MATERIALS[lamp].glow
+    assert glow is not None
+    return tuple(glow)
+
+
+VIEWERS = ["rerun", "foxglove", "page"]
+
+
+@pytest.mark.parametrize("viewer", VIEWERS)
+def test_the_same_actors_are_there(shown, viewer):
+    times, found = shown
+    assert any(each.places for each in found["video"])
+    for time, one, other in zip(times, found["video"], found[viewer], strict=True):
+        assert set(other.places) == set(one.places), time
+
+
+@pytest.mark.parametrize("viewer", VIEWERS)
+def test_they_are_at_the_same_places(shown, viewer):
+    times, found = shown
+    for time, one, other in zip(times, found["video"], found[viewer], strict=True):
+        for id, place in one.places.items():
+            known = len(other.places[id])
+            reach = 0.05 if known == 3 else 0.6  # the page has the locations of actors, not the centres of their bodies
+            assert other.places[id] == pytest.approx(place[:known], abs=reach), (time, id)
+            if id in one.yaws:
+                assert math.remainder(other.yaws[id] - one.yaws[id], 360) == pytest.approx(0, abs=1.5), (time, id)
+
+
+@pytest.mark.parametrize("viewer", ["rerun", "foxglove"])
+def test_the_same_lamps_are_lit(shown, viewer):
+    times, found = shown
+    for time, one, other in zip(times, found["video"], found[viewer], strict=True):
+        assert other.lamps == one.lamps, time
+
+
+@pytest.mark.parametrize("viewer", ["rerun", "foxglove"])
+def test_the_same_walkers_lie(shown, viewer):
+    times, found = shown
+    for time, one, other in zip(times, found["video"], found[viewer], strict=True):
+        assert other.lying == one.lying, time
+
+
+@pytest.mark.parametrize("viewer", ["rerun", "foxglove"])
+def test_the_same_collisions_are_marked(shown, viewer):
+    times, found = shown
+    for time, one, other in zip(times, found["video"], found[viewer], strict=True):
+        assert len(other.marks) == len(one.marks), time
+        for mark, expected in zip(sorted(other.marks), sorted(one.marks), strict=True):
+            assert mark == pytest.approx(expected, abs=0.05), time
+
+
+def test_something_is_to_be_compared(request, shown):
+    """The recordings have what is compared: lit lamps, and that of the crash a mark."""
+    name, (_, found) = request.node.name, shown
+    assert any(each.lamps for each in found["video"]) or "real" in name
+    assert any(each.marks for each in found["video"]) or "crash" not in name
+
+
+def test_a_parked_car_is_there_once_it_is_on_the_road(request, shown):
+    if "parked below" not in request.node.name:
+        pytest.skip("this is about the car that is parked below the road")
+    times, found = shown
+    for seen_by in found.values():
+        assert [2 in each.places for each in seen_by] == [time > 1.95 for time in times]
