@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from carla_recap.replay.pose import rotations
-from carla_recap.scene.opacity import IN_THE_WAY, SEE_THROUGH, ActorBoxes, is_flat, is_near, wanted_opacities
+from carla_recap.scene.opacity import IN_THE_WAY, SEE_THROUGH, SeenBoxes, is_flat, is_near, wanted_opacities
 
 CAR, TRUCK, WALKER = (2.1, 1.0, 0.7), (4.0, 1.2, 1.5), (0.2, 0.2, 0.9)
 
 
 def opacities(*others: tuple[tuple[float, float, float], tuple[float, float, float]]) -> tuple[float, list[float]]:
     """Return the opacity of a car 10 m before a camera, and those of others, given as centres and half sizes."""
-    own = ActorBoxes(np.array([(0, 0, CAR[2])]), np.eye(3)[None], np.array([CAR]))
+    own = SeenBoxes(np.array([(0, 0, CAR[2])]), np.eye(3)[None], np.array([CAR]))
     centres, halves = (np.array(column, np.float64).reshape(-1, 3) for column in zip(*others, strict=True))
-    boxes = ActorBoxes(centres, np.tile(np.eye(3), (len(others), 1, 1)), halves)
+    boxes = SeenBoxes(centres, np.tile(np.eye(3), (len(others), 1, 1)), halves)
     eye, looking = np.array([(-10.0, 0, 5)]), rotations(np.array([(0.0, 0, 0, 0, 17, 0)]))
     opacity, other_opacity = wanted_opacities(eye, looking, own, boxes, np.zeros(len(others), np.intp))
     return float(opacity[0]), other_opacity.tolist()

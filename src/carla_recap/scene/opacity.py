@@ -39,7 +39,7 @@ _HELD: Final = 1.0  # s for which an actor stays see-through in viewers
 _CORNERS: Final = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 
 
-class ActorBoxes(NamedTuple):
+class SeenBoxes(NamedTuple):
     """The boxes of actors.
 
     Attributes:
@@ -64,7 +64,7 @@ def is_near(locations: Floats, eyes: Floats) -> Flags:
         return np.asarray(((locations - eyes) ** 2).sum(axis=-1) < _REACH**2)
 
 
-def wanted_opacities(eyes: Floats, axes: Floats, own: ActorBoxes, others: ActorBoxes, at: Indices) -> tuple[Floats, Floats]:
+def wanted_opacities(eyes: Floats, axes: Floats, own: SeenBoxes, others: SeenBoxes, at: Indices) -> tuple[Floats, Floats]:
     """Return the opacity of the followed actor in some scenes, (scenes,), and of other actors near the camera, (others,).
 
     Args:
@@ -84,13 +84,13 @@ def wanted_opacities(eyes: Floats, axes: Floats, own: ActorBoxes, others: ActorB
         hidden = in_sight & behind & (common > _HIDDEN * (other_upper - other_lower).prod(axis=1))
         covers = in_sight & ~behind & (common > _COVERED * (upper - lower)[at].prod(axis=1))
         around = (other_depth.min(axis=1) <= 0) & (other_depth.max(axis=1) > 0)  # of the camera: there is no projection
-    covers[around] = _blocks(eyes[at[around]], own.locations[at[around]], ActorBoxes(*(column[around] for column in others)))
+    covers[around] = _blocks(eyes[at[around]], own.locations[at[around]], SeenBoxes(*(column[around] for column in others)))
     opacity[at[hidden]] = SEE_THROUGH
     other_opacity[covers] = IN_THE_WAY
     return opacity, other_opacity
 
 
-def _projected(boxes: ActorBoxes, eyes: Floats, axes: Floats) -> tuple[Floats, Floats, Floats]:
+def _projected(boxes: SeenBoxes, eyes: Floats, axes: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the depths of the corners in m, (n, 8), and the least and greatest slopes in the picture, (n, 2) each."""
     corners = (boxes.half_extents[:, None] * _CORNERS) @ np.swapaxes(boxes.rotations, 1, 2) + boxes.locations[:, None]
     seen = (corners - eyes[:, None]) @ axes
@@ -99,7 +99,7 @@ def _projected(boxes: ActorBoxes, eyes: Floats, axes: Floats) -> tuple[Floats, F
     return seen[..., 0], slopes.min(axis=1), slopes.max(axis=1)
 
 
-def _blocks(eyes: Floats, targets: Floats, boxes: ActorBoxes) -> Flags:
+def _blocks(eyes: Floats, targets: Floats, boxes: SeenBoxes) -> Flags:
     """Return whether boxes are between points, or so near to the line between them that they have the eye inside."""
     from_centre = np.einsum("nij,ni->nj", boxes.rotations, eyes - boxes.locations)
     along = np.einsum("nij,ni->nj", boxes.rotations, targets - eyes)
@@ -222,7 +222,7 @@ def _box_of(look: Look) -> tuple[Floats, Floats]:
     return np.array(look.center), np.array(look.half_extents)
 
 
-def _boxes(poses: Floats, centres: Floats, half_extents: Floats) -> ActorBoxes:
+def _boxes(poses: Floats, centres: Floats, half_extents: Floats) -> SeenBoxes:
     """Return boxes, given poses in m, right-handed, (n, 6), and the centres and sizes of the boxes in their axes."""
     turns = rotations(poses)
-    return ActorBoxes(poses[:, LOCATION] + np.einsum("nij,nj->ni", turns, centres), turns, half_extents)
+    return SeenBoxes(poses[:, LOCATION] + np.einsum("nij,nj->ni", turns, centres), turns, half_extents)

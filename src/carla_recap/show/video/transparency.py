@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.scene.opacity import ActorBoxes, is_flat, is_near, wanted_opacities
+from carla_recap.scene.opacity import SeenBoxes, is_flat, is_near, wanted_opacities
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -68,9 +68,9 @@ class Transparency:
         return {int(instances.ids[rows[index]]): float(values[index]) for index in np.flatnonzero(values < 1)}
 
 
-def _boxes(instances: Instances, rows: NDArray[np.intp]) -> ActorBoxes:
+def _boxes(instances: Instances, rows: NDArray[np.intp]) -> SeenBoxes:
     rotations, half_extents = (column[rows].astype(np.float64) for column in (instances.rotations, instances.half_extents))
-    return ActorBoxes(instances.locations[rows], rotations, half_extents)
+    return SeenBoxes(instances.locations[rows], rotations, half_extents)
 
 
 def _index(instances: Instances, id: int | None) -> int | None:
