@@ -25,7 +25,7 @@ from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.ahead import add_stop_points, stop_points
 from carla_recap.scene.captions import PlayedIncidents
 from carla_recap.show.foxglove.topics import LOG, RATE, TOPICS, SceneMessages, incident_messages
-from carla_recap.show.foxglove.town import mesh_of, town_of
+from carla_recap.show.foxglove.town import MAP, map_message, mesh_of, town_of
 from carla_recap.util.signals import unwind_on_termination
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from carla_recap.replay import Follow
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
+    from carla_recap.roads.network import RoadNetwork
     from carla_recap.show.foxglove.messages import Floats
 
     Sent = tuple[int, str, bytes]
@@ -369,14 +370,16 @@ class _PlayedRecording:
         self._source = source
         player = Player(source, start=start, duration=duration, follow=follow)
         self._start, self._stop, self._followed = player.start, player.stop, player.followed
-        self._town = town_of(road_map, player, source)
+        town = town_of(road_map, player, source)
         self._stops = stop_points(source.reader)
         clock = LogClock(source.reader.header)
         first, last, self._zero = clock.at(player.start), clock.at(player.stop), clock.at(0.0)
         if first is None or last is None or self._zero is None:
             raise RecapError(f"{source.location}: its times cannot be shown; they end at {player.stop:g} s")
         self.span = first, last
-        self._incidents = self._find_incidents(player, clock, road_map, progress)
+        self._map = map_message(town, first)
+        roads = road_network_of_map(road_map) if town is not None else None
+        self._incidents = self._find_incidents(player, clock, roads, progress)
 
     def messages(self, moment: int, rate: Callable[[], float]) -> Iterator[Sent]:
         """Yield the messages from some time before a moment on, in the order of time.
@@ -391,20 +394,21 @@ class _PlayedRecording:
 
     def _scenes(self, begin: float, rate: Callable[[], float]) -> Iterator[Sent]:
         player = Player(self._source, start=begin, duration=max(self._stop - begin, 0.0))
-        messages = SceneMessages(self._source.reader.header, self._followed, self._town, self._stops)
+        messages = SceneMessages(self._source.reader.header, self._followed, None, self._stops)
         if begin > 0:
             messages.recall(self._source, begin)
         for batch in player.batches():
             for part in messages.of(batch):
                 messages.rate = rate()
-                yield from part.in_order()
+                for time, topic, data in part.in_order():
+                    yield time, topic, self._map if topic == MAP else data
         yield from messages.end().in_order()
 
     def _find_incidents(
-        self, player: Player, clock: LogClock, road_map: RoadMap | None, progress: Progress | None
+        self, player: Player, clock: LogClock, roads: RoadNetwork | None, progress: Progress | None
     ) -> list[Sent]:
         """Return the messages of incidents, in the order of time."""
-        incidents = PlayedIncidents(player, road_network_of_map(road_map) if self._town is not None else None)
+        incidents = PlayedIncidents(player, roads)
         seconds: Floats = np.concatenate([batch.time for batch in player.batches(progress)])
         times = np.array([clock.at(time) or 0 for time in seconds.tolist()], np.uint64)
         return sorted(incident_messages(incidents.found(), seconds, times).in_order(), key=lambda sent: sent[0])

@@ -1,0 +1,54 @@
+"""Foxglove's connection to a server: a client of the real protocol sees the world that CARLA's client changes."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+
+import carla
+import pytest
+
+from tests.cli.command import COMMAND, ENVIRONMENT, error
+from tests.waiting import PATIENCE
+
+pytest.importorskip("foxglove", reason="the extra foxglove-live is not installed")
+pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
+pytest.importorskip("tornado", reason="tornado is not installed")
+
+from carla_recap.show.foxglove.websocket import FoxgloveServer
+from tests.show.test_foxglove_websocket import connected, decoded
+
+
+def test_a_viewer_sees_what_a_client_does() -> None:
+    command = [COMMAND, "serve", "--port", "0", "--fps", "20", "--foxglove-port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT) as process:
+        try:
+            assert process.stdout is not None
+            client = carla.Client("127.0.0.1", int(process.stdout.readline().split(":")[-1]))
+            client.set_timeout(PATIENCE)
+            world = client.get_world()
+            blueprint = world.get_blueprint_library().find("vehicle.tesla.model3")
+            blueprint.set_attribute("role_name", "hero")
+            hero = world.spawn_actor(blueprint, world.get_map().get_spawn_points()[0])
+            with connected(process.stdout.readline().strip()) as viewer:
+                found = viewer.latest("/map", "/hero", "/scene/vehicles")
+            process.send_signal(signal.SIGINT)
+            assert process.wait(PATIENCE) == 0
+        finally:
+            process.kill()
+    assert decoded(viewer, "/hero", found["/hero"]).id == hero.id
+    assert [entity.id for entity in decoded(viewer, "/scene/vehicles", found["/scene/vehicles"]).entities] == [
+        f"actor {hero.id}"
+    ]
+    assert len(decoded(viewer, "/map", found["/map"]).entities) > 1
+
+
+def test_what_is_shown_in_one_viewer_only() -> None:
+    expected = "--foxglove or --rerun was expected, not both."
+    assert expected in error("serve", "--port", 0, "--foxglove", "--rerun-to", "live.rrd")
+
+
+def test_a_port_in_use_is_an_error_before_the_server_starts() -> None:
+    with FoxgloveServer("first", 0) as server:
+        port = server.address.rpartition(":")[2]
+        assert error("serve", "--port", 0, "--foxglove-port", port).endswith("Address already in use")
