@@ -562,7 +562,7 @@ def test_invalid_numbers_are_left_out(tmp_path: Path) -> None:
 
 def test_an_actor_that_was_never_spawned(tmp_path: Path) -> None:
     rrd = export(write(tmp_path / "stranger.log", driven(3, of=9)), tmp_path / "stranger.rrd")
-    assert rrd.at("/world/actors/9", "Boxes3D:half_sizes", 0)[0] == pytest.approx(style.OTHER.extent)
+    assert rrd.at("/world/actors/9", "Boxes3D:half_sizes", 0)[0] == pytest.approx((0.15, 0.15, 0.15))
     assert rrd.place("/world/actors/9", 2) == [2, 0, 0]
 
 
