@@ -10,10 +10,11 @@ import pytest
 
 import carla_recap
 import carla_recap.rendering.town as town_module
-from carla_recap.errors import RecapError
+from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.records import ActorKind, Spawn
 from carla_recap.rendering.heights import TriangleGrid
-from carla_recap.rendering.town import TownMesh, build_town, corridor_town, load_town_mesh, town_mesh_of
+from carla_recap.rendering.town import TownMesh, build_town, load_town_mesh, load_town_of, town_mesh_of, town_of_map
+from carla_recap.roads import RoadMap
 from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
@@ -307,7 +308,7 @@ def test_corridors_have_no_trees(tmp_path):
             spawned = [Spawn(1, ActorKind.VEHICLE, type_id="vehicle.audi.tt")] if frame == 0 else []
             recording.add_frame(frame / 10, spawned=spawned, transforms=[{"id": 1, "x": 150.0 * frame}])
     with carla_recap.open_recording(path) as recording:
-        town = corridor_town(recording)
+        town = load_town_of(recording)
     assert not len(faces(town, Material.FOLIAGE))
     assert area(faces(town, Material.ROAD)) == pytest.approx((1.5 * 299 + 8) * 3.5, rel=0.01)
 
@@ -364,3 +365,10 @@ def test_roads_far_apart_have_ground_around_them_alone():
 def test_a_small_town_has_ground_in_the_corners_of_its_square():
     town = built(road(1), road(2, x=1500, y=1500))
     assert np.isfinite(town.ground_height(np.array([(1500, 0), (0, 1500)]))).all()
+
+
+def test_a_map_without_lanes_has_no_surfaces():
+    roads = RoadMap("odd", [], [], [], [], [], opendrive="<OpenDRIVE></OpenDRIVE>")
+    with pytest.warns(RecapWarning, match="the roads have no surfaces"):
+        assert town_of_map(roads) is None
+    assert town_of_map(None) is None

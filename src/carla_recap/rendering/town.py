@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.errors import FormatError
+from carla_recap.errors import FormatError, RecapError, RecapWarning
 from carla_recap.rendering.building import MeshBuilder
 from carla_recap.rendering.heights import TriangleGrid
 from carla_recap.rendering.junctions import fill_junctions
@@ -23,6 +24,7 @@ from carla_recap.rendering.signs import LightPost, add_signs, light_posts
 from carla_recap.rendering.surfaces import PAVED, add_lanes, driving_grid, sample_roads, surface_grid
 from carla_recap.rendering.terrain import Terrain, add_edges
 from carla_recap.rendering.trees import add_trees
+from carla_recap.replay.recorded_map import LONGEST_DRIVEN, load_map_of
 from carla_recap.roads.corridors import is_of_corridors
 from carla_recap.roads.files import content_digest, expecting_map, read_parts
 from carla_recap.roads.opendrive import read_opendrive
@@ -115,29 +117,30 @@ def town_mesh_of(opendrive: str, name: str = "") -> TownMesh:
 
 
 def load_town_of(
-    recording: Recording, path: Path | str | None = None, start: float = 0.0, duration: float = 0.0
+    recording: Recording,
+    path: Path | str | None = None,
+    start: float = 0.0,
+    duration: float = 0.0,
+    *,
+    longest: float = LONGEST_DRIVEN,
 ) -> TownMesh | None:
     """Return the town of a recording; see `carla_recap.replay.recorded_map.load_map_of`."""
-    from carla_recap.replay.recorded_map import load_map_of
-
-    def convert(corridors: RoadMap) -> TownMesh:
-        return town_mesh_of(corridors.opendrive, corridors.name)
-
-    return load_map_of(recording, path, load_town_mesh, convert, start, duration)
+    return load_map_of(recording, path, load_town_mesh, town_of_map, start, duration, longest=longest)
 
 
-def corridor_town(recording: Recording) -> TownMesh:
-    """Return the corridors that the vehicles of a recording have driven, as roads; for a map that is unavailable.
+def town_of_map(road_map: RoadMap | None) -> TownMesh | None:
+    """Return the town of a map; None without a map, or without surfaces in it.
 
-    Args:
-        recording: The recording.
-
-    Raises:
-        FormatError: The recording contradicts its format.
+    Warns:
+        RecapWarning: The surfaces cannot be made.
     """
-    from carla_recap.replay.recorded_map import opendrive_of_corridors
-
-    return town_mesh_of(opendrive_of_corridors(recording))
+    if road_map is None or not road_map.opendrive:
+        return None
+    try:
+        return town_mesh_of(road_map.opendrive, road_map.name)
+    except RecapError as error:
+        warnings.warn(f"the roads have no surfaces: {error}", RecapWarning, stacklevel=2)
+        return None
 
 
 _towns: OrderedDict[bytes, TownMesh] = OrderedDict()

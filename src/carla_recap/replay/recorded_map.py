@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
-from carla_recap.errors import RecapError
+from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.motion import place_in_metres
+from carla_recap.replay.player import Player
+from carla_recap.replay.pose import LOCATION, right_handed
 from carla_recap.roads.corridors import POSE, corridor_map, corridor_opendrive
 from carla_recap.roads.find import find_map, plain_name
 from carla_recap.tables.trajectories import actor_rows
@@ -25,7 +28,10 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _AROUND: Final = 30.0  # s around what is shown, in which vehicles drive along what are its roads
-_LONGEST: Final = 1800.0  # s of a recording
+LONGEST_DRIVEN: Final = 1800.0
+"""The seconds of a recording of which it is read where vehicles have driven; of longer ones that takes too long."""
+_LINES: Final = ("junctions", "centre_lines", "lane_borders", "crossings", "stop_lines")  # of a map
+_MARGIN: Final = 100.0  # m; the distance from a map at which an actor is still on it
 _AT_ONCE: Final = 10.0  # s in which a first pose is looked for
 
 
@@ -52,9 +58,11 @@ def load_map_of(
     recording: Recording,
     path: Path | str | None,
     load: Callable[[Path], T],
-    convert: Callable[[RoadMap], T],
+    convert: Callable[[RoadMap], T | None],
     start: float = 0.0,
     duration: float = 0.0,
+    *,
+    longest: float = LONGEST_DRIVEN,
 ) -> T | None:
     """Return the map of a recording's town; without one, what its vehicles have driven along.
 
@@ -67,6 +75,7 @@ def load_map_of(
         convert: What makes the same of a map of corridors.
         start: The elapsed seconds from which on the recording is shown; negative: before the end.
         duration: The seconds that are shown; 0: all of the rest.
+        longest: See `corridors_of`.
 
     Raises:
         RecapError: The given folder has no such map, or the map is damaged.
@@ -76,27 +85,58 @@ def load_map_of(
         try:
             begin = max(start if start >= 0 else recording.info.duration + start, 0.0)
             stop = begin + duration + _AROUND if duration > 0 else math.inf
-            corridors = corridors_of(recording, begin - _AROUND, stop)
+            corridors = corridors_of(recording, begin - _AROUND, stop, longest=longest)
             return None if corridors is None else convert(corridors)
         except RecapError:  # as of a damaged recording, which is reported elsewhere
             return None
     return load(found)
 
 
-def corridors_of(recording: Recording, start: float = -math.inf, stop: float = math.inf) -> RoadMap | None:
+def corridors_of(
+    recording: Recording, start: float = -math.inf, stop: float = math.inf, *, longest: float = LONGEST_DRIVEN
+) -> RoadMap | None:
     """Return what the vehicles of a recording have driven along as a road map.
 
     Args:
         recording: The recording.
         start: The elapsed seconds from which on it is read.
         stop: The elapsed seconds until which it is read.
+        longest: The most seconds that are read.
 
     Returns:
-        None for more than half an hour, which take too long to read for that.
+        None for more seconds.
     """
-    if min(stop, recording.info.duration) - max(start, 0.0) > _LONGEST:
+    if min(stop, recording.info.duration) - max(start, 0.0) > longest:
         return None
     return corridor_map(plain_name(recording.header.map_name), *_driven(recording, start, stop))
+
+
+def map_around(road_map: RoadMap | None, player: Player) -> RoadMap | None:
+    """Return a map; None without one, or if it is that of another town, far from all actors at the start.
+
+    Warns:
+        RecapWarning: It is that of another town.
+    """
+    if road_map is None:
+        return None
+    lines = [line[:, :2] for name in _LINES for line in getattr(road_map, name) if len(line)]
+    locations = first_locations(player)[:, :2]
+    if not lines or not len(locations):
+        return road_map
+    points = np.concatenate(lines)
+    low, high = np.nanmin(points, axis=0) - _MARGIN, np.nanmax(points, axis=0) + _MARGIN
+    if ((locations >= low) & (locations <= high)).all(axis=1).any():
+        return road_map
+    warnings.warn(f"{road_map.name}: no actor is near this map, which is left out", RecapWarning, stacklevel=3)
+    return None
+
+
+def first_locations(player: Player) -> NDArray[np.float64]:
+    """Return the locations of the actors at the start, (n, 3) in m, right-handed."""
+    scene = Player(player.reader).at(player.start)
+    poses = [pose for id in {*scene.ids.tolist(), *scene.actors} if (pose := scene.pose_of(id)) is not None]
+    locations = right_handed(np.array(poses).reshape(-1, 6))[:, LOCATION]
+    return locations[np.isfinite(locations).all(axis=1)]
 
 
 def opendrive_of_corridors(recording: Recording) -> str:

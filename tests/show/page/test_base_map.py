@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from carla_recap.rendering.town import TownMesh, load_town_mesh
-from carla_recap.roads import RoadMap
 from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
-from carla_recap.show.page.base_map import LAYERS, base_map, outlines, town_of
+from carla_recap.show.page.base_map import LAYERS, base_map, outlines
 from tests.show.page.conftest import CROSSING
 from tests.show.page.test_samples import sampled
 
@@ -71,8 +70,3 @@ def test_the_second_of_two_recordings_has_its_paths_below_the_surfaces_of_the_fi
     found = base_map(town, [replay, replay])
     assert len(found.surfaces) == 1
     assert sum(map(len, found.paths)) == sum(map(len, base_map(None, [replay]).paths))
-
-
-def test_a_map_without_lanes_has_no_surfaces() -> None:
-    roads = RoadMap("odd", [], [], [], [], [], opendrive="<OpenDRIVE></OpenDRIVE>")
-    assert town_of(roads) is None

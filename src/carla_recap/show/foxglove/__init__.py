@@ -77,12 +77,12 @@ def export_foxglove(
     from carla_recap.scene.captions import PlayedIncidents
     from carla_recap.show.foxglove.mcap import FoxgloveFile
     from carla_recap.show.foxglove.topics import SceneMessages, incident_messages
-    from carla_recap.show.foxglove.town import town_of
+    from carla_recap.show.foxglove.town import town_around
 
     reader = source.reader
     check_destination(reader.location, destination, force=force)
     player = Player(source, start=start, duration=duration, follow=follow)
-    town = town_of(road_map, player, source)
+    town = town_around(road_map, player, source)
     messages = SceneMessages(reader.header, player.followed, town, stop_points(reader))
     with FoxgloveFile(destination, _description(reader, player)) as file:
         played = PlayedIncidents(player, road_network_of_map(road_map) if town is not None else None, incidents)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import warnings
 from collections import defaultdict
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.errors import RecapError, RecapWarning
-from carla_recap.rendering.town import corridor_town, town_mesh_of
-from carla_recap.replay import Player, right_handed
+from carla_recap.errors import RecapError
+from carla_recap.rendering.town import town_of_map
+from carla_recap.replay.recorded_map import corridors_of, map_around
 from carla_recap.scene.mesh import Mesh
 from carla_recap.show.foxglove import shapes
 from carla_recap.show.foxglove.messages import WORLD, MessagePart, SceneEntity, SceneUpdate
@@ -18,56 +18,26 @@ from carla_recap.show.foxglove.messages import WORLD, MessagePart, SceneEntity, 
 if TYPE_CHECKING:
     from carla_recap.recording import Recording
     from carla_recap.rendering.town import TownMesh
+    from carla_recap.replay import Player
     from carla_recap.roads import RoadMap
 
 MAP: Final = "/map"
 
-_MARGIN: Final = 100.0  # m; the distance from the town at which an actor is still in it
 _SHORT: Final = 180.0  # s; of longer recordings, corridors take too long to find
 _PIECE: Final = 200.0  # m; the side of the pieces into which the tiles are put together
 
 
-def town_of(road_map: RoadMap | None, player: Player, source: Recording) -> TownMesh | None:
-    """Return the surfaces of a map; without one, the corridors that vehicles drive in a short recording, else None.
+def town_around(road_map: RoadMap | None, player: Player, source: Recording) -> TownMesh | None:
+    """Return the town of a map; without one, the corridors that vehicles drive in a short recording, else None.
 
     Warns:
         RecapWarning: The map is that of another town, or its surfaces cannot be made.
     """
-    if road_map is None or not road_map.opendrive:
-        return _corridors(source) if player.total <= _SHORT else None
-    town = mesh_of(road_map)
-    if town is None:
-        return None
-    locations = right_handed(Player(player.reader).at(player.start).poses)[:, :2]
-    locations = locations[np.isfinite(locations).all(axis=1)]
-    low, high = town.bounds[:, 0, :2].min(axis=0) - _MARGIN, town.bounds[:, 1, :2].max(axis=0) + _MARGIN
-    if len(locations) and not ((locations > low) & (locations < high)).all(axis=1).any():
-        warnings.warn(f"{road_map.name}: no actor is near this map, which is left out", RecapWarning, stacklevel=3)
-        return _corridors(source) if player.total <= _SHORT else None
+    town = town_of_map(map_around(road_map, player))
+    if town is None and player.total <= _SHORT:
+        with suppress(RecapError), np.errstate(all="ignore"):  # a viewer without roads shows all the rest
+            town = town_of_map(corridors_of(source))
     return town
-
-
-def mesh_of(road_map: RoadMap) -> TownMesh | None:
-    """Return the surfaces of a map; None if they cannot be made.
-
-    Warns:
-        RecapWarning: They cannot.
-    """
-    if not road_map.opendrive:
-        return None
-    try:
-        return town_mesh_of(road_map.opendrive, road_map.name)
-    except RecapError as error:
-        warnings.warn(f"the roads have no surfaces: {error}", RecapWarning, stacklevel=4)
-        return None
-
-
-def _corridors(source: Recording) -> TownMesh | None:
-    try:
-        with np.errstate(all="ignore"):
-            return corridor_town(source)
-    except RecapError:  # a viewer without roads shows all the rest
-        return None
 
 
 def map_message(town: TownMesh | None, time: int) -> bytes:

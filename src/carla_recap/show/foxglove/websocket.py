@@ -18,6 +18,7 @@ import numpy as np
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.formats.mcap.schema import SECOND, LogClock
+from carla_recap.rendering.town import town_of_map
 from carla_recap.replay import Player
 from carla_recap.replay.follow import HERO, LiveChoice
 from carla_recap.replay.player import LiveScenes
@@ -25,7 +26,7 @@ from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.ahead import add_stop_points, stop_points
 from carla_recap.scene.captions import PlayedIncidents
 from carla_recap.show.foxglove.topics import LOG, RATE, TOPICS, SceneMessages, incident_messages
-from carla_recap.show.foxglove.town import MAP, map_message, mesh_of, town_of
+from carla_recap.show.foxglove.town import MAP, map_message, town_around
 from carla_recap.util.signals import unwind_on_termination
 
 if TYPE_CHECKING:
@@ -370,7 +371,7 @@ class _PlayedRecording:
         self._source = source
         player = Player(source, start=start, duration=duration, follow=follow)
         self._start, self._stop, self._followed = player.start, player.stop, player.followed
-        town = town_of(road_map, player, source)
+        town = town_around(road_map, player, source)
         self._stops = stop_points(source.reader)
         clock = LogClock(source.reader.header)
         first, last, self._zero = clock.at(player.start), clock.at(player.stop), clock.at(0.0)
@@ -427,7 +428,7 @@ class FoxgloveView:
     def __init__(
         self, server: FoxgloveServer, header: Header, follow: Follow = HERO, road_map: RoadMap | None = None
     ) -> None:
-        town = None if road_map is None else mesh_of(road_map)
+        town = town_of_map(road_map)
         self._server = server
         self._choice = LiveChoice(follow)
         self._followed: int | None = None

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.errors import RecapError
-from carla_recap.rendering.town import town_mesh_of
 from carla_recap.roads.corridors import fresh_parts
 from carla_recap.roads.polylines import simplify
 from carla_recap.scene.materials import Material
@@ -20,7 +18,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.rendering.town import TownMesh
-    from carla_recap.roads import RoadMap
     from carla_recap.scene.mesh import Mesh
     from carla_recap.show.page.samples import SampledReplay
 
@@ -75,16 +72,6 @@ class BaseMap:
     surfaces: list[Outlines] = field(default_factory=list)
     paths: list[Floats] = field(default_factory=list)
     width: float = PATH_WIDTH
-
-
-def town_of(road_map: RoadMap | None) -> TownMesh | None:
-    """Return the surfaces of a map; None if they cannot be made."""
-    if road_map is None or not road_map.opendrive:
-        return None
-    try:
-        return town_mesh_of(road_map.opendrive, road_map.name)
-    except RecapError:
-        return None
 
 
 def base_map(town: TownMesh | None, replays: Sequence[SampledReplay]) -> BaseMap:

@@ -16,11 +16,12 @@ from carla_recap.model.actors import ROAD_USERS
 from carla_recap.queries.incidents import Incident, IncidentOptions, incidents, with_roads
 from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import Recording
+from carla_recap.rendering.town import town_of_map
 from carla_recap.replay.player import Player
 from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.style import LIGHTS, OTHER, STYLES
 from carla_recap.show.page import script
-from carla_recap.show.page.base_map import base_map, town_of
+from carla_recap.show.page.base_map import base_map
 from carla_recap.show.page.packing import Packer
 from carla_recap.show.page.sampling import sample
 from carla_recap.show.page.single import data_address, single_page
@@ -192,7 +193,7 @@ def write_report(
     reported = [_Reported(recording, options, (before, after), progress) for recording in recordings]
     if viewer and not reported[0].whole:
         raise RecapError(f"{recordings[0].location}: is too long for the viewer in a page; clips of its incidents are not")
-    town = town or town_of(road_map)
+    town = town or town_of_map(road_map)
     for each in reported if pictures == "rendered" else ():
         each.take_pictures(town)
     packer = Packer()

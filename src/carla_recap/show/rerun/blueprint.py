@@ -11,8 +11,8 @@ import rerun.blueprint as rrb
 
 from carla_recap.model.actors import ActorLife
 from carla_recap.model.records import CM
-from carla_recap.replay import Player, camera, right_handed
-from carla_recap.replay.pose import LOCATION
+from carla_recap.replay import Player, camera
+from carla_recap.replay.recorded_map import first_locations
 from carla_recap.scene import style
 from carla_recap.scene.appearance import look_of_present
 from carla_recap.scene.follow import CONTROLS
@@ -224,11 +224,3 @@ def _extent(locations: NDArray[np.float64]) -> tuple[list[float], float]:
         return [0.0, 0.0, 0.0], _MIN_RADIUS
     low, high = locations.min(axis=0), locations.max(axis=0)
     return ((low + high) / 2).tolist(), max(_MIN_RADIUS, float(np.linalg.norm(high - low)) / 2)
-
-
-def first_locations(player: Player) -> NDArray[np.float64]:
-    """Return the locations of the actors at the start, (n, 3) in m, right-handed."""
-    scene = Player(player.reader).at(player.start)
-    poses = [pose for id in {*scene.ids.tolist(), *scene.actors} if (pose := scene.pose_of(id)) is not None]
-    locations = right_handed(np.array(poses).reshape(-1, 6))[:, LOCATION]
-    return locations[np.isfinite(locations).all(axis=1)]

@@ -44,16 +44,6 @@ _LAYERS: Final = {
 _OTHER: Final = "furniture"
 
 
-def is_elsewhere(roads: RoadMap, locations: Floats) -> bool:
-    """Return whether a map is of another town: all of some locations, (n, 3) in m, right-handed, are far from it."""
-    lines = [line[:, :2] for name, _, _ in style.ROADS for line in getattr(roads, name) if len(line)]
-    if not lines or not len(locations):
-        return False
-    points = np.concatenate(lines)
-    low, high = np.nanmin(points, axis=0) - _MARGIN, np.nanmax(points, axis=0) + _MARGIN
-    return not ((locations[:, :2] >= low) & (locations[:, :2] <= high)).all(axis=1).any()
-
-
 def write_town(stream: Stream, town: TownMesh) -> None:
     """Write the surfaces of a town, and the sky above it."""
     mesh = Mesh.concatenate(town.tiles)

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import rerun as rr
 
-from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.errors import RecapWarning
 from carla_recap.formats.sources import unsigned
 from carla_recap.model.actors import ROAD_USERS
 from carla_recap.queries.actors import actors
-from carla_recap.rendering.town import town_mesh_of
+from carla_recap.rendering.town import town_of_map
 from carla_recap.replay import Played, Player, right_handed
 from carla_recap.replay.pose import LOCATION
+from carla_recap.replay.recorded_map import map_around
 from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.ahead import stop_points
 from carla_recap.scene.captions import PlayedIncidents
@@ -22,14 +23,13 @@ from carla_recap.scene.description import SceneDescriber
 from carla_recap.scene.follow import FollowedActor
 from carla_recap.show.rerun import paths
 from carla_recap.show.rerun.actors import ActorWriter
-from carla_recap.show.rerun.blueprint import first_locations
 from carla_recap.show.rerun.events import EventWriter
 from carla_recap.show.rerun.followed import FollowedWriter, OpacityWriter
 from carla_recap.show.rerun.ground import ground_below, write_ground
 from carla_recap.show.rerun.lights import LightAheadWriter, TrafficLightWriter
 from carla_recap.show.rerun.plots import write_measures
 from carla_recap.show.rerun.stream import Stream, TimeColumns
-from carla_recap.show.rerun.town import is_elsewhere, write_map, write_sky, write_town
+from carla_recap.show.rerun.town import write_map, write_sky, write_town
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from carla_recap.model.frame import Header
     from carla_recap.queries.incidents import Incident, IncidentOptions
     from carla_recap.queries.measures import MeasureSeries
-    from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import SceneBatch
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
@@ -57,17 +56,6 @@ def describe(stream: rr.RecordingStream, header: Header, name: str, source: str)
         stream.send_recording_start_time_nanos(header.date * 1_000_000_000)
     about = rr.AnyValues(map=readable(header.map_name), source=readable(source), recorder_version=header.version)
     stream.send_property("recording", about)
-
-
-def town_of(road_map: RoadMap) -> TownMesh | None:
-    """Return the surfaces of a map; None if they cannot be made."""
-    if not road_map.opendrive:
-        return None
-    try:
-        return town_mesh_of(road_map.opendrive, road_map.name)
-    except RecapError as error:
-        warnings.warn(f"the roads have no surfaces: {error}", RecapWarning, stacklevel=2)
-        return None
 
 
 class SceneWriter:
@@ -96,7 +84,7 @@ class SceneWriter:
         self._stream = Stream(stream)
         self._stops = {} if stops is None else stops
         self._road_map = road_map
-        town = None if road_map is None else town_of(road_map)
+        town = town_of_map(road_map)
         if town is not None:
             write_town(self._stream, town)
         if live and road_map is not None:
@@ -209,9 +197,7 @@ def write(
     """
     reader = player.reader
     describe(stream, reader.header, reader.path.name, unsigned(reader.location))
-    if road_map is not None and is_elsewhere(road_map, first_locations(player)):
-        warnings.warn(f"{road_map.name}: no actor is near this map, which is left out", RecapWarning, stacklevel=2)
-        road_map = None
+    road_map = map_around(road_map, player)
     writer = SceneWriter(stream, followed=player.followed, road_map=road_map, cameras=cameras, stops=stop_points(reader))
     count = 0
     played = PlayedIncidents(player, road_network_of_map(road_map), incidents)

@@ -6,8 +6,6 @@ import math
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import islice
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from carla_recap.errors import RecapError
@@ -52,10 +50,6 @@ if TYPE_CHECKING:
 
 RATE: Final = 30.0
 """The frames per second of a video, unless they are given."""
-
-
-_LONG: Final = 300.0  # s of a recording, without map, of which only a part is read for the roads
-_AROUND: Final = 60.0  # s before and after what is shown
 
 
 class VideoShot(NamedTuple):
@@ -254,36 +248,13 @@ def opened_renderer(
 
 def _make_renderer(town: Town | None, source: str, start: float, stop: float, supersampling: int) -> RenderProcess:
     from carla_recap.rendering.process import RenderProcess
+    from carla_recap.rendering.town import load_town_of
 
     mesh = town() if callable(town) else town
     if mesh is None:
-        mesh = _found_town(source) or _driven_town(source, start, stop)
+        with open_recording(source) as recording:  # another thread reads the caller's
+            mesh = load_town_of(recording, None, start, stop - start if stop < math.inf else 0.0, longest=math.inf)
     return RenderProcess(mesh, supersampling=supersampling)
-
-
-def _found_town(source: str) -> TownMesh | None:
-    """Return the town of the map of a recording; None if that is unknown."""
-    from carla_recap.rendering.town import load_town_mesh
-    from carla_recap.roads import find_map
-
-    with open_recording(source) as recording:
-        path = find_map(recording.header.map_name)
-    return None if path is None else load_town_mesh(path)
-
-
-def _driven_town(source: str, start: float, stop: float) -> TownMesh:
-    """Return the roads that vehicles have driven; of a long recording, those of the time around a part of it."""
-    from carla_recap.editing.clip import clip
-    from carla_recap.rendering.town import corridor_town
-
-    with open_recording(source) as recording:  # another thread reads the caller's
-        if recording.reader.extent().duration < _LONG or not stop < math.inf:
-            return corridor_town(recording)
-    with TemporaryDirectory(prefix="carla-recap-") as folder:
-        part, begin = Path(folder) / "part.mcap", max(start - _AROUND, 0.0)
-        clip(source, part, start=begin, duration=stop + _AROUND - begin)
-        with open_recording(part) as recording:
-            return corridor_town(recording)
 
 
 def submit(renderer: RenderProcess, shot: VideoShot) -> Future[Images]:
