@@ -63,6 +63,7 @@ class Viewer:
         channels: What it offers, by topic.
         messages: Topic, time in ns and data of the messages so far.
         states: Status, time in ns, speed and request of the states of playback so far.
+        time: The time in ns by which it shows messages.
     """
 
     def __init__(self, address: str) -> None:
@@ -70,6 +71,7 @@ class Viewer:
         self.messages: list[tuple[str, int, bytes]] = []
         self.states: list[State] = []
         self.channels: dict[str, dict[str, Any]] = {}
+        self.time = 0
         options = {"subprotocols": ["foxglove.sdk.v1"], "max_message_size": 1 << 28}
         self._socket = self._run(lambda: websocket_connect(address, **options))
         self.info = json.loads(self._run(self._socket.read_message))
@@ -105,6 +107,8 @@ class Viewer:
             if found[0] == 1:
                 id, time = struct.unpack_from("<IQ", found, 1)
                 self.messages.append((self._topics[id], time, found[13:]))
+            elif found[0] == 2:
+                (self.time,) = struct.unpack_from("<Q", found, 1)
             elif found[0] == 5:
                 status, time, speed, _ = struct.unpack_from("<BQfB", found, 1)
                 self.states.append((status, time, speed, found[19:].decode()))
@@ -285,6 +289,14 @@ def test_time_passes_while_it_plays_as_fast_as_was_asked_for(viewer: Viewer) -> 
     assert {"/hero", "/tf", "/tf/actors"} <= {topic for topic, _, _ in viewer.messages}
 
 
+def test_viewers_have_one_timeline(served: str, viewer: Viewer) -> None:
+    with connected(served) as other:
+        other.receive(lambda: other.states)
+        viewer.control(PAUSE, 3.0, seek=start_of(viewer) + SECOND, id="the first one")
+        other.receive(lambda: other.time == start_of(viewer) + SECOND)
+        assert other.states[-1] == (PAUSED, start_of(viewer) + SECOND, 3.0, "the first one")
+
+
 def test_it_ends_and_begins_again(viewer: Viewer) -> None:
     stop = moment(viewer.info["dataEndTime"])
     viewer.control(PLAY, seek=stop - SECOND // 5)
@@ -341,8 +353,9 @@ def test_a_port_in_use_is_an_error() -> None:
             FoxgloveServer("second", port)
 
 
-def test_the_missing_extra_is_named() -> None:
-    code = "import sys; sys.modules['foxglove'] = None; from carla_recap.cli import main; main()"
+@pytest.mark.parametrize("package", ["foxglove", "foxglove_schemas_protobuf"])
+def test_the_missing_extra_is_named(package: str) -> None:
+    code = f"import sys; sys.modules[{package!r}] = None; from carla_recap.cli import main; main()"
     command = [sys.executable, "-c", code, "view", CROSSING, "--foxglove"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 2
@@ -392,6 +405,8 @@ def test_frames_are_shown_as_they_come() -> None:
         with connected(server.address) as viewer:
             viewer.receive(lambda: {topic for topic, _, _ in viewer.messages} >= STILL, view.flush)
             assert viewer.info["capabilities"] == ["time"]
+            viewer.receive(lambda: viewer.time)
+            assert viewer.time == max(time for _, time, _ in viewer.messages)
             for frame in frames:
                 view.enter(frame)
             view.close()

@@ -40,7 +40,11 @@ _COMMANDS: Final = {
 }
 """The commands of each module."""
 _MODULES: Final = {command: module for module, commands in _COMMANDS.items() for command in commands}
-_EXTRAS: Final = {("serve", "sim"): "server", ("sql", "arrow"): "sql"}
+_EXTRAS: Final = {
+    ("serve", "sim"): "server",
+    ("sql", "arrow"): "sql",
+    **{(command, "foxglove"): "foxglove-live" for command in ("serve", "view", "watch")},
+}
 """By command and missing extra, the extra that brings all that the command needs."""
 
 

@@ -91,6 +91,7 @@ class FoxgloveServer:
         self._timeline = timeline
         self._requests = type("Listener", (_Requests, ServerListener), {})(timeline)  # with callbacks that do nothing, too
         self._latest: dict[str, tuple[int, bytes]] = {}  # of each topic
+        self._time: int | None = None
         logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # viewers may leave without a word
         self._context = foxglove.Context()
         try:
@@ -133,18 +134,11 @@ class FoxgloveServer:
         self._latest[topic] = time, data
         self._channels[topic].log(data, log_time=time)
 
-    def send_latest(self) -> None:
-        """Send the latest message of each topic."""
-        for topic, (moment, data) in self._latest.items():
-            self._channels[topic].log(data, log_time=moment)
-
-    def keep(self, time: int, topic: str, data: bytes) -> None:
-        """Make a message the latest one of its topic, without sending it."""
-        self._latest[topic] = time, data
-
-    def clear(self) -> None:
-        """Forget the latest messages."""
+    def begin(self, latest: dict[str, Sent]) -> None:
+        """Send the latest message of each topic at another moment."""
         self._latest.clear()
+        for sent in latest.values():
+            self.send(*sent)
 
     def wait(self, seconds: float) -> None:
         """Wait for a request of a viewer."""
@@ -160,14 +154,17 @@ class FoxgloveServer:
                 self._channels[topic].log(data, log_time=time)
         if topics and self._timeline is not None:
             self.show(self._timeline.state())
+        elif topics and self._time is not None:
+            self.show_time(self._time)
 
     def show(self, state: PlaybackState) -> None:
         """Tell viewers where playback is."""
         self._server.broadcast_playback_state(state)
-        self._server.broadcast_time(state.current_time)
+        self.show_time(state.current_time)
 
     def show_time(self, time: int) -> None:
-        """Tell viewers the time, in ns since 1970."""
+        """Tell viewers the time, in ns since 1970, by which they show messages."""
+        self._time = time
         self._server.broadcast_time(time)
 
 
@@ -334,12 +331,12 @@ def _play(played: _PlayedRecording, timeline: Timeline, server: FoxgloveServer) 
         before = now
         if sought:
             messages = played.messages(moment, lambda: RATE / max(timeline.speed, 1.0))
-            server.clear()
+            latest: dict[str, Sent] = {}
             waiting = next(messages, None)
             while waiting is not None and waiting[0] <= moment:
-                server.keep(*waiting)
+                latest[waiting[1]] = waiting
                 waiting = next(messages, None)
-            server.send_latest()
+            server.begin(latest)
         else:
             while waiting is not None and waiting[0] <= moment:
                 server.send(*waiting)
@@ -447,6 +444,7 @@ class FoxgloveView:
         for part in self._messages.of(scene.batch):
             for sent in part.in_order():
                 self._server.send(*sent)
+            self._server.show_time(int(part.times[-1]))
 
     def flush(self) -> None:
         """Send what new viewers need."""
