@@ -74,8 +74,9 @@ def tracks() -> str:
     return "\n".join(rows) + "\n"
 
 
-@pytest.fixture(scope="module", params=["crash", "junction", "real", "import", "parked below"])
-def recording(request, tmp_path_factory):
+@pytest.fixture(scope="module", params=["crash", "crash from the middle", "junction", "real", "import", "parked below"])
+def recorded(request, tmp_path_factory):
+    """A recording, and the time from which on it is shown: in the middle, while a mark is to be seen."""
     name, folder = request.param, tmp_path_factory.mktemp("same")
     if name == "real":
         path = carla_log("carla-0.9.13-lane-center.log")
@@ -86,19 +87,21 @@ def recording(request, tmp_path_factory):
     elif name == "parked below":
         path = write(folder / "below.log", parked_below(), tick=0.1)
     else:
-        path = SAMPLES / f"{name}.mcap"
+        path = SAMPLES / f"{name.partition(' ')[0]}.mcap"
     with open_recording(path) as opened:
-        yield opened
+        yield opened, next(iter(opened.collisions())).elapsed + 1.0 if "middle" in name else 0.0
 
 
 @pytest.fixture(scope="module")
-def shown(recording, tmp_path_factory):
+def shown(recorded, tmp_path_factory):
     """What each viewer shows at ten moments."""
-    folder = tmp_path_factory.mktemp("shown")
-    export_rerun(recording, folder / "x.rrd")
-    export_foxglove(recording, folder / "x.mcap")
+    folder, (recording, start) = tmp_path_factory.mktemp("shown"), recorded
+    export_rerun(recording, folder / "x.rrd", start=start)
+    export_foxglove(recording, folder / "x.mcap", start=start)
     walkers = {actor.id for actor in recording.actors.values() if actor.kind == "walker"}
     rrd, topics = Rrd(folder / "x.rrd"), read(folder / "x.mcap")
+    for topic, messages in topics.items():
+        topics[topic] = [(start + time, message) for time, message in messages]
     replay, _ = sample(recording, [], 0.0, 0.0, None)
     times = _moments(replay.times, np.array([time for time, _ in topics["/tf/actors"]]))
     users = {actor.id for actor in recording.actors.values() if actor.kind in ROAD_USERS}
@@ -270,6 +273,7 @@ def test_something_is_to_be_compared(request, shown):
     name, (_, found) = request.node.name, shown
     assert any(each.lamps for each in found["video"]) or "real" in name
     assert any(each.marks for each in found["video"]) or "crash" not in name
+    assert found["video"][0].marks or "middle" not in name
 
 
 def test_a_parked_car_is_there_once_it_is_on_the_road(request, shown):

@@ -119,7 +119,7 @@ class RoadHeights:
             closer = apart[rows, nearest] < distance
             distance = np.where(closer, apart[rows, nearest], distance)
             height = np.where(closer, np.broadcast_to(points[..., 2], apart.shape)[rows, nearest], height)
-        return np.isfinite(distance) & (np.abs(places[:, 2] - height) <= LEVEL + SLOPE * distance)
+        return np.asarray(np.isfinite(distance) & (np.abs(places[:, 2] - height) <= LEVEL + SLOPE * distance))
 
 
 def _largest_group(heights: Floats) -> tuple[Floats, Floats]:

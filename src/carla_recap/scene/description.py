@@ -12,7 +12,7 @@ import numpy as np
 from carla_recap.replay.pose import right_handed
 from carla_recap.replay.selection import NO_IDS, find
 from carla_recap.scene.appearance import look_of_present
-from carla_recap.scene.falls import FallenWalkers
+from carla_recap.scene.falls import FallChange, FallenWalkers
 from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehicles
 from carla_recap.scene.marks import CollisionMarks, collision_scenes
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from carla_recap.replay import SceneBatch
     from carla_recap.replay.selection import Ids
     from carla_recap.scene.appearance import Look
-    from carla_recap.scene.falls import Fall, FallChange
+    from carla_recap.scene.falls import Fall
 
     Booleans = NDArray[np.bool_]
     Floats = NDArray[np.float64]
@@ -219,6 +219,10 @@ class SceneDescriber:
         flags = self._lamps.flags(batch)
         fallen, marked = dict(self._walkers.falls), self._marks.locations
         falls, marks = self._walkers.changes(batch, keep=keep), self._marks.changes(batch, keep=keep)
+        if keep:  # what is recalled begins with the first scene
+            falls = [*(FallChange(0, id, fall) for id, fall in fallen.items()), *falls]
+            if len(marked) and not (marks and marks[0][0] == 0):
+                marks = [(0, marked), *marks]
         return SceneDescription(batch, self._actors, self._lamps.ids, flags, falls, fallen, marks, marked, self._places)
 
     def _take(self, batch: SceneBatch) -> None:

@@ -84,6 +84,8 @@ def export_foxglove(
     player = Player(source, start=start, duration=duration, follow=follow)
     town = town_around(road_map, player, source)
     messages = SceneMessages(reader.header, player.followed, town, stop_points(reader))
+    if player.start > 0:
+        messages.recall(source, player.start)
     with FoxgloveFile(destination, _description(reader, player)) as file:
         played = PlayedIncidents(player, road_network_of_map(road_map) if town is not None else None, incidents)
         elapsed, times = [np.zeros(0)], [np.zeros(0, np.uint64)]

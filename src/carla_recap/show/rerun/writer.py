@@ -12,6 +12,7 @@ from carla_recap.errors import RecapWarning
 from carla_recap.formats.sources import unsigned
 from carla_recap.model.actors import ROAD_USERS
 from carla_recap.queries.actors import actors
+from carla_recap.recording import Recording
 from carla_recap.rendering.town import town_of_map
 from carla_recap.replay import Played, Player, right_handed
 from carla_recap.replay.pose import LOCATION
@@ -117,6 +118,10 @@ class SceneWriter:
         self._opacity = OpacityWriter(self._stream, id, self._actors.looks)
         self._followed = FollowedWriter(self._stream, id, ground=not self._has_ground)
 
+    def recall(self, recording: Recording, time: float) -> None:
+        """Learn what of the time before the first scene is still to be seen then; see `SceneDescriber.recall`."""
+        self._describer.recall(recording, time)
+
     def write(self, batch: SceneBatch) -> None:
         """Write scenes."""
         times = TimeColumns.of(batch)
@@ -199,6 +204,8 @@ def write(
     describe(stream, reader.header, reader.path.name, unsigned(reader.location))
     road_map = map_around(road_map, player)
     writer = SceneWriter(stream, followed=player.followed, road_map=road_map, cameras=cameras, stops=stop_points(reader))
+    if player.start > 0:
+        writer.recall(Recording(reader), player.start)
     count = 0
     played = PlayedIncidents(player, road_network_of_map(road_map), incidents)
     for batch in player.batches(progress):
