@@ -200,6 +200,17 @@ def test_a_bridge_is_above_the_road_that_it_crosses():
     assert faces(town, Material.BRIDGE)[..., 2].min() == pytest.approx(5.2, abs=0.01)
 
 
+def test_a_sidewalk_around_a_sharp_corner_faces_up():
+    """Its inner border is the middle of the bend."""
+    around = '<laneOffset s="0" a="4" b="0" c="0" d="0"/>' + section(0, right=lane(-1).replace("driving", "sidewalk"))
+    bend = road(length=2 * np.pi, shape='<arc curvature="0.25"/>', sections=around)
+    town = built(bend.replace('b="0" c="0" d="0"/></elevationProfile>', 'b="0.02" c="0" d="0"/></elevationProfile>'))
+    mesh = Mesh.concatenate(town.tiles)
+    normals = mesh.normals[mesh.materials == Material.SIDEWALK]
+    assert len(normals)
+    assert normals[:, 2].min() > 0.999
+
+
 def test_slopes_do_not_reach_onto_roads():
     slope = '<elevation s="0" a="0" b="0.08" c="0" d="0"/>'
     hilly = road().replace('<elevation s="0" a="0" b="0" c="0" d="0"/>', slope)

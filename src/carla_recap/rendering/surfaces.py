@@ -141,10 +141,10 @@ def _limit_crowd(sections: Sequence[SampledSection]) -> None:
 
 def _sampled(part: SparseSection) -> SampledSection:
     number, road, section, stations = part
-    borders, offsets, lefts, _ = borders_at(road, section, stations)
-    along = np.gradient(borders[len(section.left)], axis=0)
-    normals = np.cross(along, lefts)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    borders, offsets, lefts, headings = borders_at(road, section, stations)
+    slopes = np.nan_to_num(np.gradient(borders[0, :, 2], stations), posinf=0.0, neginf=0.0)
+    normals = np.stack((-slopes * np.cos(headings), -slopes * np.sin(headings), np.ones(len(slopes))), axis=1)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     materials = tuple(_materials(road, section.lanes))
     return SampledSection(road, number, section, stations, lefts, normals, offsets, borders, section.lanes, materials)
 
