@@ -94,7 +94,7 @@ def test_a_picture_shows_the_model(folder, tmp_path):
 
 def test_rerun_shows_the_model(folder, tmp_path):
     pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
-    from carla_recap.show.rerun import export_rerun
+    from carla_recap import export_rerun
     from tests.show.test_rerun import Rrd
 
     use_models(folder)

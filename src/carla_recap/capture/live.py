@@ -126,6 +126,8 @@ def check_target(to: Path | str | None, foxglove_port: int | None = None, *, for
 
         with FoxgloveServer("", foxglove_port):
             return
+    import carla_recap.show.rerun  # noqa: F401  # it may be missing
+
     if to is None:
         if not has_display():
             raise RecapError("there is no display for the Rerun viewer; an .rrd can be written instead")

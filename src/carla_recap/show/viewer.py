@@ -217,6 +217,7 @@ def view(
         FormatError: The file contradicts its format.
     """
     reader = source.reader if isinstance(source, Recording) else source
+    _binary()  # which may be missing
     if not web and not has_display():
         if follow is not None:
             find_followed(reader, follow)  # an unknown actor is the first thing to mend
