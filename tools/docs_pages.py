@@ -31,7 +31,7 @@ PACKAGES: Final = {
         "The public names of `carla_recap`, with their docstrings. [Names](reference.md) is a short list of them.",
     ),
     "carla_recap.sim": (
-        "Python: simulator and exports",
+        "Python: simulator and other packages",
         "The public names of `carla_recap.sim` and of other packages. [Simulating](simulating.md) describes the simulator.",
     ),
 }
