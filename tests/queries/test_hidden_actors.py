@@ -1,0 +1,54 @@
+"""Actors that a scenario hides far below the ground until it needs them: no measure and no incident knows them meanwhile."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carla_recap import IncidentOptions, open_recording
+from carla_recap.queries.incidents import incidents
+from carla_recap.queries.measures import time_series
+from tests.replay.scripts import light, pose, spawn, write
+
+HERO, HIDDEN = 1, 2
+SHOWN = 8.0  # s: when the hidden car is set on the road
+TICK = 0.1  # s
+
+
+@pytest.fixture(params=["lights", "no lights"])
+def recording(request, tmp_path):
+    """The hero drives past a car that is 499 m below the road, and is set on it later."""
+    frames = []
+    for number in range(120):
+        below = number * TICK < SHOWN - TICK / 2
+        frames.append({"transforms": [pose(HERO, 100 * number), pose(HIDDEN, 9000, 400, -49900 if below else 0)]})
+        if request.param == "lights":
+            frames[-1]["light_states"] = [light(9, 2)]
+    frames[0]["spawned"] = [spawn(HERO, role_name="hero"), spawn(HIDDEN, x=9000)]
+    if request.param == "lights":
+        frames[0]["spawned"].append(spawn(9, "traffic.traffic_light", x=4000))
+    with open_recording(write(tmp_path / "hidden.mcap", frames, tick=TICK)) as opened:
+        yield opened
+
+
+def test_there_is_no_gap_to_a_car_below_the_road(recording):
+    series = time_series(recording.reader, HERO)
+    hidden = series.time < SHOWN - TICK
+    assert set(series.nearest[hidden].tolist()) == {-1}
+    assert np.isinf(series.gap[hidden]).all()
+    assert set(series.nearest[series.time > SHOWN + 0.6].tolist()) == {HIDDEN}
+
+
+def test_a_car_below_the_road_has_no_measures_itself(recording):
+    series = time_series(recording.reader, HIDDEN)
+    assert len(series)
+    assert series.time.min() > SHOWN - TICK
+
+
+def test_a_car_below_the_road_does_not_stop_there_for_long(recording):
+    found = incidents(recording.reader, IncidentOptions(kinds=["blocked"], min_time=5.0))
+    assert [one.actors for one in found] == []
+
+
+def test_carlas_own_query_still_has_it(recording):
+    assert HIDDEN in [row.id for row in recording.blocked(min_time=5.0)]
