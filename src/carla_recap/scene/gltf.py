@@ -38,7 +38,7 @@ class Part(NamedTuple):
 
     Attributes:
         material: The name of the material.
-        color: Red, green, blue, from 0 to 255.
+        color: Red, green, blue, from 0 to 255; None if the file says none.
         positions: The vertices, (vertices, 3).
         normals: The directions away from the surface, of length 1, (vertices, 3).
         triangles: The indices of the corners, (triangles, 3).
@@ -47,7 +47,7 @@ class Part(NamedTuple):
     """
 
     material: str
-    color: tuple[int, int, int]
+    color: tuple[int, int, int] | None
     positions: Floats
     normals: Floats
     triangles: NDArray[np.uint32]
@@ -135,7 +135,9 @@ class _Document:
         finish = material.get("pbrMetallicRoughness", {})
         return Part(
             str(material.get("name", "")),
-            _color(finish.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0)), transparent=material.get("alphaMode") == "BLEND"),
+            _color(finish["baseColorFactor"], transparent=material.get("alphaMode") == "BLEND")
+            if "baseColorFactor" in finish
+            else None,
             positions,
             normals,
             corners.astype(np.uint32),

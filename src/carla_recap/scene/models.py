@@ -18,7 +18,7 @@ import numpy as np
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.blueprints import plain_name
 from carla_recap.scene.gltf import MOST_BYTES, MOST_TRIANGLES, InvalidGltf, Part, read_glb
-from carla_recap.scene.materials import Material
+from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.scene.mesh import Mesh
 from carla_recap.util.resources import viewer_folder
 
@@ -177,13 +177,15 @@ def _model(name: str, parts: list[Part]) -> Model:
     low, high = points.min(axis=0), points.max(axis=0)
     center, half = (low + high) / 2, np.maximum((high - low) / 2, _LEAST)
     stretched = normals * half
+    materials = [_MATERIALS.get(_letters(part.material), Material.PLAIN) for part in parts]
+    colors = [part.color or MATERIALS[material].color for part, material in zip(parts, materials, strict=True)]
     offsets = np.cumsum([0, *counts[:-1]])
     mesh = Mesh(
         np.clip((points - center) / half, -1, 1).astype(np.float32),
         (stretched / np.linalg.norm(stretched, axis=1, keepdims=True)).astype(np.float32),
-        np.repeat(np.array([_MATERIALS.get(_letters(part.material), Material.PLAIN) for part in parts], np.uint8), counts),
+        np.repeat(np.array(materials, np.uint8), counts),
         np.concatenate([part.triangles + np.uint32(offset) for part, offset in zip(parts, offsets, strict=True)]),
-        np.repeat(np.array([part.color for part in parts], np.uint8), counts, axis=0),
+        np.repeat(np.array(colors, np.uint8), counts, axis=0),
     )
     steered = np.repeat([part.pivot is not None for part in parts], counts)
     axes = [center[:2] if part.pivot is None else part.pivot[list(_OURS[:2])] for part in parts]
