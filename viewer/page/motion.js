@@ -1,9 +1,8 @@
 // The speed, the acceleration and the gap ahead of an actor, at each sample.
 "use strict";
 
-const SPEED_WINDOW = 0.1; // s, before and after
-const ACCELERATION_WINDOW = 0.25; // s, before and after
-const FASTEST = 100; // m/s; anything faster is a jump
+const ACCELERATION_SPAN = 0.3; // s before a moment over which an acceleration is the mean, as in scene/follow.py
+const LONGEST_STEP = 1; // s; over a longer step there is no acceleration
 const SIGHT = 60; // m; farther gaps are not shown
 const PATH_STEP = 0.5; // m between points of a path
 const CLEARANCE = 0.2; // m beside an actor that counts as its width
@@ -22,26 +21,24 @@ class Motion {
 
   measure(actor) {
     const { times } = this.tracks;
-    const { x, y, yaw } = this.positions(actor);
-    const speed = slopes(times, SPEED_WINDOW, (i, j) => Math.hypot(x[j] - x[i], y[j] - y[i]), x);
-    for (let i = 0; i < speed.length; i++) if (speed[i] > FASTEST) speed[i] = NaN;
-    const acceleration = slopes(times, ACCELERATION_WINDOW, (i, j) => speed[j] - speed[i], speed);
-    return { times, speed, acceleration, ...this.gaps(actor, x, y, yaw) };
+    const { x, y, yaw, speed } = this.rows(actor);
+    return { times, speed, acceleration: accelerations(times, speed), ...this.gaps(actor, x, y, yaw) };
   }
 
-  /** Return the poses of an actor at all samples; NaN if it is absent. */
-  positions(actor) {
+  /** Return the poses and speeds of an actor at all samples; NaN if it is absent, or its speed unknown. */
+  rows(actor) {
     const { tracks } = this;
     const count = tracks.times.length;
-    const [x, y, yaw] = [0, 0, 0].map(() => new Float64Array(count).fill(NaN));
+    const [x, y, yaw, speed] = [0, 0, 0, 0].map(() => new Float64Array(count).fill(NaN));
     for (const track of tracks.own[actor]) {
       const single = tracks.count[track] === 1;
       for (let i = tracks.first[track]; i <= tracks.last[track]; i++) {
         const row = tracks.begin[track] + (single ? 0 : i - tracks.first[track]);
         [x[i], y[i], yaw[i]] = [tracks.x[row], tracks.y[row], tracks.yaw[row] * TURN];
+        if (tracks.speeds[row] >= 0) speed[i] = tracks.speeds[row];
       }
     }
-    return { x, y, yaw };
+    return { x, y, yaw, speed };
   }
 
   /** Return the gap between the bumpers to the nearest actor on the path that an actor drives. */
@@ -80,23 +77,17 @@ class Motion {
   }
 }
 
-/** Return the change of something per second, around each sample where `present` is a number. */
-function slopes(times, window, change, present) {
-  const count = times.length;
-  const found = new Float32Array(count).fill(NaN);
-  let [low, high] = [0, 0];
-  for (let i = 0; i < count; i++) {
-    if (Number.isNaN(present[i])) {
-      [low, high] = [i + 1, i + 1];
-      continue;
-    }
-    while (times[i] - times[low] > window + 1e-4) low++;
-    high = Math.max(high, i);
-    while (high + 1 < count && times[high + 1] - times[i] <= window + 1e-4 && !Number.isNaN(present[high + 1])) high++;
-    const [from, to] = [low === i ? Math.max(0, i - 1) : low, high === i ? Math.min(count - 1, i + 1) : high];
-    const a = Number.isNaN(present[from]) ? i : from;
-    const b = Number.isNaN(present[to]) ? i : to;
-    found[i] = times[b] > times[a] && times[b] - times[a] < 2 ? change(a, b) / (times[b] - times[a]) : 0;
+/** Return the mean acceleration over the last moments at each sample where speeds are known. */
+function accelerations(times, speed) {
+  const found = new Float32Array(times.length).fill(NaN);
+  const known = [];
+  for (let i = 0; i < times.length; i++) if (!Number.isNaN(speed[i])) known.push(i);
+  let first = 0;
+  for (let at = 1; at < known.length; at++) {
+    while (times[known[first]] < times[known[at]] - ACCELERATION_SPAN - 1e-5) first++;
+    const from = known[Math.min(first, at - 1)];
+    const seconds = times[known[at]] - times[from];
+    if (seconds > 0 && seconds <= LONGEST_STEP) found[known[at]] = (speed[known[at]] - speed[from]) / seconds;
   }
   return found;
 }

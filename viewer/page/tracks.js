@@ -2,7 +2,6 @@
 "use strict";
 
 const TURN = (2 * Math.PI) / 16384; // radians per unit of a sampled yaw
-const SLOPE = 0.1; // s; speeds are measured over twice this time
 
 class Tracks {
   constructor(recording) {
@@ -12,6 +11,7 @@ class Tracks {
     this.x = recording.x;
     this.y = recording.y;
     this.yaw = recording.yaw;
+    this.speeds = recording.speed;
     // One value for each track: its actor, its first and last sample, its first row, and the number of its rows.
     [this.owner, this.first, this.last, this.begin, this.count] = recording.tracks;
     this.own = this.actors.map(() => []); // the tracks of each actor, in order of time
@@ -84,17 +84,13 @@ class Tracks {
     return low && this.last[own[low - 1]] >= sample ? own[low - 1] : -1;
   }
 
-  /** Return the speed of an actor, in m/s. */
+  /** Return the speed of an actor in m/s; 0 where it is unknown. */
   speed(actor, time) {
-    const [before, after] = [{}, {}];
-    const [start, stop] = [Math.max(this.times[0], time - SLOPE), Math.min(this.times[this.times.length - 1], time + SLOPE)];
-    const found =
-      stop > start &&
-      this.trackAt(actor, this.sampleAt(start)) >= 0 &&
-      this.pose(actor, start, this.sampleAt(start), before) &&
-      this.pose(actor, stop, this.sampleAt(stop), after);
-    const speed = found ? Math.hypot(after.x - before.x, after.y - before.y) / (stop - start) : 0;
-    return speed < 100 ? speed : 0; // a jump
+    const sample = this.sampleAt(time);
+    const track = this.trackAt(actor, sample);
+    if (track < 0) return 0;
+    const single = this.count[track] === 1;
+    return Math.max(0, this.speeds[this.begin[track] + (single ? 0 : sample - this.first[track])]);
   }
 
   /** Return the path of an actor in an interval, as lines of x, y, x, y, …, up to its end. */

@@ -17,6 +17,7 @@ from carla_recap.model.motion import TOP_SPEED, possible_step
 from carla_recap.model.records import CM
 from carla_recap.replay import Player, calm_headings, level, right_handed
 from carla_recap.replay.pose import LOCATION, YAW
+from carla_recap.replay.selection import find, numbers
 from carla_recap.scene.ahead import NO_LIGHT, LightAheadFinder
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.recording import Recording
-    from carla_recap.replay import SceneBatch
+    from carla_recap.replay import Scene, SceneBatch
     from carla_recap.scene.ahead import StopPoints
 
     Flags = NDArray[np.bool_]
@@ -121,6 +122,36 @@ def followed_series(
     actor = FollowedActor(id, stops)
     player = Player(source, start=begin, duration=max(stop - begin, SAME_TIME) if stop < math.inf else 0.0, follow=id)
     return FollowedSeries.joined([actor.series(batch) for batch in player.batches()])
+
+
+def step_speeds(metres: Floats, seconds: Floats | float) -> Floats:
+    """Return the speeds of steps in m/s; NaN where a step takes no time, or is farther than any actor gets."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        speeds = metres / np.asarray(seconds)
+        return np.where((np.asarray(seconds) > 0) & (speeds <= TOP_SPEED), speeds, np.nan)
+
+
+def speeds_of(scene: Scene, before: Scene | None) -> Floats:
+    """Return the speeds of all actors with recorded poses, as `FollowedSeries` has that of one, in m/s, (ids,).
+
+    Args:
+        scene: The scene.
+        before: The one before it, if any.
+    """
+    speeds = np.full(len(scene.ids), np.nan)
+    if before is not None:
+        where, found = find(scene.ids, before.ids)
+        with np.errstate(invalid="ignore", over="ignore"):
+            steps = scene.poses[found, LOCATION] - before.poses[where[found], LOCATION]
+            metres = np.sqrt((steps**2).sum(axis=1)) * CM
+        speeds[found] = step_speeds(metres, scene.time - before.time)
+    velocities = scene.velocities
+    if len(velocities):
+        where, found = find(scene.ids, velocities["id"])
+        with np.errstate(invalid="ignore"):  # a signaling NaN
+            recorded = np.sqrt((numbers(velocities)[where[found], LOCATION].astype(np.float64) ** 2).sum(axis=1))
+        speeds[found] = np.where(np.isfinite(recorded), recorded, speeds[found])
+    return speeds
 
 
 class FollowedActor:
@@ -229,13 +260,12 @@ class CalmPath:
         fastest = np.concatenate(([self._speed], speeds[rows]))
         seconds = np.diff(at)
         metres = np.sqrt((np.diff(path[:, LOCATION], axis=0) ** 2).sum(axis=1)) * CM
-        with np.errstate(invalid="ignore", divide="ignore"):
+        with np.errstate(invalid="ignore"):
             far = ~(metres <= possible_step(seconds, np.fmax(fastest[1:], fastest[:-1])))
-            slopes = metres / seconds
         absent = np.diff(rows, prepend=-1 if self._is_known else -2) != 1
         jumped, speed = np.zeros(len(time), np.bool_), np.full(len(time), np.nan)
         jumped[rows] = far | absent
-        speed[rows] = np.where(jumped[rows] | ~((seconds > 0) & (slopes <= TOP_SPEED)), np.nan, slopes)
+        speed[rows] = np.where(jumped[rows], np.nan, step_speeds(metres, seconds))
         headings = self._headings(at, path[1:, YAW], jumped[rows])
         camera = np.concatenate((self._camera[None], level(poses[rows], headings)))
         if len(rows):

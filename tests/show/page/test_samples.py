@@ -46,7 +46,7 @@ def test_an_actor_that_stands_still_has_one_row_and_one_that_moves_has_one_track
         (0, 3 * BLOCK - 1, 3 * BLOCK),
         (0, 3 * BLOCK - 1, 1),
     ]
-    assert replay.tracks[1].rows.tolist() == [[1, -2, -90]]
+    assert replay.tracks[1].rows.tolist() == [[1, -2, -90, 0]]
     assert replay.tracks[0].rows[:, 0] == pytest.approx(np.arange(3 * BLOCK) / 100, abs=1e-5)
 
 

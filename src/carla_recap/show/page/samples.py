@@ -13,6 +13,7 @@ from carla_recap.model.motion import possible_step
 from carla_recap.replay.events import Destroyed
 from carla_recap.replay.pose import YAW, right_handed
 from carla_recap.replay.selection import NO_IDS
+from carla_recap.scene.follow import speeds_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -28,7 +29,7 @@ BLOCK: Final = 128  # samples that are handled together
 FAR: Final = 1e6  # m; poses farther out are left out
 STILL: Final = 0.01  # m
 STILL_TURN: Final = 0.2  # degrees
-ROW_BYTES: Final = 10  # of a sample of an actor in the page
+ROW_BYTES: Final = 12  # of a sample of an actor in the page
 ACTOR_BYTES: Final = 250  # of an actor in the page
 _SAME_TIME: Final = 1e-4  # s
 _COLUMNS: Final = (0, 1, YAW)
@@ -59,7 +60,8 @@ class Track:
         actor: The index of the actor in `SampledReplay.actors`.
         first: The index of its first sample.
         last: The index of its last sample.
-        rows: x, y in m and yaw in degrees, right-handed, for each sample; a single row if the actor stands still.
+        rows: x, y in m, yaw in degrees, right-handed, and the speed in m/s or NaN for each sample; a single row if the actor
+            stands still.
     """
 
     actor: int
@@ -96,7 +98,7 @@ class SampledReplay:
         return any(start <= time <= stop for start, stop in self.spans)
 
     def poses(self, time: float) -> dict[int, Floats]:
-        """Return the poses at a time by the indices of the actors: x, y, yaw of the sample at or before it."""
+        """Return the poses at a time by the indices of the actors: x, y, yaw, speed of the sample at or before it."""
         sample = int(np.searchsorted(self.times, time + _SAME_TIME, side="right")) - 1
         _, first, last = self._bounds
         poses = {}
@@ -148,7 +150,8 @@ class Sampler:
         self._ids = NO_IDS
         self._changed = False  # whether actors appeared or disappeared since the last sample
         self._columns = np.zeros(0, np.intp)  # the actors of the rows of a sample
-        self._fixed = np.zeros((0, 3))  # the poses of actors without recorded poses
+        self._fixed = np.zeros((0, 4))  # the rows of actors without recorded poses
+        self._before: Scene | None = None  # the scene before, if it belongs to the same interval
         self._light_ids, self._light_states = b"", b""
         self._shown: dict[int, int] = {}  # the states of the traffic lights
 
@@ -161,6 +164,7 @@ class Sampler:
         """Begin an interval that does not continue the one before."""
         self._flush(ended=True)
         self._due = -math.inf
+        self._before = None
 
     def add(self, scene: Scene, *, last: bool = False) -> None:
         """Add a scene, if a sample is due.
@@ -169,6 +173,7 @@ class Sampler:
             scene: The scene; all scenes of an interval must be given.
             last: Whether to take the sample in any case.
         """
+        before, self._before = self._before, scene
         if scene.fresh:
             self._index.clear()
         for event in scene.events:
@@ -192,6 +197,8 @@ class Sampler:
         poses = right_handed(scene.poses)[:, _COLUMNS]
         poses[scene.batch.away[scene.row]] = np.nan
         self._block.append((self._columns, np.concatenate((poses, self._fixed))))
+        speeds = speeds_of(scene, before)
+        self._block.append((self._columns, np.concatenate((np.column_stack((poses, speeds)), self._fixed))))
         self._note_lights(scene)
         if len(self._block) > BLOCK:
             self._flush()
@@ -215,7 +222,8 @@ class Sampler:
                 columns.append(self._index[actor.id])
                 fixed.append(actor.spawn_pose)
         self._columns = np.array(columns, np.intp)
-        self._fixed = right_handed(np.array(fixed).reshape(-1, 6))[:, _COLUMNS]
+        self._fixed = np.zeros((len(fixed), 4))
+        self._fixed[:, :3] = right_handed(np.array(fixed).reshape(-1, 6))[:, _COLUMNS]
 
     def _index_of(self, id: int, since: float) -> int:
         """Return the index of the actor with an id and the time of its spawn."""
@@ -246,7 +254,7 @@ class Sampler:
         for actor in self._actors.values():
             self._sampled[self._known[actor.id, actor.spawned_at]].details = actor
         present = np.unique(np.concatenate([actors for actors, _ in block]))
-        samples = np.full((len(block), len(present), 3), np.nan)
+        samples = np.full((len(block), len(present), 4), np.nan)
         held, columns = None, np.zeros(0, np.intp)
         for sample, (actors, rows) in zip(samples, block, strict=True):
             if actors is not held:
@@ -254,9 +262,11 @@ class Sampler:
             sample[columns] = rows
         times = np.array(self._times[self._begin : self._begin + len(block)])
         with np.errstate(invalid="ignore", over="ignore"):
-            for column, first, last, still in _intervals(samples, times):
-                rows = samples[first : first + 1 if still else last + 1, column]
-                self._append(Track(int(present[column]), self._begin + first, self._begin + last, rows.copy()))
+            for column, first, last, still in _intervals(samples[..., :3], times):
+                rows = samples[first : first + 1 if still else last + 1, column].copy()
+                if still:
+                    rows[0, 3] = samples[last, column, 3]
+                self._append(Track(int(present[column]), self._begin + first, self._begin + last, rows))
         self._block = [] if ended else block[-1:]
         self._begin += len(block) - 1
 
@@ -266,7 +276,7 @@ class Sampler:
         if before is not None and before.last == track.first:
             if track.last == track.first:
                 return
-            if before.is_still and track.is_still and (before.rows == track.rows).all():
+            if before.is_still and track.is_still and (before.rows[:, :3] == track.rows[:, :3]).all():
                 before.last = track.last
                 return
             if not before.is_still and not track.is_still:

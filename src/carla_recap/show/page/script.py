@@ -33,6 +33,7 @@ LONGEST: Final = 120  # characters of a name
 LENGTH_UNIT: Final = 0.002  # m
 TIME_UNIT: Final = 1e-5  # s
 MAP_UNIT: Final = 0.02  # m
+SPEED_UNIT: Final = 0.01  # m/s
 _TURN: Final = 16384 / 360  # units of a yaw per degree
 _PAINT: Final = re.compile(r" *(\d{1,3}) *, *(\d{1,3}) *, *(\d{1,3}) *")
 _LONG: Final = 2.65  # m, half the length from which a vehicle is drawn as a truck
@@ -126,16 +127,17 @@ def recording_data(replay: SampledReplay, packer: Packer) -> dict[str, Any]:
     """Return the samples, with columns for the numbers.
 
     `tracks` has five columns, with a row for each track: the actor, the first and the last sample, the index of its first
-    row in `x`, `y` and `yaw`, and the number of its rows: one for each sample, or a single one. A yaw of 16384 is a full
-    turn.
+    row in `x`, `y`, `yaw` and `speed`, and the number of its rows: one for each sample, or a single one. A yaw of 16384 is
+    a full turn; a speed is in m/s, or -1 if it is unknown.
     """
     table, rows, begin = [], [], 0
     for track in replay.tracks:
         table.append((track.actor, track.first, track.last, begin, len(track.rows)))
-        turned = np.column_stack((track.rows[:, :2], np.unwrap(track.rows[:, 2] % 360, period=360)))
+        speeds = np.nan_to_num(track.rows[:, 3], nan=-1.0, posinf=-1.0)
+        turned = np.column_stack((track.rows[:, :2], np.unwrap(track.rows[:, 2] % 360, period=360), speeds))
         rows.append(turned)
         begin += len(track.rows)
-    x, y, yaw = np.concatenate(rows).T if rows else np.zeros((3, 0))
+    x, y, yaw, speed = np.concatenate(rows).T if rows else np.zeros((4, 0))
     columns = np.array(table, np.float64).reshape(-1, 5).T
     actors, times, states = np.array(replay.lights, np.float64).reshape(-1, 3).T
     return {
@@ -146,6 +148,7 @@ def recording_data(replay: SampledReplay, packer: Packer) -> dict[str, Any]:
         "x": packer.column(x, LENGTH_UNIT, order=2),
         "y": packer.column(y, LENGTH_UNIT, order=2),
         "yaw": packer.column(np.rint(yaw * _TURN), order=2),
+        "speed": packer.column(speed, SPEED_UNIT),
         "lights": {
             "actor": packer.column(actors),
             "time": packer.column(times, TIME_UNIT),
