@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import signal
 import struct
 import subprocess
@@ -323,6 +324,16 @@ def test_it_goes_on_after_viewers_have_gone(served: str) -> None:
             viewer.control(PLAY, seek=start_of(viewer))
     with connected(served) as viewer:
         viewer.latest(*STILL)
+
+
+def test_nonsense_ends_nothing(served: str) -> None:
+    with connected(served) as viewer:
+        for data in (b"", b"\x03", b"\xff" * 30, "{", '{"op":"subscribe","subscriptions":[{"id":1,"channelId":99999}]}'):
+            viewer._send(data)
+        for seek in (0, (1 << 64) - 1):
+            viewer._send(struct.pack("<BBfBQI", 3, PLAY, math.nan, True, seek, 0))
+    with connected(served) as viewer:
+        assert viewer.control(PAUSE, seek=start_of(viewer))[:2] == (PAUSED, start_of(viewer))
 
 
 def test_ctrl_c_ends_it() -> None:
