@@ -196,7 +196,6 @@ class Sampler:
         self._spans[-1] = (self._spans[-1][0], scene.time)
         poses = right_handed(scene.poses)[:, _COLUMNS]
         poses[scene.batch.away[scene.row]] = np.nan
-        self._block.append((self._columns, np.concatenate((poses, self._fixed))))
         speeds = speeds_of(scene, before)
         self._block.append((self._columns, np.concatenate((np.column_stack((poses, speeds)), self._fixed))))
         self._note_lights(scene)
