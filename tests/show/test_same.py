@@ -11,7 +11,9 @@ import pytest
 
 from carla_recap import import_tracks, open_recording
 from carla_recap.model.actors import ROAD_USERS
+from carla_recap.queries.incidents import IncidentOptions
 from carla_recap.replay import Player
+from carla_recap.scene import style
 from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.scene.models import MODELS
 from carla_recap.show.foxglove import export_foxglove
@@ -22,6 +24,7 @@ from tests.samples import carla_log
 
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
+from carla_recap.show.rerun.paths import EVENTS, LIGHT_AHEAD, PEDALS
 from carla_recap.show.rrd import export_rerun
 from tests.show.test_foxglove import corners, latest, read, seen, xyz
 from tests.show.test_rerun import Rrd
@@ -42,6 +45,9 @@ class Seen:
         lamps: The colours of the lit lamps of those vehicles that have any lit.
         lying: The walkers that lie.
         marks: Where collisions are marked.
+        speed: The speed of the followed actor in m/s; None if it is unknown.
+        pedals: Its throttle and brake as they are shown, if they are recorded.
+        light: The colour of the traffic light ahead of it, if there is one.
     """
 
     places: dict[int, tuple[float, ...]] = field(default_factory=dict)
@@ -49,6 +55,9 @@ class Seen:
     lamps: dict[int, set[tuple[int, ...]]] = field(default_factory=dict)
     lying: set[int] = field(default_factory=set)
     marks: list[tuple[float, ...]] = field(default_factory=list)
+    speed: float | None = None
+    pedals: tuple[float, ...] | None = None
+    light: str | None = None
 
 
 def parked_below() -> list[dict]:
@@ -93,11 +102,25 @@ def recorded(request, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def shown(recorded, tmp_path_factory):
-    """What each viewer shows at ten moments."""
+def exported(recorded, tmp_path_factory):
+    """What is exported to Rerun and to Foxglove."""
     folder, (recording, start) = tmp_path_factory.mktemp("shown"), recorded
     export_rerun(recording, folder / "x.rrd", start=start)
     export_foxglove(recording, folder / "x.mcap", start=start)
+    return folder
+
+
+@pytest.fixture
+def logs(exported):
+    """The texts in Rerun's and in Foxglove's log, sorted."""
+    rerun = [text for _, texts in Rrd(exported / "x.rrd").rows(EVENTS, "TextLog:text") for text in texts]
+    return sorted(rerun), sorted(message.message for _, message in read(exported / "x.mcap")["/log"])
+
+
+@pytest.fixture(scope="module")
+def shown(recorded, exported):
+    """What each viewer shows at ten moments."""
+    folder, (recording, start) = exported, recorded
     walkers = {actor.id for actor in recording.actors.values() if actor.kind == "walker"}
     rrd, topics = Rrd(folder / "x.rrd"), read(folder / "x.mcap")
     for topic, messages in topics.items():
@@ -105,11 +128,12 @@ def shown(recorded, tmp_path_factory):
     replay, _ = sample(recording, [], 0.0, 0.0, None)
     times = _moments(replay.times, np.array([time for time, _ in topics["/tf/actors"]]))
     users = {actor.id for actor in recording.actors.values() if actor.kind in ROAD_USERS}
+    followed = Player(recording, start=start).followed
     return times, {
-        "video": [_in_video(recording, time, users, walkers) for time in times],
+        "video": [_in_video(recording, time, followed, users, walkers) for time in times],
         "rerun": [_in_rerun(rrd, time, users, walkers) for time in times],
         "foxglove": [_in_foxglove(topics, time, users, walkers) for time in times],
-        "page": [_in_page(replay, time, users) for time in times],
+        "page": [_in_page(replay, time, followed, users) for time in times],
     }
 
 
@@ -120,12 +144,15 @@ def _moments(*times: np.ndarray) -> list[float]:
     return [float(common[index]) for index in np.linspace(0, len(common) - 1, MOMENTS).round().astype(int)]
 
 
-def _in_video(recording, time: float, users: set[int], walkers: set[int]) -> Seen:
-    player = Player(recording, start=time)
-    film = Film(recording, player, "chase", (640, 360))
+def _in_video(recording, time: float, followed: int | None, users: set[int], walkers: set[int]) -> Seen:
+    player = Player(recording, start=time, follow=followed)
+    film = Film(recording, player, "chase", (640, 360), shown=IncidentOptions(kinds=["collision"]))
     scene = player.tick(0)
     assert scene is not None
-    instances, found = film.shot(scene).instances, Seen()
+    shot = film.shot(scene)
+    instances, read, found = shot.instances, shot.readings, Seen(speed=shot.readings.speed)
+    found.pedals = None if read.controls is None else read.controls[:2]
+    found.light = None if read.light is None else style.light(read.light.state)[0]
     for row, id in enumerate(instances.ids.tolist()):
         mesh, turn = MODELS[instances.models[row]].mesh, instances.rotations[row]
         if MODELS[instances.models[row]].name == "collision mark":
@@ -166,6 +193,13 @@ def _in_rerun(rrd: Rrd, time: float, users: set[int], walkers: set[int]) -> Seen
             color = rrd.at(f"{path}/lamps/{lamp.name.lower()}", "Mesh3D:albedo_factor", time)
             if color is not None and tuple(color[0].to_bytes(4, "big")[:3]) == _glow(lamp):
                 found.lamps.setdefault(id, set()).add(_glow(lamp))
+    (speed,), pedals = (
+        rrd.at("/ego/speed_kmh", "Scalars:scalars", time) or [math.nan],
+        rrd.at(PEDALS, "Scalars:scalars", time),
+    )
+    found.speed, found.pedals = _known(speed / 3.6), None if pedals is None else tuple(pedals)
+    (light,) = rrd.at(LIGHT_AHEAD, "StateChange:state", time) or ["none"]
+    found.light = None if light == "none" else light.rpartition(" ")[2]
     strips = rrd.at("/world/collisions", "LineStrips3D:strips", time) or []
     found.marks = sorted({tuple(np.mean(strip[:-1], axis=0).round(3).tolist()) for strip in strips if len(strip) > 2})
     return found
@@ -191,14 +225,27 @@ def _in_foxglove(topics, time: float, users: set[int], walkers: set[int]) -> See
         lit = seen(topics["/scene/lamps"], time).get(f"lamps {id}")
         if lit is not None and lit.triangles:
             found.lamps[id] = {tuple(round(255 * getattr(each.color, name)) for name in "rgb") for each in lit.triangles}
+    if any(at <= time + 1e-6 for at, _ in topics["/hero"]):
+        hero = latest(topics["/hero"], time)
+        found.speed = hero.speed if hero.HasField("speed") else None
+        found.pedals = (hero.shown_throttle, hero.shown_brake) if hero.HasField("shown_brake") else None
+    ahead = latest(topics["/lights"], time).ahead.text
+    found.light = None if ahead == "none" else ahead.rpartition(" ")[2]
     for entity in seen(topics["/scene/marks"], time).values():
         found.marks.append(tuple(_middle(corners(entity)).tolist()))
     return found
 
 
-def _in_page(replay, time: float, users: set[int]) -> Seen:
+def _in_page(replay, time: float, followed: int | None, users: set[int]) -> Seen:
     poses = {replay.actors[index].id: pose for index, pose in replay.poses(time).items()}
-    return Seen({id: pose[:2] for id, pose in poses.items() if id in users}, {id: pose[2] for id, pose in poses.items()})
+    speed = _known(poses[followed][3]) if followed in poses else None
+    return Seen(
+        {id: pose[:2] for id, pose in poses.items() if id in users}, {id: pose[2] for id, pose in poses.items()}, speed=speed
+    )
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else float(value)
 
 
 def _middle(points: np.ndarray) -> np.ndarray:
@@ -266,6 +313,30 @@ def test_the_same_collisions_are_marked(shown, viewer):
         assert len(other.marks) == len(one.marks), time
         for mark, expected in zip(sorted(other.marks), sorted(one.marks), strict=True):
             assert mark == pytest.approx(expected, abs=0.05), time
+
+
+@pytest.mark.parametrize("viewer", VIEWERS)
+def test_the_followed_actor_is_as_fast(shown, viewer):
+    times, found = shown
+    for time, one, other in zip(times, found["video"], found[viewer], strict=True):
+        assert (other.speed is None) == (one.speed is None), time
+        if one.speed is not None:
+            assert other.speed == pytest.approx(one.speed, abs=0.01), time
+
+
+@pytest.mark.parametrize("viewer", ["rerun", "foxglove"])
+def test_its_pedals_and_the_light_ahead_are_the_same(shown, viewer):
+    times, found = shown
+    for time, one, other in zip(times, found["video"], found[viewer], strict=True):
+        assert other.light == one.light, time
+        if one.pedals is not None:
+            assert other.pedals == pytest.approx(one.pedals, abs=1e-6), time
+
+
+def test_the_same_events_are_listed(logs):
+    rerun, foxglove = logs
+    assert rerun == foxglove
+    assert len(rerun) > 0
 
 
 def test_something_is_to_be_compared(request, shown):
