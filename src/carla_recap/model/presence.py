@@ -30,9 +30,10 @@ LEVEL: Final = 30.0
 """The height in m between roads above each other, at most: more than that of a bridge, less than what scenarios hide by."""
 SLOPE: Final = 0.2
 """The slope of the land between roads, at most: steeper than any road."""
+FAR: Final = 1e7
+"""The distance in m from the origin from which on a place is none: no coordinates in use are as large."""
 
 _LANDMARKS: Final = ("traffic_light", "traffic_sign")
-_FAR: Final = 1e6  # m; a place farther out is none
 
 
 class RoadHeights:
@@ -55,7 +56,7 @@ class RoadHeights:
         """Where the largest group of lights and signs is, in m, (landmarks, 3)."""
         standing = [actor.spawn_pose[:3] for actor in self._actors if actor.kind in _LANDMARKS and not actor.attached]
         places = np.array(standing, np.float64).reshape(-1, 3) * CM
-        places = places[(np.abs(places) < _FAR).all(axis=1)]
+        places = places[(np.abs(places) < FAR).all(axis=1)]
         low, high = _largest_group(places[None, :, 2])
         return np.asarray(places[(places[:, 2] >= low) & (places[:, 2] <= high)])
 
@@ -83,7 +84,7 @@ class RoadHeights:
         if high - low <= LEVEL / CM:
             return np.zeros(z.shape, np.bool_)
         places = places[..., :3] * CM
-        z, known = places[..., 2], (np.abs(places) < _FAR).all(axis=2)
+        z, known = places[..., 2], (np.abs(places) < FAR).all(axis=2)
         users = known & np.isin(ids, self._ids(lambda actor: actor.kind in ROAD_USERS))
         if len(self._landmarks):
             low, high = np.full(len(z), lowest), np.full(len(z), highest)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.presence import FAR
 from carla_recap.replay.pose import right_handed
 from carla_recap.replay.selection import NO_IDS, find
 from carla_recap.scene.appearance import look_of_present
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     Integers = NDArray[np.int64]
     Lamps = NDArray[np.uint64]
 
-_FAR: Final = 1e9  # cm and degrees; an actor with a pose beyond is not shown
 _STEERED: Final = math.radians(40)  # of the front wheels at full steering
 
 
@@ -131,7 +131,7 @@ class SceneDescription:
     @cached_property
     def shown(self) -> Booleans:
         """Whether an actor is somewhere to be seen, (scenes, ids)."""
-        return np.asarray((np.abs(self.poses) < _FAR).all(axis=2)) & ~self._away  # not so if any is NaN
+        return np.asarray((np.abs(self.poses) < FAR).all(axis=2)) & ~self._away  # not so if any is NaN
 
     @cached_property
     def _away(self) -> Booleans:

@@ -11,7 +11,7 @@ import numpy as np
 from carla_recap.model.actors import ROAD_USERS
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.motion import LONGEST_STEP, place_in_metres, possible_step
-from carla_recap.model.presence import RoadHeights
+from carla_recap.model.presence import FAR, RoadHeights
 from carla_recap.model.segment import SegmentBuffer, segments
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ _FRAMES: Final = 1024  # of a block, without its margins
 _STEP: Final = 64  # frames after which blocks are tried again
 _MARGIN_FRAMES: Final = 512  # of a margin, at most
 _VALUES: Final = 1 << 20  # poses of a block, at most, where it has several frames
-_FAR: Final = 1e6  # m; poses farther out do not count
 _FASTEST: Final = 150.0  # m/s; velocities above it do not count
 _AROUND_JUMP: Final = 0.5  # s before and after a jump in which an actor does not count
 
@@ -246,7 +245,7 @@ def _motion(time: Floats, pose: Floats, velocity: Floats, away: Booleans) -> tup
     x, y, z = place_in_metres(*pose[:3])
     yaw = np.deg2rad(np.remainder(-pose[3], 360.0))
     vx, vy = velocity[0], -velocity[1]
-    absent = away | ~((np.abs(x) < _FAR) & (np.abs(y) < _FAR) & (np.abs(z) < _FAR) & np.isfinite(yaw))
+    absent = away | ~((np.abs(x) < FAR) & (np.abs(y) < FAR) & (np.abs(z) < FAR) & np.isfinite(yaw))
     unknown = ~(np.hypot(vx, vy) < _FASTEST)
     vx[unknown] = vy[unknown] = np.nan
     if len(time) > 1:

@@ -14,7 +14,8 @@ import numpy as np
 
 from carla_recap.formats.mcap.schema import MESSAGE
 from carla_recap.model.actors import ActorLife
-from carla_recap.model.records import Spawn
+from carla_recap.model.presence import FAR
+from carla_recap.model.records import CM, Spawn
 from carla_recap.replay import quaternions, right_handed
 from carla_recap.replay.pose import LOCATION, change
 from carla_recap.replay.selection import NO_IDS, find
@@ -52,7 +53,7 @@ MOVED: Final = "/tf/actors"
 STILL: Final = "/tf/still"
 
 _MOVED_BY: Final = np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])  # cm and degrees; an actor farther from its first pose has moved
-_FAR: Final = 1e9  # cm and degrees; a pose beyond is not shown
+_FAR: Final = FAR / CM  # cm and degrees
 _MOST_MODELS: Final = 300  # of the present actors; further ones are boxes
 _MOST_BYTES: Final = 1 << 29  # of models; a recording whose actors come and go that often has boxes from then on
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.model.motion import possible_step
+from carla_recap.model.presence import FAR
 from carla_recap.replay.events import Destroyed
 from carla_recap.replay.pose import YAW, right_handed
 from carla_recap.replay.selection import NO_IDS
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 BLOCK: Final = 128  # samples that are handled together
-FAR: Final = 1e6  # m; poses farther out are left out
 STILL: Final = 0.01  # m
 STILL_TURN: Final = 0.2  # degrees
 ROW_BYTES: Final = 12  # of a sample of an actor in the page
