@@ -217,14 +217,15 @@ class LaneIndex:
         Returns:
             Locations, (k, 3), and headings, (k,).
         """
-        lane, s = np.asarray(lane), np.asarray(s, np.float64)
-        last = self.count[lane] - 1
-        steps = np.clip(s / self.spacing[lane], 0, last)
-        whole = np.minimum(steps.astype(np.int64), last - 1)
-        share = steps - whole
-        point = self.first[lane] + whole
+        point, share = self.steps(np.asarray(lane), np.asarray(s, np.float64))
         place = self.points[point] + share[:, None] * (self.points[point + 1] - self.points[point])
         return place, self.heading[point] + share * (self.heading[point + 1] - self.heading[point])
+
+    def steps(self, lane: Integers, s: Floats) -> tuple[Integers, Floats]:
+        """Return the points before some distances along lanes, and the shares of the way to the next ones."""
+        steps = np.minimum(np.maximum(s / self.spacing[lane], 0), self.count[lane] - 1.0)
+        whole = np.minimum(steps.astype(np.int64), self.count[lane] - 2)
+        return self.first[lane] + whole, steps - whole
 
     def project(self, lane: ArrayLike, x: ArrayLike, y: ArrayLike, s_hint: ArrayLike) -> tuple[Floats, Floats]:
         """Return the distances of locations along lanes, and their lateral offsets.

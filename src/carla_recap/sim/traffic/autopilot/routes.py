@@ -51,19 +51,14 @@ class LaneNetwork:
 
     def __init__(self, town: Town) -> None:
         lanes = town.lanes
-        self._count = np.array([len(lane.points) for lane in lanes])
-        self._first = np.cumsum(self._count) - self._count
-        self._lane_of = np.repeat(np.arange(len(lanes)), self._count)
-        self._points = np.concatenate([lane.points for lane in lanes])
-        self._heading = np.concatenate([lane.heading for lane in lanes])
-        self._columns = self._points[:, 0].copy(), self._points[:, 1].copy(), self._heading
+        index = self._index = town.index
+        self._columns = index.points[:, 0].copy(), index.points[:, 1].copy(), index.heading
         curvature = [_curvature(lane) for lane in lanes]
         self._curvature = np.concatenate(curvature)
         self._safe_speed = np.concatenate([_safe_speed(lane, bend) for lane, bend in zip(lanes, curvature, strict=True)])
-        self.length = np.array([lane.length for lane in lanes])
-        self._spacing = self.length / (self._count - 1)
+        self.length = index.length
         self.limit = np.array([lane.speed_limit for lane in lanes])
-        self.entry_speed = self._safe_speed[self._first]
+        self.entry_speed = self._safe_speed[index.first]
         self.junction = _optional([lane.junction for lane in lanes])
         self.left = _optional([lane.left for lane in lanes])
         self.right = _optional([lane.right for lane in lanes])
@@ -72,9 +67,7 @@ class LaneNetwork:
 
     def points(self, lane: Integers, s: Floats) -> Points:
         """Return the points for distances along lanes."""
-        steps = np.minimum(np.maximum(s / self._spacing[lane], 0), self._count[lane] - 1.0)
-        whole = np.minimum(steps.astype(np.int64), self._count[lane] - 2)
-        return self._first[lane] + whole, steps - whole
+        return self._index.steps(lane, s)
 
     def poses(self, points: Points) -> tuple[Floats, Floats, Floats]:
         """Return x, y and heading of points."""
@@ -84,7 +77,7 @@ class LaneNetwork:
 
     def height(self, index: Integers) -> Floats:
         """Return the z of lane points by their indices, in m."""
-        height: Floats = self._points[index, 2]
+        height: Floats = self._index.points[index, 2]
         return height
 
     def curvature(self, points: Points) -> Floats:
@@ -99,14 +92,18 @@ class LaneNetwork:
         return speed
 
     def nearest(self, x: float, y: float, z: float, heading: float) -> tuple[int, float]:
-        """Return the nearest lane that leads about in the direction of a heading, and the distance along it in m."""
-        direction = _WRONG_WAY_COST * (1 - np.cos(self._heading - heading))
-        cost = ((self._points - (x, y, z)) ** 2) @ (1.0, 1.0, 0.5) + direction
+        """Return the nearest lane that leads about in the direction of a heading, and the distance along it in m.
+
+        Unlike `LaneIndex.nearest_lane`, it regards the heading however far the lanes are.
+        """
+        index = self._index
+        direction = _WRONG_WAY_COST * (1 - np.cos(index.heading - heading))
+        cost = ((index.points - (x, y, z)) ** 2) @ (1.0, 1.0, 0.5) + direction
         point = int(cost.argmin())
-        lane = int(self._lane_of[point])
-        away = np.array((x, y)) - self._points[point, :2]
-        along = away @ (np.cos(self._heading[point]), np.sin(self._heading[point]))
-        s = (point - self._first[lane]) * self._spacing[lane] + along
+        lane = int(index.lane_of[point])
+        away = np.array((x, y)) - index.points[point, :2]
+        along = away @ (np.cos(index.heading[point]), np.sin(index.heading[point]))
+        s = (point - index.first[lane]) * index.spacing[lane] + along
         return lane, float(np.clip(s, 0, self.length[lane]))
 
 
