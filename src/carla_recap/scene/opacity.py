@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.model.records import CM
 from carla_recap.replay import right_handed
 from carla_recap.replay.pose import LOCATION, YAW, rotations
 from carla_recap.replay.selection import find
@@ -181,12 +182,12 @@ class SteppedOpacity:
         looking[:, YAW - 1], looking[:, YAW] = -pitch, camera[:, YAW]
         if self._measured != self._looks:
             self._measure()
-        poses = right_handed(_poses(batch, self._ids, rows))
-        at, which = np.nonzero(is_near(poses[..., LOCATION], eyes[:, None]))
+        poses = _poses(batch, self._ids, rows)
+        at, which = np.nonzero(is_near(poses[..., LOCATION] * (CM, -CM, CM), eyes[:, None]))
         found: dict[int, dict[int, float]] = {}
         if not len(at):
             return found
-        others = _boxes(poses[at, which], self._centres[which], self._half_extents[which])
+        others = _boxes(right_handed(poses[at, which]), self._centres[which], self._half_extents[which])
         look = self._looks[self._id]
         own = _boxes(right_handed(series.poses[rows]), *(np.tile(part, (len(rows), 1)) for part in _box_of(look)))
         opacity, other_opacity = wanted_opacities(eyes, rotations(looking), own, others, at)
@@ -209,10 +210,12 @@ def _poses(batch: SceneBatch, ids: NDArray[np.uint32], rows: Indices) -> Floats:
     """Return the poses of actors, recorded or not, in some scenes, (scenes, ids, 6); NaN where they are unknown."""
     poses = np.full((len(rows), len(ids), 6), np.nan)
     columns, recorded = find(ids, batch.ids)
-    poses[:, recorded] = batch.poses[np.ix_(rows, columns[recorded])]
+    poses[:, recorded] = batch.poses[rows][:, columns[recorded]]
     for column in np.flatnonzero(~recorded).tolist():
-        found = batch.pose_of(int(ids[column]))
-        if found is not None:
+        actor = batch.actors.get(int(ids[column]))
+        if actor is not None and not actor.attached:
+            poses[:, column] = actor.spawn_pose
+        elif (found := batch.pose_of(int(ids[column]))) is not None:
             poses[:, column] = found[rows]
     return poses
 
