@@ -383,3 +383,14 @@ def test_a_map_without_lanes_has_no_surfaces():
     with pytest.warns(RecapWarning, match="the roads have no surfaces"):
         assert town_of_map(roads) is None
     assert town_of_map(None) is None
+
+
+def test_what_stops_cars_is_seen():
+    """Fences are behind sidewalks, and guard rails beside roads without one."""
+    town = built(road(sections=section(0, lane(2).replace("driving", "sidewalk") + lane(1), lane(-1))))
+    fence, rail = faces(town, Material.FENCE), faces(town, Material.GUARD_RAIL)
+    assert fence[..., 1] == pytest.approx(7 + 0.75, abs=0.1)
+    assert rail[..., 1] == pytest.approx(-3.5 - 4, abs=0.1)
+    assert np.ptp(fence[..., 0]) == pytest.approx(100, abs=3)
+    assert 0.7 < rail[..., 2].max() < 0.8
+    assert 1.0 < fence[..., 2].max() < 1.1

@@ -56,7 +56,7 @@ FRAME: Final = np.dtype(
     ]
 )
 """The uniform block of an image, in std140; matrices column by column."""
-MATERIAL_COUNT: Final = 64
+MATERIAL_COUNT: Final = 80
 LEAST_SUN: Final = 0.35
 """The height of the sun, as a sine, below which shadows get no longer."""
 
@@ -93,9 +93,9 @@ vec3 encoded(vec3 light) {
 
 _VERTEX: Final = """
 layout(std140) uniform Materials {
-    vec4 finish[64];      // colour, gloss
-    vec4 glow[64];        // the colour of the lit lamp; w: depth layer
-    vec4 kind[64];        // tag or -1; whether it is paint; the width of a marking; the strength of the grain
+    vec4 finish[80];      // colour, gloss
+    vec4 glow[80];        // the colour of the lit lamp; w: depth layer
+    vec4 kind[80];        // tag or -1; whether it is paint; the width of a marking; the strength of the grain
 };
 in vec3 position;
 in vec3 normal;
@@ -202,7 +202,7 @@ void main() {
     }
     v_color = encoded(seen);
 #ifdef INSTANCED
-    uint lamps = material < 32u ? marks.x : marks.y;
+    uint lamps = material < 32u ? marks.x : material < 64u ? marks.y : 0u;
     if (((lamps >> (material & 31u)) & 1u) == 1u) v_color = glow[material].rgb;
 #endif
 #ifdef GRAIN

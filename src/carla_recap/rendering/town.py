@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections import OrderedDict
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.errors import FormatError, RecapError, RecapWarning
+from carla_recap.rendering.barriers import add_barriers
 from carla_recap.rendering.building import MeshBuilder
 from carla_recap.rendering.heights import TriangleGrid
 from carla_recap.rendering.junctions import fill_junctions
@@ -27,6 +29,7 @@ from carla_recap.rendering.trees import add_trees
 from carla_recap.replay.recorded_map import LONGEST_DRIVEN, load_map_of
 from carla_recap.roads.corridors import is_of_corridors
 from carla_recap.roads.files import content_digest, expecting_map, read_parts
+from carla_recap.roads.lanes import TownRoads
 from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
@@ -193,7 +196,8 @@ def build_town(text: str | Iterable[str]) -> tuple[list[Mesh], list[LightPost]]:
     with np.errstate(all="ignore"):
         parts = iter((text,) if isinstance(text, str) else text)
         start = next(parts, "")
-        roads = read_opendrive(chain((start,), parts)).roads
+        content = read_opendrive(chain((start,), parts))
+        roads = content.roads
         sections = sample_roads(roads)
         if not sections:
             return [], []
@@ -213,6 +217,7 @@ def build_town(text: str | Iterable[str]) -> tuple[list[Mesh], list[LightPost]]:
         painter.finish()
         if not is_of_corridors(start):
             add_trees(builder, sections, surfaces, terrain)
+            add_barriers(builder, TownRoads(content, sys.maxsize).lanes)  # `sample_roads` has limited them
         ground = builder.grid(_GROUND)
         add_signs(builder, roads, ground, driving)
         return builder.tiles(), light_posts(roads, ground)

@@ -114,6 +114,8 @@ class Material(IntEnum):
     RED_BAND = 60
     TRUNK = 61
     PLAIN = 62
+    GUARD_RAIL = 63
+    FENCE = 64
 
 
 class Finish(NamedTuple):
@@ -197,6 +199,8 @@ MATERIALS: Final[dict[Material, Finish]] = {
     _M.RED_BAND: Finish((196, 34, 40), gloss=0.2),
     _M.TRUNK: Finish((98, 80, 62), Tag.VEGETATION),
     _M.PLAIN: Finish((200, 200, 200)),
+    _M.GUARD_RAIL: Finish((166, 170, 172), Tag.GUARD_RAIL),
+    _M.FENCE: Finish((84, 92, 88), Tag.FENCES),
 }
 """All materials."""
 LAMPS: Final = np.uint64(sum(1 << material for material, finish in MATERIALS.items() if finish.glow))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import RecapError
+from carla_recap.roads.barriers import barriers
 from carla_recap.roads.files import expecting_map, read_text
 from carla_recap.roads.find import described_folder, find_map, plain_name
 from carla_recap.roads.lanes import TownRoads
@@ -18,7 +19,7 @@ from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.sim.geometry import Location, Rotation, Transform
 from carla_recap.sim.town.junctions import make_junctions, make_signals
 from carla_recap.sim.town.lanes import LaneIndex, make_lanes, with_limits
-from carla_recap.sim.town.sidewalks import barriers, make_walks
+from carla_recap.sim.town.sidewalks import make_walks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -155,7 +156,7 @@ def make_town(text: str, path: Path) -> Town:
             walks.sidewalks,
             walks.crossings,
             walks.graph(),
-            barriers(roads.lanes),
+            [barrier.line for barrier in barriers(roads.lanes)],
         )
 
 
