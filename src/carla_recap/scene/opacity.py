@@ -35,7 +35,7 @@ _FLAT: Final = 0.3  # m; lower boxes, such as debris that is driven over, hide n
 _COVERED: Final = 0.25  # the part of the followed actor's box from which on what covers it is in the way
 _HIDDEN: Final = 0.5  # the part of an actor's box that is hidden, from which on the followed actor is see-through
 _BESIDE: Final = 0.3  # m; a line of sight that passes a box so closely is blocked by it
-_STEP: Final = 0.2  # s between the moments at which viewers are told
+_STEP: Final = 0.4  # s between the moments at which viewers are told
 _HELD: Final = 1.0  # s for which an actor stays see-through in viewers
 _CORNERS: Final = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 
@@ -120,7 +120,7 @@ class OpacityChange(NamedTuple):
 
 
 class SteppedOpacity:
-    """The opacities of actors for viewers that do not fade: told five times a second, and held for a second.
+    """The opacities of actors for viewers that do not fade: looked at every 0.4 s, and held for a second.
 
     The camera is behind the followed actor, in its calm axes.
 
@@ -182,12 +182,11 @@ class SteppedOpacity:
         looking[:, YAW - 1], looking[:, YAW] = -pitch, camera[:, YAW]
         if self._measured != self._looks:
             self._measure()
-        poses = _poses(batch, self._ids, rows)
-        at, which = np.nonzero(is_near(poses[..., LOCATION] * (CM, -CM, CM), eyes[:, None]))
+        poses, at, which = _near(batch, self._ids, rows, eyes)
         found: dict[int, dict[int, float]] = {}
         if not len(at):
             return found
-        others = _boxes(right_handed(poses[at, which]), self._centres[which], self._half_extents[which])
+        others = _boxes(right_handed(poses), self._centres[which], self._half_extents[which])
         look = self._looks[self._id]
         own = _boxes(right_handed(series.poses[rows]), *(np.tile(part, (len(rows), 1)) for part in _box_of(look)))
         opacity, other_opacity = wanted_opacities(eyes, rotations(looking), own, others, at)
@@ -206,18 +205,29 @@ class SteppedOpacity:
         self._centres, self._half_extents = parts[:, 0], parts[:, 1]
 
 
-def _poses(batch: SceneBatch, ids: NDArray[np.uint32], rows: Indices) -> Floats:
-    """Return the poses of actors, recorded or not, in some scenes, (scenes, ids, 6); NaN where they are unknown."""
-    poses = np.full((len(rows), len(ids), 6), np.nan)
+def _near(batch: SceneBatch, ids: NDArray[np.uint32], rows: Indices, eyes: Floats) -> tuple[Floats, Indices, Indices]:
+    """Return the poses of the actors near the camera in some scenes, and the scene and the position in `ids` of each."""
     columns, recorded = find(ids, batch.ids)
-    poses[:, recorded] = batch.poses[rows][:, columns[recorded]]
-    for column in np.flatnonzero(~recorded).tolist():
-        actor = batch.actors.get(int(ids[column]))
-        if actor is not None and not actor.attached:
-            poses[:, column] = actor.spawn_pose
-        elif (found := batch.pose_of(int(ids[column]))) is not None:
-            poses[:, column] = found[rows]
-    return poses
+    whose = np.flatnonzero(recorded)
+    x, y = (batch.poses[rows[:, None], columns[whose], axis] for axis in (0, 1))
+    with np.errstate(invalid="ignore", over="ignore"):
+        at, which = np.nonzero((x * CM - eyes[:, :1]) ** 2 + (y * CM + eyes[:, 1:2]) ** 2 < _REACH**2)
+    others = np.flatnonzero(~recorded)
+    if not len(others):
+        return batch.poses[rows[at], columns[whose[which]]], at, whose[which]
+    fixed = np.array([_spawn_pose(batch, int(ids[place])) for place in others.tolist()])
+    scenes, which_other = np.nonzero(is_near(fixed[:, LOCATION] * (CM, -CM, CM), eyes[:, None]))
+    return (
+        np.concatenate((batch.poses[rows[at], columns[whose[which]]], fixed[which_other])),
+        np.concatenate((at, scenes)),
+        np.concatenate((whose[which], others[which_other])),
+    )
+
+
+def _spawn_pose(batch: SceneBatch, id: int) -> Floats:
+    """Return the pose of an actor without recorded ones, (6,); NaN if it moves with another one, or is unknown."""
+    actor = batch.actors.get(id)
+    return np.full(6, np.nan) if actor is None or actor.attached else actor.spawn_pose
 
 
 def _box_of(look: Look) -> tuple[Floats, Floats]:
