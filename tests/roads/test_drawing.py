@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from carla_recap.roads import load_map
+from carla_recap.roads.surfaces import road_network_of
 from tests.roads.towns import crossing, lane, opendrive, painted_stop, road, section, stop_sign
 
 if TYPE_CHECKING:
@@ -102,6 +103,14 @@ def test_the_outline_of_a_junction(draw):
 def test_a_stop_sign_between_junctions(draw):
     town = draw(road(inside=stop_sign(80, -1, -1), height=2))
     assert near(town.stop_lines, [(80, 0, 2), (80, -3.5, 2)])
+
+
+def test_the_stop_line_of_a_sign_near_a_junction_is_at_its_border_as_in_the_road_network(draw):
+    link = '<link><successor elementType="junction" elementId="9"/></link>'
+    town = draw(road(inside=stop_sign(80, -1, -1) + link), road(2, x=100, length=20, junction=9))
+    (line,) = road_network_of(town.opendrive).stop_lines
+    assert near(town.stop_lines, [(100, 0, 0), (100, -3.5, 0)])
+    assert near(town.stop_lines, [[line[f"{axis}{end}"] for axis in "xyz"] for end in "01"])
 
 
 def test_stop_lines_of_lanes_side_by_side_are_one(draw):

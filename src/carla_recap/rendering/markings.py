@@ -11,8 +11,7 @@ import numpy as np
 from carla_recap.rendering.building import UP
 from carla_recap.rendering.glyphs import arrow, glyphs
 from carla_recap.rendering.surfaces import PAVED
-from carla_recap.roads.lanes import stop_line
-from carla_recap.roads.opendrive import LIGHT, STOP
+from carla_recap.roads.stop_lines import drawn_stop_lines
 from carla_recap.scene.materials import Material
 
 if TYPE_CHECKING:
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from carla_recap.rendering.building import MeshBuilder
     from carla_recap.rendering.heights import TriangleGrid
     from carla_recap.rendering.surfaces import SampledSection
-    from carla_recap.roads.opendrive import Marking, Road, RoadObject, RoadSignal
+    from carla_recap.roads.opendrive import Marking, Road, RoadObject
 
     Floats = NDArray[np.float64]
     Flags = NDArray[np.bool_]
@@ -47,8 +46,7 @@ _BARS: Final = 1.1  # m from bar to bar
 _MOST_BARS: Final = 200
 _STOP_DEPTH: Final = 0.4  # m
 _BEFORE_JUNCTION: Final = 0.3  # m from a stop line to a junction
-_SAME_PAINT: Final = 6.0  # m from a painted stop line, within which no other one is drawn
-_SAME_STOP: Final = 0.5  # m between equal stop lines
+_SHORTEST_STOP: Final = 1.0  # m; shorter stop lines that the map does not paint are not drawn
 _SPAN: Final = 2.0  # m between the points of long shapes, which follow the road
 _PAVED: Final = (*PAVED, Material.JUNCTION)
 _YELLOW: Final = ("yellow", "orange")
@@ -279,13 +277,10 @@ class Painter:
 
 
 def paint_objects(painter: Painter, road: Road) -> None:
-    """Paint the crossings, stop lines, arrows and words of a road."""
+    """Paint the crossings, arrows and words of a road."""
     for thing in road.objects:
         if thing.kind == "crosswalk":
             _paint_crossing(painter, road, thing)
-        elif thing.name == "StopLine":
-            start, stop = stop_line(road, thing)
-            _paint_stop_line(painter, start, stop)
         elif thing.name.startswith("Stencil_"):
             point, heading = road.at(thing.station, thing.offset)
             for shape in arrow(thing.name) if "Arrow" in thing.name else glyphs(thing.name[8:], 2.4, 2.2):
@@ -362,56 +357,14 @@ def _paint_stop_line(painter: Painter, start: Floats, stop: Floats) -> None:
         painter.paint(np.array((first - aside, last - aside, last + aside, first + aside)), Material.STOP_LINE, _STOP_LIFT)
 
 
-def paint_stops(painter: Painter, roads: Sequence[Road], sections: Sequence[SampledSection]) -> None:
-    """Paint a stop line on each lane with a light or stop sign, unless the map has painted one there."""
-    painted = [
-        np.mean(stop_line(road, thing), axis=0) for road in roads for thing in road.objects if thing.name == "StopLine"
-    ]
-    kinds = {signal.id: signal.kind for road in roads for signal in road.signals if signal.kind}
-    by_road: dict[int, list[SampledSection]] = {}
-    for section in sections:
-        by_road.setdefault(section.number, []).append(section)
-    drawn: list[Floats] = []
-    for number, road in enumerate(roads):
-        for signal in road.signals:
-            if kinds.get(signal.id) not in (LIGHT, STOP):
-                continue
-            for start, stop in _lines_at(signal, by_road.get(number, [])):
-                middle = (start + stop) / 2
-                if all(np.linalg.norm(middle - other) > _SAME_PAINT for other in painted) and all(
-                    np.linalg.norm(middle - other) > _SAME_STOP for other in drawn
-                ):
-                    drawn.append(middle)
-                    _paint_stop_line(painter, start, stop)
-
-
-def _lines_at(signal: RoadSignal, sections: Sequence[SampledSection]) -> Iterator[tuple[Floats, Floats]]:
-    """Yield the ends of a line across each lane for which a signal applies: before it, or before the junction."""
-    if not sections:
-        return
-    for side in (-1, 1):
-        if sections[0].road.in_junction:
-            section = sections[0] if side < 0 else sections[-1]
-            station = section.stations[0 if side < 0 else -1]
-        else:
-            here = [part for part in sections if part.section.start <= signal.station <= part.section.end]
-            section = here[0] if here else sections[0]
-            station = min(max(signal.station, section.stations[0]), section.stations[-1])
-        for index, lane in enumerate(section.lanes):
-            if lane.id * side > 0 and section.is_driving(index) and _applies(signal, lane.id):
-                ends = [
-                    np.array([np.interp(station, section.stations, axis) for axis in section.borders[border].T])
-                    for border in (index, index + 1)
-                ]
-                left = ends[0] - ends[1]
-                length = float(np.linalg.norm(left))
-                if length > 1.0:
-                    back = np.array((-left[1], left[0], 0.0)) / length * -side  # against the direction of cars
-                    offset = back * (_BEFORE_JUNCTION + _STOP_DEPTH / 2)
-                    yield ends[0] + offset, ends[1] + offset
-
-
-def _applies(signal: RoadSignal, lane: int) -> bool:
-    if signal.lanes:
-        return any(first <= lane <= last for first, last in signal.lanes)
-    return signal.ahead is None or signal.ahead == (lane < 0)
+def paint_stops(painter: Painter, roads: Sequence[Road]) -> None:
+    """Paint the stop lines of the map, and one on each lane with a light or stop sign that has none."""
+    painted, others = drawn_stop_lines(roads)
+    for start, stop in painted:
+        _paint_stop_line(painter, start, stop)
+    for start, stop in others:
+        across = stop - start
+        length = float(np.linalg.norm(across))
+        if length > _SHORTEST_STOP:
+            back = np.array((across[1], -across[0], 0.0)) / length * (_BEFORE_JUNCTION + _STOP_DEPTH / 2)
+            _paint_stop_line(painter, start + back, stop + back)

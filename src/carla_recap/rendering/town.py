@@ -213,7 +213,7 @@ def build_town(text: str | Iterable[str]) -> tuple[list[Mesh], list[LightPost]]:
         painter = Painter(builder, pavement)
         for road in roads:
             paint_objects(painter, road)
-        paint_stops(painter, roads, sections)
+        paint_stops(painter, roads)
         painter.finish()
         if not is_of_corridors(start):
             add_trees(builder, sections, surfaces, terrain)

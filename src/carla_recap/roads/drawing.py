@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -13,14 +14,15 @@ from carla_recap.errors import FormatError
 from carla_recap.roads.files import expecting_map, read_parts, read_text
 from carla_recap.roads.lanes import NO_JUNCTION, TownRoads
 from carla_recap.roads.opendrive import read_opendrive
-from carla_recap.roads.polylines import Surface, distances_to, join, simplify
+from carla_recap.roads.polylines import Surface, join, simplify
+from carla_recap.roads.stop_lines import drawn_stop_lines
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from numpy.typing import NDArray
 
-    from carla_recap.roads.lanes import Landmark, LaneGeometry
+    from carla_recap.roads.lanes import LaneGeometry
 
     Floats = NDArray[np.float64]
 
@@ -31,8 +33,6 @@ _SPACING: Final = 0.15  # m between the points that cover a lane, from left to r
 _DENSITY: Final = 4  # points that cover a lane for each of its points, along it
 _MOST_ACROSS: Final = 400
 _MOST_HEIGHTS: Final = 10_000  # points of a junction that are looked at
-_SAME_STOP: Final = 0.5  # m between equal stop lines
-_SAME_PAINT: Final = 6.0  # m from a painted stop line, within which no other one is drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ def draw(roads: TownRoads) -> dict[str, list[Floats]]:
             "centre_lines": _tidy(_ahead(lane, lane.centre) for lane in lanes if lane.is_driving),
             "junctions": [line for surface, points in surfaces.values() for line in _outlines(surface, points)],
             "crossings": [crossing for crossing in roads.crossings if np.isfinite(crossing).all()],
-            "stop_lines": _tidy(_stop_lines(roads, lanes)),
+            "stop_lines": _tidy(chain(*drawn_stop_lines(roads.content.roads))),
         }
 
 
@@ -163,35 +163,3 @@ def _edges(lines: list[Floats], surface: Surface) -> Iterator[Floats]:
             if not surface.covers(part[:1, :2])[0] and np.linalg.norm(np.diff(part, axis=0), axis=1).sum() > _STUB:
                 surface.cover(part[:, :2])
                 yield part
-
-
-def _stop_lines(roads: TownRoads, lanes: list[LaneGeometry]) -> list[Floats]:
-    """Return the painted stop lines, and one for each lane with a light or stop sign that has none."""
-    painted = [line for line in roads.stop_lines if np.isfinite(line).all()]
-    drawn: list[Floats] = []
-    driving = defaultdict(list)
-    for lane in lanes:
-        if lane.is_driving:
-            driving[lane.road].append(lane)
-    for stop in roads.landmarks:
-        for line in _lines_at(stop, driving[stop.road]) if stop.is_stop else ():
-            middle = line.mean(axis=0)[None]
-            if all(distances_to(middle, *other)[0] > _SAME_PAINT for other in painted) and all(
-                np.linalg.norm(other.mean(axis=0) - middle) > _SAME_STOP for other in drawn
-            ):
-                drawn.append(line)
-    return painted + drawn
-
-
-def _lines_at(stop: Landmark, lanes: list[LaneGeometry]) -> Iterator[Floats]:
-    """Yield a line across each lane for which a landmark applies: at its station, or where the lane enters a junction."""
-    governed = [lane for lane in lanes if any(first <= lane.id <= last for first, last in stop.lanes)]
-    for number in dict.fromkeys(lane.id for lane in governed):
-        parts = [lane for lane in governed if lane.id == number]
-        stations = np.concatenate([lane.stations for lane in parts])
-        left, right = (np.concatenate([getattr(lane, side) for lane in parts]) for side in ("left", "right"))
-        if parts[0].junction == NO_JUNCTION:
-            index = np.abs(stations - stop.station).argmin()
-        else:
-            index = stations.argmax() if parts[0].reverse else stations.argmin()
-        yield np.array((left[index], right[index]))

@@ -1,4 +1,4 @@
-"""The lanes, landmarks, crossings and stop lines of a town, where CARLA's library has them: `carla.Map`.
+"""The lanes, landmarks and crossings of a town, where CARLA's library has them: `carla.Map`.
 
 Units are m and radians; axes are right-handed: x forward, y left, z up. Positions have single precision, and the order of
 operations is CARLA's, so that they are equal.
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.roads.opendrive import LIGHT, SPEED_LIMIT, STOP, RoadSignal, lanes_length, limit_lanes, single
+from carla_recap.roads.opendrive import LIGHT, SPEED_LIMIT, RoadSignal, lanes_length, limit_lanes, single
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -121,11 +121,6 @@ class Landmark:
     location: Floats
     heading: float
 
-    @property
-    def is_stop(self) -> bool:
-        """Whether vehicles may have to stop at it."""
-        return self.kind in (LIGHT, STOP)
-
 
 class TownRoads:
     """The roads of a town.
@@ -180,13 +175,6 @@ class TownRoads:
             for road in self._roads.values()
             for thing in road.objects
             if thing.kind == "crosswalk" and len(thing.outline) > 2
-        ]
-
-    @cached_property
-    def stop_lines(self) -> list[Floats]:
-        """The painted stop lines, (2, 3) each."""
-        return [
-            stop_line(road, thing) for road in self._roads.values() for thing in road.objects if thing.name == "StopLine"
         ]
 
     def _sampled(self, road: Road, section: RoadSection, step: float) -> Iterator[LaneGeometry]:
@@ -463,11 +451,3 @@ def _turned(degrees: Floats) -> tuple[Floats, Floats]:
     """Return the directions ahead and to the left of a heading, (3,) each."""
     sine, cosine = _sine_and_cosine(degrees * (single(np.pi) / single(180.0)))
     return np.array((cosine, sine, 0.0), np.float32), np.array((-sine, cosine, 0.0), np.float32)
-
-
-def stop_line(road: Road, thing: RoadObject) -> Floats:
-    """Return the ends of a painted stop line, (2, 3)."""
-    point, heading = road.at(thing.station, thing.offset)
-    direction = heading + thing.heading
-    half = thing.length / 2 * np.array((np.cos(direction), np.sin(direction), 0.0))
-    return np.array((point - half, point + half))

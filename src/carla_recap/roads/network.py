@@ -25,6 +25,16 @@ DRIVING, BOTH_WAYS, PARKING, SHOULDER, GAP = range(5)
 """The kinds of lanes: for cars, for cars in both directions, to park on, paved otherwise; and a gap between lanes of a
 junction."""
 
+LANE_KINDS: Final = {
+    **dict.fromkeys(("driving", "entry", "exit", "onramp", "offramp", "connectingramp", "mwyentry", "mwyexit"), DRIVING),
+    **dict.fromkeys(("roadworks", "hov", "bus", "taxi"), DRIVING),
+    "bidirectional": BOTH_WAYS,
+    "parking": PARKING,
+    **dict.fromkeys(("shoulder", "border", "stop", "restricted", "biking", "tram"), SHOULDER),
+    **dict.fromkeys(("special1", "special2", "special3"), SHOULDER),
+}
+"""The kind of a paved lane by its type in OpenDRIVE."""
+
 LIGHT, STOP, YIELD = range(3)
 """The kinds of signals that stop lines belong to."""
 

@@ -1,8 +1,7 @@
-"""Road networks from OpenDRIVE files: the surfaces of paved lanes and junctions, speed limits, and stop lines."""
+"""Road networks from OpenDRIVE files: the surfaces of paved lanes and junctions, and speed limits."""
 
 from __future__ import annotations
 
-from collections import defaultdict
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -20,7 +19,7 @@ from carla_recap.roads.cells import LARGEST_GAP, find_areas
 from carla_recap.roads.corridors import is_of_corridors
 from carla_recap.roads.files import content_digest, expecting_map, read_parts
 from carla_recap.roads.find import find_map
-from carla_recap.roads.network import RoadNetwork
+from carla_recap.roads.network import LANE_KINDS, RoadNetwork
 from carla_recap.roads.opendrive import (
     BEFORE_END,
     borders_at,
@@ -28,6 +27,7 @@ from carla_recap.roads.opendrive import (
     read_opendrive,
     sparse_sections,
 )
+from carla_recap.roads.stop_lines import applies_to, lanes_on_side, signal_tables
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -35,32 +35,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.roads.drawing import RoadMap
-    from carla_recap.roads.opendrive import Road, RoadLane, RoadSection, RoadSignal, SparseSection
+    from carla_recap.roads.opendrive import Road, RoadLane, RoadSection, SparseSection
 
     Floats = NDArray[np.float64]
     Lane = tuple[int, int, int]
 
-_KINDS: Final = {
-    **dict.fromkeys(
-        ("driving", "entry", "exit", "onramp", "offramp", "connectingramp", "mwyentry", "mwyexit"), roads.DRIVING
-    ),
-    **dict.fromkeys(("roadworks", "hov", "bus", "taxi"), roads.DRIVING),
-    "bidirectional": roads.BOTH_WAYS,
-    "parking": roads.PARKING,
-    **dict.fromkeys(("shoulder", "border", "stop", "restricted", "biking", "tram"), roads.SHOULDER),
-    **dict.fromkeys(("special1", "special2", "special3"), roads.SHOULDER),
-}
-_SIGNALS: Final = {opendrive.LIGHT: roads.LIGHT, opendrive.STOP: roads.STOP, opendrive.YIELD: roads.YIELD}
 _SPACING: Final = 1.0  # m between the points at which the course of a road is examined
 _MOST_POINTS: Final = 300_000  # at which roads are examined
 _MOST_PIECES: Final = 400_000  # about; of longer roads, each piece is longer
-_MOST_LINES: Final = 20_000
-_MOST_PLACES: Final = 200  # at which a signal applies
 _NARROW: Final = 0.02  # m
-_AT_SIGN: Final = 1.0  # m beyond the ends of a section within which a signal belongs to it
-_TO_JUNCTION: Final = 30.0  # m from a signal to the junction at whose border its stop line is
-_SAME_LINE: Final = 0.5  # m between the middles of stop lines of a signal that are one
-_SAME_HEADING: Final = np.cos(np.radians(15))
 
 _CELL: Final = 0.5  # m
 _COARSEST: Final = 2.0  # m of a cell; larger junctions have no gaps
@@ -143,19 +126,11 @@ def build_network(text: str | Iterable[str], name: str = "") -> RoadNetwork:
         found = read_opendrive(text).roads
         maker = _LaneMaker(found)
         lanes, pieces = maker.tables()
-        signals, lines, ids = _Signals(found).tables()
+        signals, lines, ids = signal_tables(found)
         junctions = tuple(maker.junctions)
         network = RoadNetwork(name, lanes, pieces, signals, lines, tuple(road.id for road in found), junctions, ids)
         lanes, pieces = _gaps(network)
     return RoadNetwork(name, lanes, pieces, signals, lines, network.road_ids, junctions, ids)
-
-
-class _Cross(NamedTuple):
-    """A line across a lane: its left end, its right end, and the driving direction."""
-
-    left: Floats
-    right: Floats
-    heading: float
 
 
 class _LaneMaker:
@@ -190,7 +165,7 @@ class _LaneMaker:
     def _add(self, part: SparseSection, signs: Sequence[_LimitSign]) -> None:
         number, road, section, stations = part
         lanes = section.lanes
-        if not any(lane.kind in _KINDS for lane in lanes):
+        if not any(lane.kind in LANE_KINDS for lane in lanes):
             return
         start, end = section.start, section.end - BEFORE_END
         changes = [*(station for station, _ in road.limits), *(sign.station for sign in signs)]
@@ -201,15 +176,15 @@ class _LaneMaker:
         middles, halves = (points[:-1] + points[1:]) / 2, (offsets[:-1] - offsets[1:]) / 2
         position = road.sections.index(section)
         for side, reverse in ((slice(None, len(section.left)), True), (slice(len(section.left), None), False)):
-            paved = np.array([lane.kind in _KINDS for lane in lanes[side]], np.bool_)
+            paved = np.array([lane.kind in LANE_KINDS for lane in lanes[side]], np.bool_)
             if not paved.any():
                 continue
             pieces = _pieces(middles[side][paved], lefts, halves[side][paved], reverse=reverse)
-            for row, lane in zip(pieces, (lane for lane in lanes[side] if lane.kind in _KINDS), strict=True):
+            for row, lane in zip(pieces, (lane for lane in lanes[side] if lane.kind in LANE_KINDS), strict=True):
                 limits = _limits(road, section, lane, signs, (stations[1:] + stations[:-1]) / 2)
                 row["limit"] = limits[::-1] if reverse else limits
                 row["lane"] = len(self._lanes)
-                self._lanes.append((number, position, lane.id, _KINDS[lane.kind], junction))
+                self._lanes.append((number, position, lane.id, LANE_KINDS[lane.kind], junction))
             self._pieces.append(pieces.ravel())
 
 
@@ -241,18 +216,13 @@ def _signs(road: Road) -> Iterator[_LimitSign]:
     for signal in road.signals:
         if signal.kind == opendrive.SPEED_LIMIT:
             limit = in_metres_per_second(signal.value, signal.unit or "km/h")  # CARLA's signs are in km/h
-            lanes = signal.lanes or _side(signal.ahead)
+            lanes = signal.lanes or lanes_on_side(signal.ahead)
             if limit is not None:
                 yield _LimitSign(signal.station, limit, lanes)
     for thing in road.objects:
         limit = in_metres_per_second(thing.speed_limit, "km/h")
         if limit is not None:
-            yield _LimitSign(thing.station, limit, _side(thing.offset < 0))
-
-
-def _side(ahead: bool | None) -> tuple[tuple[int, int], ...]:
-    """Return the lanes in the direction of the road, against it, or in both directions."""
-    return {True: ((-1000, -1),), False: ((1, 1000),), None: ((-1000, 1000),)}[ahead]
+            yield _LimitSign(thing.station, limit, lanes_on_side(thing.offset < 0))
 
 
 def _limits(road: Road, section: RoadSection, lane: RoadLane, signs: Sequence[_LimitSign], stations: Floats) -> Floats:
@@ -261,7 +231,7 @@ def _limits(road: Road, section: RoadSection, lane: RoadLane, signs: Sequence[_L
         return np.full(len(stations), np.nan)
     own = _stepwise(lane.limits, stations - section.start)
     of_road = _stepwise(road.limits, stations)
-    of_lane = [(sign.station, sign.limit) for sign in signs if _is_among(lane.id, sign.lanes)]
+    of_lane = [(sign.station, sign.limit) for sign in signs if applies_to(lane.id, sign.lanes)]
     if lane.id > 0:
         signed = _stepwise(sorted((road.length - station, limit) for station, limit in of_lane), road.length - stations)
     else:
@@ -276,100 +246,6 @@ def _stepwise(steps: Sequence[tuple[float, float]], stations: Floats) -> Floats:
     starts, values = np.array(steps).T
     found: Floats = np.append(values, np.nan)[np.searchsorted(starts, stations, "right") - 1]
     return found
-
-
-def _is_among(lane: int, ranges: Sequence[tuple[int, int]]) -> bool:
-    return lane != 0 and any(low <= lane <= high for low, high in ranges)
-
-
-# --- signals and stop lines ----------------------------------------------------------------------------------------------
-
-
-class _Signals:
-    """Makes the signals and stop lines of roads."""
-
-    def __init__(self, found: Sequence[Road]) -> None:
-        self._roads = found
-        self._rows: list[tuple[int, float, float, float, float]] = []
-        self._lines: list[tuple[int | float, ...]] = []
-        self._ids: list[str] = []
-        signals: dict[str, tuple[int, RoadSignal]] = {}
-        places: dict[str, list[tuple[int, RoadSignal]]] = defaultdict(list)
-        for number, road in enumerate(found):
-            for signal in road.signals:
-                places[signal.id].append((number, signal))
-                if signal.kind in _SIGNALS:
-                    signals.setdefault(signal.id, (number, signal))
-        for id, (number, signal) in signals.items():
-            if len(self._lines) >= _MOST_LINES:
-                break
-            self._add(id, found[number], signal, places[id][:_MOST_PLACES])
-
-    def tables(self) -> tuple[NDArray[np.void], NDArray[np.void], tuple[str, ...]]:
-        """Return the signals, the stop lines, and the ids of the signals."""
-        return np.array(self._rows, roads.SIGNAL), np.array(self._lines, roads.STOP_LINE), tuple(self._ids)
-
-    def _add(self, id: str, road: Road, signal: RoadSignal, places: Sequence[tuple[int, RoadSignal]]) -> None:
-        (x, y, z), along = road.at(signal.station, signal.offset)
-        if not np.isfinite((x, y, z, along)).all():
-            return
-        lanes = [(number, place, lane) for number, place in places for lane in self._governed(number, place)]
-        if not lanes:  # it says that it is for no lane, and no other road refers to it
-            lanes = [(number, place, lane) for number, place in places for lane in self._facing(number, place)]
-        lines: list[_Cross] = []
-        for number, place, lane in lanes:
-            found = self._line(number, place, *lane)
-            if found is not None and not any(_is_same(found, other) for other in lines):
-                lines.append(found)
-        heading = lines[0].heading if lines else along + signal.heading
-        self._lines += [(len(self._rows), line.heading, *line.left, *line.right) for line in lines]
-        self._rows.append((_SIGNALS[signal.kind], x, y, z, heading))
-        self._ids.append(id)
-
-    def _governed(self, number: int, place: RoadSignal) -> Iterator[tuple[int, int]]:
-        """Yield the section and number of each lane of a road that a signal names, at its station."""
-        return self._lanes(number, place, place.lanes or _side(place.ahead))
-
-    def _facing(self, number: int, place: RoadSignal) -> Iterator[tuple[int, int]]:
-        return self._lanes(number, place, _side(place.ahead))
-
-    def _lanes(self, number: int, place: RoadSignal, ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-        for index, section in enumerate(self._roads[number].sections):
-            if section.start - _AT_SIGN <= place.station <= section.end + _AT_SIGN:
-                for lane in (*section.left, *section.right):
-                    if _is_among(lane.id, ranges) and _KINDS.get(lane.kind) in (roads.DRIVING, roads.BOTH_WAYS):
-                        yield index, lane.id
-
-    def _line(self, number: int, place: RoadSignal, index: int, lane: int) -> _Cross | None:
-        """Return the stop line of a signal on a lane."""
-        road = self._roads[number]
-        ahead = lane < 0
-        if road.in_junction:  # at its border
-            station = 0.0 if ahead else road.length
-        elif road.links[ahead] and (road.length - place.station if ahead else place.station) <= _TO_JUNCTION:
-            station = road.length if ahead else 0.0
-        else:
-            station = min(max(place.station, 0.0), road.length)
-        sections = sorted(road.sections, key=lambda section: max(section.start - station, station - section.end))
-        numbers = [*(section for section in sections if _has(section, lane)), road.sections[index]]
-        section = numbers[0]
-        station = min(max(station, section.start), section.end - BEFORE_END)
-        points, _, _, headings = borders_at(road, section, np.array((station, station)))
-        position = [other.id for other in (*section.left[::-1], *section.right)].index(lane)
-        left, right = points[position, 0], points[position + 1, 0]
-        if not np.isfinite((left, right)).all() or np.hypot(*(left - right)[:2]) < _NARROW:
-            return None
-        heading = float(headings[0])
-        return _Cross(left, right, heading) if ahead else _Cross(right, left, heading + np.pi)
-
-
-def _has(section: RoadSection, lane: int) -> bool:
-    return any(other.id == lane for other in (*section.left, *section.right))
-
-
-def _is_same(line: _Cross, other: _Cross) -> bool:
-    apart = (line.left + line.right - other.left - other.right) / 2
-    return bool(np.cos(line.heading - other.heading) > _SAME_HEADING and np.hypot(*apart[:2]) < _SAME_LINE)
 
 
 # --- the gaps between the lanes of junctions -----------------------------------------------------------------------------
