@@ -141,10 +141,13 @@ class Cursor:
 
     def _jump(self, time: float) -> None:
         found = self._reader.frame_at(time)
-        start = -math.inf if found is None else found.elapsed
-        self.state = self._new_state()
+        start, since = -math.inf if found is None else found.elapsed, -math.inf
+        if self._opened and self.next is not None and self.frame.elapsed + 2 * SAME_TIME < self.next.elapsed < start:
+            since = self.next.elapsed  # the state is built up on from the current frame
+        else:
+            self.state = self._new_state()
         if found is not None:
-            for frame in self._reader.frames(EVENTS, sparse=True, stop=start):
+            for frame in self._reader.frames(EVENTS, sparse=True, start=since, stop=start):
                 self.state.apply(frame)
             self._recall_lights(found)
         self._batches, self._opened = self._read_batches(start), True

@@ -118,8 +118,10 @@ def collision_scenes(recording: Recording, time: float) -> Iterator[SceneBatch]:
     """
     rows = [row for row in recording.collisions() if row.elapsed <= time]
     lasting = [row for row in rows if "w" in (row.letter1, row.letter2) or row.elapsed > time - MARKED]
-    for row in lasting[-_MOST_RECALLED:]:
-        for scene in Player(recording, start=max(row.elapsed - _LEAD, 0.0), duration=2 * _LEAD).scenes():
+    player = Player(recording) if lasting else None
+    for row in lasting[-_MOST_RECALLED:] if player else ():
+        yield player.at(max(row.elapsed - _LEAD, 0.0)).batch
+        for scene in player.scenes():
             if scene.time > row.elapsed + _SLACK:
                 break
             yield scene.batch[scene.row : scene.row + 1]
