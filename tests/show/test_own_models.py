@@ -169,3 +169,10 @@ def test_the_command_ends_before_it_writes(tmp_path):
     assert done.returncode == 2
     assert "vehicle.audi.tt.glb" in the_line(done.stderr)
     assert names_in(tmp_path) == ["models"]
+
+
+def test_a_link_to_itself_is_an_error_with_its_name(tmp_path: Path):
+    link = tmp_path / "vehicle.tesla.model3.glb"
+    link.symlink_to(link.name)
+    with pytest.raises(RecapError, match=r"model3\.glb: the model cannot be read"):
+        use_models(tmp_path)

@@ -117,7 +117,10 @@ def use_models(directory: Path | str | None) -> None:
     found: dict[str, int] = {}
     triangles = 0
     for path in [] if directory is None else _own_files(Path(directory)):
-        state = path.stat()
+        try:
+            state = path.stat()
+        except OSError as error:
+            raise RecapError(f"{path}: the model cannot be read: {error.strerror}") from None
         key = path.resolve(), state.st_mtime_ns, state.st_size
         if key not in _added:
             _added[key] = MODELS.append(load_model(path))
