@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+from carla_recap.formats import open_reader
 from carla_recap.model.actors import ActorLives
 from carla_recap.model.presence import FAR
 from carla_recap.queries.actors import actors
@@ -122,3 +125,12 @@ def test_an_unknown_actor_has_the_size_of_its_kind(drive: Drive, given: dict, si
     (block,) = blocks_of(drive([Mover(1, size=None, **given)], seconds=0.5))
     assert (block.length[0], block.width[0], block.height[0]) == pytest.approx(size)
     assert block.z[0, 0] == pytest.approx(0.0 if given.get("kind") == 2 else size[2] / 2, abs=1e-3)
+
+
+def test_signalling_nan_is_unknown_without_a_warning(drive: Drive) -> None:
+    reader = drive([Mover(1, lambda t: 123.75 if t == 1 else t)], seconds=2, suffix=".log")
+    path = Path(reader.path)
+    path.write_bytes(path.read_bytes().replace(np.float32(12375).tobytes(), np.uint32(0x7F800001).tobytes()))
+    with closing(open_reader(path)) as damaged:
+        (block,) = blocks_of(damaged)
+    assert np.flatnonzero(np.isnan(block.x[0])).tolist() == [20]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -460,3 +461,12 @@ def test_a_calm_drive_in_town01_breaks_no_rule(name: str) -> None:
         assert len(LightHistory(reader, roads).signals) == 36  # all lights of the map are recorded
     finally:
         reader.close()
+
+
+def test_signalling_nan_is_no_place_and_no_warning(roads: RoadNetwork, tmp_path: Path) -> None:
+    drives = Drives(roads, tmp_path / "drive.log")
+    drives(path([-33.25] * 20, -1.75))
+    damaged = drives.path.read_bytes().replace(np.float32(-3325).tobytes(), np.uint32(0x7F800001).tobytes())
+    drives.path.write_bytes(damaged)
+    with closing(open_reader(drives.path)) as reader:
+        assert drives.search(reader) == []

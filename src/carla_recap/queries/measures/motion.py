@@ -186,6 +186,7 @@ class MotionCollector:
         self._velocities.drop(dropped)
         self._time, self._index, self._done = time[dropped:], self._index + dropped, first - dropped
 
+    @np.errstate(invalid="ignore")  # of signalling NaN
     def _block(self, ids: Ids, start: int, first: int, last: int, stop: int) -> MotionBlock:
         time = self._time[start:stop]
         middle = float(time[(first + last) // 2 - start])

@@ -126,6 +126,7 @@ class RoadSearch:
         self._runs: dict[str, list[_Run]] = defaultdict(list)
         self.extremes: dict[int, dict[str, Extreme]] = defaultdict(dict)
 
+    @np.errstate(invalid="ignore")  # of signalling NaN
     def add(self, batch: Batch) -> None:
         """Process the next frames; they have at least their transforms and states of lights."""
         if batch.preamble or not len(self._vehicles):
