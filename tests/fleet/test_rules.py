@@ -411,6 +411,44 @@ def test_all_faults_of_a_file_are_said():
     assert str(caught.value).splitlines() == list(caught.value.faults)
 
 
+def test_an_unknown_condition_hides_no_other_fault_of_its_rule():
+    text = '[rules.a]\ndeceleration = { min = 3, max = "2 parsecs" }\nfoo = {}\nframes = { min = -1 }'
+    with pytest.raises(RulesError) as caught:
+        parse_rules(text, "rules.toml")
+    assert [fault.removeprefix("rules.toml: rule 'a': ")[:24] for fault in caught.value.faults] == [
+        "unknown condition 'foo';",
+        "deceleration.max: '2 par",
+        "deceleration.min: 3; max",
+        "frames.min: -1; a whole ",
+    ]
+
+
+def test_of_two_conditions_each_is_checked():
+    with pytest.raises(RulesError) as caught:
+        parse_rules("[rules.a]\nframes = { min = -1 }\nmap = 1", "rules.toml")
+    assert len(caught.value.faults) == 3
+
+
+def test_the_actor_beyond_the_number_is_the_offender():
+    found = verdict("crash.mcap", 'actors = { of = "vehicle", max = 1 }')
+    everyone = verdict("crash.mcap", 'actors = { of = "vehicle", max = 0 }')
+    assert found.status == "fail"
+    assert found.details == everyone.details[1:]
+    assert found.actors != everyone.actors
+
+
+def test_no_actor_is_to_blame_if_there_are_too_few():
+    found = verdict("crash.mcap", 'actors = { of = "hero", min = 2 }')
+    assert (found.message, found.time) == ("1 actor (the hero) instead of at least 2", None)
+
+
+def test_the_message_of_a_near_miss_names_one_time():
+    found = verdict("avoided.mcap", 'incidents = { kind = "near-miss", max = 0 }')
+    text = "hero comes within 1.1 s of walker.pedestrian.0004 (44) at 11.00 s, at 50 km/h"
+    assert found.message == f"1 near miss instead of at most 0: {text}"
+    assert found.details == (f"10.60 s: {text}",)
+
+
 def test_thousands_of_faults_are_cut_short():
     with pytest.raises(RulesError) as caught, time_limit():
         parse_rules("[rules]\n" + "".join(f"a{index} = 1\n" for index in range(5000)), "rules.toml")

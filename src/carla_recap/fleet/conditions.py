@@ -511,7 +511,9 @@ class ActorCount:
         message = f"{len(found)} {'actor' if len(found) == 1 else 'actors'} ({self.of})"
         if self.bounds.contain(len(found)):
             return Finding(True, message)
-        offences = tuple(Offence(f"{each.name} appears", each.spawned_at, (each.id,)) for each in found)
+        most = len(found) if self.bounds.most is None else int(self.bounds.most.value)
+        surplus = sorted(found, key=lambda actor: actor.spawned_at)[most:]
+        offences = tuple(Offence(f"{each.name} appears", each.spawned_at, (each.id,)) for each in surplus)
         return Finding(False, f"{message} instead of {self.bounds}", offences)
 
 

@@ -43,6 +43,8 @@ _MOST_FAULTS: Final = 100  # faults that are listed
 _LARGEST_COUNT: Final = 1 << 63
 _SHOWN: Final = 60  # characters of a wrong value in an error
 _LISTED: Final = 20  # offences that a verdict lists
+_TOLD: Final = re.compile(r" at \d+\.\d\d s\b")
+"""The time in the text of an offence, which a verdict's message does not repeat: that of the least distance of a near miss."""
 _UNITS: Final[Mapping[str, Mapping[str, float]]] = {
     "s": {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0},
     "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0},
@@ -237,7 +239,8 @@ def _judged(rule: Rule, facts: Facts) -> Verdict:
         details.append(f"and {len(offences) - _LISTED} more")
     _, time, actors = offences[0] if offences else Offence("")
     if offences:
-        message += f": {offences[0].text}" + ("" if time is None else f" at {time:.2f} s")
+        is_told = time is None or _TOLD.search(offences[0].text)
+        message += f": {offences[0].text}" + ("" if is_told else f" at {time:.2f} s")
     return Verdict(rule.name, "fail", visible(message), time, actors, tuple(map(visible, details)))
 
 
@@ -435,8 +438,9 @@ def _rules(tables: Mapping[str, Any], path: Path | str, faults: list[str]) -> Ru
 
 
 def _rule(name: str, table: Any, path: Path | str, faults: list[str]) -> Rule | None:
-    """Return a rule; None if its condition has faults."""
+    """Return a rule; None if it has faults."""
     prefix, folder = f"{path}: rule {_shown(name)}", os.path.dirname(path)  # noqa: PTH120
+    count = len(faults)
     if not name.strip():
         faults.append(f"{prefix}: a name was expected")
     if not isinstance(table, dict):
@@ -449,23 +453,26 @@ def _rule(name: str, table: Any, path: Path | str, faults: list[str]) -> Rule | 
     given = [key for key in table if key != "description"]
     unknown = [key for key in given if key not in _CONDITIONS]
     faults += [f"{prefix}: unknown condition {_shown(key)}; {_hint(key, list(_CONDITIONS))}" for key in unknown]
-    if unknown:
-        return None
-    if len(given) != 1:
-        some = f"has the conditions {' and '.join(given)}" if given else "has no condition"
+    known = [key for key in given if key in _CONDITIONS]
+    if len(known) != 1 and not unknown:
+        some = f"has the conditions {' and '.join(known)}" if known else "has no condition"
         faults.append(f"{prefix}: {some}; one of {', '.join(_CONDITIONS)} was expected")
-        return None
-    (key,) = given
-    count = len(faults)
-    if key in _PLAIN:
-        fields = _Fields({key: table[key]}, prefix, faults)
-    else:
-        fields = _Fields(table[key], f"{prefix}: {key}", faults, folder)
-    condition = _CONDITIONS[key](fields)
-    fields.done()
+    found = [_condition(key, table[key], prefix, faults, folder) for key in known]
     if len(faults) > count:
         return None
+    (condition,) = found
     return Rule(name, condition, " ".join((description or condition.text()).split()))
+
+
+def _condition(key: str, value: Any, prefix: str, faults: list[str], folder: str) -> Condition:
+    """Return a condition, and add its faults."""
+    if key in _PLAIN:
+        fields = _Fields({key: value}, prefix, faults)
+    else:
+        fields = _Fields(value, f"{prefix}: {key}", faults, folder)
+    condition = _CONDITIONS[key](fields)
+    fields.done()
+    return condition
 
 
 def _hint(name: str, known: Sequence[str], expected: str = "") -> str:
