@@ -10,6 +10,7 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.rendering.camera import Camera, ImageKind
+from carla_recap.rendering.halos import Halos
 from carla_recap.rendering.renderer import Renderer
 from carla_recap.rendering.sky import Sky
 from carla_recap.replay.pose import right_handed, rotations
@@ -385,6 +386,13 @@ def test_lit_lamps_glow_in_the_dark(renderer: Renderer) -> None:
     assert glowing[2] > 200
 
 
+def test_lit_lamps_of_what_can_be_seen_through_are_bright(renderer: Renderer) -> None:
+    lamp = replace(boxes((10, 0, 2)), models=np.ones(1, np.uint8), lamps=np.array([1 << Material.TAIL_LIGHT], np.uint64))
+    bright = renderer.draw(camera(), lamp, [RGB])[RGB][60, 80]
+    lamp.opacity[0] = 0.4
+    assert (renderer.draw(camera(), lamp, [RGB])[RGB][60, 80] == bright).all()
+
+
 def test_lit_lamps_light_up_what_is_around_them_but_not_through_what_is_in_front(renderer: Renderer) -> None:
     lamp = replace(boxes((10, 0, 2), half=(0.2, 0.2, 0.2)), models=np.ones(1, np.uint8))
     lit = replace(lamp, lamps=np.array([1 << Material.TAIL_LIGHT], np.uint64))
@@ -397,6 +405,15 @@ def test_lit_lamps_light_up_what_is_around_them_but_not_through_what_is_in_front
     both = Instances(*(np.concatenate((a, b)) for a, b in zip(vars(covered).values(), vars(wall).values(), strict=True)))
     alone = renderer.draw(camera(), wall, [RGB], night)[RGB]
     assert (renderer.draw(camera(), both, [RGB], night)[RGB] == alone).all()
+
+
+def test_a_lamp_that_is_a_closed_body_shines_out_of_its_end_of_the_model() -> None:
+    whole = cube(Material.BRAKE_LIGHT)
+    lamp = Mesh(0.05 * whole.vertices - np.float32((0.9, 0, 0)), whole.normals, whole.materials, whole.triangles)
+    lit = replace(boxes((0, 0, 0)), lamps=np.array([1 << Material.BRAKE_LIGHT], np.uint64))
+    halos = Halos([shape(lamp)])
+    assert len(halos.around(lit, np.array([(10.0, 0, 0)]), 1.0)) == 1
+    assert len(halos.around(lit, np.array([(-10.0, 0, 0)]), 1.0)) == 0
 
 
 def test_bits_that_are_no_lamps_light_nothing(renderer: Renderer) -> None:

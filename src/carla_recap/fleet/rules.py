@@ -44,7 +44,7 @@ _LARGEST_COUNT: Final = 1 << 63
 _SHOWN: Final = 60  # characters of a wrong value in an error
 _LISTED: Final = 20  # offences that a verdict lists
 _TOLD: Final = re.compile(r" at \d+\.\d\d s\b")
-"""The time in the text of an offence, which a verdict's message does not repeat: that of the least distance of a near miss."""
+"""The time in the text of an offence, such as that of the least time to collision; the message then has no other one."""
 _UNITS: Final[Mapping[str, Mapping[str, float]]] = {
     "s": {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0},
     "m": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0},
@@ -466,10 +466,7 @@ def _rule(name: str, table: Any, path: Path | str, faults: list[str]) -> Rule | 
 
 def _condition(key: str, value: Any, prefix: str, faults: list[str], folder: str) -> Condition:
     """Return a condition, and add its faults."""
-    if key in _PLAIN:
-        fields = _Fields({key: value}, prefix, faults)
-    else:
-        fields = _Fields(value, f"{prefix}: {key}", faults, folder)
+    fields = _Fields({key: value}, prefix, faults) if key in _PLAIN else _Fields(value, f"{prefix}: {key}", faults, folder)
     condition = _CONDITIONS[key](fields)
     fields.done()
     return condition

@@ -24,6 +24,7 @@ HALO: Final = np.dtype([("center", "4f4"), ("light", "3f4")])
 _RADIUS: Final = 2.6  # of the halo, in those of the lamp
 _LEAST_ANGLE: Final = 0.0022  # the radius of the smallest halo, as a part of the distance
 _REACH: Final = 400.0  # m
+_CLOSED: Final = 0.1  # the length of the mean normal of a lamp below which it is a closed body
 _IN_FRONT: Final = 0.12  # m, of the lamp
 
 
@@ -90,6 +91,8 @@ def _lamps_of(mesh: Mesh) -> tuple[NDArray[np.uint64], Floats, Floats, Floats, F
             part = (materials == material) & (sides == side)
             weights = areas[part] / areas[part].sum()
             normal = weights @ mesh.normals[mesh.triangles[part, 0]]
+            if np.linalg.norm(normal) < _CLOSED:  # its light goes out of the nearer end of the model
+                normal = np.array((np.sign(weights @ centers[part, 0]), 0.0, 0.0))
             points = corners[part].reshape(-1, 3)
             radius = 0.5 * np.ptp(points[:, 1:], axis=0).max()
             lamps.append((material, weights @ centers[part], normal, radius, np.array(glow) / 255))

@@ -203,7 +203,12 @@ void main() {
     v_color = encoded(seen);
 #ifdef INSTANCED
     uint lamps = material < 32u ? marks.x : material < 64u ? marks.y : 0u;
-    if (((lamps >> (material & 31u)) & 1u) == 1u) v_color = glow[material].rgb;
+    if (((lamps >> (material & 31u)) & 1u) == 1u) {
+        v_color = glow[material].rgb;
+#ifdef TRANSLUCENT
+        v_opacity = 1.0;  // of an actor that can be seen through, lit lamps are still seen
+#endif
+    }
 #endif
 #ifdef GRAIN
     v_grain = vec3(here.xy + world.xy, surface.w * max(n.z, 0.0));

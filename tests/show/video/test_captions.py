@@ -60,10 +60,15 @@ def test_a_long_stop_of_another_actor_is_mentioned_once() -> None:
     assert [len(found.at(time)) for time in (14.0, 31.0)] == [1, 0]
 
 
-def test_the_most_important_captions_are_the_last() -> None:
+def test_captions_of_the_followed_actor_stand_above_those_of_others() -> None:
+    found = captions(incident("collision", 10.0, 10.5, 3, 4, text="a crash"), BRAKING)
+    assert texts(found, 10.4) == ["Hero brakes hard at 44 km/h", "A crash"]
+
+
+def test_the_most_important_captions_are_the_first() -> None:
     found = captions(STOP, CRASH, BRAKING, incident("collision", 10.1, 10.2, 1, 9, text="hero collides with a wall"))
-    assert texts(found, 10.4) == ["Hero collides with Audi A2 (2)", "Hero collides with a wall"]
-    assert texts(captions(CRASH, BRAKING), 10.4) == ["Hero brakes hard at 44 km/h", "Hero collides with Audi A2 (2)"]
+    assert texts(found, 10.4) == ["Hero collides with a wall", "Hero collides with Audi A2 (2)"]
+    assert texts(captions(CRASH, BRAKING), 10.4) == ["Hero collides with Audi A2 (2)", "Hero brakes hard at 44 km/h"]
 
 
 def test_incidents_of_others_are_shown_where_they_are_near() -> None:

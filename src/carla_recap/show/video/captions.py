@@ -41,7 +41,8 @@ class Captions:
         self._followed = followed
         shown = [each for each in incidents if each.start <= stop + SAME_TIME and self._end(each) >= start]
         ranks = {kind: -rank for rank, kind in enumerate(KINDS)}
-        self._incidents = sorted(shown, key=lambda each: (self._concerns(each), ranks[each.kind], each.start))
+        shown.sort(key=lambda each: (self._concerns(each), ranks[each.kind], each.start), reverse=True)
+        self._incidents = shown
 
     def marks(self) -> Iterator[tuple[float, str]]:
         """Yield the part of the video, from 0 to 1, at which each incident of the followed actor happens, and its kind."""
@@ -51,7 +52,7 @@ class Captions:
                 yield (each.start - self._start) / length, each.kind
 
     def at(self, time: float, is_near: Callable[[float, float], bool] | None = None) -> tuple[Caption, ...]:
-        """Return the captions of a moment, the most important last.
+        """Return the captions of a moment, the most important first: those of the followed actor before others.
 
         Args:
             time: The elapsed seconds.
@@ -64,7 +65,7 @@ class Captions:
                 rest = (end - time) / self._speed
                 opacity = min(1.0, (rest + 0.05) / _FADE)
                 found.append(Caption(each.kind, caption_of(each), round(opacity, 1)))
-        return tuple(found[-_MOST:])
+        return tuple(found[:_MOST])
 
     def _concerns(self, incident: Incident) -> bool:
         return self._followed is None or self._followed in incident.actors

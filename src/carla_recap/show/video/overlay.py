@@ -69,7 +69,7 @@ class Readings:
         speed: Its speed in m/s, if known.
         controls: Throttle and brake from 0 to 1, steering from -1 (left) to 1, if recorded.
         light: The traffic light ahead of it, if any.
-        captions: The incidents, the most important last.
+        captions: The incidents, the most important first.
         pixels_per_metre: The scale of a picture from above; None for other views.
         kept_free: The pixels that the followed actor covers: left, top, right, bottom; None if it is not seen.
     """
