@@ -11,6 +11,7 @@ import pytest
 from carla_recap.formats import open_reader
 from carla_recap.model.actors import ActorLives
 from carla_recap.model.contacts import Contacts
+from carla_recap.queries.measures import measures
 from carla_recap.queries.measures.motion import MotionBlock
 from carla_recap.queries.measures.near_misses import TYPES, NearMissDetector, paths_meet
 from tests.queries.measures.conftest import Mover, straight
@@ -59,6 +60,25 @@ def test_a_late_braking_behind_a_standing_car(drive: Drive) -> None:
     assert found.time_to_collision == pytest.approx(gap / speed, abs=0.01)
     assert speed / (2 * found.time_to_collision) >= 3.4
     assert found.post_encroachment_time == math.inf
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+@pytest.mark.parametrize("from_time", [0.5, 1.27, 1.4, 2.0])
+def test_the_time_is_the_least_until_the_encounter_ends(drive: Drive, suffix: str, from_time: float) -> None:
+    """It brakes from 15 m/s to 1.5 m/s, where no deceleration would be critical, and rolls on for 0.3 s until it stands."""
+    slow = from_time + 13.5 / 7
+
+    def position(t: float) -> float:
+        braking = min(max(t - from_time, 0.0), 13.5 / 7)
+        return 15 * (min(t, from_time) + braking) - 3.5 * braking * braking + 1.5 * min(max(t - slow, 0.0), 0.3)
+
+    reader = drive([Mover(1, position), straight(2, position(slow) + 4.8, 0, 0)], seconds=6, suffix=suffix)
+    (found,) = near_misses(reader)
+    (least,) = (row for row in measures(reader, {1}) if row.measure == "time_to_collision")
+    assert least.time > slow
+    assert (found.time_to_collision, found.time) == (least.value, least.time)
+    assert found.speed == pytest.approx(1.5, abs=0.01)
+    assert found.start < found.time == found.stop
 
 
 def test_braking_gently_behind_a_standing_car_is_none(drive: Drive) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
@@ -67,9 +67,10 @@ class NearMiss:
         id1: The actor that approaches, or that arrives second where paths cross.
         id2: The other actor.
         start: The beginning of the critical time, in elapsed seconds.
-        stop: Its end.
+        stop: Its end, or the most critical moment if that is later.
         time: The most critical moment.
-        time_to_collision: The least time to collision in s; inf unless it is critical.
+        time_to_collision: The least time to collision in s until it is longer than that of near misses; inf unless it is
+            critical.
         post_encroachment_time: The post-encroachment time in s; inf unless it is critical.
         speed: The speed of the first actor at the most critical moment, in m/s.
         x, y, z: The location of the first actor at that moment, in m, right-handed.
@@ -90,11 +91,18 @@ class NearMiss:
 
 @dataclass(slots=True)
 class _Critical:
-    """A run of critical frames of a pair, or a critical crossing of paths."""
+    """A run of critical frames of a pair, or a critical crossing of paths.
+
+    Attributes:
+        first, last: Its first and its last frame in the recording.
+        miss: What is most critical.
+        until: The last frame up to which the time to collision has remained short.
+    """
 
     first: int
     last: int
     miss: NearMiss
+    until: int
 
 
 class NearMissDetector:
@@ -124,6 +132,7 @@ class NearMissDetector:
         self._motion = MotionCollector(actors)
         self._approaches: dict[tuple[int, int], list[_Critical]] = defaultdict(list)
         self._crossings: dict[tuple[int, int], list[_Critical]] = defaultdict(list)
+        self._open: list[_Critical] = []  # approaches whose time to collision may still be short
 
     def batch(self, batch: Batch) -> None:
         """Process the frames of a batch, which have at least their transforms and velocities.
@@ -165,11 +174,13 @@ class NearMissDetector:
         reach = radius + fastest * max(self._longest, self._soonest)
         runs = 0
         for start, one, other in near_pairs(block, subjects, reach):
+            pairs = one, other
             moves = (fastest[one] >= _SLOWEST) | (fastest[other] >= _SLOWEST)
             one, other = one[moves], other[moves]
             if len(one) and runs < _MOST_RUNS:
                 runs += self._add_approaches(block, start, one, other)
                 self._add_crossings(block, start, one, other)
+            self._follow(block, start, *pairs)
 
     def _add_approaches(self, block: MotionBlock, start: int, one: Indices, other: Indices) -> int:
         """Add the runs of frames of pairs on a collision course, and return their number."""
@@ -209,7 +220,44 @@ class NearMissDetector:
             *block.location(one, frame),
         )
         key = min(miss.id1, miss.id2), max(miss.id1, miss.id2)
-        self._approaches[key].append(_Critical(block.index + first, block.index + last, miss))
+        run = _Critical(block.index + first, block.index + last, miss, block.index + last)
+        self._approaches[key].append(run)
+        self._open.append(run)
+
+    def _follow(self, block: MotionBlock, start: int, one: Indices, other: Indices) -> None:
+        """Look for the least time to collision of approaches after the critical frames, as long as it is short."""
+        self._open = [run for run in self._open if run.until >= block.index + start - 1]
+        for run in self._open:
+            rows = [np.flatnonzero(block.ids == id) for id in (run.miss.id1, run.miss.id2)]
+            if not all(map(len, rows)):
+                continue
+            first, second = (int(row[0]) for row in rows)
+            if not (((one == first) & (other == second)) | ((one == second) & (other == first))).any():
+                continue
+            pairs = PairFrames.of(block, start, *rows)
+            later = np.flatnonzero(pairs.frame > run.until - block.index)
+            times = pairs.take(later).time_to_collision(self._longest)
+            follows = pairs.frame[later] == run.until - block.index + 1 + np.arange(len(later))
+            ends = np.append(~(follows & (times <= self._longest)), True)
+            length = int(ends.argmax())
+            if not length:
+                continue
+            run.until += length
+            least = int(times[:length].argmin())
+            frame = int(pairs.frame[later[least]])
+            if times[least] < run.miss.time_to_collision and paths_meet(block, first, second, frame):
+                time = float(block.time[frame])
+                x, y, z = block.location(first, frame)
+                run.miss = replace(
+                    run.miss,
+                    stop=max(run.miss.stop, time),
+                    time=time,
+                    time_to_collision=float(times[least]),
+                    speed=float(block.speed[first, frame]),
+                    x=x,
+                    y=y,
+                    z=z,
+                )
 
     def _add_crossings(self, block: MotionBlock, start: int, one: Indices, other: Indices) -> None:
         """Add the least post-encroachment times of pairs."""
@@ -242,7 +290,8 @@ class NearMissDetector:
                 *block.location(arriving, arrived),
             )
             key = min(miss.id1, miss.id2), max(miss.id1, miss.id2)
-            self._crossings[key].append(_Critical(block.index + left, block.index + arrived, miss))
+            last = block.index + arrived
+            self._crossings[key].append(_Critical(block.index + left, last, miss, last))
 
 
 def _lasting(runs: list[_Critical]) -> list[_Critical]:
@@ -251,7 +300,7 @@ def _lasting(runs: list[_Critical]) -> list[_Critical]:
     for run in runs:
         before = joined[-1] if joined else None
         if before is not None and run.first <= before.last + 1:
-            joined[-1] = _Critical(before.first, run.last, _joined(before.miss, run.miss))
+            joined[-1] = _Critical(before.first, run.last, _joined(before.miss, run.miss), run.until)
         else:
             joined.append(run)
     return [run for run in joined if run.last - run.first + 1 >= _FEWEST]
