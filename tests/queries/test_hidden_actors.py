@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carla_recap import IncidentOptions, open_recording
+from carla_recap import IncidentOptions, check, open_recording
+from carla_recap.fleet.rules import parse_rules
 from carla_recap.queries.incidents import incidents
-from carla_recap.queries.measures import time_series
+from carla_recap.queries.measures import measures, time_series
+from carla_recap.roads.surfaces import build_network
 from tests.replay.scripts import light, pose, spawn, write
+from tests.roads.straight_road import STRAIGHT_ROAD
 
 HERO, HIDDEN = 1, 2
 SHOWN = 8.0  # s: when the hidden car is set on the road
@@ -21,7 +24,7 @@ def recording(request, tmp_path):
     frames = []
     for number in range(120):
         below = number * TICK < SHOWN - TICK / 2
-        frames.append({"transforms": [pose(HERO, 100 * number), pose(HIDDEN, 9000, 400, -49900 if below else 0)]})
+        frames.append({"transforms": [pose(HERO, 100 * number), pose(HIDDEN, 9000, 600, -49900 if below else 0)]})
         if request.param == "lights":
             frames[-1]["light_states"] = [light(9, 2)]
     frames[0]["spawned"] = [spawn(HERO, role_name="hero"), spawn(HIDDEN, x=9000)]
@@ -48,6 +51,17 @@ def test_a_car_below_the_road_has_no_measures_itself(recording):
 def test_a_car_below_the_road_does_not_stop_there_for_long(recording):
     found = incidents(recording.reader, IncidentOptions(kinds=["blocked"], min_time=5.0))
     assert [one.actors for one in found] == []
+
+
+def test_a_car_below_the_road_is_not_off_the_road(recording):
+    roads = build_network(STRAIGHT_ROAD, "Straight")
+    (found,) = (row for row in measures(recording.reader, {HIDDEN}, roads=roads) if row.measure == "distance_off_road")
+    assert found.time > SHOWN - TICK
+
+
+def test_a_car_below_the_road_breaks_no_rule_about_stops(recording):
+    (found,) = check(recording, parse_rules('[rules.it]\nblocked = { max = "5 s" }', "rules.toml"))
+    assert found.status == "pass"
 
 
 def test_carlas_own_query_still_has_it(recording):

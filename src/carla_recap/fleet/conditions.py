@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 from carla_recap.errors import RecapError
 from carla_recap.formats import SUFFIXES
 from carla_recap.model.actors import HERO, ROAD_USERS, ActorLives
+from carla_recap.model.presence import RoadHeights
 from carla_recap.queries.actors import actors
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.differences import differences, metres, name_of
@@ -197,8 +198,13 @@ class Facts:
 
     @property
     def stops(self) -> Sequence[BlockedRow]:
-        """The stops that any condition forbids, the longest first."""
-        return self._once("stops", lambda: blocked(self.recording.reader, min(self._stop_times)))
+        """The stops that any condition forbids, the longest first; none of actors that are not there."""
+
+        def ask() -> Sequence[BlockedRow]:
+            found, heights = blocked(self.recording.reader, min(self._stop_times)), RoadHeights(list(self.actors))
+            return [row for row in found if not heights.is_away(row.id, (row.x, row.y, row.z))]
+
+        return self._once("stops", ask)
 
     @property
     def measures(self) -> Sequence[MeasureRow]:

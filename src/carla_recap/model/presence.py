@@ -14,6 +14,7 @@ import numpy as np
 
 from carla_recap.model.actors import ROAD_USERS
 from carla_recap.model.records import CM
+from carla_recap.model.segment import segments
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -104,6 +105,31 @@ class RoadHeights:
             rows = np.flatnonzero(away[:, column])
             away[rows, column] = ~self._on_a_slope(places[rows, column], places[rows], references[rows])
         return away
+
+    @np.errstate(invalid="ignore")  # of signalling NaN
+    def away_in(self, transforms: NDArray[np.void]) -> Booleans:
+        """Return which vehicles and walkers are away, for the transforms of some frames: (frames, records of each)."""
+        found = np.zeros(transforms.shape, np.bool_)
+        users = self._ids(lambda actor: actor.kind in ROAD_USERS)
+        for segment in segments(transforms):
+            there = segment.only(np.isin(segment.ids, users))
+            places = np.stack([there.field(axis) for axis in "xyz"], axis=2).astype(np.float64)
+            found[there.frames, there.columns] = self.away(there.ids, places)
+        return found
+
+    def is_away(self, id: int, place: tuple[float, float, float]) -> bool:
+        """Return whether an actor is away at a place in cm, as recorded, by where the other road users have been spawned."""
+        ids, places = self._spawned
+        others = ids != id
+        ids, places = np.append(ids[others], id), np.append(places[others], [place], axis=0)
+        return bool(self.away(ids, places[None])[0, -1])
+
+    @cached_property
+    def _spawned(self) -> tuple[Integers, Floats]:
+        """The ids of all road users, and where each has been spawned, in cm, (road users, 3)."""
+        users = [actor for actor in self._actors if actor.kind in ROAD_USERS]
+        places = np.array([actor.spawn_pose[:3] for actor in users], np.float64).reshape(-1, 3)
+        return np.array([actor.id for actor in users], np.int64), places
 
     def _on_a_slope(self, places: Floats, others: Floats, references: Booleans) -> Booleans:
         """Return whether a slope leads to places, (moments, 3), from the nearest reference at that moment."""

@@ -5,10 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Final, Literal, Protocol
-
-import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.model.actors import ROAD_USERS
@@ -29,8 +26,6 @@ from carla_recap.queries.measures.table import DURATION, MEASURES, RELATIVE_SPEE
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
-
-    from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.actors import ActorLives
@@ -267,18 +262,8 @@ class LongStopIncidents:
 
     def _counts(self, row: BlockedRow) -> bool:
         """Return whether a row is of a road user that is there, by where others have been spawned."""
-        if self._search.actors.kind(row.id, row.start) not in ROAD_USERS:
-            return False
-        ids, places = self._spawned
-        places = np.where((ids == row.id)[:, None], (row.x, row.y, row.z), places)
-        return not self._heights.away(ids, places[None])[0, ids == row.id].any()
-
-    @cached_property
-    def _spawned(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The ids of all road users, and where each has been spawned, in cm, (road users, 3)."""
-        users = [actor for actor in self._search.actors if actor.kind in ROAD_USERS]
-        places = np.array([actor.spawn_pose[:3] for actor in users], np.float64).reshape(-1, 3)
-        return np.array([actor.id for actor in users], np.int64), places
+        is_user = self._search.actors.kind(row.id, row.start) in ROAD_USERS
+        return is_user and not self._heights.is_away(row.id, (row.x, row.y, row.z))
 
     def _incident(self, row: BlockedRow) -> Incident:
         return Incident(

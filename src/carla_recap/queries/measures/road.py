@@ -14,6 +14,7 @@ import numpy as np
 
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.motion import place_in_metres, possible_step
+from carla_recap.model.presence import RoadHeights
 from carla_recap.queries.measures.table import Extreme
 from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.roads import network as roads
@@ -109,6 +110,8 @@ class RoadSearch:
     def __init__(self, source: Reader, network: RoadNetwork, actors: Iterable[ActorLife]) -> None:
         self._network = network
         self._actors: dict[int, ActorLife] = {}
+        actors = list(actors)
+        self._heights = RoadHeights(actors)
         for actor in actors:
             if actor.kind == "vehicle":
                 self._actors[actor.id] = actor
@@ -147,7 +150,7 @@ class RoadSearch:
         samples["x"], samples["y"], samples["z"] = place_in_metres(*(chosen[axis].astype(np.float64) for axis in "xyz"))
         samples["yaw"] = np.radians(-chosen["yaw"].astype(np.float64))
         finite = np.all([np.isfinite(samples[name]) for name in ("x", "y", "z", "yaw")], axis=0)
-        self._samples.append(samples[finite])
+        self._samples.append(samples[finite & ~self._heights.away_in(taken)[frame, record]])
         self._count += len(samples)
         if self._count >= _BLOCK:
             self._evaluate()
