@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import ExitStack
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -38,10 +39,11 @@ def accident(count=20, speed=10.0, walker=WALKER, kind="walker.pedestrian.0001")
 
 
 def falls(found):
-    """Return the times of falls and risings, and whether each is a fall."""
+    """Return the times at which walkers begin to fall and get up, and whether they fall."""
     walkers = FallenWalkers()
     changes = [(float(batch.time[each.row]), each) for batch in found for each in walkers.changes(batch)]
-    return [(round(time, 3), each.id, each.fall is not None) for time, each in changes]
+    states = [(round(time, 3), each.id, each.fall is not None) for time, each in changes]
+    return [now for before, now in pairwise([(0, 0, False), *states]) if now[2] != before[2]]
 
 
 def marks(found):
@@ -53,20 +55,20 @@ def marks(found):
 def test_a_walker_lies_from_the_hit_until_it_walks(batches):
     frames = accident()
     frames[12]["walker_controls"] = [(WALKER, 140.0)]
-    assert falls(batches(frames)) == [(0.2, WALKER, True), (1.2, WALKER, False)]
+    assert falls(batches(frames)) == [(0.3, WALKER, True), (1.2, WALKER, False)]
 
 
 def test_a_walker_that_disappears_does_not_lie_any_longer(batches):
     frames = accident()
     frames[12]["destroyed"] = [WALKER]
-    assert falls(batches(frames)) == [(0.2, WALKER, True), (1.2, WALKER, False)]
+    assert falls(batches(frames)) == [(0.3, WALKER, True), (1.2, WALKER, False)]
 
 
 def test_a_walker_that_is_recorded_lying_is_shown_as_recorded(batches):
     frames = accident()
     for frame in frames[12:]:
         frame["transforms"][1] = (WALKER, 200.0, 0.0, 20.0, 0.0, 90.0, 0.0)
-    assert falls(batches(frames)) == [(0.2, WALKER, True), (1.2, WALKER, False)]
+    assert falls(batches(frames)) == [(0.3, WALKER, True), (1.2, WALKER, False)]
 
 
 @pytest.mark.parametrize(
@@ -85,11 +87,27 @@ def test_nothing_falls(batches, frames):
 
 def test_a_lying_body_touches_the_ground(batches):
     walkers = FallenWalkers()
-    (change,) = [each for batch in batches(accident()) for each in walkers.changes(batch)]
+    *_, change = [each for batch in batches(accident()) for each in walkers.changes(batch)]
     assert change.fall is not None
     assert change.fall.matrix @ (0, 0, 1) == pytest.approx((1, 0, 0))  # the head points away from the car
     assert np.linalg.det(change.fall.matrix) == pytest.approx(1)
     assert -0.93 < change.fall.offset[2] < -0.5  # m, from the upright middle
+
+
+def test_a_walker_falls_in_six_tenths_of_a_second(batches):
+    walkers = FallenWalkers()
+    found = [(float(batch.time[each.row]), each.fall) for batch in batches(accident()) for each in walkers.changes(batch)]
+    assert [round(time, 3) for time, _ in found] == [0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
+    heads = [fall.matrix[2, 2] for _, fall in found]
+    assert heads == sorted(heads, reverse=True)
+    assert heads[0] > 0.99
+    assert heads[-1] == pytest.approx(0, abs=1e-6)
+
+
+def test_a_walker_that_walks_on_at_once_does_not_lie_down(batches):
+    frames = accident()
+    frames[4]["walker_controls"] = [(WALKER, 140.0)]
+    assert falls(batches(frames)) == [(0.3, WALKER, True), (0.4, WALKER, False)]
 
 
 def test_a_seek_raises_walkers_and_removes_marks(batches):

@@ -256,8 +256,8 @@ def test_a_walker_who_was_hit_lies(tmp_path: Path) -> None:
     frames[21]["collisions"] = [(0, 1, 2, 0, 0)]
     frames[40]["walker_controls"] = [(2, 140.0)]
     rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
-    (fell, (lying,)), (rose, (standing,)) = rrd.rows("/world/actors/2", "InstancePoses3D:mat3x3")
-    assert (fell, rose) == pytest.approx((2.1, 4.0))
+    *falling, (lies, (lying,)), (rose, (standing,)) = rrd.rows("/world/actors/2", "InstancePoses3D:mat3x3")
+    assert (falling[0][0], lies, rose) == pytest.approx((2.2, 2.7, 4.0))
     axis = np.array(lying).reshape(3, 3)[2]  # the matrix is stored by columns: where the head points
     assert axis == pytest.approx((1, 0, 0), abs=1e-6)
     assert np.array(standing).reshape(3, 3) == pytest.approx(np.eye(3))

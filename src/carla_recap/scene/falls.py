@@ -13,6 +13,8 @@ from carla_recap.replay.selection import find
 from carla_recap.scene.appearance import Look, look_of_present
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     from carla_recap.replay import SceneBatch
@@ -22,10 +24,11 @@ if TYPE_CHECKING:
 _KNOCKED: Final = 1.5  # m/s: from this speed on, a vehicle knocks a walker down
 _UPRIGHT: Final = 45.0  # degrees; the recorded pose of one that leans more is shown as it is
 _WALKING: Final = 20.0  # cm/s; one that walks again has got up
+_FALLING: Final = 0.6  # s from the hit until a walker lies
 
 
 class Fall(NamedTuple):
-    """How a walker lies whose recorded pose is upright, in the walker's own right-handed axes.
+    """How a walker leans or lies whose recorded pose is upright, in the walker's own right-handed axes.
 
     Attributes:
         rotation: The rotation of the body: a matrix, row by row.
@@ -41,13 +44,29 @@ class Fall(NamedTuple):
         return np.array(self.rotation).reshape(3, 3)
 
 
+class _Hit(NamedTuple):
+    """What knocks a walker down.
+
+    Attributes:
+        time: When, in elapsed seconds.
+        look: The look of the walker.
+        upright: The rotation of its pose then, (3, 3).
+        turn: The rotation from there to how it lies, in the walker's own axes: the axis times the angle in rad.
+    """
+
+    time: float
+    look: Look
+    upright: Floats
+    turn: Floats
+
+
 class FallChange(NamedTuple):
-    """A walker that falls or gets up.
+    """A walker that falls, in several steps, or gets up.
 
     Attributes:
         row: The position of the scene in its batch.
         id: The walker.
-        fall: How it lies from then on; None if it stands.
+        fall: How it leans or lies from then on; None if it stands.
     """
 
     row: int
@@ -59,11 +78,12 @@ class FallenWalkers:
     """The walkers that vehicles have knocked down, until they walk again.
 
     Attributes:
-        falls: How they lie after the latest batch, by their ids.
+        falls: How they lean or lie after the latest batch, by their ids.
     """
 
     def __init__(self) -> None:
         self.falls: dict[int, Fall] = {}
+        self._hits: dict[int, _Hit | None] = {}  # what knocked them down; None of those that lie
         self._before: SceneBatch | None = None
 
     def changes(self, batch: SceneBatch, *, keep: bool = False) -> list[FallChange]:
@@ -77,33 +97,49 @@ class FallenWalkers:
         if not keep and is_new(batch, self._before):
             found += [FallChange(0, id, None) for id in self.falls]
             self.falls.clear()
+            self._hits.clear()
         for event in batch.events:
-            if isinstance(event, Collided) and (fallen := self._fall(event, batch)) is not None:
-                self.falls[fallen[0]] = fallen[1]
-                found.append(FallChange(0, *fallen))
-        for id in list(self.falls):
-            row = _rises(id, batch)
-            if row is not None:
-                del self.falls[id]
-                found.append(FallChange(row, id, None))
+            if isinstance(event, Collided) and (knocked := self._hit(event, batch)) is not None:
+                self._hits[knocked[0]] = knocked[1]
+        for id, hit in list(self._hits.items()):
+            rises = _rises(id, batch)
+            if hit is not None:
+                found += self._fall(id, hit, batch.time[:rises])
+            if rises is not None:
+                del self._hits[id]
+                if self.falls.pop(id, None) is not None:
+                    found.append(FallChange(rises, id, None))
         self._before = batch
         return found
 
-    def _fall(self, contact: Collided, batch: SceneBatch) -> tuple[int, Fall] | None:
-        """Return the walker that a contact knocks down, and how it lies; None if there is none."""
+    def _fall(self, id: int, hit: _Hit, times: Floats) -> Iterator[FallChange]:
+        """Yield how a walker leans in the scenes of some times, until it lies."""
+        for row in np.flatnonzero(times > hit.time).tolist():
+            share = min((float(times[row]) - hit.time) / _FALLING, 1.0)
+            self.falls[id] = _leaning(hit, share**2)
+            yield FallChange(row, id, self.falls[id])
+            if share == 1:
+                self._hits[id] = None
+                return
+
+    def _hit(self, contact: Collided, batch: SceneBatch) -> tuple[int, _Hit] | None:
+        """Return the walker that a contact knocks down, and how; None if there is none."""
         pair = contact.actor1, contact.actor2
         kinds = [batch.actors[id].kind if id in batch.actors else None for id in pair]
         if kinds.count("walker") != 1:
             return None
         walker, other = pair if kinds[0] == "walker" else pair[::-1]
         pose, look = batch.pose_of(walker, 0), look_of_present(batch.actors[walker])
-        if walker in self.falls or pose is None or look is None or not np.isfinite(pose).all() or _leans(pose):
+        if walker in self._hits or pose is None or look is None or not np.isfinite(pose).all() or _leans(pose):
             return None
         if other == NO_ACTOR or batch.pose_of(other, 0) is None:
             return None
         velocity = self._velocity(other, batch) - self._velocity(walker, batch)
         speed = float(np.hypot(*velocity))
-        return (walker, _lying(pose, look, velocity / speed)) if speed > _KNOCKED else None
+        if not speed > _KNOCKED:
+            return None
+        upright = rotations(right_handed(pose))
+        return walker, _Hit(contact.elapsed, look, upright, _turn(upright.T @ _lying(upright, velocity / speed)))
 
     def _velocity(self, id: int, batch: SceneBatch) -> Floats:
         """Return the velocity over the ground in m/s, right-handed: as recorded, else that of the last step."""
@@ -123,15 +159,30 @@ class FallenWalkers:
         return step if np.isfinite(step).all() else np.zeros(2)
 
 
-def _lying(pose: Floats, look: Look, direction: Floats) -> Fall:
-    """Return how a walker lies that was hit in a direction: on its back, or on its face if it was hit from behind."""
-    upright = rotations(right_handed(pose))
+def _lying(upright: Floats, direction: Floats) -> Floats:
+    """Return the rotation of a walker that was hit in a direction: on its back, or on its face if it was hit from behind."""
     up = np.array((*direction, 0.0))
     forward = np.array((0.0, 0.0, 1.0 if upright[:, 0] @ up <= 0 else -1.0))
-    lying = np.column_stack((forward, np.cross(up, forward), up))
-    down = np.array((0.0, 0.0, look.half_extents[0] - look.half_extents[2]))
-    x, y, z = (look.center + upright.T @ down).round(4).tolist()
-    return Fall(tuple((upright.T @ lying).round(6).ravel().tolist()), (x, y, z))
+    return np.column_stack((forward, np.cross(up, forward), up))
+
+
+def _turn(matrix: Floats) -> Floats:
+    """Return the axis of a rotation times its angle in rad, which is not 0 or pi."""
+    axis = np.array((matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]))
+    length = np.linalg.norm(axis)  # twice the sine of the angle
+    return np.asarray(axis / length * np.arctan2(length, np.trace(matrix) - 1))
+
+
+def _leaning(hit: _Hit, share: float) -> Fall:
+    """Return how a walker leans that has fallen by a share from 0 to 1; it touches the ground."""
+    angle = float(np.linalg.norm(hit.turn))
+    x, y, z = hit.turn / angle
+    across = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
+    rotation = np.eye(3) + np.sin(share * angle) * across + (1 - np.cos(share * angle)) * across @ across
+    half_extents = np.array(hit.look.half_extents)
+    height = np.abs((hit.upright @ rotation)[2]) @ half_extents
+    x, y, z = (hit.look.center + hit.upright.T @ (0.0, 0.0, height - half_extents[2])).round(4).tolist()
+    return Fall(tuple(rotation.round(6).ravel().tolist()), (x, y, z))
 
 
 def _rises(id: int, batch: SceneBatch) -> int | None:
