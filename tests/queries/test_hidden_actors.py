@@ -64,5 +64,18 @@ def test_a_car_below_the_road_breaks_no_rule_about_stops(recording):
     assert found.status == "pass"
 
 
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+@pytest.mark.parametrize(("shown", "count"), [(False, 1), (True, 2)])
+def test_a_car_counts_for_rules_if_it_is_ever_on_the_road(tmp_path, suffix, shown, count):
+    frames = [{"transforms": [pose(HERO, 100 * number), pose(HIDDEN, 9000, 600, -49900)]} for number in range(9)]
+    frames[0]["spawned"] = [spawn(HERO, role_name="hero"), spawn(HIDDEN, x=9000)]
+    if shown:
+        frames[-1]["transforms"] = [pose(HERO, 900), pose(HIDDEN, 9000, 600)]
+    rules = parse_rules(f'[rules.it]\nactors = {{ of = "vehicle", min = {count}, max = {count} }}', "rules.toml")
+    with open_recording(write(tmp_path / f"hidden{suffix}", frames)) as opened:
+        (found,) = check(opened, rules)
+    assert found.status == "pass", found.message
+
+
 def test_carlas_own_query_still_has_it(recording):
     assert HIDDEN in [row.id for row in recording.blocked(min_time=5.0)]

@@ -12,7 +12,7 @@ from carla_recap.errors import RecapError
 from carla_recap.formats import SUFFIXES
 from carla_recap.model.actors import HERO, ROAD_USERS, ActorLives
 from carla_recap.model.presence import RoadHeights
-from carla_recap.queries.actors import actors
+from carla_recap.queries.actors import actors, never_there
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.differences import differences, metres, name_of
 from carla_recap.queries.incidents import IncidentOptions, incidents
@@ -183,6 +183,11 @@ class Facts:
     def actors(self) -> ActorLives:
         """All actors."""
         return self._once("actors", lambda: ActorLives(actors(self.recording.reader)))
+
+    @property
+    def never_there(self) -> set[int]:
+        """The ids of the vehicles and walkers that are at no time near the roads."""
+        return self._once("never there", lambda: never_there(self.recording.reader, list(self.actors)))
 
     @property
     def incidents(self) -> Sequence[Incident]:
@@ -514,6 +519,8 @@ class ActorCount:
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
         found = [actor for actor in facts.actors if self.of.matches(actor)]
+        if any(actor.kind in ROAD_USERS for actor in found):
+            found = [actor for actor in found if actor.id not in facts.never_there]
         message = f"{len(found)} {'actor' if len(found) == 1 else 'actors'} ({self.of})"
         if self.bounds.contain(len(found)):
             return Finding(True, message)

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar
 
-from carla_recap.model.actors import TYPES, ActorLife, ActorLives
+import numpy as np
+
+from carla_recap.model.actors import ROAD_USERS, TYPES, ActorLife, ActorLives
+from carla_recap.model.presence import RoadHeights
 from carla_recap.queries import Answer
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from carla_recap.formats.base import Reader
 
 
@@ -29,3 +34,27 @@ def actors(source: Reader) -> RecordedActors:
         for packet in frame.packets:
             lives.add(packet, frame.elapsed)
     return RecordedActors(lives, source, compat=False)
+
+
+def never_there(source: Reader, lives: Collection[ActorLife]) -> set[int]:
+    """Return the ids of vehicles and walkers that are away from the roads in all frames that have them.
+
+    Frames are read until each vehicle and walker has been there.
+
+    Args:
+        source: The recording.
+        lives: All its actors.
+
+    Raises:
+        FormatError: The file contradicts its format.
+    """
+    heights, listed = RoadHeights(lives), set[int]()
+    unseen = {actor.id for actor in lives if actor.kind in ROAD_USERS}
+    for batch in source.batches(("transforms",)):
+        if not unseen:
+            break
+        transforms = batch.records("transforms")
+        away, ids = heights.away_in(transforms), transforms["id"]
+        listed.update(np.unique(ids).tolist())
+        unseen.difference_update(np.unique(ids[~away]).tolist())
+    return unseen & listed
