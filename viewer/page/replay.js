@@ -396,8 +396,8 @@ class Replay {
     const poses = this.followedPoses();
     this.recordings.forEach(({ tracks }, index) => {
       const there = poses[index] && tracks.covers(time);
-      const speed = there ? tracks.speed(tracks.indexOf(this.followed[index], time), time) * 3.6 : null;
-      set(index ? "other-speed" : "speed", speed === null ? "–" : speed.toFixed(0));
+      const speed = there ? tracks.speed(tracks.indexOf(this.followed[index], time), time) * 3.6 : NaN;
+      set(index ? "other-speed" : "speed", Number.isNaN(speed) ? "–" : speed.toFixed(0));
     });
     const apart = poses.length > 1 && poses[0] && poses[1] ? Math.hypot(poses[0].x - poses[1].x, poses[0].y - poses[1].y) : 0;
     set("apart", apart > APART ? `${apart.toFixed(1)} m apart` : "");

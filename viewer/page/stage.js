@@ -338,28 +338,28 @@ class Stage {
     named.sort((a, b) => b.importance - a.importance);
     for (const { actor, left, top, importance } of named) {
       if (importance < (camera.scale > 3.5 ? 1 : 3)) break;
-      if (left < -80 || top < -30 || left > camera.width + 80 || top > camera.height + 30) continue;
-      if (!this.label(actor, left, top, taken, importance > 3)) continue;
+      if (left < 0 || top < 0 || left > camera.width || top > camera.height) continue;
+      this.label(actor, left, top, taken, importance > 3);
     }
     this.context.globalAlpha = 1;
   }
 
-  /** Draw the name of an actor above it; return false if there is no room. */
+  /** Draw the name of an actor above or below it, all of it on the map, if there is room. */
   label(actor, left, top, taken, always) {
     const { context, camera } = this;
     const { label, box } = this.tracks.actors[actor];
     context.font = `600 12px ${FONT}`;
     const text = cut(label, 26);
     const half = context.measureText(text).width / 2 + 4;
+    const middle = Math.max(half, Math.min(camera.width - half, left));
     const reach = Math.max(9, Math.max(box[2], box[3]) * camera.scale);
-    const clashes = (line) => taken.some(([x, y, width]) => Math.abs(x - left) < width + half && Math.abs(y - line) < 15);
-    const lines = [top - reach - 8, top + reach + 17];
-    const bottom = lines.find((line) => !clashes(line)) ?? (always ? lines[0] : null);
-    if (bottom === null) return false;
-    taken.push([left, bottom, half]);
+    const clashes = (line) => taken.some(([x, y, width]) => Math.abs(x - middle) < width + half && Math.abs(y - line) < 15);
+    const lines = [top - reach - 8, top + reach + 17].filter((line) => line >= 14 && line <= camera.height - 6);
+    const bottom = lines.find((line) => !clashes(line)) ?? (always ? lines[0] : undefined);
+    if (bottom === undefined) return;
+    taken.push([middle, bottom, half]);
     context.globalAlpha = always ? 1 : 0.8;
-    this.text(text, left, bottom, theme.colors.text);
-    return true;
+    this.text(text, middle, bottom, theme.colors.text);
   }
 
   /** Draw a text with a halo. */

@@ -84,13 +84,14 @@ class Tracks {
     return low && this.last[own[low - 1]] >= sample ? own[low - 1] : -1;
   }
 
-  /** Return the speed of an actor in m/s; 0 where it is unknown. */
+  /** Return the speed of an actor in m/s; NaN where it is unknown. */
   speed(actor, time) {
     const sample = this.sampleAt(time);
     const track = this.trackAt(actor, sample);
-    if (track < 0) return 0;
+    if (track < 0) return NaN;
     const single = this.count[track] === 1;
-    return Math.max(0, this.speeds[this.begin[track] + (single ? 0 : sample - this.first[track])]);
+    const speed = this.speeds[this.begin[track] + (single ? 0 : sample - this.first[track])];
+    return speed < 0 ? NaN : speed;
   }
 
   /** Return the path of an actor in an interval, as lines of x, y, x, y, …, up to its end. */

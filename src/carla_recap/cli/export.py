@@ -394,7 +394,6 @@ def _report(
             wanted,
             other=others[0] if others else None,
             road_map=options.road_map_of(recording, wanted.road_map) if viewer else None,
-            town=options.town_of(recording, wanted.road_map),
             viewer=viewer,
             progress=watch_scenes("sampling"),
             force=force,

@@ -118,7 +118,6 @@ def _write_files(wanted: dict[str, _Wanted], source: SourceFile) -> None:
     from carla_recap.editing.clip import clip
     from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import open_recording
-    from carla_recap.rendering.town import load_town_of
     from carla_recap.show.page import write_report
 
     files = wanted[source.location]
@@ -128,8 +127,7 @@ def _write_files(wanted: dict[str, _Wanted], source: SourceFile) -> None:
         clip(source.location, files.clip, start=start, duration=time + _AROUND - start)
     with open_recording(source.location) as recording:
         options = IncidentOptions(kinds="all", road_map=files.road_map)
-        town = load_town_of(recording, files.road_map)
-        write_report(recording, files.page, options, opening=files.opening, town=town)
+        write_report(recording, files.page, options, opening=files.opening)
 
 
 def _names(checked: Sequence[CheckedRecording]) -> Iterator[str]:

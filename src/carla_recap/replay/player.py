@@ -260,7 +260,8 @@ class Player:
     def _batch(self, time: Floats, frames: Batch, ids: Ids, poses: Floats, light_states: NDArray[np.void]) -> SceneBatch:
         fresh, self._fresh = self._fresh, False
         events = self._cursor.take_events()
-        return SceneBatch(self._cursor.state, time, frames, ids, poses, light_states, events, fresh=fresh)
+        state, following = self._cursor.state, self._cursor.next
+        return SceneBatch(state, time, frames, ids, poses, light_states, events, fresh=fresh, following=following)
 
     def _moment(self, time: float) -> float:
         """Return a time in elapsed seconds, which is given from the end if it is negative."""

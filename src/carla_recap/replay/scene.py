@@ -37,6 +37,7 @@ class SceneBatch:
         frames: The last frame at or before each moment, with the record types that a replay reads.
         fresh: Whether the first scene is the first one of all or after a seek: `events` then build up the state from
             nothing.
+        following: The frame after the last scene; None at the end, while it is still being made, and where it is not known.
         events: The events since the previous scene, in order; all of them belong to the first scene. Those of a fresh one
             are the spawn of each present actor, its parents, and the collisions of the frame.
         ids: The actors that have a recorded pose, ascending; the same object as in the previous batch if they are the same.
@@ -62,10 +63,12 @@ class SceneBatch:
         events: tuple[Event, ...] = (),
         *,
         fresh: bool = False,
+        following: Frame | None = None,
     ) -> None:
         self.time = time
         self.frames = frames
         self.fresh = fresh
+        self.following = following
         self.events = events
         self.ids = ids
         self.poses = poses
@@ -91,6 +94,7 @@ class SceneBatch:
         part.time, part.frames = self.time[rows], self.frames[rows]
         part.poses, part.light_states = self.poses[rows], self.light_states[rows]
         part.fresh, part.events = self.fresh and not later, () if later else self.events
+        part.following = self.following if rows.indices(len(self))[1] == len(self) else None
         part._records = {}
         if "away" in vars(self):
             part.away = self.away[rows]

@@ -17,7 +17,7 @@ from carla_recap.model.motion import TOP_SPEED, possible_step
 from carla_recap.model.records import CM
 from carla_recap.replay import Player, calm_headings, level, right_handed
 from carla_recap.replay.pose import LOCATION, YAW
-from carla_recap.replay.selection import find, numbers
+from carla_recap.replay.selection import array, find, numbers
 from carla_recap.scene.ahead import NO_LIGHT, LightAheadFinder
 
 if TYPE_CHECKING:
@@ -52,7 +52,8 @@ class FollowedSeries:
         poses: Its poses, in cm and degrees, left-handed, (scenes, 6).
         jumped: Whether it has a pose, but cannot have come there from that of the scene before, (scenes,).
         camera: Level axes at the actor that turn calmly, as poses; the latest ones while it is absent, (scenes, 6).
-        speed: Its speed in m/s: as recorded, else from its step since the scene before, (scenes,).
+        speed: Its speed in m/s: as recorded, else from its step since the scene before, or at first, from its step to the
+            next scene, (scenes,).
         acceleration: The mean acceleration over the last 0.3 s, in m/s², (scenes,).
         controls: The recorded `CONTROLS`: pedals from 0 to 1, steering from -1 (left) to 1, (scenes, 3).
         pedals: Throttle and brake as they are shown: a brake is held at a standstill, where controllers let it chatter,
@@ -131,20 +132,25 @@ def step_speeds(metres: Floats, seconds: Floats | float) -> Floats:
         return np.where((np.asarray(seconds) > 0) & (speeds <= TOP_SPEED), speeds, np.nan)
 
 
+def speeds_between(scene: Scene, neighbour: Scene) -> Floats:
+    """Return the speeds of the steps between a scene and the one before or after it, in m/s, (ids of the scene,)."""
+    speeds = np.full(len(scene.ids), np.nan)
+    where, found = find(scene.ids, neighbour.ids)
+    with np.errstate(invalid="ignore", over="ignore"):
+        steps = scene.poses[found, LOCATION] - neighbour.poses[where[found], LOCATION]
+        metres = np.sqrt((steps**2).sum(axis=1)) * CM
+    speeds[found] = step_speeds(metres, abs(scene.time - neighbour.time))
+    return speeds
+
+
 def speeds_of(scene: Scene, before: Scene | None) -> Floats:
-    """Return the speeds of all actors with recorded poses, as `FollowedSeries` has that of one, in m/s, (ids,).
+    """Return the speeds of all actors with recorded poses, as recorded, else from the step before, in m/s, (ids,).
 
     Args:
         scene: The scene.
         before: The one before it, if any.
     """
-    speeds = np.full(len(scene.ids), np.nan)
-    if before is not None:
-        where, found = find(scene.ids, before.ids)
-        with np.errstate(invalid="ignore", over="ignore"):
-            steps = scene.poses[found, LOCATION] - before.poses[where[found], LOCATION]
-            metres = np.sqrt((steps**2).sum(axis=1)) * CM
-        speeds[found] = step_speeds(metres, scene.time - before.time)
+    speeds = np.full(len(scene.ids), np.nan) if before is None else speeds_between(scene, before)
     velocities = scene.velocities
     if len(velocities):
         where, found = find(scene.ids, velocities["id"])
@@ -181,7 +187,10 @@ class FollowedActor:
             poses = np.full((len(batch), 6), np.nan)
         velocities = self._records(batch, "velocities", ("x", "y", "z"))
         recorded = np.sqrt((velocities**2).sum(axis=1))
+        begins = not self._path.has_begun
         path = self._path.add(batch.time, poses, recorded)
+        if begins and np.flatnonzero(path.jumped).tolist() == [len(batch) - 1]:
+            path.speed[-1] = self._speed_ahead(batch, poses[-1])
         speed = np.where(np.isfinite(recorded), recorded, path.speed)
         controls = self._records(batch, "vehicle_controls", CONTROLS)
         found, distance = self._light_ahead(batch, poses)
@@ -202,6 +211,19 @@ class FollowedActor:
             state,
             distance,
         )
+
+    def _speed_ahead(self, batch: SceneBatch, pose: Floats) -> float:
+        """Return the speed of the step from the last scene to the next frame; NaN without one, or after a jump."""
+        frame = batch.following
+        if frame is None:
+            return math.nan
+        records = array(frame["transforms"])
+        own = records[records["id"] == self.id]
+        if not len(own):
+            return math.nan
+        seconds = frame.elapsed - float(batch.time[-1])
+        metres = math.dist([float(own[-1][axis]) for axis in "xyz"], pose[LOCATION].tolist()) * CM
+        return float(step_speeds(np.asarray(metres), seconds)) if metres <= possible_step(seconds) else math.nan
 
     def _records(self, batch: SceneBatch, name: str, names: Sequence[str]) -> Floats:
         """Return some fields of the records of the actor, (scenes, fields); NaN unless all of a scene are finite."""
@@ -228,7 +250,7 @@ class FollowedActor:
 
 @dataclass(frozen=True, eq=False)
 class _PathPart:
-    """A part of an actor's path: see `FollowedSeries`; the speed is that of its steps."""
+    """A part of an actor's path: see `FollowedSeries`; the speed is that of its steps within the part."""
 
     camera: Floats
     jumped: Flags
@@ -243,6 +265,11 @@ class CalmPath:
         self._pose = np.full(6, np.nan)
         self._camera = np.full(6, np.nan)
         self._is_known = False  # in the latest scene
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether a pose is known."""
+        return not math.isnan(self._time)
 
     def add(self, time: Floats, poses: Floats, speeds: Floats | None = None) -> _PathPart:
         """Return the path in the next scenes.
@@ -265,7 +292,8 @@ class CalmPath:
         absent = np.diff(rows, prepend=-1 if self._is_known else -2) != 1
         jumped, speed = np.zeros(len(time), np.bool_), np.full(len(time), np.nan)
         jumped[rows] = far | absent
-        speed[rows] = np.where(jumped[rows], np.nan, step_speeds(metres, seconds))
+        steps = np.where(jumped[rows], np.nan, step_speeds(metres, seconds))
+        speed[rows] = np.where(np.isnan(at[:-1]), np.append(steps[1:], np.nan)[: len(steps)], steps)
         headings = self._headings(at, path[1:, YAW], jumped[rows])
         camera = np.concatenate((self._camera[None], level(poses[rows], headings)))
         if len(rows):

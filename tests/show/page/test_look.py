@@ -89,6 +89,33 @@ def test_nothing_is_wider_than_the_screen(chromium: Chrome, crowded: Path, width
         assert page.errors == []
 
 
+def test_the_longest_kind_of_incident_fits_into_the_list(chromium: Chrome, crossing_page: Path) -> None:
+    with emulated(chromium, size=(1280, 900)):
+        page = Page(chromium, crossing_page)
+        page.browser.execute_script(
+            "document.querySelectorAll('.badge span').forEach(name => (name.textContent = KINDS['wrong way'].name))"
+        )
+        assert page.ask("[replay.incidents.scroller].map(({scrollWidth, clientWidth}) => scrollWidth - clientWidth)") == [0]
+
+
+def test_names_at_the_edges_are_inside_the_map(chromium: Chrome, tmp_path: Path) -> None:
+    places = [(x, y) for x in range(-60, 61, 4) for y in (-30, 0, 30)]
+    frame: dict[str, Any] = {
+        "spawned": [spawn(id, "walker.pedestrian.0004") for id, _ in enumerate(places, 1)],
+        "transforms": [(id, 100 * x, 100 * y, 0, 0, 0, 0) for id, (x, y) in enumerate(places, 1)],
+    }
+    page = Page(chromium, report(record(tmp_path / "a.mcap", [frame, frame]), tmp_path / "page.html"))
+    page.browser.execute_script("replay.follow(null); Object.assign(replay.camera, { x: 0, y: 0, scale: 12 })")
+    drawn = page.ask(
+        "(() => { const { stage } = replay, texts = [], draw = stage.text;"
+        "stage.text = (text, left) => texts.push([left, stage.context.measureText(text).width / 2]);"
+        "stage.drawLabels(); stage.text = draw; return texts; })()"
+    )
+    width = page.ask("replay.camera.width")
+    assert len(drawn) > 3
+    assert all(half <= left <= width - half for left, half in drawn)
+
+
 def test_hundreds_of_marks_do_not_overlap(chromium: Chrome, crowded: Path) -> None:
     page = Page(chromium, crowded)
     boxes = "[...document.querySelectorAll('.mark')].map(mark => mark.getBoundingClientRect())"

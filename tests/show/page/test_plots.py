@@ -50,6 +50,21 @@ def test_speed_and_acceleration_are_those_of_all_viewers(chromium: Chrome, follo
         assert shown == pytest.approx(column.tolist(), abs=unit, nan_ok=True)
 
 
+def test_the_card_the_reading_and_the_plot_have_one_speed_at_the_start(chromium: Chrome, tmp_path: Path) -> None:
+    frames: list[dict[str, Any]] = [{"transforms": [(1, 10 * n, 0, 0, 0, 0, 0)]} for n in range(20)]
+    frames[0]["spawned"] = [spawn(1, role_name="hero")]
+    page = Page(chromium, report(record(tmp_path / "a.mcap", frames), tmp_path / "page.html"))
+    assert page.time == 0
+    assert page.text("speed") == page.ask("document.querySelector('#readings output').textContent") == "7"
+    assert series(page, 1)["speed"][0] == pytest.approx(2, abs=0.01)
+
+
+def test_an_unknown_speed_is_not_shown_as_a_standstill(chromium: Chrome, tmp_path: Path) -> None:
+    frame = {"transforms": [(1, 0, 0, 0, 0, 0, 0)], "spawned": [spawn(1, role_name="hero")]}
+    page = Page(chromium, report(record(tmp_path / "a.mcap", [frame]), tmp_path / "page.html"))
+    assert page.text("speed") == "\N{EN DASH}"
+
+
 def test_the_gap_is_between_the_bumpers_of_the_same_lane(chromium: Chrome, followed: Path) -> None:
     page = Page(chromium, followed)
     found = series(page, 1)

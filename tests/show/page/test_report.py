@@ -8,6 +8,7 @@ import pytest
 
 from carla_recap import RecapError, open_recording
 from carla_recap.queries.incidents import incidents
+from carla_recap.rendering.town import load_town_of
 from carla_recap.show.page import Opening, sampling, write_report
 from carla_recap.show.page import report as module
 from tests.samples import names_in
@@ -47,6 +48,15 @@ def test_the_summary_of_the_call(tmp_path: Path) -> None:
     assert written._replace(size=0) == (tmp_path / "page", 4, True, 53.0, 0)
     assert written.size == sum(file.stat().st_size for file in (tmp_path / "page").rglob("*") if file.is_file())
     assert not data(tmp_path / "page", "report")["drawn"]
+
+
+def test_without_roads_those_of_the_map_of_the_recording_are_shown(tmp_path: Path) -> None:
+    with open_recording(CROSSING.with_name("crash.mcap")) as recording:
+        write_report(recording, tmp_path / "found.html", pictures="none")
+        write_report(recording, tmp_path / "given.html", pictures="none", town=load_town_of(recording))
+    found, given = (data(tmp_path / f"{name}.html", "ground")["surfaces"]["lengths"] for name in ("found", "given"))
+    assert len(found) > 10
+    assert found.tolist() == given.tolist()
 
 
 def test_without_a_time_a_page_opens_at_the_last_incident(tmp_path: Path) -> None:

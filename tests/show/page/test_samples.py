@@ -50,6 +50,14 @@ def test_an_actor_that_stands_still_has_one_row_and_one_that_moves_has_one_track
     assert replay.tracks[0].rows[:, 0] == pytest.approx(np.arange(3 * BLOCK) / 100, abs=1e-5)
 
 
+def test_the_first_speed_is_that_of_the_first_step_of_the_recording(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", [{"transforms": [(1, n * n, 0, 0, 0, 0, 0)]} for n in range(9)], tick=0.01)
+    with open_recording(path) as recording:
+        first = recording.trajectory(1).speed[0]
+    assert sampled(path).tracks[0].rows[0, 3] == pytest.approx(first)
+    assert first == pytest.approx(1)
+
+
 def test_a_jump_a_gap_and_nan_end_a_track(tmp_path: Path) -> None:
     xs = [0, 10, 20, 90_000, 90_010, float("nan"), 90_020, 90_030, None, 90_040, float("inf"), 3e38]
     frames = [{"transforms": [] if x is None else [(1, x, 0, 0, 0, 0, 0)]} for x in xs]

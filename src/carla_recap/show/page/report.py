@@ -16,7 +16,7 @@ from carla_recap.model.actors import ROAD_USERS
 from carla_recap.queries.incidents import Incident, IncidentOptions, incidents, with_roads
 from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import Recording
-from carla_recap.rendering.town import town_of_map
+from carla_recap.rendering.town import load_town_of, town_of_map
 from carla_recap.replay.player import Player
 from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.style import LIGHTS, OTHER, STYLES
@@ -165,7 +165,8 @@ def write_report(
         opening: What the page shows first; None: the beginning.
         before: The seconds before an incident in the replay of a long recording.
         after: The seconds after it.
-        road_map: The roads to show.
+        road_map: The roads to show; None: those of the map of the recording, looked for as `carla_recap.find_map` does, or
+            where it is unknown, what vehicles have driven along.
         town: Their surfaces, if they are made already.
         pictures: "drawn": a drawing of each incident, from above; "rendered": a view from behind the first actor, which
             takes the extra `cameras`; or "none".
@@ -190,10 +191,11 @@ def write_report(
         raise RecapError(f"{path}: the viewer goes with a folder and one recording, not with a single file or a comparison")
     options = replace(options, roads=options.roads or road_network_of_map(road_map))
     options = with_roads(recordings[0].reader, options)  # of both, since they are of one map
+    if town is None:
+        town = load_town_of(recordings[0], options.road_map) if road_map is None else town_of_map(road_map)
     reported = [_Reported(recording, options, (before, after), progress) for recording in recordings]
     if viewer and not reported[0].whole:
         raise RecapError(f"{recordings[0].location}: is too long for the viewer in a page; clips of its incidents are not")
-    town = town or town_of_map(road_map)
     for each in reported if pictures == "rendered" else ():
         each.take_pictures(town)
     packer = Packer()

@@ -14,7 +14,7 @@ from carla_recap.model.presence import FAR
 from carla_recap.replay.events import Destroyed
 from carla_recap.replay.pose import YAW, right_handed
 from carla_recap.replay.selection import NO_IDS
-from carla_recap.scene.follow import speeds_of
+from carla_recap.scene.follow import speeds_between, speeds_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -152,6 +152,8 @@ class Sampler:
         self._columns = np.zeros(0, np.intp)  # the actors of the rows of a sample
         self._fixed = np.zeros((0, 4))  # the rows of actors without recorded poses
         self._before: Scene | None = None  # the scene before, if it belongs to the same interval
+        self._latest: Scene | None = None  # the scene of the latest sample, until the next scene
+        self._appeared = np.zeros(0, np.bool_)  # whether each of its ids is not in the scene before
         self._light_ids, self._light_states = b"", b""
         self._shown: dict[int, int] = {}  # the states of the traffic lights
 
@@ -164,7 +166,7 @@ class Sampler:
         """Begin an interval that does not continue the one before."""
         self._flush(ended=True)
         self._due = -math.inf
-        self._before = None
+        self._before = self._latest = None
 
     def add(self, scene: Scene, *, last: bool = False) -> None:
         """Add a scene, if a sample is due.
@@ -183,6 +185,7 @@ class Sampler:
         times = self._times
         if not math.isfinite(scene.time) or (times and scene.time <= times[-1]):
             return
+        self._complete_speeds(scene)
         if scene.time < self._due - _SAME_TIME and not last:
             return
         self._due = scene.time + self._step
@@ -197,6 +200,8 @@ class Sampler:
         poses = right_handed(scene.poses)[:, _COLUMNS]
         poses[scene.batch.away[scene.row]] = np.nan
         speeds = speeds_of(scene, before)
+        self._latest = scene
+        self._appeared = np.isin(scene.ids, NO_IDS if before is None else before.ids, invert=True)
         self._block.append((self._columns, np.concatenate((np.column_stack((poses, speeds)), self._fixed))))
         self._note_lights(scene)
         if len(self._block) > BLOCK:
@@ -208,6 +213,16 @@ class Sampler:
         for actor in self._open:
             self._join(actor)
         return SampledReplay(np.array(self._times), self._spans, self._sampled, self._tracks, self._lights)
+
+    def _complete_speeds(self, following: Scene) -> None:
+        """Take unknown speeds of actors that appear in the latest sample from the step to the next scene."""
+        scene, self._latest = self._latest, None
+        if scene is None:
+            return
+        speeds = self._block[-1][1][: len(scene.ids), 3]
+        unknown = np.isnan(speeds) & self._appeared
+        if unknown.any():
+            speeds[unknown] = speeds_between(scene, following)[unknown]
 
     def _update_actors(self, scene: Scene) -> None:
         """Find the actors of a scene."""
