@@ -118,8 +118,10 @@ def collision_scenes(recording: Recording, time: float) -> Iterator[SceneBatch]:
     """
     rows = [row for row in recording.collisions() if row.elapsed <= time]
     lasting = [row for row in rows if "w" in (row.letter1, row.letter2) or row.elapsed > time - MARKED]
-    player = Player(recording) if lasting else None
-    for row in lasting[-_MOST_RECALLED:] if player else ():
+    if not lasting:
+        return
+    player = Player(recording)
+    for row in lasting[-_MOST_RECALLED:]:
         yield player.at(max(row.elapsed - _LEAD, 0.0)).batch
         for scene in player.scenes():
             if scene.time > row.elapsed + _SLACK:
