@@ -307,7 +307,7 @@ def test_nothing_is_left_of_a_file_that_is_given_up(tmp_path, suffix, error):
     ids=lambda header: repr(header)[:40],
 )
 def test_a_header_that_no_log_can_have_is_refused(tmp_path, suffix, header):
-    with pytest.raises(RecordError, match="cannot be written"):
+    with pytest.raises(RecordError, match=r"cannot be written|at most 65535 bytes"):
         create_writer(tmp_path / f"never{suffix}", header)
     assert names_in(tmp_path) == []
 
