@@ -75,7 +75,7 @@ def test_a_kind_more_is_found_and_printed() -> None:
 def test_a_kind_more_is_on_the_page(tmp_path: Path) -> None:
     with open_recording(CRASH) as recording:
         write_report(recording, tmp_path / "page", pictures="none")
-    assert '"high speed":{"name":"High speed","many":"Fast drives"' in (tmp_path / "page" / "data" / "kinds.js").read_text()
+    assert '"high speed":{"name":"Fast drive","many":"Fast drives"' in (tmp_path / "page" / "data" / "kinds.js").read_text()
     assert '"kind":"high speed"' in (tmp_path / "page" / "data" / "reports.js").read_text()
 
 

@@ -20,7 +20,7 @@ from mcap.writer import Writer
 from rerun.chunk import RrdReader
 
 from carla_recap import convert
-from carla_recap.show.rerun.importer import FAILED, NOT_OURS
+from carla_recap.show.importer import FAILED, NOT_OURS
 from tests.samples import CARLA_LOGS, carla_log, log_header, save, small_log
 from tests.screenshots import ScreenshotTaker
 from tests.show.conftest import SAMPLE
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 NAME = "rerun-importer-carla-recap"
-RUN = "import sys; from carla_recap.show.rerun.importer import main; main()"
+RUN = "import sys; from carla_recap.show.importer import main; main()"
 
 
 def run(path: Path | str, *options: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
