@@ -1,0 +1,196 @@
+"""Rigs from files and lists: what is accepted, and what errors say."""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.sensors import SENSOR_TYPES, SensorRig
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+FRONT = {"type": "sensor.camera.rgb", "id": "front", "x": 1.5, "y": 0.0, "z": 1.6, "width": 320, "height": 240, "fov": 100}
+LIDAR = {"type": "sensor.lidar.ray_cast", "id": "top", "x": 0.0, "y": 0.0, "z": 2.0}
+RADAR = {"type": "sensor.other.radar", "id": "radar", "x": 2.0, "y": 0.0, "z": 1.0}
+
+
+def sensor(kind: str, id: str, **members: Any) -> dict[str, Any]:
+    return {"type": kind, "id": id, "x": 0.0, "y": 0.0, "z": 0.0, **members}
+
+
+def test_a_sensor_has_its_pose_and_all_attributes() -> None:
+    rig = SensorRig.of([{**FRONT, "yaw": -90, "gamma": 2}, LIDAR])
+    front, top = rig
+    assert (front.id, front.type, front.kind, front.image) == ("front", "sensor.camera.rgb", "camera", "rgb")
+    assert (front.x, front.y, front.z, front.roll, front.pitch, front.yaw) == (1.5, 0.0, 1.6, 0.0, 0.0, -90.0)
+    assert front.attributes.keys() == SENSOR_TYPES[front.type].attributes.keys()
+    assert [front.attributes[key] for key in ("image_size_x", "image_size_y", "fov", "gamma", "iso")] == [
+        320,
+        240,
+        100,
+        2,
+        100,
+    ]
+    assert front.attributes["enable_postprocess_effects"] is True
+    assert (top.kind, top.image, top.number("channels"), top.number("lower_fov")) == ("lidar", None, 32.0, -30.0)
+    assert (len(rig), rig["top"]) == (2, top)
+    with pytest.raises(KeyError):
+        rig["back"]
+
+
+@pytest.mark.parametrize("kind", [kind for kind in SENSOR_TYPES if kind != "sensor.opendrive_map"])
+def test_a_rig_can_have_each_type_and_is_made_again_of_its_dicts(kind: str) -> None:
+    rig = SensorRig.of([sensor(kind, "a")])
+    assert rig["a"].attributes == {key: attribute.default for key, attribute in SENSOR_TYPES[kind].attributes.items()}
+    assert SensorRig.of(rig.to_dicts()) == rig
+    assert pickle.loads(pickle.dumps(rig)) == rig
+    assert SensorRig.of(json.loads(json.dumps(rig.to_dicts()))) == rig
+
+
+def test_the_leaderboard_fixes_all_but_sizes_and_angles() -> None:
+    dicts = [
+        {**FRONT, "gamma": 1.0},
+        {**LIDAR, "range": 20.0, "channels": 16},
+        {**RADAR, "horizontal_fov": 60, "range": 20},
+        sensor("sensor.other.gnss", "gnss", noise_lat_bias=1.0),
+        sensor("sensor.other.imu", "imu"),
+        sensor("sensor.camera.depth", "depth", sensor_tick=0.5),
+    ]
+    rig = SensorRig.of(dicts, leaderboard=True)
+    assert [rig["front"].attributes[key] for key in ("image_size_x", "fov", "gamma")] == [320, 100.0, 2.2]
+    expected = {"range": 85.0, "channels": 64, "points_per_second": 600_000, "upper_fov": 10.0, "dropoff_general_rate": 0.45}
+    assert {key: rig["top"].attributes[key] for key in expected} == expected
+    assert [rig["radar"].attributes[key] for key in ("horizontal_fov", "vertical_fov", "range")] == [60.0, 30.0, 100.0]
+    assert [rig["gnss"].attributes[f"noise_{key}"] for key in ("lat_stddev", "alt_stddev", "lat_bias")] == [5e-6, 5e-6, 0.0]
+    deviations = [rig["imu"].attributes[f"noise_{key}"] for key in ("accel_stddev_x", "accel_stddev_z", "gyro_stddev_z")]
+    assert deviations == [0.001, 0.015, 0.001]
+    assert rig["depth"].attributes["sensor_tick"] == 0.5  # the Leaderboard has no such sensors
+
+
+def test_the_map_of_the_leaderboard_is_left_out_with_a_warning() -> None:
+    with pytest.warns(RecapWarning, match=r"^rig: sensor 'map': sensor\.opendrive_map is left out$"):
+        rig = SensorRig.of([LIDAR, {"type": "sensor.opendrive_map", "id": "map", "reading_frequency": 1}])
+    assert [spec.id for spec in rig] == ["top"]
+
+
+def test_a_speedometer_has_a_reading_frequency() -> None:
+    speedometer = {"type": "sensor.speedometer", "id": "speed", "reading_frequency": 20}
+    assert SensorRig.of([speedometer])["speed"].attributes == {"sensor_tick": 0.05}
+    assert SensorRig.of([speedometer], leaderboard=True)["speed"].attributes == {"sensor_tick": 0.0}
+
+
+def without(members: dict[str, Any], key: str) -> dict[str, Any]:
+    return {name: value for name, value in members.items() if name != key}
+
+
+WRONG: list[tuple[Any, str]] = [
+    ({}, "a list of sensors"),
+    ("sensors", "a list of sensors"),
+    (None, "a list of sensors"),
+    ([], "has no sensors"),
+    ([5], "sensor 1: 5; an object"),
+    ([FRONT, [1, 2]], "sensor 2: a list of 2; an object"),
+    ([without(FRONT, "id")], "sensor 1: id is missing"),
+    ([{**FRONT, "id": 3}], "sensor 1: id: 3; a text"),
+    ([{**FRONT, "id": ""}], 'sensor 1: id: ""; a name'),
+    ([{**FRONT, "id": "a/b"}], 'sensor 1: id: "a/b"; a name'),
+    ([{**FRONT, "id": "../x"}], "sensor 1: id: "),
+    ([{**FRONT, "id": "1st"}], "sensor 1: id: "),
+    ([{**FRONT, "id": "a" * 65}], "sensor 1: id: "),
+    ([{**FRONT, "id": "a\n"}], "sensor 1: id: "),
+    ([FRONT, FRONT], "sensor 2: id: 'front'; another one than that of sensor 1"),
+    ([without(FRONT, "type")], "sensor 'front': type is missing"),
+    ([{**FRONT, "type": None}], "sensor 'front': type: null; a text"),
+    ([{**FRONT, "type": "sensor.camera.rbg"}], 'type: "sensor.camera.rbg"; sensor.camera.rgb was expected'),
+    ([{**FRONT, "type": "?"}], "one of sensor.camera.rgb, "),
+    ([{**FRONT, "type": "sensor.other.collision"}], "'front': type: "),
+    ([without(FRONT, "z")], "sensor 'front': z is missing"),
+    ([without(LIDAR, "x")], "sensor 'top': x is missing"),
+    ([{**FRONT, "x": "1"}], "sensor 'front': x: \"1\"; a number"),
+    ([{**FRONT, "x": True}], "sensor 'front': x: true; a number"),
+    ([{**FRONT, "x": math.nan}], "sensor 'front': x: nan; a number from -1000 to 1000"),
+    ([{**FRONT, "yaw": math.inf}], "sensor 'front': yaw: inf; a number from -360 to 360"),
+    ([{**FRONT, "z": 10**400}], "sensor 'front': z: a number of many digits; "),
+    ([{**FRONT, "fov": 0}], "sensor 'front': fov: 0; a number from 0.1 to 175"),
+    ([{**FRONT, "fov": 180}], "sensor 'front': fov: 180; "),
+    ([{**FRONT, "width": 0}], "sensor 'front': width: 0; a number from 1 to 4096"),
+    ([{**FRONT, "height": 100_000}], "sensor 'front': height: 100000; "),
+    ([{**FRONT, "width": 320.5}], "sensor 'front': width: 320.5; a whole number"),
+    ([{**FRONT, "image_size_x": 320}], "sensor 'front': width: is image_size_x, which is given, too"),
+    ([{**FRONT, "colour": 1}], "sensor 'front': colour: is no key of sensor.camera.rgb; one of type, id, x, y, z, "),
+    ([{**FRONT, "pich": 1}], "pich: is no key of sensor.camera.rgb; pitch was expected"),
+    ([{**FRONT, 7: 1}], "sensor 'front': 7: is no key"),
+    ([{**LIDAR, "width": 100}], "sensor 'top': width: is no key of sensor.lidar.ray_cast"),
+    ([{**FRONT, "exposure_mode": "auto"}], 'exposure_mode: "auto"; histogram or manual'),
+    ([{**FRONT, "enable_postprocess_effects": 1}], "enable_postprocess_effects: 1; true or false"),
+    ([{**LIDAR, "channels": 1_000_000}], "sensor 'top': channels: 1000000; a number from 1 to 512"),
+    ([{**LIDAR, "channels": 0}], "sensor 'top': channels: 0; "),
+    ([{**LIDAR, "points_per_second": 10**9}], "sensor 'top': points_per_second: 1000000000; "),
+    ([{**LIDAR, "range": -1}], "sensor 'top': range: -1; "),
+    ([{**LIDAR, "range": {}}], "sensor 'top': range: an object of 0; "),
+    ([{**LIDAR, "dropoff_general_rate": 1.1}], "sensor 'top': dropoff_general_rate: 1.1; a number from 0 to 1"),
+    ([{**RADAR, "vertical_fov": 180}], "sensor 'radar': vertical_fov: 180; a number from 0.1 to 179"),
+    ([{**FRONT, "reading_frequency": 20}], "sensor 'front': reading_frequency: is no key"),
+    ([{**FRONT, "id": f"camera{number}"} for number in range(101)], "has 101 sensors; 100 at most"),
+]
+
+
+@pytest.mark.parametrize(("sensors", "message"), WRONG, ids=[message for _, message in WRONG])
+def test_an_error_names_the_sensor_and_the_key(sensors: Any, message: str) -> None:
+    with pytest.raises(RecapError) as raised:
+        SensorRig.of(sensors)
+    assert str(raised.value).startswith("rig: ")
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
+    assert len(str(raised.value)) < 500
+
+
+def test_a_file_is_read_and_named_in_errors(tmp_path: Path) -> None:
+    path = tmp_path / "rig.json"
+    path.write_text("\ufeff" + json.dumps([FRONT, LIDAR]), "utf-8")
+    assert SensorRig.load(path) == SensorRig.of([FRONT, LIDAR])
+    assert SensorRig.load(str(path), leaderboard=True) == SensorRig.of([FRONT, LIDAR], leaderboard=True)
+    path.write_text(json.dumps([FRONT, {**LIDAR, "channels": None}]), "utf-8")
+    with pytest.raises(RecapError) as raised:
+        SensorRig.load(path)
+    assert str(raised.value) == f"{path}: sensor 'top': channels: null; a number from 1 to 512 was expected"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "line 1: Expecting value; JSON was expected"),
+        (b'[{"id": "a",}]', "line 1: "),
+        (b"[\xff]", "byte 1: UTF-8 was expected"),
+        (b"[" * 100_000, "is nested too deeply"),
+        (b'[{"a": ' * 10_000, "is nested too deeply"),
+        (b"[" + b"1" * 5000 + b"]", "has a number of thousands of digits"),
+        (b"[" + b" " * (1 << 20), "is larger than 1 MB"),
+        (b'{"sensors": []}', "an object of 1; a list of sensors was expected"),
+        (b'[{"id": "a", "type": "sensor.other.imu", "x": 1, "x": 2}]', "sensor 'a': x: is there twice"),
+        (b'[{"id": "a", "type": "sensor.other.imu", "x": NaN}]', "sensor 'a': x: nan; "),
+        (b'[{"id": "a", "type": "sensor.other.imu", "x": 1e999}]', "sensor 'a': x: inf; "),
+        (b'[{"id": "a", "type": "sensor.other.imu", "\\u001b[2J": 1}]', "sensor 'a': \\x1b[2J: is no key"),
+    ],
+)
+def test_a_file_that_is_no_rig_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "rig.json"
+    path.write_bytes(content)
+    with pytest.raises(RecapError) as raised:
+        SensorRig.load(path)
+    assert str(raised.value).startswith(f"{path}: ")
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(RecapError, match=r"none\.json: cannot be read: No such file"):
+        SensorRig.load(tmp_path / "none.json")
+    with pytest.raises(RecapError, match="cannot be read: Is a directory"):
+        SensorRig.load(tmp_path)
