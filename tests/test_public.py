@@ -56,6 +56,8 @@ NAMES = [
     "Rule",
     "RuleSet",
     "Scene",
+    "SensorRig",
+    "SensorSpec",
     "SourceFile",
     "Spawn",
     "Trajectories",

@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from carla_recap.replay import Player, Scene
     from carla_recap.roads import RoadMap, load_map
     from carla_recap.scene.models import use_models
+    from carla_recap.sensors.rig import SensorRig, SensorSpec
     from carla_recap.show.clips import clips
     from carla_recap.show.foxglove import export_foxglove
     from carla_recap.show.page import write_report
@@ -113,6 +114,8 @@ __all__ = [
     "Rule",
     "RuleSet",
     "Scene",
+    "SensorRig",
+    "SensorSpec",
     "SourceFile",
     "Spawn",
     "Trajectories",
@@ -173,6 +176,7 @@ _get, __dir__ = lazily(
             "RecordError",
         ),
         "scene.models": ("use_models",),
+        "sensors.rig": ("SensorRig", "SensorSpec"),
         "show.clips": ("clips",),
         "show.foxglove": ("export_foxglove",),
         "show.page": ("write_report",),

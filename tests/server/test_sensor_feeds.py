@@ -7,7 +7,6 @@ from dataclasses import replace
 from math import exp, pi, radians, sqrt
 from typing import TYPE_CHECKING, Any
 
-import carla
 import msgpack
 import numpy as np
 import pytest
@@ -15,15 +14,13 @@ import pytest
 from carla_recap.server.actor_records import stream_of
 from carla_recap.server.host import Host
 from carla_recap.server.sensors import SENSOR_KINDS, Support, dispatch
-from carla_recap.server.sensors.inertial import GeoReference
 from carla_recap.server.sensors.rays import ActorBoxes
 from carla_recap.server.streaming.streams import Subscriber
 from carla_recap.sim.actors.blueprints import standard_library
 from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
-from tests.roads.towns import town
-from tests.sim.flat import at, flat_town, flat_world
+from tests.sim.flat import at, flat_world
 
 if TYPE_CHECKING:
     from carla_recap.server.sensors.feed import Feed, FeedContext
@@ -41,6 +38,7 @@ class Listener(Subscriber):
         self.frames: list[bytes] = []
         self.closed = False
         self.stream = stream_of(sensor)
+        self.id = sensor.id
         host.streams.add(self.stream, self)
 
     def send(self, frame: bytes) -> None:
@@ -205,40 +203,6 @@ def test_a_barrier_is_static_and_no_actor() -> None:
     assert other[0] == 0
     assert other[2][1] == "static.wall"
     assert impulse[0] < 0
-
-
-ROAD = """<OpenDRIVE><header revMajor="1" revMinor="4">{}</header><road name="" length="100" id="1" junction="-1">
-<planView><geometry s="0" x="0" y="0" hdg="0" length="100"><line/></geometry></planView><lanes><laneSection s="0">
-<center><lane id="0" type="none" level="false"/></center>
-<right><lane id="-1" type="driving" level="false"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane></right>
-</laneSection></lanes></road></OpenDRIVE>"""
-REFERENCES = [
-    "",
-    "+proj=tmerc +lat_0=0 +lon_0=0 +k=1",
-    "+proj=tmerc +lat_0=49.5 +lon_0=-8.25 +k=0.9996 +x_0=500 +y_0=100",
-    "+proj=utm +zone=32",
-    "+lat_0=-3.3e1 +lon_0=151 ",
-    "+lat_0=49",
-]
-
-
-@pytest.mark.parametrize("reference", REFERENCES)
-@pytest.mark.parametrize("tag", ["<geoReference>{}</geoReference>", "<geoReference><![CDATA[{} ]]></geoReference>"])
-def test_geolocations_are_those_of_the_client(reference: str, tag: str) -> None:
-    text = ROAD.format(tag.format(reference))
-    there = carla.Map("Flat", text)
-    for x, y, z in ((0.0, 0.0, 0.0), (1000.0, -2000.0, 3.0), (-350.5, 20.25, -1.0)):
-        expected = there.transform_to_geolocation(carla.Location(x, y, z))
-        found = GeoReference.of(text).locate(Location(x, y, z))
-        assert found == pytest.approx((expected.latitude, expected.longitude, expected.altitude), abs=1e-10)
-
-
-@pytest.mark.parametrize("name", ["Town01", "Town10HD"])
-def test_geolocations_in_towns_are_those_of_the_client(name: str) -> None:
-    text = town(name).read_text(encoding="utf-8")
-    expected = carla.Map(name, text).transform_to_geolocation(carla.Location(100.0, 50.0, 1.0))
-    found = GeoReference.of(text).locate(Location(100.0, 50.0, 1.0))
-    assert found == pytest.approx((expected.latitude, expected.longitude, expected.altitude), abs=1e-10)
 
 
 def test_the_noise_of_gnss_is_that_of_the_attributes() -> None:
@@ -531,5 +495,20 @@ def test_invalid_attributes_fall_back_to_the_default(kind: str) -> None:
                 actor.destroy()
 
 
-def test_a_map_without_a_reference_has_the_default_one() -> None:
-    assert GeoReference.of(flat_town().opendrive) == GeoReference(42.0, 2.0)
+def test_a_warning_says_once_for_each_sensor_what_is_capped(caplog: pytest.LogCaptureFixture) -> None:
+    host = served()
+    car = vehicle(host)
+    lidar = sensor(host, "lidar.ray_cast", car, channels="1000000", points_per_second="5000000", range="30")
+    radar = sensor(host, "other.radar", car, points_per_second="3000000")
+    sensor(host, "lidar.ray_cast_semantic", car, channels="512", points_per_second="4000000")
+    for _ in range(3):
+        host.tick()
+    found = [(record.name, record.levelname, record.getMessage()) for record in caplog.records]
+    assert found == [
+        ("carla_recap.server", "WARNING", message)
+        for message in (
+            f"sensor.lidar.ray_cast {lidar.id}: channels is 1000000: 512 are simulated",
+            f"sensor.lidar.ray_cast {lidar.id}: points_per_second is 5000000: of 250000 rays in a frame, 200000 are cast",
+            f"sensor.other.radar {radar.id}: points_per_second is 3000000: of 150000 rays in a frame, 100000 are cast",
+        )
+    ]

@@ -21,6 +21,8 @@ JUMP: Final = 5.0
 """The shortest step that can be a jump, in m."""
 TOP_SPEED: Final = 100.0
 """The speed that no actor exceeds, in m/s."""
+GRAVITY: Final = 9.81
+"""The acceleration of what falls, in m/s², as Unreal Engine has it."""
 LONGEST_STEP: Final = 1.0
 """The longest time between two frames of an actor from which its motion between them follows, in s."""
 

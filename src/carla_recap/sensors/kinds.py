@@ -132,7 +132,7 @@ def _points(text: str) -> SensorAttribute:
 
 
 def _position_noise() -> Attributes:
-    noise = {}
+    noise: Attributes = {}
     for axis in ("lat", "lon", "alt"):
         noise |= _deviations(f"noise_{axis}_stddev") | _any(**{f"noise_{axis}_bias": "0.0"})
     return noise
@@ -320,8 +320,9 @@ _TYPES: Final = (
 SENSOR_TYPES: Final[Mapping[str, SensorType]] = MappingProxyType({type.name: type for type in _TYPES})
 """The types of sensors that rigs can have, by their names."""
 
-OTHER_SENSORS: Final[Mapping[str, Mapping[str, SensorAttribute]]] = MappingProxyType(
+SENSOR_ATTRIBUTES: Final[Mapping[str, Mapping[str, SensorAttribute]]] = MappingProxyType(
     {
+        **{type.name: type.attributes for type in _TYPES if type.is_actor},
         "sensor.camera.cosmos_visualization": _LENS,
         "sensor.camera.dvs": {**_LENS, **_FILM, **_EVENTS},
         "sensor.other.collision": {},
@@ -348,4 +349,4 @@ OTHER_SENSORS: Final[Mapping[str, Mapping[str, SensorAttribute]]] = MappingProxy
         "sensor.other.v2x_custom": _RADIO,
     }
 )
-"""The attributes of CARLA's other sensors, which rigs cannot have, by the names of their types."""
+"""The attributes of all sensors of CARLA, by the names of their types; a rig can have those in `SENSOR_TYPES`."""

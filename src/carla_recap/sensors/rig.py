@@ -257,7 +257,7 @@ class _SensorReader:
             attributes["sensor_tick"] = 1.0 / float(self._value(_READING_FREQUENCY, _FREQUENCY))
         if leaderboard and self._type.leaderboard is not None:
             fixed = {key: row.default for key, row in self._type.attributes.items() if key not in LEADERBOARD_CHOICES}
-            attributes |= fixed | self._type.leaderboard
+            attributes |= {**fixed, **self._type.leaderboard}
         return SensorSpec(self.id, self._type.name, **pose, attributes=attributes)  # type: ignore[arg-type]
 
     def refuse(self, key: str, expected: str) -> None:

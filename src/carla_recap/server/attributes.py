@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
+from carla_recap.sensors.kinds import LARGEST_SIDE
 from carla_recap.server.rpc.registry import CallError
 from carla_recap.sim.actors.attributes import ATTRIBUTE_TYPES, attribute_type
 
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
 
 _SHOWN: Final = 60  # characters of a value in a message
 _SIDES: Final = ("image_size_x", "image_size_y")
-LARGEST_SIDE: Final = 4096
-"""The greatest width and height of images in pixels, which keeps a frame within 64 MiB."""
 
 
 def check_attributes(blueprint: Blueprint, attributes: Mapping[str, str]) -> None:

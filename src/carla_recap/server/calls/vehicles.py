@@ -9,6 +9,7 @@ from typing import Any, Final, get_type_hints
 
 import numpy as np
 
+from carla_recap.model.motion import GRAVITY
 from carla_recap.server.actor_records import DestroyedActor
 from carla_recap.server.calls.actors import expect
 from carla_recap.server.client import Client
@@ -18,7 +19,6 @@ from carla_recap.server.rpc.structs import Telemetry, VehicleLightState, WheelTe
 from carla_recap.sim.actors.control import VehicleControl, WalkerControl
 from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.geometry import Location, Transform, Vector
-from carla_recap.sim.physics.drivetrain import GRAVITY
 from carla_recap.sim.physics.physics_control import PhysicsControl
 from carla_recap.sim.validation import expect_velocity
 

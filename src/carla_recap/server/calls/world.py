@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.motion import GRAVITY
 from carla_recap.server import actor_records
 from carla_recap.server.calls.actors import expect
 from carla_recap.server.client import Client
@@ -14,7 +15,6 @@ from carla_recap.server.rpc.structs import BoxStruct, EnvironmentObject, Labelle
 from carla_recap.server.sensors.rays import ActorBoxes, solid_actors
 from carla_recap.sim.actors.lights import Sign, TrafficLight
 from carla_recap.sim.geometry import Location, Vector
-from carla_recap.sim.physics.drivetrain import GRAVITY
 from carla_recap.sim.validation import expect_place
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.rendering.camera import Camera, ImageKind
-from carla_recap.server.attributes import LARGEST_SIDE
+from carla_recap.sensors.kinds import LARGEST_SIDE, NARROWEST, WIDEST
 from carla_recap.server.sensors.dvs import EventDetector
 from carla_recap.server.sensors.feed import number
 from carla_recap.server.sensors.images import CameraScene, Shot, View
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     Image = NDArray[Any]
 
 _SIDES: Final = ("image_size_x", "image_size_y")
-_NARROWEST, _WIDEST = 0.1, 175.0  # degrees
 # width, height, field of view in degrees
 _HEADER: Final = struct.Struct("<IIf")
 
@@ -193,7 +192,7 @@ def _side(sensor: Actor, key: str) -> int:
 
 def _fov(sensor: Actor) -> float:
     """Return the field of view that is drawn, in degrees."""
-    return min(max(number(sensor, "fov"), _NARROWEST), _WIDEST)
+    return min(max(number(sensor, "fov"), NARROWEST), WIDEST)
 
 
 def _surrounding(sensor: Actor) -> frozenset[int]:

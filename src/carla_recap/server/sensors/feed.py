@@ -1,24 +1,23 @@
-"""What all kinds of sensors share: feeds, attributes as numbers, and noise."""
+"""What all kinds of sensors share: feeds, and attributes as numbers."""
 
 from __future__ import annotations
 
-import zlib
+import logging
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Final, Protocol
-
-import numpy as np
 
 from carla_recap.scene.materials import Tag
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.rendering.rays import RayScene
     from carla_recap.scene.instances import Instances
+    from carla_recap.sensors.noise import Numbers
     from carla_recap.sim.actors.actor import Actor
 
+_LOG: Final = logging.getLogger("carla_recap.server")
 _TOO_LARGE: Final = 1e10  # for any number of a sensor
 
 Feed = Callable[[], Iterable[bytes]]
@@ -70,6 +69,11 @@ def number(sensor: Actor, key: str) -> float:
     return 0.0
 
 
+def numbers(sensor: Actor) -> Numbers:
+    """Return what returns the attributes of a sensor as numbers."""
+    return partial(number, sensor)
+
+
 def flag(sensor: Actor, key: str) -> bool:
     """Return an attribute that is true or false; false if it is missing."""
     return sensor.attributes.get(key, "").lower() in ("true", "1")
@@ -80,34 +84,9 @@ def interval(sensor: Actor) -> float:
     return max(sensor.context.clock.delta, number(sensor, "sensor_tick"))
 
 
-def generator(sensor: Actor, purpose: str = "") -> np.random.Generator:
-    """Return a source of random numbers for one purpose: the same for the same `noise_seed`."""
-    return np.random.default_rng((abs(int(number(sensor, "noise_seed"))), zlib.crc32(purpose.encode())))
-
-
-class Noise:
-    """The error of measured values: the same for the same seed.
-
-    Args:
-        sensor: The sensor, whose attribute `noise_seed` is the seed.
-        bias: The attributes with the constant errors; none for no constant error.
-        deviation: The attributes with the standard deviations.
-    """
-
-    def __init__(self, sensor: Actor, bias: Iterable[str], deviation: Iterable[str]) -> None:
-        deviation = list(deviation)
-        self._bias = np.array([number(sensor, key) for key in bias])
-        self._deviation = np.array([abs(number(sensor, key)) for key in deviation])
-        self._random = generator(sensor, deviation[0])
-
-    def add_to(self, values: NDArray[np.float64]) -> list[float]:
-        """Return values with errors."""
-        if len(self._bias):
-            values = values + self._bias
-        if self._deviation.any():
-            values = values + self._random.normal(0.0, self._deviation)
-        measured: list[float] = values.tolist()
-        return measured
+def warn_of(sensor: Actor) -> Callable[[str], None]:
+    """Return what logs a warning about the attributes of a sensor."""
+    return partial(_LOG.warning, "%s %d: %s", sensor.type_id, sensor.id)
 
 
 def silent(sensor: Actor, context: FeedContext) -> Feed:

@@ -1,16 +1,16 @@
-"""Rays of sensors, and those that cast them: lidars and radars."""
+"""Rays of sensors in the world, and the feeds of those that cast them: lidars and radars."""
 
 from __future__ import annotations
 
 import struct
-from math import radians, tan, tau
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from carla_recap.rendering.rays import OrientedBoxes, SurfaceHits
+from carla_recap.sensors.beams import LidarBeams, LidarReturns, RadarBeams, detections
 from carla_recap.server.actor_records import tag
-from carla_recap.server.sensors.feed import generator, interval, number
+from carla_recap.server.sensors.feed import interval, numbers, warn_of
 from carla_recap.sim.actors.actor import Prop
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.geometry import Vector
@@ -25,16 +25,11 @@ if TYPE_CHECKING:
     from carla_recap.sim.geometry import Location, Transform
 
     Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
 
 # horizontal angle in radians, channels; then the number of points of each channel
 _LIDAR_HEADER: Final = struct.Struct("<fI")
 _POINT: Final = np.dtype([("location", "<(3,)f4"), ("intensity", "<f4")])
 _SEMANTIC_POINT: Final = np.dtype([("location", "<(3,)f4"), ("cosine", "<f4"), ("actor", "<u4"), ("tag", "<u4")])
-_MOST_CHANNELS: Final = 512
-_MOST_LIDAR_RAYS: Final = 200_000  # in a frame
-_MOST_RADAR_RAYS: Final = 100_000
-_WIDEST: Final = 179.0  # degrees
 MIRROR: Final = np.array((1.0, -1.0, 1.0))
 """The factors of coordinates between CARLA's axes and right-handed ones."""
 
@@ -121,7 +116,7 @@ class ActorBoxes(OrientedBoxes):
 
 
 class Lidar:
-    """The rays of a lidar: they sweep around, channel by channel.
+    """A lidar in the world.
 
     Args:
         sensor: The lidar.
@@ -131,96 +126,64 @@ class Lidar:
     def __init__(self, sensor: Actor, context: FeedContext) -> None:
         self._sensor = sensor
         self._context = context
-        self._channels = int(np.clip(number(sensor, "channels"), 1, _MOST_CHANNELS))
-        self._pitches = np.radians(np.linspace(number(sensor, "upper_fov"), number(sensor, "lower_fov"), self._channels))
-        self._sector = radians(number(sensor, "horizontal_fov"))
-        self._angle = 0.0
+        self._beams = LidarBeams(numbers(sensor), warn_of(sensor))
 
     def sweep(self) -> tuple[SurfaceHits, Floats]:
         """Return the hits of the rays since the last frame, and the rays in the axes of the sensor."""
-        rays = self._rays()
-        return cast(self._sensor, self._context, rays, number(self._sensor, "range")), rays
+        rays = self._beams.rays(interval(self._sensor))
+        return cast(self._sensor, self._context, rays, self._beams.reach), rays
 
     def frame(self, hits: SurfaceHits, rays: Floats, points: NDArray[np.void]) -> bytes:
         """Return the frame of some hits and their points."""
-        channel = hits.ray // max(len(rays) // self._channels, 1)
-        counts = np.bincount(channel, minlength=self._channels).astype("<u4")
-        return _LIDAR_HEADER.pack(self._angle, self._channels) + counts.tobytes() + points.tobytes()
-
-    def _rays(self) -> Floats:
-        """Turn, and return the directions of the rays in the axes of the sensor, channel by channel."""
-        seconds = interval(self._sensor)
-        count = int(np.clip(number(self._sensor, "points_per_second") * seconds, 0, _MOST_LIDAR_RAYS)) // self._channels
-        turn = tau * number(self._sensor, "rotation_frequency") * seconds
-        begin, self._angle = self._angle, (self._angle + turn) % tau
-        turned = (begin + turn * np.arange(count) / max(count, 1)) % tau
-        yaws = turned / tau * self._sector - self._sector / 2
-        pitch, yaw = (values.ravel() for values in np.meshgrid(self._pitches, yaws, indexing="ij"))
-        return np.stack((np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)), axis=1)
+        counts = self._beams.points_of_channels(hits, rays).astype("<u4")
+        return _LIDAR_HEADER.pack(self._beams.angle, self._beams.channels) + counts.tobytes() + points.tobytes()
 
 
 def lidar(sensor: Actor, context: FeedContext) -> Feed:
     """Return the feed of a lidar whose points have an intensity; some are dropped, as the attributes say."""
-    beams, random = Lidar(sensor, context), generator(sensor)
-    attenuation, drop_rate = number(sensor, "atmosphere_attenuation_rate"), number(sensor, "dropoff_general_rate")
-    limit, drop_at_zero = number(sensor, "dropoff_intensity_limit"), number(sensor, "dropoff_zero_intensity")
-    deviation = abs(number(sensor, "noise_stddev"))
+    own, returns = Lidar(sensor, context), LidarReturns(numbers(sensor))
 
     def frames() -> Iterable[bytes]:
-        hits, rays = beams.sweep()
-        intensity = np.exp(-attenuation * hits.distance)
-        keep = random.random(len(intensity)) >= drop_rate
-        if limit > 0 and drop_at_zero > 0:
-            share = 1 - drop_at_zero + drop_at_zero / limit * intensity
-            keep &= (intensity > limit) | (random.random(len(intensity)) < share)
-        kept, points = hits.take(keep), np.zeros(int(keep.sum()), _POINT)
-        distance = kept.distance + (random.normal(0.0, deviation, len(kept.distance)) if deviation else 0.0)
-        points["location"] = rays[kept.ray] * distance[:, None]
-        points["intensity"] = intensity[keep]
-        yield beams.frame(kept, rays, points)
+        hits, rays = own.sweep()
+        kept, intensity = returns.of(hits)
+        points = np.zeros(len(kept.ray), _POINT)
+        points["location"] = rays[kept.ray] * kept.distance[:, None]
+        points["intensity"] = intensity
+        yield own.frame(kept, rays, points)
 
     return frames
 
 
 def semantic_lidar(sensor: Actor, context: FeedContext) -> Feed:
     """Return the feed of a lidar whose points have the id and the semantic class of an actor."""
-    beams = Lidar(sensor, context)
+    own = Lidar(sensor, context)
 
     def frames() -> Iterable[bytes]:
-        hits, rays = beams.sweep()
+        hits, rays = own.sweep()
         points = np.zeros(len(hits.ray), _SEMANTIC_POINT)
         points["location"] = rays[hits.ray] * hits.distance[:, None]
         points["cosine"] = hits.cosine
         points["actor"], points["tag"] = hits.actor, hits.tag
-        yield beams.frame(hits, rays, points)
+        yield own.frame(hits, rays, points)
 
     return frames
 
 
 def radar(sensor: Actor, context: FeedContext) -> Feed:
-    """Return the feed of a radar: random rays in a cone.
-
-    A detection is a velocity in m/s, positive if the target moves away, azimuth and altitude in radians, and depth in m.
-    """
-    width, height = (tan(radians(min(number(sensor, f"{side}_fov"), _WIDEST)) / 2) for side in ("horizontal", "vertical"))
-    reach, random = number(sensor, "range"), generator(sensor)
+    """Return the feed of a radar: random rays in a cone; see `detections`."""
+    beams = RadarBeams(numbers(sensor), warn_of(sensor))
 
     def frames() -> Iterable[bytes]:
-        count = int(np.clip(number(sensor, "points_per_second") * interval(sensor), 0, _MOST_RADAR_RAYS))
-        radius, angle = random.random(count), random.random(count) * tau
-        rays = np.stack((np.ones(count), width * radius * np.cos(angle), height * radius * np.sin(angle)), axis=1)
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        yield _detections(sensor, context, rays, reach).astype("<f4").tobytes()
+        rays = beams.rays(interval(sensor))
+        hits = cast(sensor, context, rays, beams.reach)
+        velocities = _velocities(sensor, hits) - row(sensor.velocity)
+        yield detections(hits, rays, axes(sensor.transform), velocities).astype("<f4").tobytes()
 
     return frames
 
 
-def _detections(sensor: Actor, context: FeedContext, rays: Floats, reach: float) -> Floats:
-    hits = cast(sensor, context, rays, reach)
+def _velocities(sensor: Actor, hits: SurfaceHits) -> Floats:
+    """Return the velocity of what each ray hits, in m/s, (hits, 3)."""
     met, index = np.unique(hits.actor, return_inverse=True)
     actors = [sensor.context.actors.get(id) for id in met.tolist()]
-    velocities = rows(Vector() if actor is None else actor.velocity for actor in actors)[index]
-    directions = rays[hits.ray] @ axes(sensor.transform).T
-    away = ((velocities - row(sensor.velocity)) * directions).sum(axis=1)
-    x, y, z = rays[hits.ray].T
-    return np.stack((away, np.arctan2(y, x), np.arcsin(z), hits.distance), axis=1)
+    return rows(Vector() if actor is None else actor.velocity for actor in actors)[index]

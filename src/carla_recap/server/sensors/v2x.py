@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.server.sensors.feed import Noise, V2xMessage, flag, generator, number
-from carla_recap.server.sensors.inertial import Gnss
+from carla_recap.sensors.noise import Noise, generator
+from carla_recap.sensors.position import UPWARDS
+from carla_recap.server.sensors.feed import V2xMessage, flag, number, numbers
+from carla_recap.server.sensors.inertial import receiver
 from carla_recap.server.sensors.rays import ActorBoxes, axes, row, solid_actors
 from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.actors.sensors import CUSTOM_V2X_SENSOR, V2X_SENSOR
-from carla_recap.sim.physics.drivetrain import GRAVITY
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -42,7 +43,6 @@ _NEAREST: Final = 0.1  # m: the smallest distance between antennas
 # power received in dBm, protocol version, message id, station id, text
 _CUSTOM_MESSAGE: Final = struct.Struct("<f4x3q100s4x")
 _POWER: Final = struct.Struct("<f")
-_UPWARDS: Final = (0.0, 0.0, GRAVITY)  # m/s²: the acceleration that a vehicle at rest measures
 _LONGEST_TEXT: Final = 99  # bytes, besides the NUL
 _CAM_FIELDS: Final = {  # by their offsets; all are 8 bytes wide but those below
     "version": 8,
@@ -142,11 +142,12 @@ class CamStation:
         self._steady = 0
         self._sent_at = self._low_frequency_at = -inf
         self._last: tuple[Vector, Location, float] | None = None
-        self._gnss = Gnss(sensor)
-        self._speed_noise = Noise(sensor, (), ["noise_vel_stddev_x"])
-        self._heading_noise = Noise(sensor, ["noise_head_bias"], ["noise_head_stddev"])
-        self._yaw_rate_noise = Noise(sensor, ["noise_yawrate_bias"], ["noise_yawrate_stddev"])
-        self._acceleration_noise = Noise(sensor, (), [f"noise_accel_stddev_{axis}" for axis in "xyz"])
+        self._gnss = receiver(sensor)
+        attributes = numbers(sensor)
+        self._speed_noise = Noise(attributes, (), ["noise_vel_stddev_x"])
+        self._heading_noise = Noise(attributes, ["noise_head_bias"], ["noise_head_stddev"])
+        self._yaw_rate_noise = Noise(attributes, ["noise_yawrate_bias"], ["noise_yawrate_stddev"])
+        self._acceleration_noise = Noise(attributes, (), [f"noise_accel_stddev_{axis}" for axis in "xyz"])
 
     def generate(self) -> bytes | None:
         """Return a message if one is due."""
@@ -196,7 +197,7 @@ class CamStation:
         return message.tobytes()
 
     def _basics(self, vehicle: Vehicle, now: float) -> dict[str, int]:
-        latitude, longitude, altitude = self._gnss.measure(vehicle.transform.location)
+        latitude, longitude, altitude = self._gnss.measure(row(vehicle.transform.location)).tolist()
         type = _STATION_TYPES.get(vehicle.attributes.get("base_type", ""), 0)
         return {
             "station": vehicle.id,
@@ -209,11 +210,11 @@ class CamStation:
 
     def _motion(self, vehicle: Vehicle) -> dict[str, int]:
         own, extent = axes(vehicle.transform), vehicle.box.extent
-        (heading,) = self._heading_noise.add_to(np.array([vehicle.transform.rotation.yaw + 90]))
+        (heading,) = self._heading_noise.add_to(np.array([vehicle.transform.rotation.yaw + 90])).tolist()
         forward = float(row(vehicle.velocity) @ own[:, 0])
-        (speed,) = self._speed_noise.add_to(np.array([forward]))
-        (yaw_rate,) = self._yaw_rate_noise.add_to(np.array([np.radians(vehicle.angular_velocity.z)]))
-        acceleration = self._acceleration_noise.add_to((row(vehicle.acceleration) + _UPWARDS) @ own)
+        (speed,) = self._speed_noise.add_to(np.array([forward])).tolist()
+        (yaw_rate,) = self._yaw_rate_noise.add_to(np.array([np.radians(vehicle.angular_velocity.z)])).tolist()
+        acceleration = self._acceleration_noise.add_to((row(vehicle.acceleration) + UPWARDS) @ own).tolist()
         longitudinal, lateral, vertical = (_limited(10 * value, _MOST_ACCELERATION) for value in acceleration)
         return {
             "heading": round(heading * 10) % 3600,
@@ -319,7 +320,7 @@ class PathLoss:
 
     def __init__(self, sensor: Actor) -> None:
         self._sensor = sensor
-        self._random = generator(sensor)
+        self._random = generator(number(sensor, "noise_seed"))
         self._scenario = sensor.attributes.get("scenario", "")
         self._is_geometric = sensor.attributes.get("path_loss_model") == "geometric"
         self._gigahertz = max(number(sensor, "frequency_ghz"), 1e-3)

@@ -6,6 +6,8 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from carla_recap.sensors.kinds import SENSOR_ATTRIBUTES
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -62,29 +64,18 @@ ATTRIBUTE_TYPES: Final = (
 
 _KEYS: Final = {
     _BOOL: "sticky_control terramechanics has_lights has_dynamic_doors is_invincible can_use_wheelchair use_wheelchair"
-    " ros_publish_tf enable_postprocess_effects use_log only_dynamics debug_linetrace use_etsi_fading fixed_rate",
-    _INT: "number_of_wheels generation driver_id image_size_x image_size_y blade_count refractory_period_ns channels"
-    " points_per_second noise_seed",
-    _STRING: "role_name ros_name ros_frame_id base_type special_type object_type gender age size exposure_mode scenario"
-    " path_loss_model mesh_path",
-    _FLOAT: "speed sensor_tick fov lens_circle_falloff lens_circle_multiplier lens_k lens_kcube lens_x_size lens_y_size"
-    " bloom_intensity black_clip blur_amount blur_radius calibration_constant chromatic_aberration_intensity"
-    " chromatic_aberration_offset exposure_compensation exposure_max_bright exposure_min_bright exposure_speed_down"
-    " exposure_speed_up focal_distance fstop gamma iso lens_flare_intensity min_fstop motion_blur_intensity"
-    " motion_blur_max_distortion motion_blur_min_object_screen_size shoulder shutter_speed slope temp tint toe white_clip"
-    " positive_threshold negative_threshold sigma_positive_threshold sigma_negative_threshold log_eps range"
-    " rotation_frequency upper_fov lower_fov horizontal_fov vertical_fov atmosphere_attenuation_rate"
-    " dropoff_general_rate dropoff_intensity_limit dropoff_zero_intensity noise_stddev distance hit_radius"
-    " transmit_power receiver_sensitivity frequency_ghz combined_antenna_gain path_loss_exponent d_ref filter_distance"
-    " custom_fading_stddev gen_cam_min gen_cam_max friction extent_x extent_y extent_z mass scale"
-    " noise_lat_bias noise_lat_stddev noise_lon_bias noise_lon_stddev noise_alt_bias noise_alt_stddev"
-    " noise_head_bias noise_head_stddev noise_yawrate_bias noise_yawrate_stddev noise_vel_stddev_x"
-    " noise_accel_stddev_x noise_accel_stddev_y noise_accel_stddev_z noise_gyro_stddev_x noise_gyro_stddev_y"
-    " noise_gyro_stddev_z noise_gyro_bias_x noise_gyro_bias_y noise_gyro_bias_z",
+    " ros_publish_tf",
+    _INT: "number_of_wheels generation driver_id",
+    _STRING: "role_name ros_name ros_frame_id base_type special_type object_type gender age size mesh_path",
+    _FLOAT: "speed friction extent_x extent_y extent_z mass scale",
     _COLOUR: "color",
 }
-_TYPES: Final = {key: code for code, keys in _KEYS.items() for key in keys.split()}
-_RESTRICTED: Final = frozenset(("driver_id", "use_wheelchair", "exposure_mode", "scenario", "path_loss_model"))
+_CODES: Final = {bool: _BOOL, int: _INT, float: _FLOAT, str: _STRING}
+_OF_SENSORS: Final = {key: each for sensor in SENSOR_ATTRIBUTES.values() for key, each in sensor.items()}
+_TYPES: Final = {key: code for code, keys in _KEYS.items() for key in keys.split()} | {
+    key: _CODES[each.type] for key, each in _OF_SENSORS.items()
+}
+_RESTRICTED: Final = frozenset(("driver_id", "use_wheelchair", *(key for key, each in _OF_SENSORS.items() if each.choices)))
 
 
 def attribute_type(key: str) -> int:

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.model.blueprints import blueprint_rows
+from carla_recap.model.motion import GRAVITY
 from carla_recap.model.records import ActorKind
 from carla_recap.sim.actors.sensors import SENSORS
 from carla_recap.sim.errors import SpawnError
@@ -151,7 +152,6 @@ _REV_RANGE: Final = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0)
 _PEAK: Final = {"electric": 0.30, "combustion": 0.70}  # the share of the revolutions at which full power is reached
 _BRAKING: Final = 1.0  # g, by all brakes together; tyres of dry asphalt give about as much
 _FIRST_GEAR: Final = 0.23  # the share of the top speed that the first of many gears reaches
-_GRAVITY: Final = 9.81
 
 
 def _physics(model: _Model) -> PhysicsControl:
@@ -179,7 +179,7 @@ def _wheels(model: _Model) -> list[WheelPhysics]:
     half = model.wheelbase / 2
     axles = (half, -half) if model.number_of_wheels != "6" else (half, -half + _TANDEM / 2, -half - _TANDEM / 2)
     aside = (_BIKE_TRACK if model.number_of_wheels == "2" else _TRACK) * model.width / 2
-    brake = _BRAKING * _GRAVITY * model.mass * model.radius / (2 * len(axles))
+    brake = _BRAKING * GRAVITY * model.mass * model.radius / (2 * len(axles))
     return [
         WheelPhysics(
             max_steer_angle=model.steer if axle > 0 else 0.0,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.sensors.kinds import OTHER_SENSORS, SENSOR_TYPES
+from carla_recap.sensors.kinds import SENSOR_ATTRIBUTES
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -28,7 +28,5 @@ def _values(id: str, attributes: Mapping[str, SensorAttribute]) -> Values:
     return {"role_name": role, **{key: attribute.choices or (attribute.text,) for key, attribute in attributes.items()}}
 
 
-_ATTRIBUTES: Final = {type.name: type.attributes for type in SENSOR_TYPES.values() if type.is_actor} | OTHER_SENSORS
-
-SENSORS: Final[dict[str, Values]] = {id: _values(id, attributes) for id, attributes in _ATTRIBUTES.items()}
+SENSORS: Final[dict[str, Values]] = {id: _values(id, attributes) for id, attributes in SENSOR_ATTRIBUTES.items()}
 """The sensors by name, with the values of their attributes, without those that all actors have."""

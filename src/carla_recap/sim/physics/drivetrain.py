@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from carla_recap.model.motion import GRAVITY
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -19,7 +21,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-GRAVITY: Final = 9.81  # m/s²
 SPEEDS: Final = np.arange(0.0, 120.0, 0.5)  # m/s: the columns of the tables
 GEARS: Final = 14  # rows of the table of forces: neutral, the forward gears, and reverse as the last
 DRY_ASPHALT: Final = 3.5  # the tyre friction of CARLA's cars, in the scale of its physics; here a friction coefficient of 1

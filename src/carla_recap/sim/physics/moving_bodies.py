@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carla_recap.errors import MissingExtra
+from carla_recap.model.motion import GRAVITY
 from carla_recap.sim.columns import StructOfArrays
-from carla_recap.sim.physics.drivetrain import GRAVITY
 
 try:
     import pymunk

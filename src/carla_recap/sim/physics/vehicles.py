@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 
+from carla_recap.model.motion import GRAVITY
 from carla_recap.sim.physics import drivetrain
-from carla_recap.sim.physics.drivetrain import GRAVITY, SPEEDS
+from carla_recap.sim.physics.drivetrain import SPEEDS
 from carla_recap.sim.physics.moving_bodies import MovingBodies
 
 if TYPE_CHECKING:

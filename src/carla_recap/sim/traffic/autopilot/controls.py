@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.motion import GRAVITY
 from carla_recap.scene.lamps import BRAKE, BRAKING, LEFT_BLINKER, RIGHT_BLINKER
-from carla_recap.sim.physics.drivetrain import GRAVITY, SPEEDS
+from carla_recap.sim.physics.drivetrain import SPEEDS
 from carla_recap.sim.traffic.autopilot.lane_changes import shift_poses, transition_progress
 
 if TYPE_CHECKING:
