@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Protocol, Self
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
+
+from carla_recap.errors import RecapError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
 
@@ -18,6 +21,60 @@ if TYPE_CHECKING:
 
 PIECE = 1 << 20
 """The size in bytes of the pieces in which bytes without a schema are handed on."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a file, as MCAP has them.
+
+    Attributes:
+        name: The name, such as `/scene`.
+        message: The full name of the message, as its schema has it; "" for messages without a schema.
+        schema: Returns the message's schema; of protobuf, the descriptors of all files that it needs.
+        metadata: What the channel says beside it.
+        encoding: The encoding of the messages, as MCAP names it.
+        schema_encoding: The encoding of the schema, as MCAP names it.
+    """
+
+    name: str
+    message: str
+    schema: Callable[[], bytes]
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    encoding: str = "protobuf"
+    schema_encoding: str = "protobuf"
+
+
+@dataclass(frozen=True)
+class FurtherTopic:
+    """A topic that a recording has beside its own, such as a sensor's.
+
+    Attributes:
+        topic: Its name, metadata, and the schema of its messages.
+        count: The number of messages.
+        first: The elapsed time of the first message, in s; None where there is none.
+        last: The elapsed time of the last message, in s; None where there is none.
+        group: Topics of the same group share chunks.
+    """
+
+    topic: Topic
+    count: int
+    first: float | None
+    last: float | None
+    group: str
+
+
+class TopicMessage(NamedTuple):
+    """A message of a further topic.
+
+    Attributes:
+        topic: The name of the topic.
+        elapsed: Its time, in elapsed seconds, to the nanosecond.
+        data: The message, encoded.
+    """
+
+    topic: str
+    elapsed: float
+    data: bytes
 
 
 class Reader(Protocol):
@@ -120,6 +177,42 @@ class Reader(Protocol):
     def tail(self) -> Iterator[bytes]:
         """Yield the bytes after the last complete packet, in pieces."""
         ...
+
+    def further_topics(self) -> dict[str, FurtherTopic]:
+        """Return the topics beside those of a recording, by name; none in formats that have no others.
+
+        Raises:
+            FormatError: The file contradicts its format.
+        """
+        return {}
+
+    def messages(self, topic: str, start: float = -math.inf, stop: float = math.inf) -> Iterator[tuple[float, bytes]]:
+        """Yield elapsed time in seconds and data of the messages of a further topic; see `further_messages`."""
+        return ((message.elapsed, message.data) for message in self.further_messages((topic,), start, stop))
+
+    def further_messages(
+        self,
+        topics: Collection[str] | None = None,
+        start: float = -math.inf,
+        stop: float = math.inf,
+        *,
+        in_order: bool = True,
+    ) -> Iterator[TopicMessage]:
+        """Yield the messages of further topics.
+
+        Args:
+            topics: The names of the topics; None: all further topics.
+            start: The first elapsed time, in seconds.
+            stop: The elapsed time at which to stop, in seconds (exclusive), both within `SAME_TIME`, as in `batches`.
+            in_order: Yield them in order of time; else in that of the file's chunks, of which one is in memory at a time.
+
+        Raises:
+            RecapError: There is no such topic.
+            FormatError: The file contradicts its format.
+        """
+        for topic in topics or ():
+            raise RecapError(f"{self.location}: has no further topic {topic!r:.200}; only MCAP files have some")
+        return iter(())
 
     def check_open(self) -> None:
         """Check that it is not closed.

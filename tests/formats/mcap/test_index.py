@@ -83,10 +83,16 @@ def test_a_record_that_is_not_whole_is_an_error(rest):
 
 
 RECORDS = [
-    (records.Schema(id=3, data=b"abc", encoding="protobuf", name="a.B"), {"schemas": {3: "a.B"}}),
-    (records.Channel(3, "/a", "protobuf", {"k": "v"}, 4), {"channels": {3: (3, 4, "/a", "protobuf")}}),
+    (
+        records.Schema(id=3, data=b"abc", encoding="protobuf", name="a.B"),
+        {"schemas": {3: "a.B"}, "schema_spans": {3: (7, 28)}},
+    ),
+    (
+        records.Channel(3, "/a", "protobuf", {"k": "v"}, 4),
+        {"channels": {3: (3, 4, "/a", "protobuf")}, "channel_spans": {3: (7, 36)}},
+    ),
     (records.MetadataIndex(offset=1 << 40, length=7, name="a"), {"metadata": {"a": 1 << 40}}),
-    (records.Statistics(1, 2, {3: 4}, 5, 6, 7, 8, 9, 10), {"messages": 6, "chunk_count": 5}),
+    (records.Statistics(1, 2, {3: 4}, 5, 6, 7, 8, 9, 10), {"messages": 6, "chunk_count": 5, "counts": {3: 4}}),
     (
         records.ChunkIndex(7, 8, "zstd", 9, 20, 5, {3: 40, 4: 50}, 10, 11),
         {"chunks": [(10, 20, 8, 7, {3, 4})]},
@@ -98,7 +104,7 @@ RECORDS = [
 @pytest.mark.parametrize(("record", "added"), RECORDS)
 def test_a_record_is_added_to_the_summary(record, added):
     data, summary = packed(record), Summary()
-    summary.add(data[0], memoryview(data)[9:])
+    summary.add(data[0], memoryview(data)[9:], 7)
     assert vars(summary) == vars(Summary()) | added
 
 
@@ -111,7 +117,7 @@ def test_metadata_are_parsed():
 @given(data=st.binary(max_size=60))
 def test_any_bytes_are_a_record_or_an_error(opcode, data):
     try:
-        Summary().add(opcode, memoryview(data))
+        Summary().add(opcode, memoryview(data), 0)
     except ValueError as error:
         assert "\n" not in str(error)  # noqa: PT017
 

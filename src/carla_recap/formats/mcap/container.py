@@ -11,7 +11,7 @@ import zlib
 from array import array
 from collections import Counter, deque
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import groupby
 from threading import local
@@ -28,11 +28,12 @@ from carla_recap.formats.mcap.schema import CHUNK, FOOTER, MAGIC, MESSAGE, MESSA
 from carla_recap.util.files import AtomicFile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
+    from carla_recap.formats.base import Topic
     from carla_recap.model.layout import Buffer
     from carla_recap.model.records import RecordType
 
@@ -42,23 +43,6 @@ _QUEUE: Final = 4  # chunks that are being compressed, or wait for it
 _HELD_LIMIT: Final = 64 << 20
 """The most bytes of chunks that are held back for the end of the file."""
 _of_thread: Final = local()
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A topic of an MCAP file.
-
-    Attributes:
-        name: The name, such as `/scene`.
-        message: The full name of the protobuf message.
-        schema: Returns the message's schema; see `schema_of`.
-        metadata: What the channel says beside it.
-    """
-
-    name: str
-    message: str
-    schema: Callable[[], bytes]
-    metadata: Mapping[str, str] = field(default_factory=dict)
 
 
 class ChunkBuilder:
@@ -88,9 +72,13 @@ class ChunkBuilder:
 
     def add(self, channel: int, sequence: int, times: tuple[int, int], head: bytes, body: bytes) -> None:
         """Add a message."""
+        time = times[0]
         if self.is_empty:
-            self.start = times[0]
-        self.end = times[0]
+            self.start = self.end = time
+        elif time < self.start:
+            self.start = time
+        if time > self.end:
+            self.end = time
         self.size += MESSAGE.size + len(head) + len(body)
         self._messages.append((channel, sequence, *times, head, body))
 
@@ -174,7 +162,7 @@ class ChunkedFile(AtomicFile):
 
     Args:
         path: The destination.
-        topics: All topics; a topic without messages is declared only by `_declare`.
+        topics: The topics; a topic without messages is declared only by `_declare`.
         level: The level of compression, of zstd.
         live: Write every chunk when it is cut; see `AtomicFile`.
         force: See `AtomicFile`.
@@ -184,7 +172,7 @@ class ChunkedFile(AtomicFile):
         self, path: Path | str, topics: Sequence[Topic], *, level: int, live: bool = False, force: bool = True
     ) -> None:
         super().__init__(path, live=live, force=force)
-        self._topics = topics
+        self._topics = list(topics)
         self._level = level
         self._pool = ThreadPoolExecutor(_WORKERS, "carla-recap-compress")
         self._sealed: deque[_Sealed] = deque()
@@ -193,7 +181,7 @@ class ChunkedFile(AtomicFile):
         self._holds = not live
         self._position = self._crc = 0
         self._counts: Counter[int] = Counter()  # messages of each declared channel
-        self._schemas: dict[str, records.Schema] = {}
+        self._schemas: dict[tuple[str, str, bytes], records.Schema] = {}  # by name, encoding and data
         self._channels: list[records.Channel] = []
         self._chunk_index: list[records.ChunkIndex] = []
         self._metadata_index: list[records.MetadataIndex] = []
@@ -217,13 +205,21 @@ class ChunkedFile(AtomicFile):
     def _declare(self, channel: int) -> None:
         """Write a channel, and its schema unless another channel has it."""
         topic = self._topics[channel - 1]
-        schema = self._schemas.get(topic.message)
-        if schema is None:
-            schema = records.Schema(id=channel, data=topic.schema(), encoding="protobuf", name=topic.message)
-            self._schemas[topic.message] = schema
-            self._emit(_packed(schema))
+        schema_id = 0
+        if topic.message:
+            key = topic.message, topic.schema_encoding, topic.schema()
+            schema = self._schemas.get(key)
+            if schema is None:
+                schema = records.Schema(id=channel, data=key[2], encoding=key[1], name=key[0])
+                self._schemas[key] = schema
+                self._emit(_packed(schema))
+            schema_id = schema.id
         declared = records.Channel(
-            id=channel, topic=topic.name, message_encoding="protobuf", metadata=dict(topic.metadata), schema_id=schema.id
+            id=channel,
+            topic=topic.name,
+            message_encoding=topic.encoding,
+            metadata=dict(topic.metadata),
+            schema_id=schema_id,
         )
         self._channels.append(declared)
         self._counts[channel] = 0

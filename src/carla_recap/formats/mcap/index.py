@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections import Counter
 from functools import lru_cache
 from itertools import pairwise
 from threading import local
@@ -30,7 +31,7 @@ from carla_recap.formats.mcap.schema import (
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from carla_recap.formats.sources import ByteSource
+    from carla_recap.formats.sources import ByteSource, Span
 
 CHUNK_LIMIT: Final = 64 << 20
 """The largest chunk that is read, in bytes, compressed or not; ours are about 1 MiB."""
@@ -40,12 +41,16 @@ METADATA_LIMIT: Final = 512 << 10
 """The largest metadata that are read, in bytes; those of a header with the longest of names are smaller."""
 RECORDS_LIMIT: Final = 1 << 17
 """The most records, beside chunk indexes, that a summary is made of: as many schemas and channels as there are ids."""
+CHANNELS_LIMIT: Final = 0xFFFF
+"""The most channels of a file: their ids have 16 bits, and are not 0."""
 
 _U16: Final = struct.Struct("<H")
 _U32: Final = struct.Struct("<I")
 _CHANNEL: Final = struct.Struct("<HH")  # id, schema
+_CHANNEL_COUNT: Final = struct.Struct("<HQ")  # channel, number of its messages
 _METADATA_INDEX: Final = struct.Struct("<QQ")  # offset, length
-_STATISTICS: Final = struct.Struct("<QHIIII")  # numbers of messages, schemas, channels, attachments, metadata, chunks
+_STATISTICS: Final = struct.Struct("<QHIIIIQQ")
+"""Numbers of messages, schemas, channels, attachments, metadata and chunks, first and last time."""
 
 
 def read_record(source: ByteSource, offset: int, opcode: Opcode, what: str, limit: int = CHUNK_LIMIT) -> bytes:
@@ -87,6 +92,17 @@ class ChannelRecord(NamedTuple):
     encoding: str
 
 
+def _strings(data: memoryview, offset: int) -> dict[str, str]:
+    """Return a map of strings."""
+    (size,) = _U32.unpack_from(data, offset)
+    offset += _U32.size
+    values, end = {}, offset + size
+    while offset < end:
+        key, offset = _string(data, offset)
+        values[key], offset = _string(data, offset)
+    return values
+
+
 def _string(data: memoryview, offset: int) -> tuple[str, int]:
     """Return a string with its length in front, and the offset behind it."""
     (size,) = _U32.unpack_from(data, offset)
@@ -105,15 +121,43 @@ def parse_metadata(content: bytes) -> tuple[str, dict[str, str]]:
     try:
         data = memoryview(content)
         name, offset = _string(data, 0)
-        (size,) = _U32.unpack_from(data, offset)
-        offset += _U32.size
-        values, end = {}, offset + size
-        while offset < end:
-            key, offset = _string(data, offset)
-            values[key], offset = _string(data, offset)
+        return name, _strings(data, offset)
     except (struct.error, ValueError) as error:
         raise ValueError(f"broken METADATA record ({error})") from None
-    return name, values
+
+
+def parse_channel_metadata(content: bytes) -> dict[str, str]:
+    """Return the metadata of a channel record.
+
+    Raises:
+        ValueError: It is broken.
+    """
+    try:
+        data = memoryview(content)
+        _, offset = _string(data, _CHANNEL.size)
+        _, offset = _string(data, offset)
+        return _strings(data, offset)
+    except (struct.error, ValueError) as error:
+        raise ValueError(f"broken CHANNEL record ({error})") from None
+
+
+def parse_schema(content: bytes) -> tuple[str, bytes]:
+    """Return the encoding and the data of a schema record.
+
+    Raises:
+        ValueError: It is broken.
+    """
+    try:
+        data = memoryview(content)
+        _, offset = _string(data, _U16.size)
+        encoding, offset = _string(data, offset)
+        (size,) = _U32.unpack_from(data, offset)
+        offset += _U32.size
+        if offset + size > len(data):
+            raise ValueError("its data go beyond the end")
+        return encoding, bytes(data[offset : offset + size])
+    except (struct.error, ValueError) as error:
+        raise ValueError(f"broken SCHEMA record ({error})") from None
 
 
 _of_thread: Final = local()
@@ -196,7 +240,10 @@ class Summary:
         channels: The channels, by id.
         chunks: The chunks, in order of time.
         metadata: The offsets of metadata records, by name.
+        schema_spans: Where the content of each schema's record is in the file: offset and size.
+        channel_spans: The same of each channel.
         messages: The number of messages; None if unknown.
+        counts: The number of messages of each channel, as far as it is known.
         chunk_count: The number of chunks; None if unknown.
         finished: Whether the data section ends properly.
     """
@@ -206,12 +253,20 @@ class Summary:
         self.channels: dict[int, ChannelRecord] = {}
         self.chunks: list[ChunkIndex] = []
         self.metadata: dict[str, int] = {}
+        self.schema_spans: dict[int, Span] = {}
+        self.channel_spans: dict[int, Span] = {}
         self.messages: int | None = None
+        self.counts: Counter[int] = Counter()
         self.chunk_count: int | None = None
         self.finished = False
 
-    def add(self, opcode: int, data: memoryview) -> None:
+    def add(self, opcode: int, data: memoryview, offset: int) -> None:
         """Add what a record says of the content, if it is of such a kind.
+
+        Args:
+            opcode: Its kind.
+            data: Its content.
+            offset: Where the content is in the file.
 
         Raises:
             ValueError: It is broken.
@@ -223,15 +278,18 @@ class Summary:
             if opcode == Opcode.SCHEMA:
                 (id,) = _U16.unpack_from(data)
                 self.schemas[id], _ = _string(data, _U16.size)
+                self.schema_spans[id] = offset, len(data)
             elif opcode == Opcode.CHANNEL:
                 id, schema = _CHANNEL.unpack_from(data)
-                topic, offset = _string(data, _CHANNEL.size)
-                self.channels[id] = ChannelRecord(id, schema, topic, _string(data, offset)[0])
+                topic, end = _string(data, _CHANNEL.size)
+                self.channels[id] = ChannelRecord(id, schema, topic, _string(data, end)[0])
+                self.channel_spans[id] = offset, len(data)
             elif opcode == Opcode.METADATA_INDEX:
-                offset, _ = _METADATA_INDEX.unpack_from(data)
-                self.metadata[_string(data, _METADATA_INDEX.size)[0]] = offset
+                at, _ = _METADATA_INDEX.unpack_from(data)
+                self.metadata[_string(data, _METADATA_INDEX.size)[0]] = at
             elif opcode == Opcode.STATISTICS:
-                self.messages, *_, self.chunk_count = _STATISTICS.unpack_from(data)
+                self.messages, *_, self.chunk_count, _, _ = _STATISTICS.unpack_from(data)
+                self.counts = _channel_counts(data[_STATISTICS.size :])
         except (struct.error, ValueError) as error:
             raise ValueError(f"broken {Opcode(opcode).name} record ({error})") from None
 
@@ -276,7 +334,7 @@ def read_summary(source: ByteSource) -> Summary:
             others += opcode != Opcode.CHUNK_INDEX
             if others > RECORDS_LIMIT:
                 raise ValueError(f"more than {RECORDS_LIMIT} records beside chunk indexes")
-            summary.add(opcode, memoryview(data)[at:until])
+            summary.add(opcode, memoryview(data)[at:until], start + at)
     except ValueError as error:
         raise FormatError(path, start, f"the summary is damaged: {error}; 'carla-recap recover' makes a new one") from None
     summary.chunks.sort(key=lambda chunk: (chunk.start, chunk.offset))
@@ -295,6 +353,15 @@ def read_summary(source: ByteSource) -> Summary:
     if summary.messages and not offsets:
         raise FormatError(path, start, f"{summary.messages} messages lie outside chunks, where none are read")
     return summary
+
+
+def _channel_counts(data: memoryview) -> Counter[int]:
+    """Return the number of messages of each channel, as statistics have them after their fixed fields."""
+    (size,) = _U32.unpack_from(data)
+    counts = data[_U32.size : _U32.size + size]
+    if len(counts) != size or size > CHANNELS_LIMIT * _CHANNEL_COUNT.size:
+        raise ValueError("counts of channels that do not fit")
+    return Counter(dict(_CHANNEL_COUNT.iter_unpack(counts)))
 
 
 def _chunk_index(data: memoryview) -> ChunkIndex:

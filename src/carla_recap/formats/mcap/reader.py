@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
+from functools import cached_property, partial
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -44,7 +45,9 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
     from pathlib import Path
 
+    from carla_recap.formats.base import FurtherTopic, TopicMessage
     from carla_recap.formats.mcap.index import ChunkIndex, Summary
+    from carla_recap.formats.mcap.topics import FurtherTopics
     from carla_recap.formats.sources import ByteSource
     from carla_recap.model.braking import Braking
     from carla_recap.model.contacts import Impact
@@ -199,6 +202,31 @@ class McapReader(Reader):
         from carla_recap.model.contacts import Impact
 
         return [Impact(row[0], row[1], row[2], (row[3:6], row[6:9]), (row[9:12], row[12:])) for row in rows]
+
+    def further_topics(self) -> dict[str, FurtherTopic]:
+        """Return the topics beside those of a recording; see `Reader.further_topics`."""
+        self._source.check_open()
+        return self._further.topics
+
+    def further_messages(
+        self,
+        topics: Collection[str] | None = None,
+        start: float = -math.inf,
+        stop: float = math.inf,
+        *,
+        in_order: bool = True,
+    ) -> Iterator[TopicMessage]:
+        """Yield the messages of further topics; see `Reader.further_messages`."""
+        self._source.check_open()
+        return self._further.messages(topics, start, stop, in_order=in_order)
+
+    @cached_property
+    def _further(self) -> FurtherTopics:
+        from carla_recap.formats.mcap.topics import FurtherTopics
+
+        own = {spec.topic for spec in channel_specs(self.header.table)}
+        opened = partial(self._opened, ahead=False)
+        return FurtherTopics(self._source, self._summary, own, LogClock(self.header), opened)
 
     def _digest_of(self, type: RecordType, size: int) -> list[float]:
         """Return the numbers that the metadata have of a part of the digest; NaN where they have none."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -85,6 +86,8 @@ def recover_summary(source: ByteSource) -> tuple[Summary, Damage]:
     # What the file's own summary says is known good by its checksum; the scan may have missed some of it.
     summary.schemas |= own.schemas
     summary.channels |= own.channels
+    summary.schema_spans |= own.schema_spans
+    summary.channel_spans |= own.channel_spans
     met = {chunk.offset for chunk in summary.chunks}
     scan.damage = Damage()
     for offset in (chunk.offset for chunk in own.chunks if chunk.offset not in met):
@@ -192,7 +195,8 @@ class _Scan:
             raise ValueError("more bytes of records than a file of this size can mean")
         data = open_chunk(source.read(at + RECORD.size, length, "a record"))[2]
         chunk, messages = _described(data, at, size, self._messages)
-        self._messages -= messages
+        self._messages -= messages.total()
+        self.summary.counts += messages
         self._false += length
         self.summary.chunks.append(chunk)
 
@@ -204,7 +208,7 @@ class _Scan:
         self._parsed -= 1
         content = self._source.read(at + RECORD.size, length, "a record")
         if opcode != Opcode.METADATA:
-            self.summary.add(opcode, memoryview(content))
+            self.summary.add(opcode, memoryview(content), at + RECORD.size)
             return
         name, values = parse_metadata(content)
         if name in (HEADER_METADATA, EXTENT_METADATA):
@@ -246,23 +250,25 @@ def _announced(start: bytes, length: int) -> int:
     return int(size)
 
 
-def _described(data: bytes, offset: int, size: int, most: int) -> tuple[ChunkIndex, int]:
-    """Return a chunk as its messages have it, and how many those are: what it says of its times is under no checksum.
+def _described(data: bytes, offset: int, size: int, most: int) -> tuple[ChunkIndex, Counter[int]]:
+    """Return a chunk as its messages have it, and how many each channel has: what it says of its times is under no checksum.
 
     Raises:
         ValueError: There are more than `most` messages, or what is no record.
     """
-    channels, times, at = set(), [], 0
+    channels: list[int] = []
+    times, at = [], 0
     while at + MESSAGE.size <= len(data):
         opcode, length, channel, _, log_time, _ = MESSAGE.unpack_from(data, at)
         if not opcode:
             raise ValueError(f"no record at byte {at} of a chunk's content")
         if opcode == Opcode.MESSAGE:
-            channels.add(channel)
+            channels.append(channel)
             times.append(log_time)
             if len(times) > most:
                 raise ValueError("more messages than a file of this size can mean")
         at += RECORD.size + length
     if at > len(data):
         raise ValueError("the last record of a chunk is not whole")
-    return ChunkIndex(min(times, default=0), max(times, default=0), offset, size, frozenset(channels)), len(times)
+    counts = Counter(channels)
+    return ChunkIndex(min(times, default=0), max(times, default=0), offset, size, frozenset(counts)), counts

@@ -162,6 +162,10 @@ class LogClock:
         time = self._base + round(nanoseconds) if abs(nanoseconds) < MAX_TIME else -1
         return time if 0 <= time <= MAX_TIME else None
 
+    def elapsed(self, time: int) -> float:
+        """Return the elapsed seconds of a log time that is a message's own."""
+        return (time - self._base) / SECOND
+
     def times(self, elapsed: float) -> tuple[int, int]:
         """Return log time and publish time of the next frame."""
         time = self.at(elapsed)

@@ -1,19 +1,25 @@
-"""Writes recordings as MCAP: state and events in chunks of their own, compressed while the next frames are taken in."""
+"""Writes recordings as MCAP: state, events and further topics in chunks of their own.
+
+Chunks are compressed while the next frames are taken in.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import cache, partial
 from math import ceil
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
 
-from carla_recap.errors import FormatError
+from carla_recap.errors import FormatError, RecapError, RecordError
+from carla_recap.formats.base import Topic
 from carla_recap.formats.mcap import codec
 from carla_recap.formats.mcap.codec import encode, encode_rows, records_codec
-from carla_recap.formats.mcap.container import ChunkBuilder, ChunkedFile, Topic
+from carla_recap.formats.mcap.container import ChunkBuilder, ChunkedFile
 from carla_recap.formats.mcap.digest import Digest
+from carla_recap.formats.mcap.index import CHANNELS_LIMIT
 from carla_recap.formats.mcap.schema import (
     EMPTY,
     EVENTS_AT,
@@ -46,19 +52,35 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.model.batch import Batch, Column
+    from carla_recap.model.layout import Buffer
 
 CHUNK_SIZE: Final = 1 << 20
 CHUNK_SECONDS: Final = 5
 CHUNK_FRAMES: Final = 5_000  # of recordings whose clock stands still
 FRAME_SIZE: Final = 16 << 20
 """The bytes of one frame at which a chunk is cut: what is much larger could not be read."""
+FURTHER_CHUNK_SIZE: Final = 4 << 20
+"""The bytes at which a chunk of further topics is cut."""
+FURTHER_CHUNK_SECONDS: Final = 30
+"""The seconds of a chunk of further topics; in a live file, they are `CHUNK_SECONDS`."""
+FURTHER_OPEN_LIMIT: Final = 64 << 20
+"""The most bytes of all chunks of further topics that are being filled; beyond them, the largest is cut."""
+MESSAGE_LIMIT: Final = 48 << 20
+"""The largest message of a further topic, in bytes: what is much larger could not be read."""
 LEVEL: Final = 3
 _HEADER: Final = np.dtype([*MESSAGE_DTYPE.descr, *codec.HEAD_DTYPE.descr])  # of each message: `MESSAGE`, `codec.HEAD`
 _DURATION: Final = _HEADER.itemsize + 1  # the offset of the duration in a frame's own message
 
 
+class _FurtherTopic(NamedTuple):
+    """A further topic: its channel, and the group whose chunks have its messages, by the group's name or the topic's."""
+
+    channel: int
+    group: tuple[str, str]
+
+
 class McapWriter(ChunkedFile):
-    """Writes a recording.
+    """Writes a recording, and beside it further topics, such as those of sensors.
 
     Args:
         path: The destination.
@@ -81,6 +103,11 @@ class McapWriter(ChunkedFile):
         )
         self._channel_of = {spec.type.id: id for id, spec in enumerate(specs, 1) if spec.type}
         self._chunks = {group: ChunkBuilder() for group in Group}
+        self._further: dict[str, _FurtherTopic] = {}
+        self._further_chunks: dict[tuple[str, str], ChunkBuilder] = {}
+        self._further_span = (CHUNK_SECONDS if live else FURTHER_CHUNK_SECONDS) * SECOND
+        self._further_counts: Counter[str] = Counter()
+        self._further_size = 0  # bytes of the chunks of further topics
         self._clock = LogClock(header)
         self._sequence = -1
         self._cut_at = self._cut_at_frame = 0
@@ -163,6 +190,73 @@ class McapWriter(ChunkedFile):
         self._chunks[Group.STATE].add(self._tail_channel, self._sequence, (time, time), b"", codec.tail(piece))
         self._cut(Group.STATE)
 
+    # --- further topics ------------------------------------------------------------------------------------------------
+
+    def add_topic(self, topic: Topic, *, group: str = "") -> None:
+        """Add a further topic, at any time before its first message.
+
+        Args:
+            topic: The topic.
+            group: Topics of the same group share chunks, as those with few and small messages should; "" means chunks of
+                its own. Who reads a topic decompresses the chunks of its group.
+
+        Raises:
+            RecapError: The file has a topic of that name, or as many as a file can have; or it cannot be written.
+        """
+        self._check_open()
+        if topic.name in self._by_topic:
+            raise RecapError(f"{self.path}: has a topic {topic.name!r:.200} already")
+        if len(self._topics) >= CHANNELS_LIMIT:
+            raise RecapError(f"{self.path}: has {CHANNELS_LIMIT} topics, which is the most of a file")
+        self._topics.append(topic)
+        channel = self._by_topic[topic.name] = len(self._topics)
+        self._further[topic.name] = _FurtherTopic(channel, (group, "" if group else topic.name))
+        self._declare(channel)
+        if self._live:
+            self._sync()
+
+    def write_message(self, topic: str, elapsed: float, body: Buffer) -> None:
+        """Add a message of a further topic. Those of one topic should come in order of time.
+
+        Args:
+            topic: The name of the topic, which `add_topic` has added.
+            elapsed: Its time, in elapsed seconds.
+            body: The message, encoded.
+
+        Raises:
+            RecapError: There is no such topic, the time is none that MCAP has, or the disk is full or broken.
+            RecordError: The message is too large.
+        """
+        self._check_open()
+        further, time = self._further.get(topic), self._clock.at(elapsed)
+        if further is None:
+            raise RecapError(f"{self.path}: no topic {topic!r:.200} was added")
+        if time is None:
+            raise RecapError(f"{self.path}: a message of {topic} at {elapsed} s, which is no time of a recording")
+        data = bytes(body)
+        if len(data) > MESSAGE_LIMIT:
+            raise RecordError(f"{self.path}: a message of {topic} of {len(data)} bytes; at most {MESSAGE_LIMIT} are written")
+        chunk = self._further_chunks.get(further.group)
+        if chunk is not None and (chunk.size + len(data) > FURTHER_CHUNK_SIZE or time >= chunk.start + self._further_span):
+            self._cut_further(further.group)
+            chunk = None
+        if chunk is None:
+            chunk = self._further_chunks[further.group] = ChunkBuilder()
+        before = chunk.size
+        chunk.add(further.channel, self._further_counts[topic], (time, time), b"", data)
+        self._further_counts[topic] += 1
+        self._further_size += chunk.size - before
+        if chunk.size >= FURTHER_CHUNK_SIZE:
+            self._cut_further(further.group)
+        elif self._further_size > FURTHER_OPEN_LIMIT:
+            self._cut_further(max(self._further_chunks, key=lambda group: self._further_chunks[group].size))
+
+    def _cut_further(self, group: tuple[str, str]) -> None:
+        """Cut the chunk of a group of further topics."""
+        chunk = self._further_chunks.pop(group)
+        self._further_size -= chunk.size
+        self._add_chunk(chunk)
+
     # --- frames to messages --------------------------------------------------------------------------------------------
 
     def _begin_frame(self, time: int) -> None:
@@ -171,6 +265,8 @@ class McapWriter(ChunkedFile):
         if time >= self._cut_at or self._sequence >= self._cut_at_frame:
             for group in Group:
                 self._cut(group)
+            for further in [*self._further_chunks] if self._live else ():
+                self._cut_further(further)
             self._cut_at = time + CHUNK_SECONDS * SECOND
             self._cut_at_frame = self._sequence + CHUNK_FRAMES
 
@@ -261,6 +357,8 @@ class McapWriter(ChunkedFile):
             self._add_digest(rest, codec.head(self._extent.last_id, self._extent.duration), (time, time))
         for group in Group:
             self._cut(group)
+        for further in [*self._further_chunks]:
+            self._cut_further(further)
         self._write_chunks(0)
         events_at = self._write_held()
         # Again, so that a reader that has the end of the file needs nothing from its start.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from carla_recap.formats.mcap.container import Topic
+from carla_recap.formats.base import Topic
 from carla_recap.formats.mcap.schema import MESSAGE, LogClock
 from carla_recap.replay import Played
 from carla_recap.scene.captions import EventText, Level, incident_lines

@@ -1,0 +1,297 @@
+"""Reads the further topics of a recording: what the file says of them, and their messages.
+
+Their metadata and schemas are read when they are asked for, and their chunks are those of no query.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections import Counter
+from functools import cached_property, partial
+from operator import itemgetter
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+from mcap.opcode import Opcode
+
+from carla_recap.errors import FormatError, RecapError
+from carla_recap.formats.base import FurtherTopic, Topic, TopicMessage
+from carla_recap.formats.mcap.frames import MESSAGES_LIMIT, PENDING_LIMIT
+from carla_recap.formats.mcap.index import (
+    CHUNK_LIMIT,
+    METADATA_LIMIT,
+    parse_channel_metadata,
+    parse_schema,
+    read_record,
+    split_records,
+)
+from carla_recap.formats.mcap.schema import MESSAGE, MESSAGE_FIELDS, MESSAGE_INDEX, RECORD, LogClock
+from carla_recap.model.frame import SAME_TIME
+from carla_recap.util.text import first_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterator
+
+    from carla_recap.formats.mcap.index import ChannelRecord, ChunkIndex, Summary
+    from carla_recap.formats.sources import ByteSource
+
+_SCHEMA_LIMIT: Final = 16 << 20
+"""The largest schema of a further topic that is read, in bytes."""
+
+
+class _Message(NamedTuple):
+    """A message in a chunk: its log time in ns, its channel, and its data."""
+
+    time: int
+    channel: int
+    data: memoryview
+
+
+class _Held(NamedTuple):
+    """A chunk with messages that wait for others: the last of their times in ns, its bytes, and their number."""
+
+    last: int
+    size: int
+    messages: int
+
+
+class FurtherTopics:
+    """The topics of a file that are none of a recording's own.
+
+    Channels of one topic count as one where their messages have the same schema; else the first of them counts.
+
+    Args:
+        source: The file.
+        summary: What it holds.
+        own: The names of a recording's own topics.
+        clock: The clock of the recording.
+        opened: Yields the records of some chunks.
+    """
+
+    def __init__(
+        self,
+        source: ByteSource,
+        summary: Summary,
+        own: Collection[str],
+        clock: LogClock,
+        opened: Callable[[list[ChunkIndex]], Iterator[bytes]],
+    ) -> None:
+        self._source = source
+        self._summary = summary
+        self._clock = clock
+        self._opened = opened
+        self._schema_encodings: dict[int, str] = {}
+        self._channels: dict[str, list[ChannelRecord]] = {}
+        for channel in summary.channels.values():
+            if channel.topic in own:
+                continue
+            found = self._channels.setdefault(channel.topic, [])
+            if not found or (channel.schema, channel.encoding) == (found[0].schema, found[0].encoding):
+                found.append(channel)
+
+    @cached_property
+    def topics(self) -> dict[str, FurtherTopic]:
+        """The topics by name.
+
+        Raises:
+            FormatError: The file is damaged.
+        """
+        counts, spans, groups = self._counts(), self._spans(), self._groups()
+        found = {}
+        for name, channels in self._channels.items():
+            ids = [channel.id for channel in channels]
+            known = [spans[id] for id in ids if id in spans]
+            first = self._clock.elapsed(min(start for start, _ in known)) if known else None
+            last = self._clock.elapsed(max(end for _, end in known)) if known else None
+            count = sum(counts[id] for id in ids)
+            found[name] = FurtherTopic(self._topic(channels[0]), count, first, last, groups.get(ids[0], ""))
+        return found
+
+    def messages(
+        self, topics: Collection[str] | None, start: float, stop: float, *, in_order: bool
+    ) -> Iterator[TopicMessage]:
+        """Yield messages; see `Reader.further_messages`.
+
+        Raises:
+            RecapError: There is no such topic.
+            FormatError: The file is damaged, or made to cost memory or time.
+        """
+        names = self._channels.keys() if topics is None else topics
+        for name in names:
+            if name not in self._channels:
+                has = first_of(sorted(self._channels))
+                raise RecapError(f"{self._source.location}: has no further topic {name!r:.200}; it has {has:.500}")
+        channels = {channel.id: name for name in names for channel in self._channels[name]}
+        return self._read(channels, start - SAME_TIME, stop - SAME_TIME, in_order=in_order)
+
+    def _read(self, channels: dict[int, str], start: float, stop: float, *, in_order: bool) -> Iterator[TopicMessage]:
+        first, last = self._clock.at(start), self._clock.at(stop)
+        if (first is None and start > 0) or (last is None and stop < 0):
+            return
+        chunks = [
+            chunk
+            for chunk in self._chunks(channels)
+            if (first is None or chunk.end >= first) and (last is None or chunk.start < last)
+        ]
+        held: list[_Held] = []
+        pending: list[_Message] = []
+        allowance = 2 * MESSAGES_LIMIT + self._source.size // 4
+        for number, data in enumerate(self._opened(chunks), 1):
+            chunk, horizon = chunks[number - 1], chunks[number].start if number < len(chunks) else None
+            found = self._messages_in(chunk, data, channels, first, last)
+            allowance -= len(found)
+            if allowance < 0:
+                raise self._damaged(chunk, "more messages than a file of this size can mean")
+            if in_order and (pending or horizon is not None):
+                held.append(_Held(max((message.time for message in found), default=0), len(data), len(found)))
+                self._check_held(chunk, held)
+                pending += found
+                pending.sort(key=itemgetter(0))
+                ready = sum(message.time < horizon for message in pending) if horizon is not None else len(pending)
+                found, pending = pending[:ready], pending[ready:]
+                held = [each for each in held if horizon is not None and each.last >= horizon]
+            elif in_order:
+                found.sort(key=itemgetter(0))
+            for message in found:
+                yield TopicMessage(channels[message.channel], self._clock.elapsed(message.time), bytes(message.data))
+                self._source.check_open()
+
+    def _check_held(self, chunk: ChunkIndex, held: list[_Held]) -> None:
+        if sum(each.size for each in held) > PENDING_LIMIT or sum(each.messages for each in held) > MESSAGES_LIMIT:
+            limits = f"{PENDING_LIMIT} bytes or {MESSAGES_LIMIT} messages"
+            raise self._damaged(chunk, f"more than {limits} of chunks of further topics overlap in time")
+
+    def _messages_in(
+        self, chunk: ChunkIndex, data: bytes, channels: Collection[int], first: int | None, last: int | None
+    ) -> list[_Message]:
+        """Return the messages of some channels in a chunk, from a log time up to another."""
+        found = []
+        view = memoryview(data)
+        least, end = 0 if first is None else first, math.inf if last is None else last
+        try:
+            for opcode, start, stop in split_records(view):
+                if opcode != Opcode.MESSAGE:
+                    continue
+                if stop - start < MESSAGE_FIELDS:
+                    raise ValueError(f"a message of {stop - start} bytes")
+                _, _, channel, _, time, _ = MESSAGE.unpack_from(view, start - RECORD.size)
+                if channel in channels and least <= time < end:
+                    found.append(_Message(time, channel, view[start + MESSAGE_FIELDS : stop]))
+                    if len(found) > MESSAGES_LIMIT:
+                        raise ValueError(f"more than {MESSAGES_LIMIT} messages")
+        except ValueError as error:
+            raise self._damaged(chunk, f"damaged chunk: {error}") from None
+        return found
+
+    def _damaged(self, chunk: ChunkIndex, message: str) -> FormatError:
+        return FormatError(self._source.location, chunk.offset, message)
+
+    def _chunks(self, channels: Collection[int]) -> list[ChunkIndex]:
+        """Return the chunks with some channels, in order of time."""
+        wanted = frozenset(channels)
+        return [chunk for chunk in self._summary.chunks if not chunk.channels or not wanted.isdisjoint(chunk.channels)]
+
+    # --- what the file says of them ------------------------------------------------------------------------------------
+
+    def _topic(self, channel: ChannelRecord) -> Topic:
+        """Return a topic; its metadata are empty where they are broken, or too large."""
+        metadata: dict[str, str] = {}
+        span = self._summary.channel_spans.get(channel.id)
+        if span is not None and span[1] <= METADATA_LIMIT:
+            try:
+                metadata = parse_channel_metadata(self._source.read(*span, "a channel"))
+            except ValueError:
+                metadata = {}
+        message = self._summary.schemas.get(channel.schema, "")
+        if message and channel.schema not in self._schema_encodings:
+            self._schema_encodings[channel.schema] = self._schema(channel.schema)[0]
+        schema = partial(self._schema_data, channel.schema)
+        encoding = self._schema_encodings.get(channel.schema, "")
+        return Topic(channel.topic, message, schema, metadata, channel.encoding, encoding)
+
+    def _schema_data(self, id: int) -> bytes:
+        return self._schema(id)[1]
+
+    def _schema(self, id: int) -> tuple[str, bytes]:
+        """Return the encoding and the data of a schema.
+
+        Raises:
+            FormatError: It is damaged, or too large.
+        """
+        span = self._summary.schema_spans.get(id)
+        location = self._source.location
+        if span is None:
+            raise FormatError(location, None, f"the schema {id} is missing")
+        if span[1] > _SCHEMA_LIMIT:
+            raise FormatError(location, span[0], f"a schema of {span[1]} bytes; at most {_SCHEMA_LIMIT} are read")
+        try:
+            return parse_schema(self._source.read(*span, "a schema"))
+        except ValueError as error:
+            raise FormatError(location, span[0], str(error)) from None
+
+    def _ids(self) -> set[int]:
+        return {channel.id for channels in self._channels.values() for channel in channels}
+
+    def _counts(self) -> Counter[int]:
+        """Return the number of messages of each channel: as the file says, or as they are counted."""
+        if self._summary.counts or not self._summary.chunks:
+            return self._summary.counts
+        counts: Counter[int] = Counter()
+        ids = self._ids()
+        chunks = self._chunks(ids)
+        for chunk, data in zip(chunks, self._opened(chunks), strict=True):
+            counts.update(message.channel for message in self._messages_in(chunk, data, ids, None, None))
+        return counts
+
+    def _spans(self) -> dict[int, tuple[int, int]]:
+        """Return the first and the last log time of each channel, in ns, as the index has them."""
+        first: dict[int, ChunkIndex] = {}
+        last: dict[int, ChunkIndex] = {}
+        ids = self._ids()
+        for chunk in self._summary.chunks:
+            for id in chunk.channels & ids:
+                first.setdefault(id, chunk)
+                if id not in last or chunk.end >= last[id].end:
+                    last[id] = chunk
+        times: dict[int, dict[int, tuple[int, int]]] = {}  # of the channels of chunks, by the offsets of these
+        for chunk in {*first.values(), *last.values()}:
+            times[chunk.offset] = {} if len(chunk.channels) == 1 else self._times_in(chunk)
+        spans = {}
+        for id, chunk in first.items():
+            end = last[id]
+            start_time = times[chunk.offset].get(id, (chunk.start, chunk.end))[0]
+            spans[id] = start_time, times[end.offset].get(id, (end.start, end.end))[1]
+        return spans
+
+    def _times_in(self, chunk: ChunkIndex) -> dict[int, tuple[int, int]]:
+        """Return the first and last log time of the channels of a chunk, as the message indexes behind it have them."""
+        found: dict[int, tuple[int, int]] = {}
+        at = chunk.offset + chunk.length
+        try:
+            for _ in chunk.channels:
+                content = read_record(self._source, at, Opcode.MESSAGE_INDEX, "a message index", CHUNK_LIMIT)
+                at += RECORD.size + len(content)
+                channel, size = MESSAGE_INDEX.unpack_from(content)
+                times = np.frombuffer(content, "<u8", size // 8, MESSAGE_INDEX.size)[::2]
+                if len(times):
+                    found[channel] = int(times.min()), int(times.max())
+        except (FormatError, ValueError, struct.error):  # it has none: what the chunk says of its times is near
+            return found
+        return found
+
+    def _groups(self) -> dict[int, str]:
+        """Return the name of the group of each channel that shares chunks with others."""
+        joined: dict[int, int] = {}  # the least known channel of the group of each
+
+        def least(id: int) -> int:
+            while joined.setdefault(id, id) != id:
+                joined[id] = joined[joined[id]]
+                id = joined[id]
+            return id
+
+        ids = self._ids()
+        for channels in {chunk.channels & ids for chunk in self._summary.chunks}:
+            found = {least(id) for id in channels} if len(channels) > 1 else set()
+            joined.update(dict.fromkeys(found, min(found, default=0)))
+        return {id: f"{least(id)}" for id in [*joined]}

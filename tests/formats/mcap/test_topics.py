@@ -1,0 +1,306 @@
+"""Further topics of a recording, such as those of sensors: chunks of their own, which no query reads."""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+from contextlib import closing
+from itertools import pairwise
+
+import pytest
+from mcap import records
+from mcap.reader import make_reader
+
+from carla_recap import RecapError, RecordError, open_recording
+from carla_recap.formats import open_reader
+from carla_recap.formats.base import Topic
+from carla_recap.formats.mcap.recovery import recover_summary
+from carla_recap.formats.mcap.writer import (
+    FURTHER_CHUNK_SECONDS,
+    FURTHER_CHUNK_SIZE,
+    FURTHER_OPEN_LIMIT,
+    MESSAGE_LIMIT,
+    McapWriter,
+)
+from carla_recap.formats.sources import LocalSource
+from carla_recap.model.frame import Header
+from tests.formats.mcap.forge import chunk_records, data_records
+from tests.samples import contents, drive, images
+
+SECOND = 1_000_000_000
+HEADER = Header("Town01", 1_600_000_000)
+QUERIES = {
+    "collisions": lambda recording: recording.collisions(),
+    "blocked": lambda recording: recording.blocked(1.0),
+    "incidents": lambda recording: recording.incidents(),
+    "trajectories": lambda recording: recording.trajectories(),
+    "actors": lambda recording: recording.actors,
+    "part": lambda recording: [frame.id for frame in recording.frames(3.0, 5.0)],
+    "moment": lambda recording: [recording.frame_at(7.03).id],
+}
+
+
+def noise(size, seed):
+    """Bytes that cannot be compressed, as those of a JPEG."""
+    return random.Random(seed).randbytes(size)
+
+
+def camera(id="front", **metadata):
+    spec = {"id": id, "type": "sensor.camera.rgb", "attributes": {"fov": 90.0}}
+    return Topic(
+        f"/sensors/{id}/image", "foxglove.CompressedImage", lambda: b"image", {"sensor": json.dumps(spec)} | metadata
+    )
+
+
+def plain(name):
+    return Topic(name, "", bytes, {}, "json")
+
+
+def sensed(path, *, live=False, seconds=10.0, size=20_000):
+    """A recording with an image of a camera in every other frame, and small messages of two topics that share chunks."""
+    with McapWriter(path, HEADER, live=live) as writer:
+        writer.add_topic(camera())
+        writer.add_topic(plain("/sensors/imu/imu"), group="small")
+        for frame in drive(seconds):
+            writer.write(frame)
+            if frame.index % 2 == 0:
+                writer.write_message("/sensors/front/image", frame.elapsed, noise(size, frame.index))
+            writer.write_message("/sensors/imu/imu", frame.elapsed, b"{}")
+            if frame.index == 20:
+                writer.add_topic(plain("/note"), group="small")
+                writer.write_message("/note", frame.elapsed, b'"late"')
+    return path
+
+
+def chunk_topics(path):
+    """The topics of each chunk, in the order of the file."""
+    found = data_records(path)
+    names = {record.id: record.topic for record in found if isinstance(record, records.Channel)}
+    for chunk in (record for record in found if isinstance(record, records.Chunk)):
+        data, at, topics = chunk_records(chunk), 0, set()
+        while at < len(data):
+            topics.add(names[int.from_bytes(data[at + 9 : at + 11], "little")])
+            at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+        yield chunk, topics
+
+
+# --- writing -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_the_state_is_written_as_without_further_topics(tmp_path, live):
+    sensed(tmp_path / "sensed.mcap", live=live)
+    with McapWriter(tmp_path / "plain.mcap", HEADER, live=live) as writer:
+        for frame in drive(10.0):
+            writer.write(frame)
+    further = {"/sensors/front/image", "/sensors/imu/imu", "/note"}
+    own = [chunk.data for chunk, topics in chunk_topics(tmp_path / "sensed.mcap") if not topics & further]
+    assert own == [chunk.data for chunk, _ in chunk_topics(tmp_path / "plain.mcap")]
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_topics_share_chunks_with_their_group_alone(tmp_path, live):
+    found = {frozenset(topics) for _, topics in chunk_topics(sensed(tmp_path / "run.mcap", live=live))}
+    own = {topics for topics in found if not topics & {"/sensors/front/image", "/sensors/imu/imu", "/note"}}
+    others = [{"/sensors/front/image"}, {"/sensors/imu/imu", "/note"}]
+    assert found - own == set(map(frozenset, others if not live else [*others, {"/sensors/imu/imu"}]))
+
+
+def test_chunks_are_cut_by_size_and_time(tmp_path):
+    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
+        for name in ("/large", "/small"):
+            writer.add_topic(plain(name))
+        for number in range(100):
+            writer.write_message("/large", float(number), noise(300_000, number))
+            writer.write_message("/small", float(number), b"1")
+    spans = {"/large": [], "/small": []}
+    for chunk, (name,) in chunk_topics(tmp_path / "run.mcap"):
+        spans[name].append((chunk.message_end_time - chunk.message_start_time) / SECOND)
+        assert chunk.uncompressed_size <= FURTHER_CHUNK_SIZE
+    assert set(spans["/large"][:-1]) == {12.0}
+    assert spans["/small"] == [FURTHER_CHUNK_SECONDS - 1] * 3 + [9.0]
+
+
+def test_chunks_that_are_being_filled_are_bounded_together(tmp_path):
+    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
+        topics = [f"/{number}" for number in range(60)]
+        for name in topics:
+            writer.add_topic(plain(name))
+        for number in range(2):
+            for name in topics:
+                writer.write_message(name, float(number), bytes(1_500_000))
+            held = sum(chunk.size for chunk in writer._further_chunks.values())
+            assert held <= FURTHER_OPEN_LIMIT
+            assert held == writer._further_size
+    reader = open_reader(tmp_path / "run.mcap")
+    assert {topic.count for topic in reader.further_topics().values()} == {2}
+    reader.close()
+
+
+def test_a_live_file_has_all_but_the_last_seconds(tmp_path):
+    writer = McapWriter(tmp_path / "run.mcap", HEADER, live=True)
+    writer.add_topic(plain("/a"))
+    writer.add_topic(plain("/b"))
+    for frame in drive(23.0):
+        writer.write(frame)
+        writer.write_message("/a", frame.elapsed, b"1")
+        if frame.elapsed < 2:
+            writer.write_message("/b", frame.elapsed, b"1")
+    last = frame.elapsed
+    partial = writer.abandon()
+    with closing(LocalSource(partial)) as source:
+        summary, damage = recover_summary(source)
+    assert (damage.chunks, damage.bytes, damage.finished) == (0, 0, False)
+    ids = {channel.topic: id for id, channel in summary.channels.items()}
+    ends = {name: max(chunk.end for chunk in summary.chunks if ids[name] in chunk.channels) for name in ("/a", "/b")}
+    assert ends["/a"] / SECOND - HEADER.date >= last - 5
+    assert summary.counts[ids["/b"]] == 40
+
+
+@pytest.mark.parametrize(
+    ("act", "error", "text"),
+    [
+        (lambda writer: writer.add_topic(camera()), RecapError, "has a topic '/sensors/front/image' already"),
+        (lambda writer: writer.add_topic(plain("/frames")), RecapError, "has a topic '/frames' already"),
+        (lambda writer: writer.write_message("/none", 1.0, b""), RecapError, "no topic '/none' was added"),
+        (lambda writer: writer.write_message("/frames", 1.0, b""), RecapError, "no topic '/frames' was added"),
+        (
+            lambda writer: writer.write_message("/sensors/front/image", math.nan, b""),
+            RecapError,
+            "at nan s, which is no time",
+        ),
+        (lambda writer: writer.write_message("/sensors/front/image", -2e9, b""), RecapError, "which is no time"),
+        (
+            lambda writer: writer.write_message("/sensors/front/image", 1.0, bytes(MESSAGE_LIMIT + 1)),
+            RecordError,
+            f"of {MESSAGE_LIMIT + 1} bytes; at most {MESSAGE_LIMIT} are written",
+        ),
+    ],
+)
+def test_what_cannot_be_written_is_an_error_and_the_rest_stays_whole(tmp_path, act, error, text):
+    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
+        writer.add_topic(camera())
+        with pytest.raises(error, match=text):
+            act(writer)
+        writer.write_message("/sensors/front/image", 1.0, b"1")
+    with open_recording(tmp_path / "run.mcap") as recording:
+        assert list(recording.reader.messages("/sensors/front/image")) == [(1.0, b"1")]
+
+
+def test_a_message_of_the_largest_size_is_read_again(tmp_path):
+    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
+        writer.add_topic(plain("/a"))
+        for time in range(2):
+            writer.write_message("/a", time, bytes(MESSAGE_LIMIT))
+    with open_recording(tmp_path / "run.mcap") as recording:
+        assert [(time, len(data)) for time, data in recording.reader.messages("/a")] == [
+            (0.0, MESSAGE_LIMIT),
+            (1.0, MESSAGE_LIMIT),
+        ]
+
+
+# --- reading -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_queries_answer_as_without_further_topics_and_read_the_same_chunks(tmp_path, live):
+    with McapWriter(tmp_path / "plain.mcap", HEADER, live=live) as writer:
+        for frame in drive(10.0):
+            writer.write(frame)
+    sensed(tmp_path / "sensed.mcap", live=live)
+    assert images(tmp_path / "sensed.mcap") == images(tmp_path / "plain.mcap")
+    for query in QUERIES.values():
+        with open_recording(tmp_path / "plain.mcap") as one, open_recording(tmp_path / "sensed.mcap") as other:
+            opened = other.reader.bytes_read - one.reader.bytes_read  # a longer summary
+            assert repr(contents(query(one))) == repr(contents(query(other)))
+            # The offset of the events, which metadata have, is a longer number.
+            assert abs(other.reader.bytes_read - one.reader.bytes_read - opened) < 10
+
+
+def test_topics_are_described(tmp_path):
+    with open_recording(sensed(tmp_path / "run.mcap")) as recording:
+        found = recording.reader.further_topics()
+        assert list(found) == ["/sensors/front/image", "/sensors/imu/imu", "/note"]
+        front, imu, note = found.values()
+        assert (front.topic.message, front.topic.schema(), front.topic.encoding) == (
+            "foxglove.CompressedImage",
+            b"image",
+            "protobuf",
+        )
+        assert json.loads(front.topic.metadata["sensor"])["type"] == "sensor.camera.rgb"
+        assert (imu.topic.message, imu.topic.encoding, imu.topic.metadata) == ("", "json", {})
+        assert (front.count, imu.count, note.count) == (100, 200, 1)
+        assert (front.first, imu.first, imu.last) == (0.0, 0.0, pytest.approx(9.95, abs=1e-6))
+        assert note.first == note.last == pytest.approx(1.0, abs=1e-6)
+        assert imu.group == note.group != front.group
+
+
+def test_a_topic_without_messages_has_no_times(tmp_path):
+    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
+        writer.add_topic(camera())
+    with open_recording(tmp_path / "run.mcap") as recording:
+        (found,) = recording.reader.further_topics().values()
+        assert (found.count, found.first, found.last) == (0, None, None)
+        assert not list(recording.reader.messages("/sensors/front/image"))
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_messages_are_those_that_were_written(tmp_path, live):
+    with open_recording(sensed(tmp_path / "run.mcap", live=live)) as recording:
+        found = list(recording.reader.messages("/sensors/front/image"))
+        assert [data for _, data in found] == [noise(20_000, index) for index in range(0, 200, 2)]
+        assert [time for time, _ in found] == pytest.approx([number / 10 for number in range(100)], abs=1e-6)
+        part = list(recording.reader.messages("/sensors/imu/imu", 2.0, 3.0))
+        assert [time for time, _ in part] == pytest.approx([2 + number / 20 for number in range(20)], abs=1e-6)
+        every = list(recording.reader.further_messages())
+        assert len(every) == 100 + 200 + 1
+        assert all(a.elapsed <= b.elapsed for a, b in pairwise(every))
+        assert sorted(every) == sorted(recording.reader.further_messages(in_order=False))
+
+
+def test_a_part_reads_the_chunks_of_its_time_alone(tmp_path):
+    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
+        writer.add_topic(camera())
+        for number in range(100):
+            writer.write_message("/sensors/front/image", number / 10, noise(300_000, number))
+    with open_recording(tmp_path / "run.mcap") as recording:
+        before = recording.reader.bytes_read
+        assert len(list(recording.reader.messages("/sensors/front/image", 5.0, 5.1))) == 1
+        assert recording.reader.bytes_read - before < FURTHER_CHUNK_SIZE + 10_000
+
+
+def test_messages_that_came_late_are_put_in_order(tmp_path):
+    times = [0.0, 40.0, 80.0, 10.0, 50.0, 20.0]
+    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
+        writer.add_topic(plain("/a"))
+        for time in times:
+            writer.write_message("/a", time, f"{time}".encode())
+    with open_recording(tmp_path / "run.mcap") as recording:
+        assert [time for time, _ in recording.reader.messages("/a")] == sorted(times)
+        topic = recording.reader.further_topics()["/a"]
+        assert (topic.first, topic.last) == (0.0, 80.0)
+
+
+def test_an_unknown_topic_is_an_error_with_those_that_there_are(tmp_path, small):
+    with open_recording(sensed(tmp_path / "run.mcap")) as recording:
+        with pytest.raises(RecapError, match="has no further topic '/none'; it has /note, "):
+            list(recording.reader.messages("/none"))
+        with pytest.raises(RecapError, match="has no further topic '/frames'"):
+            list(recording.reader.messages("/frames"))
+    with open_recording(small) as recording:
+        assert recording.reader.further_topics() == {}
+        assert not list(recording.reader.further_messages())
+        with pytest.raises(RecapError, match="only MCAP files have some"):
+            list(recording.reader.messages("/none"))
+
+
+def test_mcaps_own_reader_reads_all_messages(tmp_path):
+    path = sensed(tmp_path / "run.mcap")
+    with path.open("rb") as file, open_recording(path) as recording:
+        reader = make_reader(file, validate_crcs=True)
+        for name, topic in recording.reader.further_topics().items():
+            found = list(reader.iter_messages([name]))
+            assert len(found) == topic.count
+            assert [each.data for _, _, each in found] == [data for _, data in recording.reader.messages(name)]
+            assert [each.sequence for _, _, each in found] == list(range(topic.count))
