@@ -527,6 +527,17 @@ def test_a_log_that_shrinks_while_it_is_read_is_an_error(tmp_path, monkeypatch):
             list(frames)
 
 
+@pytest.mark.parametrize(("share", "change"), [(0, "become shorter"), (1, "changed")])
+def test_a_log_that_changes_before_a_frame_is_read_again_is_an_error(tmp_path, share, change):
+    path = write(tmp_path / "odd.log", Header("Town01", DATE), drive(60, 20, 20))
+    with reading(path) as reader, warnings_ignored():
+        assert reader.frame_at(30.0) is not None
+        path.write_bytes(b"\xff" * share * path.stat().st_size)
+        for ask in (lambda: reader.frame_at(30.0), lambda: list(reader.frames_by_index([40], ["transforms"]))):
+            with pytest.raises(FormatError, match=rf"odd\.log: byte \d+: the file has {change} while it was read"):
+                ask()
+
+
 def test_a_closed_log_says_so(small):
     reader = open_reader(small)
     frames = reader.frames()

@@ -5,13 +5,16 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import os
 import signal
 import struct
 import subprocess
 import sys
 from base64 import b64decode
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from socket import create_connection
+from time import monotonic
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -31,7 +34,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from tornado.websocket import websocket_connect
 
 from carla_recap.show.foxglove.topics import TOPICS
-from carla_recap.show.foxglove.websocket import FoxgloveServer, FoxgloveView, Timeline
+from carla_recap.show.foxglove.websocket import _WELCOME, FoxgloveServer, FoxgloveView, Timeline
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -350,6 +353,29 @@ def test_ctrl_c_ends_it() -> None:
     ]
 
 
+def test_ctrl_c_ends_it_while_a_viewer_does_not_read_and_another_one_says_nothing() -> None:
+    with viewing(CROSSING) as (address, process), connected(address) as viewer:
+        host, _, port = address.removeprefix("ws://").partition(":")
+        with create_connection((host, int(port)), PATIENCE):
+            viewer.control(PLAY, 100.0)
+            process.send_signal(signal.SIGINT)
+            assert process.wait(PATIENCE) == 0
+
+
+def test_a_recording_that_is_cut_while_it_plays_is_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "cut.log"
+    path.write_bytes(CROSSING.read_bytes())
+    with viewing(path) as (address, process), connected(address) as viewer:
+        os.truncate(path, 0)
+        viewer.control(PLAY, seek=start_of(viewer) + 40 * SECOND)
+        assert process.wait(PATIENCE) == 2
+        assert process.stderr is not None
+        said = process.stderr.read().splitlines()
+    assert "cut.log: byte " in said[-1]
+    assert said[-1].endswith("the file has become shorter while it was read")
+    assert len(said) == 4
+
+
 def test_wrong_arguments_are_errors() -> None:
     assert "--web goes with Rerun's viewer" in error("view", CROSSING, "--foxglove", "--web")
     assert "--view goes with Rerun's viewer" in error("view", CROSSING, "--foxglove", "--view", "top")
@@ -423,3 +449,20 @@ def test_frames_are_shown_as_they_come() -> None:
             view.close()
             hero = decoded(viewer, "/hero", viewer.latest("/hero", "/tf/actors")["/hero"])
     assert hero.type_id == "vehicle.tesla.model3"
+
+
+def test_viewers_that_connect_at_once_get_the_latest_messages_together() -> None:
+    with open_recording(CROSSING) as recording, FoxgloveServer("live", 0) as server, ExitStack() as stack:
+        view = FoxgloveView(server, recording.header)
+        view.enter(next(recording.frames()))
+        begin = monotonic()
+        viewers = []
+        for _ in range(20):
+            viewers.append(stack.enter_context(connected(server.address)))
+            viewers[0].receive(lambda: {topic for topic, _, _ in viewers[0].messages} >= STILL, view.flush)
+            view.flush()
+        viewers[-1].receive(lambda: {topic for topic, _, _ in viewers[-1].messages} >= STILL, view.flush)
+        viewers[0].receive(lambda: viewers[0].time, view.flush)
+        times = (monotonic() - begin) / _WELCOME
+        maps = [topic for topic, _, _ in viewers[0].messages].count("/map")
+    assert maps <= times + 1

@@ -150,15 +150,14 @@ class LogReader(Reader):
         if not len(earlier):
             return None
         position = int(earlier[-1])
-        return self._batch(next(self._runs(position, offsets[position], None))).frame(0)
+        return self._frame_from(position, offsets[position], None)
 
     def frames_by_index(self, indexes: Iterable[int], types: Collection[str]) -> Iterator[Frame] | None:
         """Return the frames at some indexes, if all frames have been read before; see `Reader.frames_by_index`."""
         if (offsets := self._offsets) is None:
             return None
         names = frozenset(types)
-        runs = (next(self._runs(index, offsets[index], names, piece=_FEW)) for index in indexes)
-        return (self._batch(run).frame(0) for run in runs)
+        return (self._frame_from(index, offsets[index], names, piece=_FEW) for index in indexes)
 
     def extent(self) -> Extent:
         """Return the number of frames, the last id and the duration."""
@@ -237,6 +236,13 @@ class LogReader(Reader):
     def _window(self, piece: int | None = None) -> Window:
         self.check_open()
         return Window(self.location, self._file, self._size, self._lock, piece)
+
+    def _frame_from(self, index: int, offset: int, names: frozenset[str] | None, *, piece: int | None = None) -> Frame:
+        """Return a frame that was found before; for the arguments see `_runs`."""
+        run = next(self._runs(index, offset, names, piece=piece), None)
+        if run is None:
+            raise FormatError(self.location, offset, "the file has changed while it was read")
+        return self._batch(run).frame(0)
 
     def _runs(
         self, index: int, offset: int, names: frozenset[str] | None, *, sparse: bool = False, piece: int | None = None

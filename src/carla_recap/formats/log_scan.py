@@ -157,11 +157,9 @@ class Window:
         size = min(max(size, self._piece), self.size - offset)
         self.data = b""  # so that its memory serves again
         self.data, self.base = self._bytes(offset, size), offset
-        if len(self.data) < size:
-            raise FormatError(self._location, offset + len(self.data), "the file has become shorter while it was read")
 
     def _bytes(self, offset: int, size: int) -> bytes:
-        """Read some bytes, fewer if the file ends before."""
+        """Read some bytes."""
         try:
             with self._lock:
                 self._file.seek(offset)
@@ -170,6 +168,8 @@ class Window:
                     data += more
         except OSError as error:
             raise RecapError(f"{self._location}: {error.strerror}") from None
+        if len(data) < size:
+            raise FormatError(self._location, offset + len(data), "the file has become shorter while it was read")
         return data
 
 

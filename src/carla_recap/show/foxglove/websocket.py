@@ -10,7 +10,7 @@ import logging
 import math
 from bisect import bisect_left
 from heapq import merge
-from threading import Event, Lock
+from threading import Event, Lock, Thread
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -53,7 +53,9 @@ _HOST: Final = "127.0.0.1"
 _LEAD: Final = 5.0  # s before a moment that is sought, in which the view of the followed actor becomes calm
 _STEP: Final = 0.02  # s of real time between two sendings
 _LONGEST: Final = 0.25  # s of real time that pass between them at most; a machine that is slower plays more slowly
-_PAUSE: Final = 0.5  # s; the longest wait for a request
+_PAUSE: Final = 0.25  # s; the longest wait for a request
+_WELCOME: Final = 0.25  # s between two times that new viewers get the latest messages, which all others then get, too
+_GRACE: Final = 2.0  # s; the SDK waits for viewers that do not read, or have connected without a word, as long as they stay
 _FASTEST: Final = 100.0
 _MOST_WAITING: Final = 1024  # messages that wait for a slow viewer, which loses older ones
 
@@ -92,6 +94,7 @@ class FoxgloveServer:
         self._requests = type("Listener", (_Requests, ServerListener), {})(timeline)  # with callbacks that do nothing, too
         self._latest: dict[str, tuple[int, bytes]] = {}  # of each topic
         self._time: int | None = None
+        self._welcomed = -math.inf  # when viewers were, in s
         logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # viewers may leave without a word
         self._context = foxglove.Context()
         try:
@@ -122,7 +125,9 @@ class FoxgloveServer:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._server.stop()
+        stopping = Thread(target=self._server.stop, daemon=True)
+        stopping.start()
+        stopping.join(_GRACE)
 
     @property
     def address(self) -> str:
@@ -146,8 +151,12 @@ class FoxgloveServer:
         self._requests.requested.clear()
 
     def welcome(self) -> None:
-        """Send the latest messages of topics to which viewers have subscribed since the last call, and the state."""
+        """Send the latest messages of topics to which viewers have subscribed, and the state; do so after `_WELCOME` again."""
+        if monotonic() < self._welcomed + _WELCOME:
+            return
         topics = self._requests.take_topics()
+        if topics:
+            self._welcomed = monotonic()
         for topic in topics - {LOG}:  # each message on it is shown, not the latest one
             if topic in self._latest:
                 time, data = self._latest[topic]
@@ -246,7 +255,7 @@ class _Requests:
     """Takes the requests of viewers, in threads of the SDK.
 
     Attributes:
-        requested: Is set by each request.
+        requested: Is set by each request of playback.
     """
 
     def __init__(self, timeline: Timeline | None) -> None:
@@ -266,7 +275,6 @@ class _Requests:
         with self._lock:
             self._subscriptions += 1
             self._topics.add(channel.topic)
-        self.requested.set()
 
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
         with self._lock:
