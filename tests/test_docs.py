@@ -10,6 +10,7 @@ import shlex
 import subprocess
 import sys
 import tomllib
+from collections import defaultdict
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
@@ -19,12 +20,13 @@ import pytest
 from click import Context
 
 import carla_recap
-from carla_recap import MissingExtra
+from carla_recap import MissingExtra, SensorRig
 from carla_recap.cli import cli
 from carla_recap.model.layout import Framing, Layout, Many
 from carla_recap.model.records import NO_ACTOR, UE4, ActorKind, Group, Spawn, attributes
 from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures import MEASURES
+from carla_recap.sensors import SENSOR_TYPES
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -172,6 +174,28 @@ def test_every_sensor_has_a_row():
 
     for name, kind in SENSOR_KINDS.items():
         assert f"| `{name}` | {kind.support} | {kind.what} |" in SENSORS
+
+
+def test_the_types_of_sensors_of_rigs_are_listed():
+    table = SENSORS.partition("\n### Types\n")[2].partition("|---|---|---|\n")[2].partition("\n\n")[0]
+    assert table.splitlines() == [f"| `{name}` | {type.kind} | {type.data} |" for name, type in SENSOR_TYPES.items()]
+
+
+def test_the_attributes_of_sensors_of_rigs_are_listed():
+    """All that are limited to a range; of the others, the page names the families."""
+    rows = defaultdict(dict)
+    for type in SENSOR_TYPES.values():
+        for key, attribute in type.attributes.items():
+            if attribute.least >= -180 and type.kind != "map":
+                rows[key, attribute.text, attribute.values][type.kind] = None
+    table = SENSORS.partition("\n### Attributes\n")[2].partition("|---|---|---|---|\n")[2].partition("\n\n")[0]
+    expected = [f"| `{key}` | {', '.join(kinds)} | {text} | {values} |" for (key, text, values), kinds in rows.items()]
+    assert table.splitlines() == expected
+
+
+def test_the_rig_on_the_page_is_one():
+    (rig,) = blocks(ROOT / "docs" / "sensors.md", "json")
+    assert [sensor.id for sensor in SensorRig.of(json.loads(rig))] == ["front", "top"]
 
 
 def test_the_docs_list_every_command_and_every_extra():

@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 import math
 import pickle
-from typing import TYPE_CHECKING, Any
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.sensors import SENSOR_TYPES, SensorRig
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
+RIGS = Path(__file__).parents[2] / "samples" / "rigs"
 FRONT = {"type": "sensor.camera.rgb", "id": "front", "x": 1.5, "y": 0.0, "z": 1.6, "width": 320, "height": 240, "fov": 100}
 LIDAR = {"type": "sensor.lidar.ray_cast", "id": "top", "x": 0.0, "y": 0.0, "z": 2.0}
 RADAR = {"type": "sensor.other.radar", "id": "radar", "x": 2.0, "y": 0.0, "z": 1.0}
@@ -117,9 +118,9 @@ WRONG: list[tuple[Any, str]] = [
     ([{**FRONT, "x": math.nan}], "sensor 'front': x: nan; a number from -1000 to 1000"),
     ([{**FRONT, "yaw": math.inf}], "sensor 'front': yaw: inf; a number from -360 to 360"),
     ([{**FRONT, "z": 10**400}], "sensor 'front': z: a number of many digits; "),
-    ([{**FRONT, "fov": 0}], "sensor 'front': fov: 0; a number from 0.1 to 175"),
+    ([{**FRONT, "fov": 0}], "sensor 'front': fov: 0; a number from 0.1 to 175 degrees was expected"),
     ([{**FRONT, "fov": 180}], "sensor 'front': fov: 180; "),
-    ([{**FRONT, "width": 0}], "sensor 'front': width: 0; a number from 1 to 4096"),
+    ([{**FRONT, "width": 0}], "sensor 'front': width: 0; a whole number from 1 to 4096 pixels"),
     ([{**FRONT, "height": 100_000}], "sensor 'front': height: 100000; "),
     ([{**FRONT, "width": 320.5}], "sensor 'front': width: 320.5; a whole number"),
     ([{**FRONT, "image_size_x": 320}], "sensor 'front': width: is image_size_x, which is given, too"),
@@ -129,7 +130,7 @@ WRONG: list[tuple[Any, str]] = [
     ([{**LIDAR, "width": 100}], "sensor 'top': width: is no key of sensor.lidar.ray_cast"),
     ([{**FRONT, "exposure_mode": "auto"}], 'exposure_mode: "auto"; histogram or manual'),
     ([{**FRONT, "enable_postprocess_effects": 1}], "enable_postprocess_effects: 1; true or false"),
-    ([{**LIDAR, "channels": 1_000_000}], "sensor 'top': channels: 1000000; a number from 1 to 512"),
+    ([{**LIDAR, "channels": 1_000_000}], "sensor 'top': channels: 1000000; a whole number from 1 to 512"),
     ([{**LIDAR, "channels": 0}], "sensor 'top': channels: 0; "),
     ([{**LIDAR, "points_per_second": 10**9}], "sensor 'top': points_per_second: 1000000000; "),
     ([{**LIDAR, "range": -1}], "sensor 'top': range: -1; "),
@@ -159,7 +160,7 @@ def test_a_file_is_read_and_named_in_errors(tmp_path: Path) -> None:
     path.write_text(json.dumps([FRONT, {**LIDAR, "channels": None}]), "utf-8")
     with pytest.raises(RecapError) as raised:
         SensorRig.load(path)
-    assert str(raised.value) == f"{path}: sensor 'top': channels: null; a number from 1 to 512 was expected"
+    assert str(raised.value) == f"{path}: sensor 'top': channels: null; a whole number from 1 to 512 was expected"
 
 
 @pytest.mark.parametrize(
@@ -194,3 +195,33 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
         SensorRig.load(tmp_path / "none.json")
     with pytest.raises(RecapError, match="cannot be read: Is a directory"):
         SensorRig.load(tmp_path)
+
+
+def kinds(rig: SensorRig) -> list[tuple[str, int]]:
+    """Return how many sensors of each kind there are, in the order of their first ones."""
+    return list(Counter(sensor.kind for sensor in rig).items())
+
+
+def test_the_sample_with_a_front_camera() -> None:
+    (front,) = SensorRig.load(RIGS / "front_camera.json")
+    assert (front.type, front.yaw, front.attributes["image_size_x"]) == ("sensor.camera.rgb", 0.0, 800)
+
+
+def test_the_sample_of_the_leaderboard_has_its_values() -> None:
+    rig = SensorRig.load(RIGS / "leaderboard.json")
+    assert kinds(rig) == [("camera", 6), ("lidar", 1), ("gnss", 1), ("imu", 1), ("speedometer", 1)]
+    assert SensorRig.load(RIGS / "leaderboard.json", leaderboard=True) == rig
+    cameras = [sensor for sensor in rig if sensor.kind == "camera"]
+    assert {(camera.number("image_size_x"), camera.number("image_size_y")) for camera in cameras} == {(400.0, 300.0)}
+    assert sorted(camera.yaw % 360 for camera in cameras) == [0, 60, 120, 180, 240, 300]
+    assert all(math.hypot(sensor.x, sensor.y, sensor.z) <= 3.0 for sensor in rig)  # the Leaderboard refuses others
+
+
+def test_the_sample_like_nuscenes_has_its_sensors() -> None:
+    rig = SensorRig.load(RIGS / "nuscenes.json")
+    assert kinds(rig) == [("camera", 6), ("lidar", 1), ("radar", 5)]
+    assert all(re.fullmatch(r"CAM_\w+|LIDAR_TOP|RADAR_\w+", sensor.id) for sensor in rig)
+    for sensor in rig:
+        assert (sensor.y < 0) == sensor.id.endswith("_LEFT")
+        assert (sensor.y > 0) == sensor.id.endswith("_RIGHT")
+        assert ("BACK" in sensor.id) <= (abs(sensor.yaw) > 90)

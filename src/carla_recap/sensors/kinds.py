@@ -29,6 +29,7 @@ MOST_CHANNELS: Final = 512
 WIDEST_RADAR: Final = 179.0
 """The greatest field of view of a radar, in degrees."""
 _LARGEST: Final = 1e9  # that any number can be
+_LARGEST_DEVIATION: Final = 1e6
 _MOST_POINTS: Final = 10_000_000  # in a second
 _NEAREST, _FARTHEST = 0.1, 10_000.0  # m
 _LONGEST: Final = 3600.0  # s
@@ -44,6 +45,7 @@ class SensorAttribute:
         type: The type of the values.
         least: The least value of a number.
         greatest: The greatest value of a number.
+        unit: The unit of a number; empty if it has none.
         choices: The texts that can be chosen, the default first; none if any can.
     """
 
@@ -51,7 +53,18 @@ class SensorAttribute:
     type: type[bool] | type[int] | type[float] | type[str] = float
     least: float = -_LARGEST
     greatest: float = _LARGEST
+    unit: str = ""
     choices: tuple[str, ...] = ()
+
+    @property
+    def values(self) -> str:
+        """The values that a rig can give to it, in words."""
+        if self.type is bool:
+            return "true or false"
+        if self.type is str:
+            return " or ".join(self.choices)
+        number = "a whole number" if self.type is int else "a number"
+        return f"{number} from {self.least:.10g} to {self.greatest:.10g} {self.unit}".rstrip()
 
     @property
     def default(self) -> Value:
@@ -91,19 +104,19 @@ def _share(text: str) -> SensorAttribute:
     return SensorAttribute(text, float, 0.0, 1.0)
 
 
-def _positive(text: str, greatest: float = _LARGEST) -> SensorAttribute:
+def _positive(text: str) -> SensorAttribute:
     """Return an attribute of 0 or more."""
-    return SensorAttribute(text, float, 0.0, greatest)
+    return SensorAttribute(text, float, 0.0, _LARGEST_DEVIATION)
 
 
 def _angle(text: str, least: float, greatest: float) -> SensorAttribute:
     """Return an attribute that is an angle in degrees."""
-    return SensorAttribute(text, float, least, greatest)
+    return SensorAttribute(text, float, least, greatest, "degrees")
 
 
 def _distance(text: str) -> SensorAttribute:
     """Return an attribute that is a range in m."""
-    return SensorAttribute(text, float, _NEAREST, _FARTHEST)
+    return SensorAttribute(text, float, _NEAREST, _FARTHEST, "m")
 
 
 def _any(**texts: str) -> Attributes:
@@ -124,7 +137,7 @@ def _choice(*choices: str) -> SensorAttribute:
 
 
 def _side(text: str) -> SensorAttribute:
-    return SensorAttribute(text, int, 1, LARGEST_SIDE)
+    return SensorAttribute(text, int, 1, LARGEST_SIDE, "pixels")
 
 
 def _points(text: str) -> SensorAttribute:
@@ -138,7 +151,7 @@ def _position_noise() -> Attributes:
     return noise
 
 
-_TICK: Final = {"sensor_tick": _positive("0.0", _LONGEST)}
+_TICK: Final = {"sensor_tick": SensorAttribute("0.0", float, 0.0, _LONGEST, "s")}
 _SEED: Final = {"noise_seed": SensorAttribute("0", int, 0, _GREATEST_SEED)}
 _LENS: Final = {
     **_TICK,
@@ -204,7 +217,7 @@ _RAYS: Final = {
     "channels": SensorAttribute("32", int, 1, MOST_CHANNELS),
     "range": _distance("10.0"),
     "points_per_second": _points("56000"),
-    "rotation_frequency": _positive("10.0", 1000.0),
+    "rotation_frequency": SensorAttribute("10.0", float, 0.0, 1000.0, "Hz"),
     "upper_fov": _angle("10.0", -90.0, 90.0),
     "lower_fov": _angle("-30.0", -90.0, 90.0),
     "horizontal_fov": _angle("360.0", 0.0, 360.0),

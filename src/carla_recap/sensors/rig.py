@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from numbers import Integral, Real
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -37,13 +37,13 @@ _LISTED: Final = 16  # keys that an error lists
 _PLACE: Final = ("x", "y", "z")
 _ANGLES: Final = ("roll", "pitch", "yaw")
 _POSE: Final[Mapping[str, SensorAttribute]] = {
-    **dict.fromkeys(_PLACE, SensorAttribute("0.0", float, -1000.0, 1000.0)),
-    **dict.fromkeys(_ANGLES, SensorAttribute("0.0", float, -360.0, 360.0)),
+    **dict.fromkeys(_PLACE, SensorAttribute("0.0", float, -1000.0, 1000.0, "m")),
+    **dict.fromkeys(_ANGLES, SensorAttribute("0.0", float, -360.0, 360.0, "degrees")),
 }
 _PLACED: Final = ("camera", "lidar", "semantic_lidar", "radar")  # kinds whose place matters so much that it must be given
 _ALIASES: Final[Mapping[str, str]] = {"width": "image_size_x", "height": "image_size_y"}
 _READING_FREQUENCY: Final = "reading_frequency"  # Hz: the Leaderboard's name for 1 / sensor_tick of what is no actor
-_FREQUENCY: Final = SensorAttribute("20.0", float, 0.001, 1000.0)
+_FREQUENCY: Final = SensorAttribute("20.0", float, 0.001, 1000.0, "Hz")
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,18 +297,15 @@ class _SensorReader:
             return attribute.default
         value = self._members[key]
         if attribute.type is bool:
-            if not isinstance(value, bool):
-                self.refuse(key, "true or false")
-            return bool(value)
-        if attribute.type is str:
-            if value not in attribute.choices:
-                self.refuse(key, " or ".join(attribute.choices))
-            return str(value)
-        is_number = isinstance(value, Real) and not isinstance(value, bool)
-        if not is_number or not attribute.least <= value <= attribute.greatest:
-            self.refuse(key, f"a number from {attribute.least:.10g} to {attribute.greatest:.10g}")
-        if attribute.type is int and not isinstance(value, Integral) and not float(value).is_integer():
-            self.refuse(key, "a whole number")
+            is_valid = isinstance(value, bool)
+        elif attribute.type is str:
+            is_valid = value in attribute.choices
+        else:
+            is_valid = isinstance(value, Real) and not isinstance(value, bool)
+            is_valid = is_valid and attribute.least <= value <= attribute.greatest
+            is_valid = is_valid and (attribute.type is float or value == int(value))
+        if not is_valid:
+            self.refuse(key, attribute.values)
         return attribute.type(value)
 
 
