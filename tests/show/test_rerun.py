@@ -29,7 +29,7 @@ from rerun.chunk import RrdReader
 
 from carla_recap.replay.follow import LiveChoice
 from carla_recap.scene.materials import MATERIALS, Material
-from carla_recap.show.rerun import APPLICATION, actors, blueprint, meshes, poses, writer
+from carla_recap.show.rerun import APPLICATION, blueprint, bodies, meshes, stream, writer
 from carla_recap.show.rrd import export_rerun
 
 CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
@@ -376,18 +376,23 @@ def test_a_camera_for_each_vehicle_and_walker(crossing) -> None:
 # --- lights and events -------------------------------------------------------------------------------------
 
 
+def is_lit(rrd: Rrd, id: int, lamp: Material, time: float) -> bool:
+    """Return whether lamps of an actor are to be seen at a time, in the colour of lit ones."""
+    path = f"/world/actors/{id}/lamps/{lamp.name.lower()}"
+    color, shape = (rrd.at(path, f"Mesh3D:{name}", time) for name in ("albedo_factor", "vertex_positions"))
+    return shape is not None and color is not None and color[0].to_bytes(4, "big")[:3] == bytes(MATERIALS[lamp].glow)
+
+
 def test_lights_change_as_recorded(crossing) -> None:
     states = crossing.recording.light_states(LIGHT)
     changed = np.flatnonzero(np.diff(states.state, prepend=-1))
     expected = [(pytest.approx(states.time[k]), [style.light(states.state[k])[0]]) for k in changed]
     assert len(expected) > 3
     assert crossing.rrd.rows(f"/signals/tl_{LIGHT}", "StateChange:state") == expected
-    lamps = crossing.rrd.rows(f"/world/signals/tl_{LIGHT}", "Mesh3D:vertex_colors")
-    lit = (Material.RED_LAMP, Material.YELLOW_LAMP, Material.GREEN_LAMP)
-    shown = [{tuple(color.to_bytes(4, "big")[:3]) for color in colors} for _, colors in lamps]
-    for k, colors in zip(changed, shown, strict=True):
-        glowing = {MATERIALS[material].glow for material in lit} & colors
-        assert glowing == {MATERIALS[lit[states.state[k]]].glow}
+    lamps = (Material.RED_LAMP, Material.YELLOW_LAMP, Material.GREEN_LAMP)
+    for k in changed:
+        lit = [lamp for lamp in lamps if is_lit(crossing.rrd, LIGHT, lamp, states.time[k])]
+        assert lit == [lamps[states.state[k]]]
     assert crossing.rrd.static[f"/signals/tl_{LIGHT}"]["StateConfiguration:values"][:3] == ["red", "yellow", "green"]
 
 
@@ -482,7 +487,7 @@ def driven(count: int, of: int = 1, **first):
 
 @pytest.mark.parametrize("rows", [1, 3, 7])
 def test_the_size_of_blocks_does_not_change_rows(rows: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(poses, "ROWS", rows)
+    monkeypatch.setattr(stream, "ROWS", rows)
     monkeypatch.setattr("carla_recap.show.rerun.followed.ROWS", rows)
     rrd = export(CROSSING, tmp_path / "blocks.rrd", start=12, duration=18)
     monkeypatch.undo()
@@ -587,12 +592,7 @@ def test_a_light_that_is_destroyed_and_spawned_again(tmp_path: Path) -> None:
         {"spawned": [lamp], "light_states": [light(10, 2)]},
     ]
     rrd = export(write(tmp_path / "lamp.log", frames), tmp_path / "lamp.rrd")
-    assert [rrd.at("/world/signals/tl_10", "Mesh3D:vertex_colors", t) is not None for t in range(3)] == [True, False, True]
-    assert [rrd.at("/world/signals/tl_10", "Mesh3D:vertex_positions", t) is not None for t in range(3)] == [
-        True,
-        False,
-        True,
-    ]
+    assert [is_lit(rrd, 10, Material.GREEN_LAMP, t) for t in range(3)] == [True, False, True]
     assert [rrd.at("/signals/tl_10", "StateChange:state", t) for t in range(3)] == [["green"], None, ["green"]]
 
 
@@ -637,7 +637,7 @@ def test_progress_is_given_every_scene(tmp_path: Path) -> None:
 
 
 def test_boxes_are_limited_but_not_the_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(actors, "MOST_BOXES", 3)
+    monkeypatch.setattr(bodies, "MOST_BOXES", 3)
     frames = [{"transforms": [pose(id, 100 * id + n) for id in range(1, 9)]} for n in range(3)]
     frames[0]["spawned"] = [spawn(id, role_name="hero" if id == 8 else "") for id in range(1, 9)]
     with pytest.warns(RecapWarning, match="5 actors are only on the map: there are more than 3"):

@@ -24,7 +24,7 @@ from tests.samples import carla_log
 
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
-from carla_recap.show.rerun.paths import EVENTS, LIGHT_AHEAD, PEDALS
+from carla_recap.show.rerun.entities import EVENTS, LIGHT_AHEAD, PEDALS
 from carla_recap.show.rrd import export_rerun
 from tests.show.test_foxglove import corners, latest, read, seen, xyz
 from tests.show.test_rerun import Rrd

@@ -72,7 +72,7 @@ class _Places:
 
     Attributes:
         rows: The positions of the actors among the recorded poses; -1 without one, (actors,).
-        standing: The poses of those without recorded ones; NaN of all others, (actors, 6).
+        standing: The poses of those without recorded ones, in m and degrees, right-handed; NaN of all others, (actors, 6).
         attached: The positions and ids of those that move with a parent.
     """
 
@@ -116,22 +116,32 @@ class SceneDescription:
         return self.actors.ids
 
     @cached_property
+    def recorded_poses(self) -> Floats:
+        """The recorded poses of all actors that have any, with a look or not, (scenes, batch.ids, 6), as `poses`."""
+        return right_handed(self.batch.poses)
+
+    @cached_property
+    def recorded_shown(self) -> Booleans:
+        """Whether each of these is somewhere to be seen, or would be if it had a look, (scenes, batch.ids)."""
+        return _are_near(self.recorded_poses) & ~self.batch.away
+
+    @cached_property
     def poses(self) -> Floats:
         """The poses in m and degrees, right-handed, (scenes, ids, 6); NaN where they are unknown."""
-        places, batch = self._places, self.batch
-        poses = np.empty((len(batch), len(self.ids), 6))
+        places = self._places
+        poses = np.empty((len(self), len(self.ids), 6))
         recorded = places.rows >= 0
-        poses[:, recorded] = batch.poses[:, places.rows[recorded]]
+        poses[:, recorded] = self.recorded_poses[:, places.rows[recorded]]
         poses[:, ~recorded] = places.standing[~recorded]
         for row, id in places.attached:
-            pose = batch.pose_of(id)
-            poses[:, row] = np.nan if pose is None else pose
-        return right_handed(poses)
+            pose = self.batch.pose_of(id)
+            poses[:, row] = np.nan if pose is None else right_handed(pose)
+        return poses
 
     @cached_property
     def shown(self) -> Booleans:
         """Whether an actor is somewhere to be seen, (scenes, ids)."""
-        return np.asarray((np.abs(self.poses) < FAR).all(axis=2)) & ~self._away  # not so if any is NaN
+        return _are_near(self.poses) & ~self._away
 
     @cached_property
     def _away(self) -> Booleans:
@@ -163,6 +173,11 @@ class SceneDescription:
         steering[:, columns[known]] = np.clip(-steer, -1, 1) * _STEERED
         return steering
 
+    def pose_of(self, id: int, row: int) -> Floats | None:
+        """Return the pose of an actor in a scene, with a look or not, (6,), as `poses`; None if it is unknown."""
+        pose = self.batch.pose_of(id, row)
+        return None if pose is None or not np.isfinite(pose).all() else right_handed(pose)
+
     def fallen_at(self, row: int) -> dict[int, Fall]:
         """Return how walkers lie in a scene, by their ids."""
         found = dict(self.fallen)
@@ -176,6 +191,12 @@ class SceneDescription:
     def marks_at(self, row: int) -> Floats:
         """Return where marks are in a scene, (marks, 3) in m, right-handed."""
         return next((locations for since, locations in reversed(self.marks) if since <= row), self.marked)
+
+
+def _are_near(poses: Floats) -> Booleans:
+    """Return whether poses are known and not too far away to be drawn, (…)."""
+    near = np.abs(poses) < FAR  # not so if it is NaN
+    return np.ones(poses.shape[:-1], np.bool_) if near.all() else np.asarray(near.all(axis=-1))
 
 
 class SceneDescriber:
@@ -246,5 +267,5 @@ class SceneDescriber:
             if actor.attached:
                 attached.append((row, actor.id))
             else:
-                standing[row] = actor.spawn_pose
+                standing[row] = right_handed(actor.spawn_pose)
         self._places = _Places(np.where(recorded, index, -1), standing, attached)

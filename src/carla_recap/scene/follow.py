@@ -16,17 +16,21 @@ from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import TOP_SPEED, possible_step
 from carla_recap.model.records import CM
 from carla_recap.replay import Player, calm_headings, level, right_handed
+from carla_recap.replay.follow import LiveChoice
+from carla_recap.replay.player import LiveScenes
 from carla_recap.replay.pose import LOCATION, YAW
 from carla_recap.replay.selection import array, find, numbers
-from carla_recap.scene.ahead import NO_LIGHT, LightAheadFinder
+from carla_recap.scene.ahead import NO_LIGHT, LightAheadFinder, add_stop_points
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
+    from carla_recap.model.frame import Frame
     from carla_recap.recording import Recording
     from carla_recap.replay import Scene, SceneBatch
+    from carla_recap.replay.follow import Follow
     from carla_recap.scene.ahead import StopPoints
 
     Flags = NDArray[np.bool_]
@@ -246,6 +250,34 @@ class FollowedActor:
         found, distance = self._lights.find(batch, right_handed(poses))
         box = box_of(actor)
         return found, np.maximum(distance - box.x - box.extent_x, 0.0)
+
+
+class LiveFollow:
+    """The scenes of a running simulation, and the actor that is followed in them.
+
+    Args:
+        follow: Which actor that is; see `LiveChoice`.
+
+    Attributes:
+        followed: The followed actor; None before there is one.
+        stops: The points at which traffic lights stop cars, as far as they are known; see `carla_recap.scene.ahead`.
+    """
+
+    def __init__(self, follow: Follow) -> None:
+        self.followed: int | None = None
+        self.stops: dict[int, Floats] = {}
+        self._choice = LiveChoice(follow)
+        self._scenes = LiveScenes()
+
+    def scene(self, frame: Frame) -> tuple[Scene, int | None]:
+        """Return the scene of the next frame, and the actor that is followed from it on; None if that is no other one."""
+        scene = self._scenes.scene(frame)
+        add_stop_points(self.stops, frame)
+        chosen = self._choice.choose(scene)
+        if chosen is None or chosen == self.followed:
+            return scene, None
+        self.followed = chosen
+        return scene, chosen
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,6 +58,17 @@ class Mesh:
             None if all(mesh.colors is None for mesh in meshes) else np.concatenate([mesh.painted() for mesh in meshes]),
         )
 
+    def part(self, triangles: NDArray[np.uint32]) -> Mesh:
+        """Return a mesh of some of the triangles, with their vertices alone."""
+        used, corners = np.unique(triangles, return_inverse=True)
+        return Mesh(
+            self.vertices[used],
+            self.normals[used],
+            self.materials[used],
+            corners.reshape(-1, 3).astype(np.uint32),
+            None if self.colors is None else self.colors[used],
+        )
+
     def painted(self, paint: Color = MATERIALS[Material.PAINT].color) -> NDArray[np.uint8]:
         """Return the colour of each vertex, all lamps off, (vertices, 3).
 

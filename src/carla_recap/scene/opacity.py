@@ -7,18 +7,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.model.records import CM
 from carla_recap.replay import right_handed
 from carla_recap.replay.pose import LOCATION, YAW, rotations
-from carla_recap.replay.selection import find
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
-    from carla_recap.replay import SceneBatch
-    from carla_recap.scene.appearance import Look
+    from carla_recap.scene.description import LookColumns, SceneDescription
     from carla_recap.scene.follow import FollowedSeries
 
     Flags = NDArray[np.bool_]
@@ -126,24 +123,20 @@ class SteppedOpacity:
 
     Args:
         id: The followed actor.
-        looks: The looks of the present actors by id.
     """
 
-    def __init__(self, id: int, looks: Mapping[int, Look]) -> None:
+    def __init__(self, id: int) -> None:
         self._id = id
-        self._looks = looks
         self._step = -math.inf
         self._shown: dict[int, tuple[float, float]] = {}  # the opacity, and the time until which it is held
-        self._measured: dict[int, Look] = {}
-        self._measure()
 
     def changes(
-        self, batch: SceneBatch, series: FollowedSeries, eye: tuple[float, float, float], pitch: float
+        self, description: SceneDescription, series: FollowedSeries, eye: tuple[float, float, float], pitch: float
     ) -> Iterator[OpacityChange]:
         """Yield the changes in the next scenes.
 
         Args:
-            batch: The scenes.
+            description: The scenes.
             series: The followed actor in these.
             eye: Where the camera is in the calm axes, in m.
             pitch: Its pitch in degrees; downwards is negative.
@@ -152,16 +145,20 @@ class SteppedOpacity:
         rows = np.flatnonzero(np.diff(steps, prepend=self._step) != 0)
         self._step = steps[-1]
         rows = rows[series.known[rows]]
-        if not len(rows) or self._id not in self._looks:
+        if not len(rows) or description.actors.look_of(self._id) is None:
             return
-        wanted = self._wanted(batch, series, rows, np.array(eye), pitch)
+        wanted = self._wanted(description, series, rows, np.array(eye), pitch)
         for index, row in enumerate(rows.tolist()):
             if index in wanted or self._shown:
+                self._forget(set(self._shown) - set(description.ids[description.shown[row]].tolist()))
                 yield from self._update(row, float(series.time[row]), wanted.get(index, {}))
 
-    def _update(self, row: int, time: float, wanted: Mapping[int, float]) -> Iterator[OpacityChange]:
-        for id in [id for id in self._shown if id not in self._looks]:  # they are gone
+    def _forget(self, gone: set[int]) -> None:
+        """Forget actors that are no longer there."""
+        for id in gone:
             del self._shown[id]
+
+    def _update(self, row: int, time: float, wanted: Mapping[int, float]) -> Iterator[OpacityChange]:
         for id, opacity in wanted.items():
             if id not in self._shown:
                 yield OpacityChange(row, id, opacity)
@@ -172,70 +169,33 @@ class SteppedOpacity:
                 yield OpacityChange(row, id, 1.0)
 
     def _wanted(
-        self, batch: SceneBatch, series: FollowedSeries, rows: Indices, eye: Floats, pitch: float
+        self, description: SceneDescription, series: FollowedSeries, rows: Indices, eye: Floats, pitch: float
     ) -> dict[int, dict[int, float]]:
         """Return the opacities below 1 by id, by the position of the scene among some."""
         camera = right_handed(series.camera[rows])
-        level = rotations(camera)
-        eyes = camera[:, LOCATION] + level @ eye
-        looking = np.zeros_like(camera)
-        looking[:, YAW - 1], looking[:, YAW] = -pitch, camera[:, YAW]
-        if self._measured != self._looks:
-            self._measure()
-        poses, at, which = _near(batch, self._ids, rows, eyes)
+        eyes = camera[:, LOCATION] + rotations(camera) @ eye
+        actors, poses, shown = description.actors, description.poses[rows], description.shown[rows]
+        tall = np.flatnonzero((actors.ids != self._id) & ~is_flat(actors.half_extents.astype(np.float64)))
+        at, which = np.nonzero(is_near(poses[:, tall, LOCATION], eyes[:, None]) & shown[:, tall])
         found: dict[int, dict[int, float]] = {}
         if not len(at):
             return found
-        others = _boxes(right_handed(poses), self._centres[which], self._half_extents[which])
-        look = self._looks[self._id]
-        own = _boxes(right_handed(series.poses[rows]), *(np.tile(part, (len(rows), 1)) for part in _box_of(look)))
-        opacity, other_opacity = wanted_opacities(eyes, rotations(looking), own, others, at)
+        which, scenes = tall[which], np.arange(len(rows))
+        looking = np.zeros_like(camera)
+        looking[:, YAW - 1], looking[:, YAW] = -pitch, camera[:, YAW]
+        own = np.full(len(rows), actors.ids.searchsorted(self._id))
+        opacity, other_opacity = wanted_opacities(
+            eyes, rotations(looking), _boxes(actors, own, poses[scenes, own]), _boxes(actors, which, poses[at, which]), at
+        )
         for scene in np.flatnonzero(opacity < 1).tolist():
             found.setdefault(scene, {})[self._id] = float(opacity[scene])
         for pair in np.flatnonzero(other_opacity < 1).tolist():
-            found.setdefault(int(at[pair]), {})[int(self._ids[which[pair]])] = float(other_opacity[pair])
+            found.setdefault(int(at[pair]), {})[int(actors.ids[which[pair]])] = float(other_opacity[pair])
         return found
 
-    def _measure(self) -> None:
-        """Set the boxes of the other actors."""
-        self._measured = dict(self._looks)
-        tall = [id for id, look in self._looks.items() if id != self._id and not is_flat(np.array(look.half_extents))]
-        self._ids = np.array(tall, np.uint32)
-        parts = np.array([_box_of(self._looks[id]) for id in tall]).reshape(-1, 2, 3)
-        self._centres, self._half_extents = parts[:, 0], parts[:, 1]
 
-
-def _near(batch: SceneBatch, ids: NDArray[np.uint32], rows: Indices, eyes: Floats) -> tuple[Floats, Indices, Indices]:
-    """Return the poses of the actors near the camera in some scenes, and the scene and the position in `ids` of each."""
-    columns, recorded = find(ids, batch.ids)
-    whose = np.flatnonzero(recorded)
-    x, y = (batch.poses[rows[:, None], columns[whose], axis] for axis in (0, 1))
-    with np.errstate(invalid="ignore", over="ignore"):
-        at, which = np.nonzero((x * CM - eyes[:, :1]) ** 2 + (y * CM + eyes[:, 1:2]) ** 2 < _REACH**2)
-    others = np.flatnonzero(~recorded)
-    if not len(others):
-        return batch.poses[rows[at], columns[whose[which]]], at, whose[which]
-    fixed = np.array([_spawn_pose(batch, int(ids[place])) for place in others.tolist()])
-    scenes, which_other = np.nonzero(is_near(fixed[:, LOCATION] * (CM, -CM, CM), eyes[:, None]))
-    return (
-        np.concatenate((batch.poses[rows[at], columns[whose[which]]], fixed[which_other])),
-        np.concatenate((at, scenes)),
-        np.concatenate((whose[which], others[which_other])),
-    )
-
-
-def _spawn_pose(batch: SceneBatch, id: int) -> Floats:
-    """Return the pose of an actor without recorded ones, (6,); NaN if it moves with another one, or is unknown."""
-    actor = batch.actors.get(id)
-    return np.full(6, np.nan) if actor is None or actor.attached else actor.spawn_pose
-
-
-def _box_of(look: Look) -> tuple[Floats, Floats]:
-    """Return the centre of a box in the axes of its actor, and half its size, in m."""
-    return np.array(look.center), np.array(look.half_extents)
-
-
-def _boxes(poses: Floats, centres: Floats, half_extents: Floats) -> SeenBoxes:
-    """Return boxes, given poses in m, right-handed, (n, 6), and the centres and sizes of the boxes in their axes."""
+def _boxes(actors: LookColumns, which: Indices, poses: Floats) -> SeenBoxes:
+    """Return the boxes of some of the actors, (n,), given their poses in m, right-handed, (n, 6)."""
     turns = rotations(poses)
-    return SeenBoxes(poses[:, LOCATION] + np.einsum("nij,nj->ni", turns, centres), turns, half_extents)
+    centers = poses[:, LOCATION] + np.einsum("nij,nj->ni", turns, actors.centers[which])
+    return SeenBoxes(centers, turns, actors.half_extents[which].astype(np.float64))

@@ -61,7 +61,7 @@ def export_rerun(
     """
     from carla_recap.show.rerun.blueprint import blueprint
     from carla_recap.show.rerun.ghosts import write_ghosts
-    from carla_recap.show.rerun.rrd import piped, rbl
+    from carla_recap.show.rerun.sinks import piped, rbl
     from carla_recap.show.rerun.writer import filmed, write
 
     reader = source.reader if isinstance(source, Recording) else source

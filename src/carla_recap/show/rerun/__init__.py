@@ -13,9 +13,8 @@ except ImportError:
     raise MissingExtra("an export to Rerun", "rerun") from None
 
 from carla_recap.show.rerun.blueprint import View, blueprint, camera_views, live_blueprint
-from carla_recap.show.rerun.live import LiveView
-from carla_recap.show.rerun.rrd import APPLICATION, Rrd, piped, sent
-from carla_recap.show.rerun.writer import write
+from carla_recap.show.rerun.sinks import APPLICATION, Rrd, piped, sent
+from carla_recap.show.rerun.writer import LiveView, write
 
 __all__ = [
     "APPLICATION",

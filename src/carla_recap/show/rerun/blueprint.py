@@ -16,9 +16,8 @@ from carla_recap.replay.recorded_map import first_locations
 from carla_recap.scene import style
 from carla_recap.scene.appearance import look_of_present
 from carla_recap.scene.follow import CONTROLS
-from carla_recap.show.rerun import paths
-from carla_recap.show.rerun.eyes import LOOK_DOWN, Triple, chase_eye
-from carla_recap.show.rerun.plots import FARTHEST, LATEST
+from carla_recap.show.rerun import entities
+from carla_recap.show.rerun.followed import FARTHEST, LATEST, LOOK_DOWN, Triple, chase_eye
 from carla_recap.show.rerun.stream import FRAME, SIM_TIME
 
 if TYPE_CHECKING:
@@ -60,21 +59,23 @@ def arranged(cameras: Mapping[View, rrb.Spatial3DView], view: View, ego: int | N
         live: Whether frames are still being added: the viewer then shows the latest one.
     """
     log = rrb.TextLogView(
-        origin=paths.EVENTS,
+        origin=entities.EVENTS,
         name="Events",
         columns=rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["loglevel", "body"]),
     )
-    all_lights = rrb.StateTimelineView(origin=paths.STATES, name="All traffic lights")
+    all_lights = rrb.StateTimelineView(origin=entities.STATES, name="All traffic lights")
     lights: rrb.View | rrb.Container = all_lights
     if ego is not None:
-        ahead = rrb.StateTimelineView(origin=paths.LIGHT_AHEAD, name=f"Light ahead of {ego}")
+        ahead = rrb.StateTimelineView(origin=entities.LIGHT_AHEAD, name=f"Light ahead of {ego}")
         lights = rrb.Tabs(ahead, all_lights)
     scene = rrb.Vertical(
         rrb.Tabs(*cameras.values(), active_tab=list(cameras).index(view)),
         rrb.Horizontal(lights, log, column_shares=[2, 3]),
         row_shares=[4, 1],
     )
-    beside: list[rrb.View | rrb.Container] = [rrb.Spatial2DView(origin=paths.MAP, name="Map", background=[*style.MAP, 255])]
+    beside: list[rrb.View | rrb.Container] = [
+        rrb.Spatial2DView(origin=entities.MAP, name="Map", background=[*style.MAP, 255])
+    ]
     if ego is not None:
         beside += _plots(ego, live=live)
     return rrb.Blueprint(
@@ -101,7 +102,7 @@ def live_blueprint(
         half_extents: Half the size of its box; None if it is unknown.
     """
     if followed is not None:
-        return arranged(follow_views(paths.CHASE, "", followed, half_extents), view, followed, live=True)
+        return arranged(follow_views(entities.CHASE, "", followed, half_extents), view, followed, live=True)
     locations = np.concatenate(road_map.centre_lines) if road_map is not None else np.zeros((0, 3))
     return arranged(overviews(locations), view, None, live=True)
 
@@ -113,8 +114,8 @@ def camera_views(player: Player, *, followed: int | None = None) -> dict[View, r
         return overviews(first_locations(player))
     size = _half_extents(player, followed)
     if followed == player.followed:
-        return follow_views(paths.CHASE, "", player.followed, size)
-    return follow_views(paths.camera(followed), f" {followed}", player.followed, size)
+        return follow_views(entities.CHASE, "", player.followed, size)
+    return follow_views(entities.camera(followed), f" {followed}", player.followed, size)
 
 
 def _half_extents(player: Player, id: int) -> Triple | None:
@@ -131,8 +132,8 @@ def overviews(locations: NDArray[np.float64]) -> dict[View, rrb.Spatial3DView]:
     """Return the views of cameras that stand still and see some locations: (n, 3) in m, right-handed."""
     (x, y, z), radius = _extent(locations)
     return {
-        "chase": _view("Overview", paths.WORLD, (x - 1.5 * radius, y, z + 1.2 * radius), (x, y, z), (0, 0, 1)),
-        "top": _view("Top", paths.WORLD, (x, y, z + 2.2 * radius), (x, y, z), (0, 1, 0)),
+        "chase": _view("Overview", entities.WORLD, (x - 1.5 * radius, y, z + 1.2 * radius), (x, y, z), (0, 0, 1)),
+        "top": _view("Top", entities.WORLD, (x, y, z + 2.2 * radius), (x, y, z), (0, 1, 0)),
     }
 
 
@@ -159,31 +160,31 @@ def _plots(id: int, *, live: bool) -> list[rrb.View | rrb.Container]:
     no_legend = rrb.PlotLegend(visible=False)  # it would cover the lines
     others = rrb.Tabs(
         rrb.TimeSeriesView(
-            origin=paths.TIMES,
+            origin=entities.TIMES,
             name="Collision (red), headway (s)",
             axis_y=rrb.ScalarAxis(range=(0.0, LATEST)),
             plot_legend=no_legend,
         ),
         rrb.TimeSeriesView(
-            origin=paths.DISTANCES,
+            origin=entities.DISTANCES,
             name="Gap (white), headway (m)",
             axis_y=rrb.ScalarAxis(range=(0.0, FARTHEST)),
             plot_legend=no_legend,
         ),
     )
     return [
-        rrb.TimeSeriesView(origin=paths.SPEED, name=f"Speed of {id} (km/h)", plot_legend=no_legend),
+        rrb.TimeSeriesView(origin=entities.SPEED, name=f"Speed of {id} (km/h)", plot_legend=no_legend),
         rrb.TimeSeriesView(
-            origin=paths.ACCELERATION,
+            origin=entities.ACCELERATION,
             name="Acceleration (m/s²)",
             axis_y=rrb.ScalarAxis(range=_ACCELERATIONS),
             plot_legend=no_legend,
         ),
         *(() if live else (others,)),
         rrb.TimeSeriesView(
-            origin=paths.EGO,
-            contents=[paths.CONTROLS, paths.PEDALS],
-            overrides={paths.CONTROLS: rr.SeriesLines(visible_series=[name == "steer" for name in CONTROLS])},
+            origin=entities.EGO,
+            contents=[entities.CONTROLS, entities.PEDALS],
+            overrides={entities.CONTROLS: rr.SeriesLines(visible_series=[name == "steer" for name in CONTROLS])},
             name="Throttle, brake, steer",
             axis_y=rrb.ScalarAxis(range=(-1.05, 1.05)),
             plot_legend=no_legend,
@@ -209,12 +210,12 @@ def _view(
     )
     return rrb.Spatial3DView(
         origin=origin,
-        contents=f"{paths.WORLD}/**",
+        contents=f"{entities.WORLD}/**",
         name=name,
         background=[*style.HORIZON, 255],
         line_grid=False,
         eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=up, speed=_EYE_SPEED),
-        overrides={paths.trail(ego): trail} if ego is not None else None,
+        overrides={entities.trail(ego): trail} if ego is not None else None,
     )
 
 

@@ -1,4 +1,4 @@
-"""The followed actor: the axes of its camera, its trail, and the ground below it."""
+"""The followed actor: the axes of its camera, what is see-through for that, its trail, plots, and the ground below it."""
 
 from __future__ import annotations
 
@@ -9,32 +9,67 @@ import pyarrow as pa
 import rerun as rr
 
 from carla_recap.model.blueprints import box_of
-from carla_recap.replay import right_handed
-from carla_recap.replay.pose import LOCATION
+from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.records import CM
+from carla_recap.replay import camera, right_handed
+from carla_recap.replay.pose import LOCATION, left_handed
 from carla_recap.scene import style
-from carla_recap.scene.follow import CalmPath, FollowedSeries
+from carla_recap.scene.follow import CONTROLS, CalmPath, FollowedActor, FollowedSeries
 from carla_recap.scene.opacity import SteppedOpacity
-from carla_recap.show.rerun import paths
-from carla_recap.show.rerun.eyes import LOOK_DOWN, chase_eye
-from carla_recap.show.rerun.ground import ground_below
+from carla_recap.show.rerun import entities
 from carla_recap.show.rerun.meshes import faded
-from carla_recap.show.rerun.plots import PlotWriter
-from carla_recap.show.rerun.poses import ROWS
-from carla_recap.show.rerun.stream import TimeColumns, screen_radii
+from carla_recap.show.rerun.stream import ROWS, TimeColumns, map_points, screen_radii
+from carla_recap.show.rerun.surroundings import ground_below
+from carla_recap.show.rerun.timeline import LightAheadWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Container
 
     from numpy.typing import NDArray
 
-    from carla_recap.replay import SceneBatch
-    from carla_recap.scene.appearance import Look
+    from carla_recap.queries.measures import MeasureSeries
+    from carla_recap.scene.ahead import StopPoints
+    from carla_recap.scene.description import SceneDescription
+    from carla_recap.scene.style import Color
     from carla_recap.show.rerun.stream import Stream, TimePoint
 
+    Flags = NDArray[np.bool_]
     Floats = NDArray[np.float64]
 
+Triple = tuple[float, float, float]
+
+LOOK_DOWN: Final = -17.0
+"""The pitch of the camera behind an actor, in degrees."""
+FARTHEST: Final = 50.0
+"""The distances up to which there are plots, in m."""
+LATEST: Final = 5.0
+"""The times up to which there are plots, in s."""
+
+_CAR: Final = (2.4, 0.8)  # m; half the length and the height of a car, for which the camera's distances are right
 _TRAIL: Final = 0.04  # m; the radius of the trail
 _RADIUS: Final = 6.0  # points of the screen; of the actor on the map
+_KMH: Final = 3.6  # in a m/s
+
+_SPEED: Final[Color] = (255, 190, 80)
+_ACCELERATION: Final[Color] = (205, 150, 240)
+_THROTTLE: Final[Color] = (90, 200, 120)
+_BRAKE: Final[Color] = (240, 90, 80)
+_STEER: Final[Color] = (130, 170, 255)
+_GAP: Final[Color] = (235, 235, 240)
+_HEADWAY: Final[Color] = (110, 200, 235)
+
+
+def chase_eye(half_extents: Triple | None) -> Triple:
+    """Return where the camera behind an actor is, in its level axes, in m: farther away from one larger than a car.
+
+    Args:
+        half_extents: Half the size of the actor's box; None if it is unknown.
+    """
+    back, up = camera.CHASE_BACK * CM, camera.CHASE_UP * CM
+    if half_extents is not None:
+        back += max(0.0, half_extents[0] - _CAR[0]) * 1.6
+        up += max(0.0, 2 * half_extents[2] - 2 * _CAR[1]) * 1.1
+    return -back, 0.0, up
 
 
 class CameraAxes:
@@ -52,57 +87,39 @@ class CameraAxes:
         self._last = np.full((1, 6), np.nan)
 
     def write(self, times: TimeColumns, poses: Floats) -> None:
-        """Write the axes in the next frames, given the poses of the actor, in cm and degrees; NaN without one."""
-        self.write_axes(times, self._axes.add(times.seconds, poses).camera)
+        """Write the axes in the next frames, given the poses of the actor in m, right-handed; NaN without one."""
+        self.write_axes(times, self._axes.add(times.seconds, left_handed(poses)).camera)
 
     def write_axes(self, times: TimeColumns, axes: Floats) -> None:
-        """Write the axes in the next frames, (frames, 6); NaN before the actor appears."""
+        """Write the axes in the next frames, as those of `FollowedSeries`, (frames, 6); NaN before the actor appears."""
         known = np.flatnonzero(np.isfinite(axes).all(axis=1))
         axes = axes[known]
         changed = np.flatnonzero((np.diff(axes, axis=0, prepend=self._last) != 0).any(axis=1))
         if len(changed):
-            self._stream.transforms(self._path, times.take(known[changed]), axes[changed])
+            self._stream.transforms(self._path, times.take(known[changed]), right_handed(axes[changed]))
             self._last = axes[-1:]
 
 
-class OpacityWriter:
-    """Writes which actors are see-through for the camera behind the followed one.
-
-    Args:
-        stream: The stream.
-        id: The followed actor.
-        looks: The looks of the present actors by id.
-    """
-
-    def __init__(self, stream: Stream, id: int, looks: Mapping[int, Look]) -> None:
-        self._stream = stream
-        self._id = id
-        self._looks = looks
-        self._opacity = SteppedOpacity(id, looks)
-
-    def write(self, batch: SceneBatch, times: TimeColumns, series: FollowedSeries) -> None:
-        """Write scenes."""
-        look = self._looks.get(self._id)
-        eye = chase_eye(None if look is None else look.half_extents)
-        for row, id, opacity in self._opacity.changes(batch, series, eye, LOOK_DOWN):
-            self._stream.log(paths.actor(id), times.point(row), rr.Mesh3D.from_fields(albedo_factor=faded(opacity)))
-
-
 class FollowedWriter:
-    """Writes what is shown of the followed actor alone.
+    """Writes what is shown of the followed actor alone, and what is see-through for the camera behind it.
 
     Args:
         stream: The stream.
         id: The actor.
+        stops: The points at which traffic lights stop cars; see `carla_recap.scene.ahead`.
+        models: The present actors that are drawn as models, which can be see-through.
         ground: Whether a ground moves along with it, which shows its speed if there is no map.
     """
 
-    def __init__(self, stream: Stream, id: int, *, ground: bool) -> None:
+    def __init__(self, stream: Stream, id: int, stops: StopPoints, models: Container[int], *, ground: bool) -> None:
         self._stream = stream
         self._id = id
+        self._models = models
         self._ground = ground
-        self._axes = CameraAxes(stream, paths.CHASE)
-        self._plots = PlotWriter(stream)
+        self._actor = FollowedActor(id, stops)
+        self._axes = CameraAxes(stream, entities.CHASE)
+        self._opacity = SteppedOpacity(id)
+        self._ahead = LightAheadWriter(stream)
         self._first: TimePoint | None = None
         self._appeared = False
         self._bottom = 0.0  # m; of its box, above its location
@@ -110,40 +127,57 @@ class FollowedWriter:
         self._series: list[FollowedSeries] = []
         self._rows = 0
         self._before = np.full((1, 3), np.nan)  # the last location in m, right-handed
+        _name_plots(stream)
 
-    def write(self, batch: SceneBatch, times: TimeColumns, series: FollowedSeries) -> None:
+    def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
+        series = self._actor.series(description.batch)
         self._first = self._first or times.point(0)
         if not self._appeared and np.isfinite(series.camera[-1]).all():
-            self._appear(batch, times, series)
+            self._appear(description, times, series)
+        self._ahead.write(description, times, series)
+        self._write_opacity(description, times, series)
         self._times.append(times)
         self._series.append(series)
-        self._rows += len(batch)
+        self._rows += len(description)
         if self._rows >= ROWS:
-            self.flush()
+            self._write_series()
 
     def flush(self) -> None:
         """Write what is held back."""
-        if not self._rows:
-            return
+        self._ahead.flush()
+        if self._rows:
+            self._write_series()
+
+    def _write_series(self) -> None:
         times, series = TimeColumns.joined(self._times), FollowedSeries.joined(self._series)
         self._axes.write_axes(times, series.camera)
-        self._plots.write(times, series)
+        self._write_plots(times, series)
         self._write_path(times, series)
         self._times, self._series, self._rows = [], [], 0
 
-    def _appear(self, batch: SceneBatch, times: TimeColumns, series: FollowedSeries) -> None:
+    def _appear(self, description: SceneDescription, times: TimeColumns, series: FollowedSeries) -> None:
         self._appeared = True
         row = int(np.argmax(series.known))
         if self._first is not None and self._first != times.point(row):  # until then, the camera waits where it will be
             self._axes.write_axes(TimeColumns.of_points([self._first]), series.camera[row : row + 1])
-        actor = batch.actors.get(self._id)
+        actor = description.batch.actors.get(self._id)
         if actor is not None:
             box = box_of(actor)
             self._bottom = box.z - box.extent_z
         color = style.OTHER.color if actor is None else style.color_of(actor)
-        self._stream.log_static(paths.trail(self._id), rr.LineStrips3D.from_fields(colors=[color], radii=[_TRAIL]))
-        self._stream.log_static(paths.MAP_FOLLOWED, rr.Points2D.from_fields(colors=[color], radii=screen_radii(_RADIUS)))
+        point = rr.Points2D.from_fields(colors=[color], radii=screen_radii(_RADIUS))
+        self._stream.log_static(entities.trail(self._id), rr.LineStrips3D.from_fields(colors=[color], radii=[_TRAIL]))
+        self._stream.log_static(entities.MAP_FOLLOWED, point)
+
+    def _write_opacity(self, description: SceneDescription, times: TimeColumns, series: FollowedSeries) -> None:
+        """Write which actors are see-through for the camera behind this one."""
+        look = description.actors.look_of(self._id)
+        eye = chase_eye(None if look is None else look.half_extents)
+        for row, id, opacity in self._opacity.changes(description, series, eye, LOOK_DOWN):
+            if id in self._models:
+                factor = rr.Mesh3D.from_fields(albedo_factor=faded(opacity))
+                self._stream.log(entities.actor(id), times.point(row), factor)
 
     def _write_path(self, times: TimeColumns, series: FollowedSeries) -> None:
         """Write the location on the map, the trail and the ground."""
@@ -152,19 +186,73 @@ class FollowedWriter:
         steps = np.diff(locations, axis=0, prepend=self._before)
         steps[series.jumped[known]] = 0
         self._before = np.concatenate((self._before, locations))[-1:]
-        on_map = (locations[:, :2] * (1, -1)).astype(np.float32)
-        self._stream.columns(paths.MAP_FOLLOWED, times, rr.Points2D.columns(positions=on_map))
+        on_map = map_points(locations).astype(np.float32)
+        self._stream.columns(entities.MAP_FOLLOWED, times, rr.Points2D.columns(positions=on_map))
         below = locations + np.array((0, 0, self._bottom))
         moved = np.flatnonzero(steps.any(axis=1))
         ends = np.stack((below - steps, below), axis=1)[moved] + np.array((0, 0, _TRAIL / 2))
-        self._stream.columns(
-            paths.trail(self._id), times.take(moved), rr.LineStrips3D.columns(strips=_segments(ends.astype(np.float32)))
-        )
+        strips = _segments(ends.astype(np.float32))
+        self._stream.columns(entities.trail(self._id), times.take(moved), rr.LineStrips3D.columns(strips=strips))
         if self._ground:
             below = ground_below(below)
             changed = np.concatenate(([True], (np.diff(below, axis=0) != 0).any(axis=1)))
             cells = below[changed].astype(np.float32)
-            self._stream.columns(paths.GROUND, times.take(changed), rr.Transform3D.columns(translation=cells))
+            self._stream.columns(entities.GROUND, times.take(changed), rr.Transform3D.columns(translation=cells))
+
+    def _write_plots(self, times: TimeColumns, series: FollowedSeries) -> None:
+        """Write the controls as recorded, the pedals without their chatter at a standstill besides, and the motion."""
+        present = series.known | np.isfinite(series.speed)  # where the speed is unknown, its line ends
+        recorded = np.isfinite(series.pedals[:, 0])
+        for path, values, shown in (
+            (entities.SPEED, series.speed[:, None] * _KMH, present),
+            (entities.ACCELERATION, series.acceleration[:, None], np.isfinite(series.acceleration)),
+            (entities.CONTROLS, series.controls, recorded),
+            (entities.PEDALS, series.pedals, recorded),
+        ):
+            rows = np.flatnonzero(shown)
+            (column,) = rr.Scalars.columns(scalars=values[rows].ravel())
+            self._stream.columns(path, times.take(rows), [column.partition(np.full(len(rows), values.shape[1]))])
+
+
+def _name_plots(stream: Stream) -> None:
+    """Write the names, colours and widths of the lines of plots."""
+    pedals = ("throttle, none while the brake is held", "brake, held at a standstill")
+    for path, names, colors, width in (
+        (entities.CONTROLS, CONTROLS, (_THROTTLE, _BRAKE, _STEER), 1.5),
+        (entities.PEDALS, pedals, (_THROTTLE, _BRAKE), 2.0),
+        (entities.SPEED, ("km/h",), (_SPEED,), 2.0),
+        (entities.ACCELERATION, ("m/s²",), (_ACCELERATION,), 1.5),
+    ):
+        stream.log_static(path, rr.SeriesLines(colors=colors, names=names, widths=[width] * len(names)))
+
+
+def write_measures(stream: Stream, clock: TimeColumns, series: MeasureSeries) -> None:
+    """Write the plots of how close others are to the followed actor, at the scenes in which it is measured.
+
+    Args:
+        stream: The stream.
+        clock: The times of all scenes.
+        series: The measures.
+    """
+    seconds = np.maximum.accumulate(clock.seconds)
+    rows = np.searchsorted(seconds, series.time - SAME_TIME)
+    known = np.flatnonzero(rows < len(seconds))
+    known = known[np.abs(seconds[rows[known]] - series.time[known]) <= 2 * SAME_TIME]
+    times = clock.take(rows[known])
+    for path, color, name, values, most in (
+        (entities.GAP, _GAP, "gap, m", series.gap, FARTHEST),
+        (entities.HEADWAY, _HEADWAY, "headway, m", series.distance_headway, FARTHEST),
+        (entities.TIME_TO_COLLISION, _BRAKE, "time to collision, s", series.time_to_collision, LATEST),
+        (entities.TIME_HEADWAY, _HEADWAY, "time headway, s", series.time_headway, LATEST),
+    ):
+        stream.log_static(path, rr.SeriesLines(colors=[color], names=[name], widths=[2.0]))
+        shown = values[known]
+        shown = np.where(shown <= most, shown, np.nan)
+        # A NaN ends a line; those that follow it are left out, but for the first and the last time of the axis.
+        is_needed = ~(np.isnan(shown) & np.isnan(np.append(np.nan, shown[:-1])))
+        is_needed[:1] = is_needed[-1:] = True
+        kept = np.flatnonzero(is_needed)
+        stream.columns(path, times.take(kept), rr.Scalars.columns(scalars=shown[kept]))
 
 
 def _segments(ends: NDArray[np.float32]) -> pa.Array:

@@ -10,25 +10,20 @@ import rerun as rr
 
 from carla_recap.errors import RecapError
 from carla_recap.model.actors import ROAD_USERS
-from carla_recap.model.records import CM
 from carla_recap.queries.differences import differences
 from carla_recap.replay import Destroyed, Player, Spawned
-from carla_recap.replay.pose import LOCATION
 from carla_recap.scene import style
-from carla_recap.scene.appearance import look_of_present
-from carla_recap.show.rerun import paths
-from carla_recap.show.rerun.actors import MOST_MODELS
+from carla_recap.scene.description import SceneDescriber
+from carla_recap.show.rerun import entities
+from carla_recap.show.rerun.bodies import MOST_MODELS
 from carla_recap.show.rerun.meshes import faded, mesh3d, model_mesh
-from carla_recap.show.rerun.poses import PoseBuffer
-from carla_recap.show.rerun.stream import Stream, TimeColumns, TimePoint, screen_radii
+from carla_recap.show.rerun.stream import PoseBuffer, Stream, TimeColumns, TimePoint, screen_radii
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.formats.base import Reader
     from carla_recap.model.actors import ActorLife
     from carla_recap.replay import SceneBatch
-    from carla_recap.show.rerun.poses import PoseBlock
+    from carla_recap.scene.description import SceneDescription
 
 APART: Final = 0.1
 """The distance in m from which on an actor has a ghost."""
@@ -90,13 +85,14 @@ class GhostWriter:
         self._shown, self._named = shown, named
         self._waiting: dict[int, tuple[float, ActorLife]] = {}
         self._drawn: set[int] = set()
+        self._describer = SceneDescriber()
         self._poses = PoseBuffer()
         self._last: TimePoint | None = None
-        stream.log_static(paths.MAP_GHOSTS, rr.Points2D.from_fields(radii=screen_radii(_RADIUS), colors=[COLOR]))
+        stream.log_static(entities.MAP_GHOSTS, rr.Points2D.from_fields(radii=screen_radii(_RADIUS), colors=[COLOR]))
 
     def write(self, batch: SceneBatch) -> None:
         """Write scenes."""
-        times = TimeColumns.of(batch)
+        times, description = TimeColumns.of(batch), self._describer.describe(batch)
         self._last = times.point(-1)
         begun = []
         for event in batch.events:
@@ -111,8 +107,8 @@ class GhostWriter:
             if since <= batch.time[-1] and batch.index_of(id) is not None:
                 del self._waiting[id]
                 begun.append(id)
-                self._draw(actor, times, int(np.searchsorted(batch.time, since)))
-        self._poses.add(batch, times, begun)
+                self._draw(actor, description, times.point(int(np.searchsorted(batch.time, since))))
+        self._poses.add(description, times, begun)
         if self._poses.is_full:
             self.flush()
 
@@ -120,18 +116,18 @@ class GhostWriter:
         """Write what is held back."""
         block = self._poses.take()
         if block is not None:
-            block.write(self._stream, self._drawn, paths.ghost)
-            self._write_map(block)
+            block.write(self._stream, self._drawn, entities.ghost)
+            block.write_points(self._stream, entities.MAP_GHOSTS, self._drawn)
 
     def close(self) -> None:
         """Write what is held back, and remove all ghosts."""
         self.flush()
         if self._last is not None:
-            self._stream.clear(paths.GHOSTS, self._last)
-            self._stream.clear(paths.MAP_GHOSTS, self._last)
+            self._stream.clear(entities.GHOSTS, self._last)
+            self._stream.clear(entities.MAP_GHOSTS, self._last)
 
-    def _draw(self, actor: ActorLife, times: TimeColumns, row: int) -> None:
-        look = look_of_present(actor)
+    def _draw(self, actor: ActorLife, description: SceneDescription, time: TimePoint) -> None:
+        look = description.actors.look_of(actor.id)
         if look is None:
             return
         self.count += 1
@@ -143,19 +139,11 @@ class GhostWriter:
             above = (look.center[0], look.center[1], look.center[2] + look.half_extents[2])
             name = f"B: {style.label_of(actor)}"
             archetypes.append(rr.Points3D([above], colors=[COLOR], radii=[0], labels=[name], show_labels=True))
-        self._stream.log(paths.ghost(actor.id), times.point(row), *archetypes)
+        self._stream.log(entities.ghost(actor.id), time, *archetypes)
 
     def _erase(self, id: int, times: TimeColumns) -> None:
         self._waiting.pop(id, None)
         if id in self._drawn:
             self.flush()
             self._drawn.remove(id)
-            self._stream.clear(paths.ghost(id), times.point(0))
-
-    def _write_map(self, block: PoseBlock) -> None:
-        shown: NDArray[np.bool_] = block.present[1:] & np.isin(block.ids, list(self._drawn))
-        locations = block.poses[1:, :, LOCATION][..., :2][shown] * CM
-        column = rr.Points2D.columns(positions=locations.astype(np.float32))
-        lengths = shown.sum(axis=1)
-        times = block.times.take(slice(1, None))
-        self._stream.columns(paths.MAP_GHOSTS, times, [each.partition(lengths) for each in column])
+            self._stream.clear(entities.ghost(id), times.point(0))

@@ -79,9 +79,8 @@ def lamps_of(mesh: Mesh, material: Material) -> Mesh | None:
     chosen = mesh.triangles[mesh.materials[mesh.triangles[:, 0]] == material]
     if not len(chosen):
         return None
-    used, corners = np.unique(chosen, return_inverse=True)
-    vertices = mesh.vertices[used] + _LIFT * mesh.normals[used]
-    return Mesh(vertices, mesh.normals[used], mesh.materials[used], corners.reshape(-1, 3).astype(np.uint32))
+    lamps = mesh.part(chosen)
+    return replace(lamps, vertices=lamps.vertices + _LIFT * lamps.normals)
 
 
 def unlit(mesh: Mesh, colors: NDArray[np.uint8] | None = None) -> rr.Mesh3D:
@@ -97,12 +96,21 @@ def shadow(look: Look) -> Mesh:
     """Return the shadow below a vehicle, as a mesh of the material of tyres."""
     half = np.array(look.half_extents[:2])
     half[1] *= 1.0 if half[1] > _NARROW else _SLENDER  # two-wheelers are wide at the handlebar alone
-    turns = np.linspace(0, 2 * np.pi, _CORNERS, endpoint=False)
-    rounded = np.stack((np.cos(turns), np.sin(turns)), axis=1)
+    rounded = circle(_CORNERS)
     rounded = np.sign(rounded) * np.abs(rounded) ** _ROUNDNESS * (half + _SHADOW)
     low = look.center[2] - look.half_extents[2] + _SHADOW_HEIGHT
     vertices = np.column_stack((rounded + look.center[:2], np.full(_CORNERS, low))).astype(np.float32)
-    corners = np.arange(1, _CORNERS - 1)
-    triangles = np.stack((np.zeros_like(corners), corners, corners + 1), axis=1).astype(np.uint32)
     up = np.broadcast_to(np.array((0, 0, 1), np.float32), vertices.shape)
-    return Mesh(vertices, up, np.full(_CORNERS, Material.TYRE, np.uint8), triangles)
+    return Mesh(vertices, up, np.full(_CORNERS, Material.TYRE, np.uint8), fan(_CORNERS))
+
+
+def circle(corners: int) -> NDArray[np.float64]:
+    """Return the corners of a polygon on the circle around the origin with a radius of 1, counterclockwise, (corners, 2)."""
+    turns = np.linspace(0, 2 * np.pi, corners, endpoint=False)
+    return np.stack((np.cos(turns), np.sin(turns)), axis=1)
+
+
+def fan(corners: int) -> NDArray[np.uint32]:
+    """Return the triangles of a convex polygon, as indices of its corners, (corners - 2, 3)."""
+    corner = np.arange(1, corners - 1, dtype=np.uint32)
+    return np.stack((np.zeros_like(corner), corner, corner + 1), axis=1)

@@ -1,7 +1,13 @@
-"""A Rerun stream with the timelines of a recording: `frame`, a sequence, and `sim_time`, a duration."""
+"""A Rerun stream with the timelines of a recording, and what is written to it in blocks of frames: the poses of actors.
+
+The timelines are `frame`, a sequence, and `sim_time`, a duration.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import reduce
+from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import numpy as np
@@ -9,19 +15,30 @@ import pyarrow as pa
 import rerun as rr
 import rerun_bindings as bindings
 
-from carla_recap.replay import quaternions, right_handed
+from carla_recap.replay import quaternions
 from carla_recap.replay.pose import LOCATION
+from carla_recap.replay.selection import NO_IDS
+from carla_recap.show.rerun import entities
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from carla_recap.replay import SceneBatch
+    from carla_recap.replay.selection import Ids
+    from carla_recap.scene.description import SceneDescription
+
+    Flags = NDArray[np.bool_]
+    Floats = NDArray[np.float64]
 
 FRAME: Final = "frame"
 SIM_TIME: Final = "sim_time"
 
+ROWS: Final = 1024
+"""The number of frames in a block, more or less."""
+
+_MAX_POSES: Final = 1 << 19  # the number of poses in a block of many actors, more or less
 _TRANSLATION: Final = rr.Transform3D.descriptor_translation()
 _ROTATION: Final = rr.Transform3D.descriptor_quaternion()
 
@@ -99,25 +116,25 @@ class Stream:
         """Remove an entity and all below it."""
         self.log(path, time, rr.Clear(recursive=True))
 
-    def transforms(self, path: str, times: TimeColumns, poses: NDArray[np.float64]) -> None:
-        """Log CARLA's poses, in cm and degrees, left-handed, as transforms."""
-        self.tracks([(path, 0, len(poses))], times, poses)
+    def transforms(self, path: str, times: TimeColumns, poses: Floats) -> None:
+        """Log poses, in m and degrees, right-handed, as transforms."""
+        self.trajectories([(path, 0, len(poses))], times, poses)
 
-    def tracks(self, tracks: Iterable[tuple[str, int, int]], times: TimeColumns, poses: NDArray[np.float64]) -> None:
-        """Log CARLA's poses as the transforms of many entities.
+    def trajectories(self, rows: Iterable[tuple[str, int, int]], times: TimeColumns, poses: Floats) -> None:
+        """Log poses as the transforms of many entities.
 
         Args:
-            tracks: The path of each entity, and its first row and the one after its last.
+            rows: The path of each entity, and its first row and the one after its last.
             times: The times of the rows.
-            poses: The poses, in cm and degrees, left-handed.
+            poses: The poses, in m and degrees, right-handed.
         """
-        single = right_handed(poses).astype(np.float32)
+        single = poses.astype(np.float32)
         indexes = _indexes(times)
         columns = {
             _TRANSLATION: rr.components.Translation3DBatch(single[:, LOCATION]).as_arrow_array(),
             _ROTATION: rr.components.RotationQuatBatch(quaternions(single)).as_arrow_array(),
         }
-        for path, start, stop in tracks:  # slices, since to make arrays for each entity takes longer than to send them
+        for path, start, stop in rows:  # slices, since to make arrays for each entity takes longer than to send them
             bindings.send_arrow_chunk(
                 path,
                 timelines={name: column.slice(start, stop - start) for name, column in indexes.items()},
@@ -143,3 +160,129 @@ def _indexes(times: TimeColumns) -> dict[str, pa.Array]:
 def screen_radii(points: float) -> list[float]:
     """Return radii in points of the screen, which Rerun expects as negative numbers; positive ones are metres."""
     return [-points]
+
+
+def map_points(locations: Floats) -> Floats:
+    """Return where locations in m, right-handed, (…, 3), are on the map, whose y points downwards as CARLA's, (…, 2)."""
+    return np.asarray(locations[..., :2] * (1, -1))
+
+
+@dataclass(frozen=True)
+class PoseBlock:
+    """The poses of consecutive frames: the first axis of arrays is the frames, the second one the actors.
+
+    Row 0 is the last frame of the block before; in the first block, no actor is present in it.
+
+    Attributes:
+        times: The times of the frames.
+        ids: The actors, ascending.
+        poses: x, y, z in m and roll, pitch, yaw in degrees, right-handed.
+        present: Whether an actor is somewhere to be seen.
+        written: Whether a pose has to be written: it differs from the one before, or the next one differs from it.
+    """
+
+    times: TimeColumns
+    ids: Ids
+    poses: Floats
+    present: Flags
+    written: Flags
+
+    def write(self, stream: Stream, shown: Container[int], path: Callable[[int], str] = entities.actor) -> None:
+        """Write the transforms of the actors that are shown, at the paths that a function returns for their ids."""
+        actors, rows = np.nonzero(self.written.T)
+        ends = np.searchsorted(actors, np.arange(len(self.ids) + 1)).tolist()
+        rows_of = (
+            (path(id), start, end)
+            for id, (start, end) in zip(self.ids.tolist(), pairwise(ends), strict=True)
+            if start < end and id in shown
+        )
+        stream.trajectories(rows_of, self.times.take(rows), self.poses[rows, actors])
+
+    def write_points(
+        self, stream: Stream, path: str, shown: Iterable[int], colors: Mapping[int, int] | None = None
+    ) -> Floats:
+        """Write the actors that are shown as points on the map, in their colours by id; return all points, (n, 2)."""
+        present = self.present[1:] & np.isin(self.ids, list(shown))
+        points = map_points(self.poses[1:][present])
+        painted = None
+        if colors is not None:
+            color_of = np.array([colors.get(id, 0) for id in self.ids.tolist()], np.uint32)
+            painted = np.broadcast_to(color_of, present.shape)[present]
+        columns = rr.Points2D.columns(positions=points.astype(np.float32), colors=painted)
+        counts = present.sum(axis=1)
+        times = self.times.take(slice(1, None))
+        stream.columns(path, times, [each.partition(counts) for each in columns])
+        return points
+
+
+class PoseBuffer:
+    """Gathers the recorded poses of scenes into blocks."""
+
+    def __init__(self) -> None:
+        self._times: list[TimeColumns] = []
+        self._pieces: list[tuple[Ids, Floats, Flags]] = []
+        self._spawned: list[tuple[int, int]] = []  # row, id
+        self._rows = self._count = 0
+        self._before: PoseBlock | None = None
+
+    @property
+    def is_full(self) -> bool:
+        """Whether it is time to take a block."""
+        return self._rows >= ROWS or self._count >= _MAX_POSES
+
+    def add(self, description: SceneDescription, times: TimeColumns, spawned: Iterable[int]) -> None:
+        """Add scenes.
+
+        Args:
+            description: The scenes.
+            times: Their times.
+            spawned: The ids that belong to new actors from the first scene on.
+        """
+        self._spawned += [(self._rows, id) for id in spawned]
+        self._times.append(times)
+        self._pieces.append((description.batch.ids, description.recorded_poses, description.recorded_shown))
+        self._rows += len(description)
+        self._count += description.recorded_shown.size
+
+    def take(self) -> PoseBlock | None:
+        """Return the block of the scenes since the last one; None if there are none."""
+        if not self._rows:
+            return None
+        before = self._before
+        first = before.times.take(slice(-1, None)) if before else self._times[0].take(slice(1))
+        ids, poses, present, was_written = self._joined()
+        different = reduce(np.logical_or, np.moveaxis(poses[1:] != poses[:-1], -1, 0))
+        changed = present[1:] & (~present[:-1] | different)
+        if self._spawned and len(ids):
+            spawned = np.array(self._spawned)
+            rows, those = spawned[np.isin(spawned[:, 1], ids)].T
+            where = np.searchsorted(ids, those)
+            changed[rows, where] |= present[rows + 1, where]
+        written = np.zeros_like(present)
+        written[1:] = changed
+        written[:-1] |= changed & present[:-1]
+        written[0] &= ~was_written
+        block = self._before = PoseBlock(TimeColumns.joined([first, *self._times]), ids, poses, present, written)
+        self._times, self._pieces, self._spawned, self._rows, self._count = [], [], [], 0, 0
+        return block
+
+    def _joined(self) -> tuple[Ids, Floats, Flags, Flags]:
+        """Return the ids, poses and presence of a block, and whether the poses of row 0 have been written."""
+        before = self._before
+        held = before.ids[before.present[-1]] if before else NO_IDS
+        runs = [list(run) for _, run in groupby(self._pieces, key=lambda piece: id(piece[0]))]
+        ids = np.unique(np.concatenate([held, *(run[0][0] for run in runs)]))
+        poses = np.zeros((self._rows + 1, len(ids), 6))
+        present, was_written = np.zeros(poses.shape[:2], np.bool_), np.ones(len(ids), np.bool_)
+        if before:
+            where, last = np.searchsorted(ids, held), before.present[-1]
+            poses[0, where], present[0, where], was_written[where] = before.poses[-1, last], True, before.written[-1, last]
+        row = 1
+        for run in runs:
+            those = run[0][0]
+            columns: slice | NDArray[np.intp] = slice(None) if len(those) == len(ids) else np.searchsorted(ids, those)
+            for _, piece, shown in run:
+                rows = slice(row, row + len(piece))
+                poses[rows, columns], present[rows, columns] = piece, shown
+                row += len(piece)
+        return ids, poses, present, was_written

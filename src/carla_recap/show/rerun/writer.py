@@ -14,35 +14,39 @@ from carla_recap.model.actors import ROAD_USERS
 from carla_recap.queries.actors import actors
 from carla_recap.recording import Recording
 from carla_recap.rendering.town import town_of_map
-from carla_recap.replay import Played, Player, right_handed
+from carla_recap.replay import Played, Player
+from carla_recap.replay.follow import HERO
 from carla_recap.replay.pose import LOCATION
 from carla_recap.replay.recorded_map import map_around
 from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.ahead import stop_points
+from carla_recap.scene.appearance import look_of_present
 from carla_recap.scene.captions import PlayedIncidents
 from carla_recap.scene.description import SceneDescriber
-from carla_recap.scene.follow import FollowedActor
-from carla_recap.show.rerun import paths
-from carla_recap.show.rerun.actors import ActorWriter
-from carla_recap.show.rerun.events import EventWriter
-from carla_recap.show.rerun.followed import FollowedWriter, OpacityWriter
-from carla_recap.show.rerun.ground import ground_below, write_ground
-from carla_recap.show.rerun.lights import LightAheadWriter, TrafficLightWriter
-from carla_recap.show.rerun.plots import write_measures
+from carla_recap.scene.follow import LiveFollow
+from carla_recap.show.rerun import entities
+from carla_recap.show.rerun.blueprint import live_blueprint
+from carla_recap.show.rerun.bodies import ActorWriter
+from carla_recap.show.rerun.followed import FollowedWriter, write_measures
+from carla_recap.show.rerun.sinks import send_blueprint
 from carla_recap.show.rerun.stream import Stream, TimeColumns
-from carla_recap.show.rerun.town import write_map, write_sky, write_town
+from carla_recap.show.rerun.surroundings import ground_below, write_ground, write_map, write_sky, write_town
+from carla_recap.show.rerun.timeline import EventWriter, TrafficLightWriter
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
 
-    from carla_recap.model.frame import Header
+    from carla_recap.model.frame import Frame, Header
     from carla_recap.queries.incidents import Incident, IncidentOptions
     from carla_recap.queries.measures import MeasureSeries
     from carla_recap.replay import SceneBatch
+    from carla_recap.replay.follow import Follow
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
     from carla_recap.scene.ahead import StopPoints
+    from carla_recap.scene.description import SceneDescription
+    from carla_recap.show.rerun.blueprint import View
 
 MOST_CAMERAS: Final = 500
 """The number of actors that get a camera, the first ones."""
@@ -99,10 +103,7 @@ class SceneWriter:
         self._describer = SceneDescriber(signs=town is None)
         self._lights = TrafficLightWriter(self._stream)
         self._events = EventWriter(self._stream)
-        self._actor: FollowedActor | None = None
         self._followed: FollowedWriter | None = None
-        self._ahead: LightAheadWriter | None = None
-        self._opacity: OpacityWriter | None = None
         if followed is not None:
             self.follow(followed)
 
@@ -110,13 +111,9 @@ class SceneWriter:
         """Follow another actor from the next scene on."""
         if self._followed is not None:
             self._followed.flush()
-        if self._ahead is not None:
-            self._ahead.flush()
         self._actors.follow(id)
-        self._actor = FollowedActor(id, self._stops)
-        self._ahead = LightAheadWriter(self._stream)
-        self._opacity = OpacityWriter(self._stream, id, self._actors.looks)
-        self._followed = FollowedWriter(self._stream, id, ground=not self._has_ground)
+        models, ground = self._actors.models, not self._has_ground
+        self._followed = FollowedWriter(self._stream, id, self._stops, models, ground=ground)
 
     def recall(self, recording: Recording, time: float) -> None:
         """Learn what of the time before the first scene is still to be seen then; see `SceneDescriber.recall`."""
@@ -124,26 +121,24 @@ class SceneWriter:
 
     def write(self, batch: SceneBatch) -> None:
         """Write scenes."""
-        times = TimeColumns.of(batch)
+        times, description = TimeColumns.of(batch), self._describer.describe(batch)
         if self._followed is None and not self._is_ground_placed:
-            self._place_ground(batch, times)
-        description = self._describer.describe(batch)
+            self._place_ground(description, times)
         self._actors.write(description, times)
-        self._lights.write(batch, times)
+        self._lights.write(description, times)
         self._events.write(description, times)
-        if self._actor is not None:
-            series = self._actor.series(batch)
-            for writer in (self._followed, self._ahead, self._opacity):
-                if writer is not None:
-                    writer.write(batch, times, series)
+        if self._followed is not None:
+            self._followed.write(description, times)
 
-    def _place_ground(self, batch: SceneBatch, times: TimeColumns) -> None:
+    def _place_ground(self, description: SceneDescription, times: TimeColumns) -> None:
         """Move the ground to the first actor, as long as none is followed."""
-        poses = [pose for id in batch.actors if (pose := batch.pose_of(id, 0)) is not None and np.isfinite(pose).all()]
-        if poses:
-            self._is_ground_placed = True
-            point = ground_below(right_handed(poses[0])[None, LOCATION])[0]
-            self._stream.log(paths.GROUND, times.point(0), rr.Transform3D(translation=point))
+        for id in description.batch.actors:
+            pose = description.pose_of(id, 0)
+            if pose is not None:
+                self._is_ground_placed = True
+                point = ground_below(pose[None, LOCATION])[0]
+                self._stream.log(entities.GROUND, times.point(0), rr.Transform3D(translation=point))
+                return
 
     def write_incidents(self, found: Iterable[Incident]) -> None:
         """Write the incidents that began during the scenes so far."""
@@ -160,8 +155,6 @@ class SceneWriter:
         self._events.flush()
         if self._followed is not None:
             self._followed.flush()
-        if self._ahead is not None:
-            self._ahead.flush()
 
     def close(self) -> None:
         """Write what is held back, and what is known only at the end.
@@ -173,6 +166,58 @@ class SceneWriter:
         self._actors.close()
         if self._road_map is not None and not self._live:
             write_map(self._stream, self._road_map, self._actors.extent)
+
+
+class LiveView:
+    """Shows frames as they come.
+
+    Args:
+        stream: The stream, whose blueprint is that of `live_blueprint`.
+        header: The header of the recording.
+        source: The origin of the frames.
+        follow: The actor that the camera follows as soon as it is present: an id, or "hero". As long as there is no hero,
+            it follows a vehicle or walker that moves.
+        view: The camera that is shown first.
+        road_map: The map of the town.
+    """
+
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        header: Header,
+        source: str,
+        *,
+        follow: Follow = HERO,
+        view: View = "chase",
+        road_map: RoadMap | None = None,
+    ) -> None:
+        self._stream = stream
+        self._view: View = view
+        self._follow = LiveFollow(follow)
+        describe(stream, header, f"{header.map_name}, live", source)
+        self._writer = SceneWriter(stream, road_map=road_map, stops=self._follow.stops, live=True)
+
+    def enter(self, frame: Frame) -> None:
+        """Add a frame."""
+        scene, chosen = self._follow.scene(frame)
+        if chosen is not None:
+            self._writer.follow(chosen)
+            look = look_of_present(scene.actors[chosen])
+            half_extents = None if look is None else look.half_extents
+            send_blueprint(live_blueprint(view=self._view, followed=chosen, half_extents=half_extents), self._stream)
+        self._writer.write(scene.batch)
+
+    def flush(self) -> None:
+        """Show all frames that were added."""
+        self._writer.flush()
+
+    def close(self) -> None:
+        """Show all frames that were added, and what is known only at the end.
+
+        Warns:
+            RecapWarning: There were too many actors to show all of them.
+        """
+        self._writer.close()
 
 
 def write(

@@ -1,8 +1,9 @@
-"""Actors as models in the world and as points on the map: they appear, move and disappear."""
+"""Actors as models with lamps in the world, and as points on the map: they appear, move, lie down and disappear."""
 
 from __future__ import annotations
 
 import warnings
+from collections import defaultdict
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -11,17 +12,16 @@ import rerun as rr
 from carla_recap.errors import RecapWarning
 from carla_recap.model.actors import ROAD_USERS, ActorLife
 from carla_recap.model.blueprints import box_of
-from carla_recap.model.records import CM, Spawn
+from carla_recap.model.records import Spawn
 from carla_recap.replay import Destroyed, Spawned, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION
 from carla_recap.scene import style
-from carla_recap.show.rerun import paths
-from carla_recap.show.rerun.corridors import CorridorWriter
+from carla_recap.scene.materials import MATERIALS, Material
+from carla_recap.show.rerun import entities
 from carla_recap.show.rerun.followed import CameraAxes
-from carla_recap.show.rerun.lamps import LampWriter
-from carla_recap.show.rerun.meshes import drawn, model_mesh
-from carla_recap.show.rerun.poses import PoseBuffer
-from carla_recap.show.rerun.stream import screen_radii
+from carla_recap.show.rerun.meshes import drawn, lamps_of, model_mesh, unlit
+from carla_recap.show.rerun.stream import PoseBuffer, TimeColumns, screen_radii
+from carla_recap.show.rerun.surroundings import CorridorWriter
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -31,10 +31,8 @@ if TYPE_CHECKING:
     from carla_recap.replay.selection import Ids
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.description import SceneDescription
-    from carla_recap.show.rerun.poses import PoseBlock
-    from carla_recap.show.rerun.stream import Stream, TimeColumns, TimePoint
-
-"""The kinds that are on the map and that a camera can follow."""
+    from carla_recap.scene.mesh import Mesh
+    from carla_recap.show.rerun.stream import PoseBlock, Stream, TimePoint
 
 MOST_BOXES: Final = 5_000
 """The number of actors in the world, the first ones; the viewer is too slow to draw more. All are on the map."""
@@ -48,6 +46,21 @@ _EDGE: Final = (45, 48, 56)
 _NAME: Final = (240, 242, 246)
 _BEHIND: Final = 0.8  # m; of names behind actors
 
+_WITH_LAMPS: Final = ("vehicle", "traffic_light")
+_LAMPS: Final = (
+    Material.BRAKE_LIGHT,
+    Material.TAIL_LIGHT,
+    Material.LEFT_INDICATOR,
+    Material.RIGHT_INDICATOR,
+    Material.REVERSE_LIGHT,
+    Material.HEADLIGHT,
+    Material.BEACON,
+    Material.RED_LAMP,
+    Material.YELLOW_LAMP,
+    Material.GREEN_LAMP,
+)
+_MAX_CHANGES: Final = 8192  # the number of changes of lamps that are held back
+
 
 class ActorWriter:
     """Writes all actors.
@@ -59,34 +72,34 @@ class ActorWriter:
         cameras: Ids of other actors that get the axes of a camera, if they are vehicles or walkers.
 
     Attributes:
-        looks: The looks of the present actors that are drawn as models, by id.
+        models: The present actors that are drawn as models.
     """
 
     def __init__(self, stream: Stream, followed: int | None, *, roads: bool, cameras: Iterable[int]) -> None:
         self._stream = stream
         self._followed = followed
         self._roads = roads
-        self._cameras = {id: CameraAxes(stream, paths.camera(id)) for id in cameras if id != followed}
+        self._cameras = {id: CameraAxes(stream, entities.camera(id)) for id in cameras if id != followed}
         self._present: set[int] = set()
         self._away: set[int] = set()  # those of the latest scene that are not there
-        self._models = 0
-        self.looks: dict[int, Look] = {}
+        self.models: set[int] = set()
+        self._models_drawn = 0
         self._lamps = LampWriter(stream)
         self._named: int | None = None  # the actor whose name has to be shown from the next scene on
         self._boxed: set[int] = set() if followed is None else {followed}  # actors that have had a box, or will have one
         self._left_out: set[int] = set()
-        self._extent = np.array((np.inf, np.inf, -np.inf, -np.inf))  # of the map: least and greatest x and y
+        self._extent = np.array((np.inf, np.inf, -np.inf, -np.inf))  # of the map, whose axes are CARLA's
         self._colors: dict[int, int] = {}  # of the actors on the map, and of those removed since the last block
         self._corridors = None if roads else CorridorWriter(stream)
         self._vehicles: set[int] = set()  # all that have been present
         self._poses = PoseBuffer()
         self._ids: Ids | None = None
-        stream.log_static(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-        stream.log_static(paths.MAP_ACTORS, rr.Points2D.from_fields(radii=screen_radii(_RADIUS)))
+        stream.log_static(entities.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        stream.log_static(entities.MAP_ACTORS, rr.Points2D.from_fields(radii=screen_radii(_RADIUS)))
 
     @property
     def extent(self) -> NDArray[np.float64] | None:
-        """The least x and y and the greatest x and y of the actors on the map so far, in m, left-handed."""
+        """The least x and y and the greatest x and y of the actors on the map so far, in m, in the map's axes."""
         return self._extent if np.isfinite(self._extent).all() else None
 
     def follow(self, id: int) -> None:
@@ -115,11 +128,11 @@ class ActorWriter:
                 self._draw(ActorLife.of(Spawn(id), float(batch.time[0])), description, times.point(0))
         named = None if self._named is None else batch.actors.get(self._named)
         if named is not None:
-            self._stream.log(paths.actor(named.id), times.point(0), _name(named, description.actors.look_of(named.id)))
+            self._stream.log(entities.actor(named.id), times.point(0), _name(named, description.actors.look_of(named.id)))
             self._named = None
         self._lamps.write(description, times)
         self._lay(description, times)
-        self._poses.add(batch, times, spawned)
+        self._poses.add(description, times, spawned)
         if self._poses.is_full:
             self._write_poses()
 
@@ -132,7 +145,10 @@ class ActorWriter:
         block = self._poses.take()
         if block is not None:
             block.write(self._stream, self._boxed)
-            self._write_map(block)
+            points = block.write_points(self._stream, entities.MAP_ACTORS, self._colors, self._colors)
+            if len(points):
+                low, high = np.split(self._extent, 2)
+                self._extent = np.concatenate((np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))))
             if self._corridors is not None:
                 self._corridors.add(block, np.isin(block.ids, list(self._vehicles)))
             self._write_cameras(block)
@@ -155,15 +171,15 @@ class ActorWriter:
         if not self._roads and np.isfinite(self._extent).all():
             left, top, right, bottom = self._extent + np.array((-_MARGIN, -_MARGIN, _MARGIN, _MARGIN))
             corners = [(left, top), (right, top), (right, bottom), (left, bottom), (left, top)]
-            self._stream.log_static(paths.MAP_EDGE, rr.LineStrips2D([corners], colors=[_EDGE], radii=screen_radii(0.5)))
+            self._stream.log_static(entities.MAP_EDGE, rr.LineStrips2D([corners], colors=[_EDGE], radii=screen_radii(0.5)))
 
     def _draw(self, actor: ActorLife, description: SceneDescription, time: TimePoint) -> None:
-        path = paths.actor(actor.id)
+        path = entities.actor(actor.id)
         if actor.id in self._present and actor.id in self._boxed:
             self._stream.clear(path, time)
         self._present.add(actor.id)
         self._colors.pop(actor.id, None)
-        self.looks.pop(actor.id, None)
+        self.models.discard(actor.id)
         if actor.kind == "vehicle":
             self._vehicles.add(actor.id)
         if actor.kind in ROAD_USERS:
@@ -175,12 +191,12 @@ class ActorWriter:
         self._boxed.add(actor.id)
         look = description.actors.look_of(actor.id)
         archetypes: list[rr.AsComponents] = [rr.AnyValues(name=style.label_of(actor))]
-        if look is not None and self._models < MOST_MODELS:
-            self._models += 1
-            self.looks[actor.id] = look
+        if look is not None and self._models_drawn < MOST_MODELS:
+            self._models_drawn += 1
+            self.models.add(actor.id)
             mesh = model_mesh(look)
             archetypes.append(drawn(look, mesh, with_shadow=actor.kind == "vehicle"))
-            if actor.kind == "vehicle":
+            if actor.kind in _WITH_LAMPS:
                 self._lamps.add(actor.id, mesh)
         elif look is not None or not actor.type_id:
             archetypes.append(_box(actor, look))
@@ -194,9 +210,9 @@ class ActorWriter:
         if id in self._present:
             self._present.remove(id)
             self._lamps.remove(id)
-            self.looks.pop(id, None)
+            self.models.discard(id)
             if id in self._boxed:
-                self._stream.clear(paths.actor(id), time)
+                self._stream.clear(entities.actor(id), time)
 
     def _hide(self, description: SceneDescription, times: TimeColumns) -> None:
         """Erase actors from when on they are away, and draw them again when they are there."""
@@ -220,24 +236,8 @@ class ActorWriter:
                 matrix = np.eye(3) if fall is None else fall.matrix
                 offset = np.zeros(3) if fall is None else fall.offset - matrix @ look.center
                 self._stream.log(
-                    paths.actor(id), times.point(row), rr.InstancePoses3D(translations=[offset], mat3x3=[matrix])
+                    entities.actor(id), times.point(row), rr.InstancePoses3D(translations=[offset], mat3x3=[matrix])
                 )
-
-    def _write_map(self, block: PoseBlock) -> None:
-        shown = np.isin(block.ids, list(self._colors))
-        colors = np.array([self._colors.get(id, 0) for id in block.ids.tolist()], np.uint32)
-        present = block.present[1:] & shown
-        locations = block.poses[1:, :, :2][present] * CM
-        if len(locations):
-            low, high = np.split(self._extent, 2)
-            self._extent = np.concatenate((np.minimum(low, locations.min(axis=0)), np.maximum(high, locations.max(axis=0))))
-        columns = rr.Points2D.columns(
-            positions=locations.astype(np.float32), colors=np.broadcast_to(colors, present.shape)[present]
-        )
-        lengths = present.sum(axis=1)
-        self._stream.columns(
-            paths.MAP_ACTORS, block.times.take(slice(1, None)), [column.partition(lengths) for column in columns]
-        )
 
     def _write_cameras(self, block: PoseBlock) -> None:
         times = block.times.take(slice(1, None))
@@ -250,7 +250,7 @@ class ActorWriter:
 def _location(actor: ActorLife) -> rr.Transform3D:
     """Return the pose of an actor without recorded poses: that of its spawn, or fixed to its parent."""
     pose = right_handed(actor.spawn_pose)
-    upon = paths.actor(actor.parent) if actor.attached and actor.parent is not None else None
+    upon = entities.actor(actor.parent) if actor.attached and actor.parent is not None else None
     return rr.Transform3D(
         translation=pose[LOCATION],
         quaternion=rr.Quaternion(xyzw=quaternions(pose)),
@@ -283,3 +283,67 @@ def _name(actor: ActorLife, look: Look | None) -> rr.Points3D:
         labels=[style.label_of(actor)],
         show_labels=True,
     )
+
+
+class LampWriter:
+    """Writes the lamps of actors whenever they change: an entity for each kind of lamp that is ever lit.
+
+    Args:
+        stream: The stream.
+    """
+
+    def __init__(self, stream: Stream) -> None:
+        self._stream = stream
+        self._meshes: dict[int, Mesh] = {}
+        self._lit: dict[int, int] = {}  # the lamps of each actor in the latest scene, as in `SceneDescription.lamps`
+        self._drawn: dict[int, set[Material]] = {}  # the lamps of each actor that have an entity
+        self._changes: defaultdict[tuple[int, Material], list[tuple[TimePoint, bool]]] = defaultdict(list)
+        self._count = 0
+
+    def add(self, id: int, mesh: Mesh) -> None:
+        """Add an actor, of which nothing is lit."""
+        self._meshes[id], self._lit[id], self._drawn[id] = mesh, 0, set()
+
+    def remove(self, id: int) -> None:
+        """Forget an actor."""
+        for known in (self._meshes, self._lit, self._drawn):
+            known.pop(id, None)
+
+    def write(self, description: SceneDescription, times: TimeColumns) -> None:
+        """Write scenes."""
+        lamps, ids = description.lamps, description.ids
+        before = np.array([[self._lit.get(id, 0) for id in ids.tolist()]], np.uint64)
+        rows, columns = np.nonzero(lamps != np.concatenate((before, lamps[:-1])))
+        for row, id, lit in zip(rows.tolist(), ids[columns].tolist(), lamps[rows, columns].tolist(), strict=True):
+            if id in self._meshes:
+                self._change(id, lit, times.point(row))
+        if self._count >= _MAX_CHANGES:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what is held back."""
+        for (id, material), changes in self._changes.items():
+            finish = MATERIALS[material]
+            colors = np.array([(finish.glow or finish.color) if lit else finish.color for _, lit in changes], np.uint8)
+            times = TimeColumns.of_points(time for time, _ in changes)
+            self._stream.columns(entities.lamps(id, material.name), times, rr.Mesh3D.columns(albedo_factor=colors))
+        self._changes.clear()
+        self._count = 0
+
+    def _change(self, id: int, lamps: int, time: TimePoint) -> None:
+        """Note the lit lamps of an actor, given as bits `1 << material`."""
+        changed, self._lit[id] = self._lit[id] ^ lamps, lamps
+        for material in _LAMPS:
+            if changed >> material & 1 and self._draw(id, material, time):
+                self._changes[id, material].append((time, bool(lamps >> material & 1)))
+                self._count += 1
+
+    def _draw(self, id: int, material: Material, time: TimePoint) -> bool:
+        """Draw the lamps of an actor unless they are drawn already; return whether it has any."""
+        if material not in self._drawn[id]:
+            mesh = lamps_of(self._meshes[id], material)
+            if mesh is None:
+                return False
+            self._stream.log(entities.lamps(id, material.name), time, unlit(mesh))
+            self._drawn[id].add(material)
+        return True

@@ -12,7 +12,6 @@ GHOSTS: Final = "/world/ghost"
 CHASE: Final = "/world/chase"
 CAMERAS: Final = "/world/cameras"
 TRAIL: Final = "/world/trail"
-LAMPS: Final = "/world/signals"
 COLLISIONS: Final = "/world/collisions"
 SKY: Final = "/world/sky"
 AHEAD: Final = "/world/ahead"
@@ -52,7 +51,7 @@ def ghost(id: int) -> str:
 
 
 def lamps(id: int, kind: str) -> str:
-    """Return the path of the lamps of a vehicle of a kind, in its axes."""
+    """Return the path of the lamps of an actor of a kind, in its axes."""
     return f"{ACTORS}/{id}/lamps/{kind.lower()}"
 
 
@@ -64,11 +63,6 @@ def camera(id: int) -> str:
 def trail(id: int) -> str:
     """Return the path of the trail behind an actor."""
     return f"{TRAIL}/{id}"
-
-
-def lamp(id: int) -> str:
-    """Return the path of the lamp of a traffic light in the world."""
-    return f"{LAMPS}/tl_{id}"
 
 
 def state(id: int) -> str:

@@ -1,0 +1,251 @@
+"""Events and traffic lights: the log, lanes of states, and in the world the marks of collisions and of the light ahead."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from functools import cache
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import rerun as rr
+
+from carla_recap.model.records import ActorKind
+from carla_recap.replay import Destroyed, right_handed
+from carla_recap.replay.pose import LOCATION, rotations
+from carla_recap.scene import style
+from carla_recap.scene.ahead import NO_LIGHT
+from carla_recap.scene.appearance import look_of
+from carla_recap.scene.captions import EventText, Level, incident_lines
+from carla_recap.scene.marks import MARK_RADIUS
+from carla_recap.scene.materials import Material
+from carla_recap.show.rerun import entities
+from carla_recap.show.rerun.meshes import circle, model_mesh
+from carla_recap.show.rerun.stream import TimeColumns
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from numpy.typing import NDArray
+
+    from carla_recap.queries.incidents import Incident
+    from carla_recap.scene.captions import Line
+    from carla_recap.scene.description import SceneDescription
+    from carla_recap.scene.follow import FollowedSeries
+    from carla_recap.show.rerun.stream import Stream, TimePoint
+
+    Floats = NDArray[np.float64]
+
+_MAX_CHANGES: Final = 8192  # the number of lines, or of changes of states, that are held back
+_LEVELS: Final = {
+    Level.DEBUG: rr.TextLogLevel.DEBUG,
+    Level.INFO: rr.TextLogLevel.INFO,
+    Level.WARNING: rr.TextLogLevel.WARN,
+    Level.ERROR: rr.TextLogLevel.ERROR,
+}
+
+_MARK_ABOVE: Final = 0.02  # m; of the lines of a mark above its location
+_CROSS: Final = (0.35, 0.8)  # the ends of the four lines of a mark, as shares of its radius
+_DIAGONALS: Final = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) / np.sqrt(2)
+_MARK_WIDTH: Final = 0.1  # m; of the lines of a mark
+_MARK_CORNERS: Final = 24
+
+_NONE: Final = "none"
+_NO_COLOR: Final = (38, 42, 50)
+_LAMPS: Final = (Material.RED_LAMP, Material.YELLOW_LAMP, Material.GREEN_LAMP)
+_RING: Final = 1.0  # m; the radius of the ring around the light ahead
+_RING_WIDTH: Final = 0.12  # m
+_RING_CORNERS: Final = 32
+_ABOVE: Final = 1.7  # m; the height of the label above the lamps
+_LABEL: Final = (245, 246, 248)
+
+
+class EventWriter:
+    """Writes the log and the collisions.
+
+    Args:
+        stream: The stream.
+    """
+
+    def __init__(self, stream: Stream) -> None:
+        self._stream = stream
+        self._text = EventText()
+        self._lines: list[tuple[TimePoint, Line]] = []
+        self._clock: list[TimeColumns] = []  # of all scenes
+
+    def write(self, description: SceneDescription, times: TimeColumns) -> None:
+        """Write scenes."""
+        self._clock.append(times)
+        time = times.point(0)
+        self._lines += [(time, line) for line in self._text.lines(description.batch.scene(0))]
+        for row, locations in description.marks:
+            self._mark(locations, times.point(row))
+        if len(self._lines) >= _MAX_CHANGES:
+            self.flush()
+
+    @property
+    def clock(self) -> TimeColumns:
+        """The times of all scenes so far."""
+        return TimeColumns.joined(self._clock) if self._clock else TimeColumns.of_points(())
+
+    def write_incidents(self, found: Iterable[Incident]) -> None:
+        """Write the incidents that began during the scenes so far, each at the scene at which it began."""
+        clock = self.clock
+        if len(clock.frame):
+            self._lines += [(clock.point(row), line) for row, line in incident_lines(found, clock.seconds)]
+
+    def flush(self) -> None:
+        """Write what is held back."""
+        if self._lines:
+            times = TimeColumns.of_points(time for time, _ in self._lines)
+            texts, levels = zip(*((line.text, _LEVELS[line.level]) for _, line in self._lines), strict=True)
+            self._stream.columns(entities.EVENTS, times, rr.TextLog.columns(text=texts, level=levels))
+        self._lines.clear()
+
+    def _mark(self, locations: Floats, time: TimePoint) -> None:
+        """Show marks: each one is a ring on the ground with a cross in it, which hide nothing."""
+        if not len(locations):
+            self._stream.clear(entities.COLLISIONS, time)
+            return
+        strips = [location + line for location in locations for line in _mark_lines()]
+        lines = rr.LineStrips3D(strips, colors=[style.COLLISION], radii=[_MARK_WIDTH / 2])
+        self._stream.log(entities.COLLISIONS, time, lines)
+
+
+@cache
+def _mark_lines() -> list[Floats]:
+    """Return the lines of a mark, from its location."""
+    flat = [_closed(circle(_MARK_CORNERS))]
+    flat += [np.outer(_CROSS, corner) for corner in _DIAGONALS]
+    return [MARK_RADIUS * np.pad(line, ((0, 0), (0, 1))) + (0, 0, _MARK_ABOVE) for line in flat]
+
+
+def _closed(corners: Floats) -> Floats:
+    """Return the corners of a line that ends where it begins."""
+    return np.concatenate((corners, corners[:1]))
+
+
+class TrafficLightWriter:
+    """Writes the states of traffic lights whenever they change, each as a lane; their lamps are those of actors.
+
+    Args:
+        stream: The stream.
+    """
+
+    def __init__(self, stream: Stream) -> None:
+        self._stream = stream
+        self._last: tuple[bytes, bytes] = (b"", b"")  # ids and states of the last scene
+        self._states: dict[int, int] = {}
+        self._changes: defaultdict[int, list[tuple[TimePoint, int]]] = defaultdict(list)
+        self._count = 0
+
+    def write(self, description: SceneDescription, times: TimeColumns) -> None:
+        """Write scenes."""
+        batch = description.batch
+        for event in batch.events:
+            if isinstance(event, Destroyed) and event.id in self._states:
+                self.flush()
+                del self._states[event.id]
+                self._stream.clear(entities.state(event.id), times.point(0))
+        ids, states = batch.light_states["id"][0], batch.light_states["state"]
+        changed = np.zeros(states.shape, np.bool_)
+        changed[1:] = states[1:] != states[:-1]
+        changed[0] = self._last != (ids.tobytes(), states[0].tobytes())
+        self._last = ids.tobytes(), states[-1].tobytes()
+        for row, index in zip(*(found.tolist() for found in np.nonzero(changed)), strict=True):
+            self._change(int(ids[index]), int(states[row, index]), times.point(row))
+        if self._count >= _MAX_CHANGES:
+            self.flush()
+
+    def _change(self, id: int, state: int, time: TimePoint) -> None:
+        before = self._states.get(id)
+        if before == state:
+            return
+        if before is None:
+            names, colors = zip(*style.LIGHTS, strict=True)
+            self._stream.log_static(entities.state(id), rr.StateConfiguration(values=names, colors=colors))
+        self._states[id] = state
+        self._changes[id].append((time, state))
+        self._count += 1
+
+    def flush(self) -> None:
+        """Write what is held back."""
+        for id, changes in self._changes.items():
+            times = TimeColumns.of_points(time for time, _ in changes)
+            names = [style.light(state)[0] for _, state in changes]
+            self._stream.columns(entities.state(id), times, rr.StateChange.columns(state=names))
+        self._changes.clear()
+        self._count = 0
+
+
+class LightAheadWriter:
+    """Writes the light ahead of the followed actor: a ring around it with its name, and a lane of states.
+
+    Args:
+        stream: The stream.
+    """
+
+    def __init__(self, stream: Stream) -> None:
+        self._stream = stream
+        self._begun = False
+        self._last: tuple[int, int] | None = None  # id and state
+        self._changes: list[tuple[TimePoint, str]] = []
+        self._colors: dict[str, style.Color] = {_NONE: _NO_COLOR}
+
+    def write(self, description: SceneDescription, times: TimeColumns, series: FollowedSeries) -> None:
+        """Write scenes, given the series of the followed actor."""
+        if not description.batch.light_states.shape[1] and self._last is None:
+            return
+        changed = np.ones(len(description), np.bool_)
+        changed[1:] = (np.diff(series.light) != 0) | (np.diff(series.light_state) != 0)
+        for row in np.flatnonzero(changed).tolist():
+            light = int(series.light[row])
+            now = None if light == NO_LIGHT else (light, int(series.light_state[row]))
+            if now != self._last or not self._begun:
+                pose = None if now is None else description.pose_of(light, row)
+                self._change(now, pose, right_handed(series.poses[row]), times.point(row))
+
+    def flush(self) -> None:
+        """Write what is held back."""
+        if self._changes:
+            times = TimeColumns.of_points(time for time, _ in self._changes)
+            names = [name for _, name in self._changes]
+            self._stream.columns(entities.LIGHT_AHEAD, times, rr.StateChange.columns(state=names))
+        self._changes.clear()
+
+    def _change(self, now: tuple[int, int] | None, pose: Floats | None, seen_from: Floats, time: TimePoint) -> None:
+        """Note which light is ahead, with its state, and show it, given the poses of the light and of the actor."""
+        before, self._last, self._begun = self._last, now, True
+        text, color = _NONE, _NO_COLOR
+        if now is not None:
+            name, color = style.light(now[1])
+            text = f"light {now[0]}: {name}"
+        if text not in self._colors or not before:
+            self._colors[text] = color
+            values, colors = list(self._colors), list(self._colors.values())
+            self._stream.log_static(entities.LIGHT_AHEAD, rr.StateConfiguration(values=values, colors=colors))
+        self._changes.append((time, text))
+        if pose is not None:
+            lamps = pose[LOCATION] + rotations(pose) @ _middle_of_lamps()
+            self._stream.log(entities.AHEAD, time, *_ring(lamps, seen_from, text, color))
+        elif before is not None:
+            self._stream.clear(entities.AHEAD, time)
+
+
+@cache
+def _middle_of_lamps() -> Floats:
+    """Return the middle of the lamps of a traffic light, in its own axes, in m."""
+    look = look_of("traffic.traffic_light", ActorKind.TRAFFIC_LIGHT, {})
+    assert look is not None
+    mesh = model_mesh(look)
+    return np.asarray(mesh.vertices[np.isin(mesh.materials, _LAMPS)].mean(axis=0), np.float64)
+
+
+def _ring(center: Floats, seen_from: Floats, text: str, color: style.Color) -> list[rr.AsComponents]:
+    """Return an upright ring that faces a pose, and a label above it."""
+    away = center[:2] - seen_from[:2]
+    across = np.array((-away[1], away[0], 0.0)) / max(float(np.hypot(*away)), 1e-6)
+    points = center + _RING * _closed(circle(_RING_CORNERS)) @ np.stack((across, (0, 0, 1.0)))
+    return [
+        rr.LineStrips3D([points], colors=[color], radii=[_RING_WIDTH / 2]),
+        rr.Points3D([center + np.array((0, 0, _ABOVE))], colors=[_LABEL], radii=[0], labels=[text], show_labels=True),
+    ]
