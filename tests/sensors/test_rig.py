@@ -6,11 +6,14 @@ import json
 import math
 import pickle
 import re
+import warnings
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.sensors import SENSOR_TYPES, SensorRig
@@ -57,7 +60,7 @@ def test_a_rig_can_have_each_type_and_is_made_again_of_its_dicts(kind: str) -> N
 def test_the_leaderboard_fixes_all_but_sizes_and_angles() -> None:
     dicts = [
         {**FRONT, "gamma": 1.0},
-        {**LIDAR, "range": 20.0, "channels": 16},
+        {**LIDAR, "range": 20.0, "channels": 16, "horizontal_fov": 90.0},
         {**RADAR, "horizontal_fov": 60, "range": 20},
         sensor("sensor.other.gnss", "gnss", noise_lat_bias=1.0),
         sensor("sensor.other.imu", "imu"),
@@ -65,7 +68,7 @@ def test_the_leaderboard_fixes_all_but_sizes_and_angles() -> None:
     ]
     rig = SensorRig.of(dicts, leaderboard=True)
     assert [rig["front"].attributes[key] for key in ("image_size_x", "fov", "gamma")] == [320, 100.0, 2.2]
-    expected = {"range": 85.0, "channels": 64, "points_per_second": 600_000, "upper_fov": 10.0, "dropoff_general_rate": 0.45}
+    expected = {"range": 85.0, "channels": 64, "points_per_second": 600_000, "upper_fov": 10.0, "horizontal_fov": 360.0}
     assert {key: rig["top"].attributes[key] for key in expected} == expected
     assert [rig["radar"].attributes[key] for key in ("horizontal_fov", "vertical_fov", "range")] == [60.0, 30.0, 100.0]
     assert [rig["gnss"].attributes[f"noise_{key}"] for key in ("lat_stddev", "alt_stddev", "lat_bias")] == [5e-6, 5e-6, 0.0]
@@ -195,6 +198,28 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
         SensorRig.load(tmp_path / "none.json")
     with pytest.raises(RecapError, match="cannot be read: Is a directory"):
         SensorRig.load(tmp_path)
+
+
+KEYS = st.text(max_size=5) | st.sampled_from(["type", "id", *"xyz", "yaw", "fov", "width", "channels", "exposure_mode"])
+SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8) | st.sampled_from([*SENSOR_TYPES])
+VALUES = SCALARS | st.lists(SCALARS, max_size=2) | st.dictionaries(KEYS, SCALARS, max_size=2)
+ALTERED = st.dictionaries(KEYS, VALUES, max_size=4).map(lambda changes: {**FRONT, **changes})
+
+
+@settings(max_examples=60)
+@given(rig=VALUES | st.lists(ALTERED, max_size=3))
+def test_whatever_is_given_is_a_rig_or_an_error_of_one_line(rig: Any) -> None:
+    found, message = None, ""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RecapWarning)
+        try:
+            found = SensorRig.of(rig)
+        except RecapError as error:
+            message = str(error)
+    assert bool(message) == (found is None)
+    assert message.isprintable()
+    assert len(message) < 500
+    assert found is None or SensorRig.of(found.to_dicts()) == found
 
 
 def kinds(rig: SensorRig) -> list[tuple[str, int]]:

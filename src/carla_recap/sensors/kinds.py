@@ -267,8 +267,10 @@ _LEADERBOARD_IMU: Final[Mapping[str, Value]] = {
     "noise_accel_stddev_z": 0.015,
     **{f"noise_gyro_stddev_{axis}": 0.001 for axis in "xyz"},
 }
-LEADERBOARD_CHOICES: Final = ("image_size_x", "image_size_y", "fov", "horizontal_fov", "vertical_fov")
-"""The attributes that the Leaderboard takes from an agent, for cameras and radars; all others are fixed."""
+LEADERBOARD_CHOICES: Final[Mapping[Kind, tuple[str, ...]]] = MappingProxyType(
+    {"camera": ("image_size_x", "image_size_y", "fov"), "radar": ("horizontal_fov", "vertical_fov")}
+)
+"""The attributes that the Leaderboard takes from an agent, by the kind of sensor; all others are fixed."""
 
 
 def _camera(image: ImageKind, data: str) -> SensorType:

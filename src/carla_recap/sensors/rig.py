@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 import warnings
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -184,8 +185,7 @@ class _Members(dict[str, Any]):
     def __init__(self, pairs: Iterable[tuple[str, Any]]) -> None:
         pairs = list(pairs)
         super().__init__(pairs)
-        seen: set[str] = set()
-        self.repeated = next((key for key, _ in pairs if key in seen or seen.add(key)), "")  # type: ignore[func-returns-value]
+        self.repeated = next((key for key, count in Counter(key for key, _ in pairs).items() if count > 1), "")
 
 
 def _rig(sensors: object, name: str, *, leaderboard: bool) -> SensorRig:
@@ -256,7 +256,8 @@ class _SensorReader:
         if _READING_FREQUENCY in self._members:
             attributes["sensor_tick"] = 1.0 / float(self._value(_READING_FREQUENCY, _FREQUENCY))
         if leaderboard and self._type.leaderboard is not None:
-            fixed = {key: row.default for key, row in self._type.attributes.items() if key not in LEADERBOARD_CHOICES}
+            chosen = LEADERBOARD_CHOICES.get(self._type.kind, ())
+            fixed = {key: row.default for key, row in self._type.attributes.items() if key not in chosen}
             attributes |= {**fixed, **self._type.leaderboard}
         return SensorSpec(self.id, self._type.name, **pose, attributes=attributes)  # type: ignore[arg-type]
 
