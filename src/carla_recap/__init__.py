@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from carla_recap.roads import RoadMap, load_map
     from carla_recap.scene.models import use_models
     from carla_recap.sensors.rig import SensorRig, SensorSpec
+    from carla_recap.sensors.sensing import Sample, SensedFrame, sense
     from carla_recap.show.clips import clips
     from carla_recap.show.foxglove import export_foxglove
     from carla_recap.show.page import write_report
@@ -113,7 +114,9 @@ __all__ = [
     "RoadMap",
     "Rule",
     "RuleSet",
+    "Sample",
     "Scene",
+    "SensedFrame",
     "SensorRig",
     "SensorSpec",
     "SourceFile",
@@ -145,6 +148,7 @@ __all__ = [
     "open_recordings",
     "picture",
     "recover",
+    "sense",
     "snapshot",
     "use_models",
     "write_index",
@@ -177,6 +181,7 @@ _get, __dir__ = lazily(
         ),
         "scene.models": ("use_models",),
         "sensors.rig": ("SensorRig", "SensorSpec"),
+        "sensors.sensing": ("Sample", "SensedFrame", "sense"),
         "show.clips": ("clips",),
         "show.foxglove": ("export_foxglove",),
         "show.page": ("write_report",),

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from carla_recap.rendering.rays import RayScene
     from carla_recap.rendering.town import TownMesh
     from carla_recap.scene.instances import Instances
-    from carla_recap.scene.mesh import Mesh
     from carla_recap.server.sensors.images import View
     from carla_recap.sim.town.town import Town
 
@@ -117,15 +116,6 @@ class DrawnImages:
         self._process.close()
 
 
-class _ModelMeshes:
-    """The meshes of the models, each of which is made when it is first asked for."""
-
-    def __getitem__(self, number: int) -> Mesh:
-        from carla_recap.scene.models import MODELS
-
-        return MODELS[number].mesh
-
-
 def _trial() -> tuple[Camera, Instances]:
     """Return a small camera, and a vehicle in front of it."""
     from carla_recap.scene.actors import instances, look_of
@@ -156,5 +146,6 @@ def _load(town: Town) -> TownMesh:
 
 def _ray_scene(mesh: Future[TownMesh]) -> RayScene:
     from carla_recap.rendering.rays import RayScene
+    from carla_recap.scene.models import MODEL_MESHES
 
-    return RayScene(mesh.result().tiles, _ModelMeshes())
+    return RayScene(mesh.result().tiles, MODEL_MESHES)

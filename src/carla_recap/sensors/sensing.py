@@ -1,0 +1,565 @@
+"""What a rig on an actor of a recording would have measured, as arrays.
+
+with carla_recap.open_recording("crash.mcap") as recording:
+    for frame in carla_recap.sense(recording, SensorRig.load("rig.json")):
+        for id, sample in frame.samples.items():
+            print(frame.time, id, sample.pose, sample.data)
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections import deque
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.model.actors import HERO, find_actor, heroes_of
+from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.presence import FAR
+from carla_recap.model.records import CM
+from carla_recap.replay import Player
+from carla_recap.replay.pose import LOCATION, YAW, attach, left_handed, right_handed, rotations
+from carla_recap.replay.recorded_map import load_map_of
+from carla_recap.roads.files import read_text
+from carla_recap.scene.actors import described_instances
+from carla_recap.scene.description import SceneDescriber
+from carla_recap.sensors.beams import LidarBeams, LidarReturns, RadarBeams, detections
+from carla_recap.sensors.cameras import PlacedSensor, RigCameras, camera_of
+from carla_recap.sensors.motion import CarrierMotion, velocities_of
+from carla_recap.sensors.position import Gnss, Imu, geo_reference
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.actors import ActorName
+    from carla_recap.recording import Recording
+    from carla_recap.rendering.camera import Camera, Quality
+    from carla_recap.rendering.rays import RayScene, SurfaceHits
+    from carla_recap.rendering.town import TownMesh
+    from carla_recap.replay import Scene
+    from carla_recap.replay.player import Progress
+    from carla_recap.roads import RoadMap
+    from carla_recap.scene.description import SceneDescription
+    from carla_recap.scene.instances import Instances
+    from carla_recap.sensors.motion import Motion
+    from carla_recap.sensors.rig import SensorRig, SensorSpec
+
+    Floats = NDArray[np.float64]
+
+POINT: Final = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
+"""A point of a lidar: x forward, y left, z up in m; the intensity from 0 to 1."""
+SEMANTIC_POINT: Final = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("cosine", "<f4"), ("actor", "<u4"), ("tag", "<u4")]
+)
+"""A point of a semantic lidar: x forward, y left, z up in m; the cosine of the incident angle; the actor or 0; the tag."""
+DETECTION: Final = np.dtype([("velocity", "<f4"), ("azimuth", "<f4"), ("altitude", "<f4"), ("depth", "<f4")])
+"""A detection of a radar: velocity in m/s, positive away; angles to the left and upwards in radians; depth in m."""
+FIX: Final = np.dtype([("latitude", "<f8"), ("longitude", "<f8"), ("altitude", "<f8")])
+"""A position: latitude and longitude in degrees, altitude in m."""
+INERTIA: Final = np.dtype([("acceleration", "<f8", (3,)), ("angular_velocity", "<f8", (3,)), ("compass", "<f8")])
+"""What an IMU measures: acceleration with gravity in m/s², angular velocity in rad/s, radians clockwise from north."""
+
+_AHEAD: Final = 3  # moments whose images are drawn while the one before is used
+_LONGEST: Final = 10.0  # s between two samples, for which rays are cast
+_MIRROR: Final = np.array((1.0, -1.0, 1.0))
+_ANGULAR_MIRROR: Final = np.array((1.0, -1.0, -1.0))
+_RAY_KINDS: Final = ("lidar", "semantic_lidar", "radar")
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """What a sensor measures at a moment.
+
+    Attributes:
+        spec: The sensor.
+        time: The moment, in elapsed seconds.
+        pose: The pose of the sensor in the world, in m and degrees, right-handed (x forward, y left, z up), (6,).
+        data: The values. Of a camera, an array (height, width) or (height, width, channels): rgb: red, green, blue, uint8;
+            depth: m along the axis of view, float32, infinite for the sky and from 1,000 m on; semantic_segmentation:
+            CARLA's tags, uint8; instance_segmentation: ids of actors, uint32, 0 for none; normals: in the axes of the
+            world, right-handed, float32; optical_flow: motion since the image before in pixels, to the right and down,
+            float32. Of other sensors, a structured array: `POINT`s of a lidar, `SEMANTIC_POINT`s of a semantic lidar,
+            `DETECTION`s of a radar; a single `FIX` of a GNSS receiver, `INERTIA` of an IMU; of a speedometer, the forward
+            speed in m/s. Points and vectors are in the sensor's axes, right-handed.
+    """
+
+    spec: SensorSpec
+    time: float
+    pose: Floats
+    data: NDArray[Any]
+
+    @property
+    def camera(self) -> Camera:
+        """The camera, of a sample of one: it projects points in the world to pixels."""
+        return camera_of(self.spec, self.pose)
+
+
+@dataclass(frozen=True, eq=False)
+class SensedFrame:
+    """A moment of a recording, and what the sensors of a rig measure then.
+
+    Attributes:
+        time: The moment, in elapsed seconds.
+        scene: The recording at the moment.
+        description: What is to be seen of it; a description of this one scene.
+        carrier: The id of the actor that carries the rig; None while there is none.
+        carrier_pose: Its pose in m and degrees, right-handed, (6,); NaN while there is none, or it is unknown.
+        samples: The samples by the ids of the sensors, without those of sensors that are not due.
+    """
+
+    time: float
+    scene: Scene
+    description: SceneDescription
+    carrier: int | None
+    carrier_pose: Floats
+    samples: Mapping[str, Sample]
+
+
+def sense(
+    recording: Recording,
+    rig: SensorRig,
+    *,
+    actor: ActorName = HERO,
+    start: float = 0.0,
+    duration: float = math.inf,
+    rate: float | None = None,
+    road_map: Path | str | None = None,
+    quality: Quality = "epic",
+    progress: Progress | None = None,
+) -> Iterator[SensedFrame]:
+    """Return what the sensors of a rig on an actor of a recording would have measured, moment by moment.
+
+    The rig sees the town of the recording's map, or without one, roads where its vehicles have driven; and the recorded
+    actors. A sensor measures at each moment, or if it has a `sensor_tick`, at the first moment after each multiple of it.
+    While the actor is absent, or its pose is unknown, there are no samples.
+
+    Args:
+        recording: The recording; it must stay open.
+        rig: The sensors.
+        actor: The actor that carries them: an id, or "hero": the one with that role name, whichever it is at a moment.
+        start: The elapsed seconds to begin at; negative: before the end.
+        duration: The seconds of the recording; inf: all of the rest.
+        rate: The moments per second, between which and the recorded frames poses are interpolated; None: each frame.
+        road_map: The town's map, an OpenDRIVE file or a folder of them; None: looked for in the usual folders.
+        quality: The quality of RGB images: "low" has neither shadows nor smooth edges, "epic" has both.
+        progress: Is given all scenes and the player, and passes the scenes on.
+
+    Returns:
+        An iterator of the moments. Closing it ends what draws.
+
+    Raises:
+        RecapError: There is no such time or actor; or, from the iterator, the map cannot be read, or there is no driver to
+            draw with and no sensor that is no camera.
+        FormatError: The recording contradicts its format, from the iterator, too.
+        MissingExtra: An optional dependency is not installed, from the iterator.
+
+    Warns:
+        RecapWarning: There is no map; or there is no driver, and the samples of cameras are missing.
+    """
+    if not duration > 0:
+        raise RecapError(f"a duration of {duration:g} s; more than 0 was expected")
+    if rate is not None and not 0 < rate < math.inf:
+        raise RecapError(f"a rate of {rate:g} per second; a number above 0 was expected")
+    find_actor(recording.location, recording.actors.values(), actor, purpose="to carry the rig")
+    player = Player(recording, start=start, duration=0.0 if math.isinf(duration) else duration)
+    town = _Town(recording, road_map, player)
+    sensing = _Sensing(recording, rig, actor, player, town, quality)
+    return sensing.frames(player.scenes(rate), progress)
+
+
+@dataclass(eq=False)
+class _Surroundings:
+    """What is known of the town of a recording."""
+
+    mesh: TownMesh | None
+    opendrive: Callable[[], str]
+    is_map: bool
+
+
+class _Town:
+    """The town of a recording, loaded when it is first asked for.
+
+    Args:
+        recording: The recording.
+        road_map: The map or the folder to look in; None: the usual folders.
+        player: The part of the recording that counts.
+    """
+
+    def __init__(self, recording: Recording, road_map: Path | str | None, player: Player) -> None:
+        self._recording = recording
+        self._road_map = road_map
+        self._span = player.start, player.stop - player.start
+        self._found: _Surroundings | None = None
+
+    def mesh(self) -> TownMesh | None:
+        """Return the surfaces; None if there are none."""
+        return self._surroundings().mesh
+
+    def opendrive(self) -> str:
+        """Return the text of the map; empty without one."""
+        found = self._surroundings()
+        return found.opendrive() if found.is_map else ""
+
+    def _surroundings(self) -> _Surroundings:
+        if self._found is None:
+            from carla_recap.rendering.town import load_town_mesh, town_of_map
+
+            def load(path: Path) -> _Surroundings:
+                return _Surroundings(load_town_mesh(path), lambda: read_text(path), is_map=True)
+
+            def convert(corridors: RoadMap) -> _Surroundings:
+                return _Surroundings(town_of_map(corridors), lambda: corridors.opendrive, is_map=False)
+
+            found = load_map_of(self._recording, self._road_map, load, convert, *self._span, longest=math.inf)
+            self._found = found or _Surroundings(None, str, is_map=False)
+            if not self._found.is_map:
+                name = self._recording.header.map_name or "without a name"
+                seen = "the ground is missing" if self._found.mesh is None else "the roads are where vehicles have driven"
+                text = f"{self._recording.location}: the map {name} is not found: {seen}"
+                warnings.warn(text, RecapWarning, stacklevel=2)
+        return self._found
+
+
+class _Moment(NamedTuple):
+    """What a moment is sensed with.
+
+    Attributes:
+        scene: The scene.
+        before: The one before it, if any.
+        instances: What is drawn of the actors.
+        motion: The motion of the carrier; None if no sensor needs it.
+        carrier: The carrier and what is attached to it, which rays do not meet.
+    """
+
+    scene: Scene
+    before: Scene | None
+    instances: Instances
+    motion: Motion | None
+    carrier: frozenset[int]
+
+
+_Instrument = Callable[[_Moment, "Floats"], "NDArray[Any]"]
+"""Returns what a sensor measures at a moment, given its pose in m and degrees, right-handed."""
+
+
+@dataclass(eq=False)
+class _Clock:
+    """When a sensor is due.
+
+    Attributes:
+        interval: The seconds between two samples; 0: each moment counts.
+        first: The elapsed seconds of the first sample; None before that.
+        ticks: How many intervals have passed until the latest sample.
+    """
+
+    interval: float
+    first: float | None = None
+    ticks: int = 0
+
+    def is_due(self, time: float) -> bool:
+        """Return whether the sensor measures at a time, the next one in elapsed seconds."""
+        if self.first is None:
+            self.first, self.ticks = time, 0
+            return True
+        if self.interval <= 0:
+            return True
+        ticks = math.floor((time - self.first + SAME_TIME) / self.interval)
+        is_due, self.ticks = ticks > self.ticks, max(ticks, self.ticks)
+        return is_due
+
+
+class _Sensing:
+    """Senses a recording; see `sense` for the arguments."""
+
+    def __init__(
+        self, recording: Recording, rig: SensorRig, actor: ActorName, player: Player, town: _Town, quality: Quality
+    ) -> None:
+        self._recording = recording
+        self._actor = actor
+        self._player = player
+        self._town = town
+        self._quality = quality
+        self._rig = tuple(rig)
+        self._mounts = np.array(
+            [(*(value / CM for value in (spec.x, spec.y, spec.z)), spec.roll, spec.pitch, spec.yaw) for spec in self._rig]
+        )
+        self._clocks = {spec.id: _Clock(spec.number("sensor_tick")) for spec in self._rig}
+        self._describer = SceneDescriber()
+        self._describer.recall(recording, player.start)
+        self._needs_motion = any(spec.kind in ("imu", "speedometer", "radar") for spec in self._rig)
+        self._motions: dict[int, CarrierMotion] = {}
+        self._cameras: RigCameras | None = None
+        self._instruments: dict[str, _Instrument] = {}
+        self._carrier: int | None = None
+
+    def frames(self, scenes: Iterable[Scene], progress: Progress | None) -> Iterator[SensedFrame]:
+        """Yield the moments; images are drawn some moments ahead."""
+        with ExitStack() as stack:
+            self._open(stack)
+            waiting: deque[Callable[[], SensedFrame]] = deque()
+            before = None
+            for scene in progress(scenes, self._player) if progress else scenes:
+                waiting.append(self._begin(scene, before))
+                before = scene
+                if len(waiting) > _AHEAD:
+                    yield waiting.popleft()()
+            while waiting:
+                yield waiting.popleft()()
+
+    def _open(self, stack: ExitStack) -> None:
+        """Start what draws, and make the instruments; those that cannot work are left out with a warning.
+
+        Raises:
+            RecapError: None can work.
+        """
+        kinds = {spec.kind for spec in self._rig}
+        for name, those in (("cameras", ("camera",)), ("lidars and radars", _RAY_KINDS)):
+            if not kinds.isdisjoint(those):
+                try:
+                    if "camera" in those:
+                        self._cameras = RigCameras(stack.enter_context(self._renderer()))
+                    else:
+                        self._make_instruments(self._ray_scene(), those)
+                except RecapError as error:
+                    if kinds <= set(those):
+                        raise
+                    warnings.warn(f"{name} measure nothing: {error}", RecapWarning, stacklevel=2)
+        self._make_instruments(None, ("gnss", "imu", "speedometer"))
+
+    def _renderer(self) -> Any:
+        from carla_recap.rendering.process import RenderProcess
+
+        return RenderProcess(self._town.mesh, quality=self._quality)
+
+    def _ray_scene(self) -> RayScene:
+        from carla_recap.rendering.rays import RayScene
+        from carla_recap.scene.models import MODEL_MESHES
+
+        town = self._town.mesh()
+        return RayScene(town.tiles if town is not None else (), MODEL_MESHES)
+
+    def _make_instruments(self, rays: RayScene | None, kinds: Sequence[str]) -> None:
+        for spec in self._rig:
+            if spec.kind not in kinds:
+                continue
+            if spec.kind == "gnss":
+                self._instruments[spec.id] = _gnss(spec, self._town.opendrive())
+            elif rays is None:
+                self._instruments[spec.id] = {"imu": _imu, "speedometer": _speedometer}[spec.kind](spec)
+            else:
+                make = {"lidar": _lidar, "semantic_lidar": _semantic_lidar, "radar": _radar}[spec.kind]
+                self._instruments[spec.id] = make(spec, rays)
+
+    def _begin(self, scene: Scene, before: Scene | None) -> Callable[[], SensedFrame]:
+        """Begin to sense a moment; return what waits for the images."""
+        batch = scene.batch if len(scene.batch) == 1 else scene.batch[scene.row : scene.row + 1]
+        description = self._describer.describe(batch)
+        carrier, pose = self._carrier_of(scene)
+        if carrier != self._carrier and self._cameras is not None:
+            self._cameras.forget()
+        self._carrier = carrier
+        samples: dict[str, Sample] = {}
+        images: list[Callable[[], dict[str, NDArray[Any]]]] = []
+        cameras: dict[str, PlacedSensor] = {}
+        if carrier is not None and (np.abs(pose) < FAR).all():  # not so if any is NaN
+            due = [row for row, spec in enumerate(self._rig) if self._clocks[spec.id].is_due(scene.time)]
+            if due:
+                poses = right_handed(attach(left_handed(pose), self._mounts[due]))
+                instances = described_instances(description, marks=False)
+                motion = self._motion_of(carrier).at(scene.time) if self._needs_motion else None
+                moment = _Moment(scene, before, instances, motion, _with_attached(scene, carrier))
+                for row, own in zip(due, poses, strict=True):
+                    spec = self._rig[row]
+                    if spec.kind == "camera":
+                        cameras[spec.id] = PlacedSensor(spec, own)
+                    elif spec.id in self._instruments:
+                        data = self._instruments[spec.id](moment, own)
+                        samples[spec.id] = Sample(spec, scene.time, own, data)
+                if cameras and self._cameras is not None:
+                    surrounding = _boxes_around(description, carrier)
+                    images = self._cameras.submit(cameras.values(), instances, scene, surrounding)
+
+        def finished() -> SensedFrame:
+            for wait in images:
+                for id, data in wait().items():
+                    samples[id] = Sample(cameras[id].spec, scene.time, cameras[id].pose, data)
+            return SensedFrame(scene.time, scene, description, carrier, pose, samples)
+
+        return finished
+
+    def _carrier_of(self, scene: Scene) -> tuple[int | None, Floats]:
+        """Return the carrier in a scene, and its pose in m and degrees, right-handed."""
+        if self._actor == HERO:
+            heroes = heroes_of(scene.actors.values())
+            id = heroes[0].id if heroes else None
+        else:
+            id = int(self._actor) if int(self._actor) in scene.actors else None
+        pose = None if id is None else scene.pose_of(id)
+        return id, np.full(6, np.nan) if pose is None else right_handed(pose)
+
+    def _motion_of(self, carrier: int) -> CarrierMotion:
+        if carrier not in self._motions:
+            self._motions[carrier] = CarrierMotion(self._recording, carrier, self._player.start, self._player.stop)
+        return self._motions[carrier]
+
+
+def _with_attached(scene: Scene, carrier: int) -> frozenset[int]:
+    """Return an actor and what is attached to it."""
+    found, grows = {carrier}, True
+    attached = [(actor.id, actor.parent) for actor in scene.actors.values() if actor.attached]
+    while grows:
+        more = {id for id, parent in attached if parent in found} - found
+        found |= more
+        grows = bool(more)
+    return frozenset(found)
+
+
+def _boxes_around(description: SceneDescription, carrier: int) -> Callable[[SensorSpec], frozenset[int]]:
+    """Return what tells whether the carrier is hidden from a sensor: it is inside its box, which would hide everything."""
+    look = description.actors.look_of(carrier)
+
+    def hidden(spec: SensorSpec) -> frozenset[int]:
+        if look is None:
+            return frozenset()
+        offset = np.array((spec.x, -spec.y, spec.z)) - look.center
+        return frozenset((carrier,)) if (np.abs(offset) < look.half_extents).all() else frozenset()
+
+    return hidden
+
+
+# --- instruments: what measures without being drawn --------------------------------------------------------------------
+
+
+class _Caster:
+    """Casts the rays of a sensor.
+
+    Args:
+        spec: The sensor.
+        rays: What they meet.
+    """
+
+    def __init__(self, spec: SensorSpec, rays: RayScene) -> None:
+        self._interval = spec.number("sensor_tick")
+        self._reach = spec.number("range")
+        self._rays = rays
+
+    def seconds(self, moment: _Moment) -> float:
+        """Return the time for which a moment stands, in s."""
+        before, scene = moment.before, moment.scene
+        step = scene.frame.duration if before is None else scene.time - before.time
+        return min(max(step, self._interval, 0.0), _LONGEST)
+
+    def cast(self, directions: Floats, moment: _Moment, pose: Floats) -> SurfaceHits:
+        """Return what rays meet first, but for the carrier.
+
+        Args:
+            directions: The directions in the axes of the sensor, CARLA's, (n, 3).
+            moment: The moment.
+            pose: The pose of the sensor.
+        """
+        others = ~np.isin(moment.instances.ids, list(moment.carrier))
+        along = (directions * _MIRROR) @ rotations(pose).T
+        return self._rays.cast(pose[LOCATION], along, self._reach, moment.instances.take(others))
+
+
+def _warn_of(spec: SensorSpec) -> Callable[[str], None]:
+    return lambda text: warnings.warn(f"sensor {spec.id!r}: {text}", RecapWarning, stacklevel=2)
+
+
+def _points(hits: SurfaceHits, directions: Floats, dtype: np.dtype[np.void]) -> NDArray[np.void]:
+    """Return the points of hits, right-handed; other fields are 0."""
+    points = np.zeros(len(hits.ray), dtype)
+    places = directions[hits.ray] * hits.distance[:, None] * _MIRROR
+    for axis, name in enumerate("xyz"):
+        points[name] = places[:, axis]
+    return points
+
+
+def _lidar(spec: SensorSpec, rays: RayScene) -> _Instrument:
+    caster, beams, returns = _Caster(spec, rays), LidarBeams(spec.number, _warn_of(spec)), LidarReturns(spec.number)
+
+    def measure(moment: _Moment, pose: Floats) -> NDArray[np.void]:
+        directions = beams.rays(caster.seconds(moment))
+        hits, intensity = returns.of(caster.cast(directions, moment, pose))
+        points = _points(hits, directions, POINT)
+        points["intensity"] = intensity
+        return points
+
+    return measure
+
+
+def _semantic_lidar(spec: SensorSpec, rays: RayScene) -> _Instrument:
+    caster, beams = _Caster(spec, rays), LidarBeams(spec.number, _warn_of(spec))
+
+    def measure(moment: _Moment, pose: Floats) -> NDArray[np.void]:
+        directions = beams.rays(caster.seconds(moment))
+        hits = caster.cast(directions, moment, pose)
+        points = _points(hits, directions, SEMANTIC_POINT)
+        points["cosine"], points["actor"], points["tag"] = hits.cosine, hits.actor, hits.tag
+        return points
+
+    return measure
+
+
+def _radar(spec: SensorSpec, rays: RayScene) -> _Instrument:
+    caster, beams = _Caster(spec, rays), RadarBeams(spec.number, _warn_of(spec))
+
+    def measure(moment: _Moment, pose: Floats) -> NDArray[np.void]:
+        directions = beams.rays(caster.seconds(moment))
+        hits = caster.cast(directions, moment, pose)
+        ids, velocities = moment.scene.ids, velocities_of(moment.scene, moment.before)
+        rows = np.minimum(np.searchsorted(ids, hits.actor), max(len(ids) - 1, 0))
+        assert moment.motion is not None
+        towards = np.zeros((len(hits.actor), 3))
+        if len(ids):
+            towards = np.where((ids[rows] == hits.actor)[:, None], velocities[rows], 0.0)
+        turned = rotations(pose) * _MIRROR[:, None] * _MIRROR
+        found = detections(hits, directions, turned, (towards - moment.motion.velocity) * _MIRROR)
+        table = np.zeros(len(found), DETECTION)
+        for column, name in enumerate(DETECTION.names or ()):
+            table[name] = found[:, column]
+        table["azimuth"] *= -1
+        return table
+
+    return measure
+
+
+def _gnss(spec: SensorSpec, opendrive: str) -> _Instrument:
+    receiver = Gnss(spec.number, geo_reference(opendrive))
+
+    def measure(moment: _Moment, pose: Floats) -> NDArray[np.void]:
+        return np.array(tuple(receiver.measure(pose[LOCATION] * _MIRROR)), FIX)
+
+    return measure
+
+
+def _imu(spec: SensorSpec) -> _Instrument:
+    device = Imu(spec.number)
+
+    def measure(moment: _Moment, pose: Floats) -> NDArray[np.void]:
+        motion = moment.motion
+        assert motion is not None
+        turned = rotations(pose) * _MIRROR[:, None] * _MIRROR
+        felt, turning, compass = device.measure(
+            turned, -float(pose[YAW]), motion.acceleration * _MIRROR, motion.rotation * _ANGULAR_MIRROR
+        )
+        return np.array((felt * _MIRROR, turning * _ANGULAR_MIRROR, compass), INERTIA)
+
+    return measure
+
+
+def _speedometer(spec: SensorSpec) -> _Instrument:
+    def measure(moment: _Moment, pose: Floats) -> NDArray[np.float64]:
+        assert moment.motion is not None
+        return np.array(moment.motion.velocity @ rotations(pose)[:, 0])
+
+    return measure
