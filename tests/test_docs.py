@@ -27,6 +27,9 @@ from carla_recap.model.records import NO_ACTOR, UE4, ActorKind, Group, Spawn, at
 from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures import MEASURES
 from carla_recap.sensors import SENSOR_TYPES
+from carla_recap.sensors.beams import MOST_LIDAR_RAYS, MOST_RADAR_RAYS
+from carla_recap.sensors.kinds import MOST_CHANNELS
+from carla_recap.sensors.rig import MOST_SENSORS
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -191,6 +194,13 @@ def test_the_attributes_of_sensors_of_rigs_are_listed():
     table = SENSORS.partition("\n### Attributes\n")[2].partition("|---|---|---|---|\n")[2].partition("\n\n")[0]
     expected = [f"| `{key}` | {', '.join(kinds)} | {text} | {values} |" for (key, text, values), kinds in rows.items()]
     assert table.splitlines() == expected
+
+
+def test_the_limits_of_lidars_and_radars_are_named():
+    text = " ".join(SENSORS.split())
+    assert f"A lidar has {MOST_CHANNELS} channels at most, and {MOST_LIDAR_RAYS:,} rays in a frame" in text
+    assert f"a radar has {MOST_RADAR_RAYS:,} rays" in text
+    assert f"a rig {MOST_SENSORS} sensors" in text
 
 
 def test_the_rig_on_the_page_is_one():
