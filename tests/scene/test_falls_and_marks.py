@@ -110,6 +110,48 @@ def test_a_walker_that_walks_on_at_once_does_not_lie_down(batches):
     assert falls(batches(frames)) == [(0.3, WALKER, True), (0.4, WALKER, False)]
 
 
+def recalled(path, time):
+    """Return the walkers that lie at a moment when a replay begins at it."""
+    with open_recording(path) as recording:
+        walkers = FallenWalkers()
+        batch = Player(recording).at(time).batch
+        walkers.recall(recording, batch)
+        walkers.changes(batch, keep=True)
+        return set(walkers.falls)
+
+
+def up_again(number, *, walks):
+    """Return frames of an accident whose walker walks in one of them and stands afterwards, or is spawned anew in it."""
+    frames = accident(200)
+    if walks:
+        frames[number]["walker_controls"] = [(WALKER, 140.0)]
+        for frame in frames[number + 1 :]:
+            frame["walker_controls"] = [(WALKER, 0.0)]
+    else:
+        frames[number] |= {"destroyed": [WALKER], "spawned": [spawn(WALKER, "walker.pedestrian.0001")]}
+    return frames
+
+
+@pytest.mark.parametrize("time", [1.0, 5.0, 14.0, 18.9])
+@pytest.mark.parametrize(
+    ("frames", "until"),
+    [(accident(200), 99), (up_again(70, walks=True), 7), (up_again(150, walks=True), 15), (up_again(70, walks=False), 7)],
+    ids=["for good", "walks", "walks later", "anew"],
+)
+def test_walkers_that_were_hit_before_the_beginning_lie_until_they_get_up(tmp_path, frames, until, time):
+    path = write(tmp_path / "x.log", frames, tick=0.1)
+    assert recalled(path, time) == ({WALKER} if time < until else set())
+
+
+def test_a_walker_that_is_hit_again_after_it_got_up_lies(tmp_path):
+    frames = up_again(70, walks=True)
+    for number, frame in enumerate(frames[65:], 65):
+        frame["transforms"] = [pose(CAR, min(number - 100, 0) * 100), pose(WALKER, 200, z=93)]
+    frames[100]["collisions"] = [(1, CAR, WALKER, False, False)]
+    path = write(tmp_path / "x.log", frames, tick=0.1)
+    assert [recalled(path, time) for time in (6.0, 9.0, 12.0, 18.0)] == [{WALKER}, set(), {WALKER}, {WALKER}]
+
+
 def test_a_seek_raises_walkers_and_removes_marks(batches):
     frames = list(batches(accident()))
     walkers, shown = FallenWalkers(), CollisionMarks()

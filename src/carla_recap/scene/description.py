@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.model.presence import FAR
+from carla_recap.replay.player import Player
 from carla_recap.replay.pose import right_handed
 from carla_recap.replay.selection import NO_IDS, find
 from carla_recap.scene.appearance import look_of_present
 from carla_recap.scene.falls import FallChange, FallenWalkers
 from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehicles
-from carla_recap.scene.marks import CollisionMarks, collision_scenes
+from carla_recap.scene.marks import MARKED, CollisionMarks
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     Lamps = NDArray[np.uint64]
 
 _STEERED: Final = math.radians(40)  # of the front wheels at full steering
+_LOOK_BACK: Final = MARKED + 0.5  # s before a moment that decide which lamps are lit then, and where marks are
 
 
 class LookColumns:
@@ -226,10 +228,14 @@ class SceneDescriber:
             time: The moment, in elapsed seconds.
         """
         self._lamps, self._walkers, self._marks = VehicleLamps(), FallenWalkers(), CollisionMarks()
-        self._lamps.recall(recording, time)
-        for batch in collision_scenes(recording, time):
-            self._walkers.changes(batch, keep=True)
-            self._marks.changes(batch, keep=True)
+        start = max(time - _LOOK_BACK, 0.0)
+        if start < time:
+            for batch in Player(recording, start=start, duration=time - start).batches():
+                if batch.fresh:
+                    self._walkers.recall(recording, batch)
+                self._lamps.flags(batch, keep=True)
+                self._walkers.changes(batch, keep=True)
+                self._marks.changes(batch, keep=True)
         self._recalled = True
 
     def describe(self, batch: SceneBatch) -> SceneDescription:
@@ -237,7 +243,7 @@ class SceneDescriber:
         keep, self._recalled = self._recalled, False
         if batch.ids is not self._ids or batch.actors != self._present:
             self._take(batch)
-        flags = self._lamps.flags(batch)
+        flags = self._lamps.flags(batch, keep=keep)
         fallen, marked = dict(self._walkers.falls), self._marks.locations
         falls, marks = self._walkers.changes(batch, keep=keep), self._marks.changes(batch, keep=keep)
         if keep:  # what is recalled begins with the first scene

@@ -8,8 +8,9 @@ import numpy as np
 
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.replay.events import Collided
+from carla_recap.replay.player import Player
 from carla_recap.replay.pose import LOCATION, ROTATION, right_handed, rotations
-from carla_recap.replay.selection import find
+from carla_recap.replay.selection import array, find
 from carla_recap.scene.appearance import Look, look_of_present
 
 if TYPE_CHECKING:
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.model.batch import Batch
+    from carla_recap.recording import Recording
     from carla_recap.replay import SceneBatch
 
     Floats = NDArray[np.float64]
@@ -25,6 +28,11 @@ _KNOCKED: Final = 1.5  # m/s: from this speed on, a vehicle knocks a walker down
 _UPRIGHT: Final = 45.0  # degrees; the recorded pose of one that leans more is shown as it is
 _WALKING: Final = 20.0  # cm/s; one that walks again has got up
 _FALLING: Final = 0.6  # s from the hit until a walker lies
+_LEAD: Final = 0.3  # s before a hit that are read, for the velocities
+_SLACK: Final = 1e-3  # s
+_LOOK_BACK: Final = 10.0  # s before a moment in which walkers that have got up are looked for first
+_WIDER: Final = 4.0  # the factor by which it grows
+_MOST_HITS: Final = 50  # of a walker that are looked at
 
 
 class Fall(NamedTuple):
@@ -102,7 +110,8 @@ class FallenWalkers:
             if isinstance(event, Collided) and (knocked := self._hit(event, batch)) is not None:
                 self._hits[knocked[0]] = knocked[1]
         for id, hit in list(self._hits.items()):
-            rises = _rises(id, batch)
+            up = np.flatnonzero(_up(id, batch.frames)) if id in batch.actors else [0]
+            rises = int(up[0]) if len(up) else None
             if hit is not None:
                 found += self._fall(id, hit, batch.time[:rises])
             if rises is not None:
@@ -111,6 +120,22 @@ class FallenWalkers:
                     found.append(FallChange(rises, id, None))
         self._before = batch
         return found
+
+    def recall(self, recording: Recording, batch: SceneBatch) -> None:
+        """Learn which walkers lie that were knocked down before the next batch.
+
+        Args:
+            recording: The recording.
+            batch: The next batch.
+        """
+        for id, times in _unrisen(recording, _walkers_hit(recording, batch), float(batch.time[0])).items():
+            for hit in times[:_MOST_HITS]:
+                seen, start = FallenWalkers(), max(hit - _LEAD, 0.0)
+                for around in Player(recording, start=start, duration=hit - start + _SLACK).batches():
+                    seen.changes(around, keep=True)
+                if id in seen._hits:
+                    self._hits[id] = seen._hits[id]
+                    break
 
     def _fall(self, id: int, hit: _Hit, times: Floats) -> Iterator[FallChange]:
         """Yield how a walker leans in the scenes of some times, until it lies."""
@@ -130,7 +155,9 @@ class FallenWalkers:
             return None
         walker, other = pair if kinds[0] == "walker" else pair[::-1]
         pose, look = batch.pose_of(walker, 0), look_of_present(batch.actors[walker])
-        if walker in self._hits or pose is None or look is None or not np.isfinite(pose).all() or _leans(pose):
+        if walker in self._hits or pose is None or look is None or not np.isfinite(pose).all():
+            return None
+        if _leans(*pose[ROTATION][:2]):
             return None
         if other == NO_ACTOR or batch.pose_of(other, 0) is None:
             return None
@@ -159,6 +186,44 @@ class FallenWalkers:
         return step if np.isfinite(step).all() else np.zeros(2)
 
 
+def _walkers_hit(recording: Recording, batch: SceneBatch) -> dict[int, list[float]]:
+    """Return when, in elapsed seconds, the walkers of a batch were hit before it by something else than a walker."""
+    spawned = {id: actor.spawned_at for id, actor in batch.actors.items() if actor.kind == "walker"}
+    found: dict[int, list[float]] = {}
+    if not spawned:
+        return found
+    for frame in recording.reader.frames(("collisions",), sparse=True, stop=float(batch.time[0])):
+        for _, actor1, actor2, *_ in array(frame["collisions"]).tolist():
+            walkers = [id for id in (actor1, actor2) if frame.elapsed >= spawned.get(id, np.inf)]
+            if len(walkers) == 1 and NO_ACTOR not in (actor1, actor2):
+                found.setdefault(walkers[0], []).append(frame.elapsed)
+    return found
+
+
+def _unrisen(recording: Recording, hits: dict[int, list[float]], time: float) -> dict[int, list[float]]:
+    """Return those hits since which, until a moment, the walker has not got up.
+
+    It is looked for from the moment backwards, in longer and longer steps: most walkers walk in the seconds before it.
+
+    Args:
+        recording: The recording.
+        hits: When walkers were hit, in elapsed seconds, by their ids.
+        time: The moment, in elapsed seconds.
+    """
+    stop, span = time, _LOOK_BACK
+    while hits and stop >= (earliest := min(times[0] for times in hits.values())):
+        start = max(stop - span, earliest - _SLACK)
+        risen: dict[int, float] = {}
+        for batch in recording.reader.batches(("walker_controls", "transforms"), start=start, stop=stop + _SLACK):
+            for id in hits:
+                if len(rows := np.flatnonzero(_up(id, batch))):
+                    risen[id] = float(batch.elapsed[rows[-1]])
+        left = {id: [hit for hit in times if hit > risen.get(id, -np.inf)] for id, times in hits.items()}
+        hits = {id: times for id, times in left.items() if times}
+        stop, span = start, span * _WIDER
+    return hits
+
+
 def _lying(upright: Floats, direction: Floats) -> Floats:
     """Return the rotation of a walker that was hit in a direction: on its back, or on its face if it was hit from behind."""
     up = np.array((*direction, 0.0))
@@ -185,25 +250,21 @@ def _leaning(hit: _Hit, share: float) -> Fall:
     return Fall(tuple(rotation.round(6).ravel().tolist()), (x, y, z))
 
 
-def _rises(id: int, batch: SceneBatch) -> int | None:
-    """Return the first row in which a fallen walker walks, leans as recorded, or is gone; None if it keeps lying."""
-    if id not in batch.actors:
-        return 0
-    ends = np.zeros(len(batch), np.bool_)
-    controls = batch.records("walker_controls")
-    index, known = find(np.array([id], np.uint32), controls["id"][0])
-    if known[0]:
-        ends |= controls["speed"][:, index[0]] > _WALKING
-    poses = batch.pose_of(id)
-    if poses is not None:
-        ends |= _leans(poses)
-    rows = np.flatnonzero(ends)
-    return int(rows[0]) if len(rows) else None
+def _up(id: int, frames: Batch) -> NDArray[np.bool_]:
+    """Return whether a walker cannot lie, as it walks, or leans as recorded, (frames,)."""
+    up = np.zeros(len(frames), np.bool_)
+    controls, transforms = frames.records("walker_controls"), frames.records("transforms")
+    for column in np.flatnonzero(controls["id"][0] == id)[-1:].tolist():
+        up |= controls["speed"][:, column] > _WALKING
+    for column in np.flatnonzero(transforms["id"][0] == id)[-1:].tolist():
+        up |= _leans(transforms["roll"][:, column], transforms["pitch"][:, column])
+    return up
 
 
-def _leans(poses: Floats) -> NDArray[np.bool_]:
-    """Return whether poses are far from upright."""
-    return np.asarray(np.abs(poses[..., ROTATION][..., :2]).max(axis=-1) > _UPRIGHT)
+def _leans(roll: NDArray[np.floating], pitch: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return whether poses are far from upright, given two of their angles in degrees."""
+    with np.errstate(invalid="ignore"):  # a signaling NaN
+        return np.asarray(np.maximum(np.abs(roll), np.abs(pitch)) > _UPRIGHT)
 
 
 def is_new(batch: SceneBatch, before: SceneBatch | None) -> bool:

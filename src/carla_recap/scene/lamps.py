@@ -8,7 +8,6 @@ import numpy as np
 
 from carla_recap.model.records import CM
 from carla_recap.replay.events import Spawned
-from carla_recap.replay.player import Player
 from carla_recap.replay.selection import NO_IDS, find
 from carla_recap.scene.materials import Material
 
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.model.actors import ActorLife
-    from carla_recap.recording import Recording
     from carla_recap.replay import SceneBatch
     from carla_recap.replay.selection import Ids
 
@@ -40,8 +38,6 @@ DECELERATION: Final = 1.3
 UN Regulation 13-H has them lit whatever slows the vehicle down."""
 _SPAN: Final = 0.3  # s; the time over which a deceleration is a mean
 _LONGEST: Final = 1.0  # s; over a longer step there is no deceleration
-LOOK_BACK: Final = HELD + 2 * _SPAN
-"""The time in s before a moment that decides which lamps are lit at it."""
 
 _FIRMEST: Final = 13.0  # m/s²: no brakes slow a vehicle down by more; a collision does, and a jump
 _LIT_BY: Final = (
@@ -90,30 +86,16 @@ class VehicleLamps:
         self._braked: Floats = np.zeros(0)  # the latest time at which each has braked, in elapsed seconds
         self._slowing = _Slowing()
         self._time = -np.inf  # of the latest scene
-        self._recalled = False
         self._found: dict[str, tuple[bytes, Ids, Indices, Indices]] = {}  # the last answers of `_columns`
 
-    def recall(self, recording: Recording, time: float) -> None:
-        """Learn what decides about the lamps at a moment; the next batch begins at it.
-
-        Args:
-            recording: The recording.
-            time: The moment, in elapsed seconds.
-        """
-        start = max(time - LOOK_BACK, 0.0)
-        if start < time:
-            for batch in Player(recording, start=start, duration=time - start).batches():
-                self.flags(batch)
-        self._recalled = True
-
-    def flags(self, batch: SceneBatch) -> Integers:
+    def flags(self, batch: SceneBatch, *, keep: bool = False) -> Integers:
         """Return the lit lamps of the vehicles in each scene, as bits of CARLA's VehicleLightState, (scenes, ids).
 
         Args:
             batch: The scenes; each batch has to be given, in order.
+            keep: Whether a first batch after a seek follows the one before, nevertheless.
         """
-        is_new = (batch.fresh and not self._recalled) or not batch.time[0] >= self._time
-        self._recalled = False
+        is_new = (batch.fresh and not keep) or not batch.time[0] >= self._time
         self._time = float(batch.time[-1])
         if is_new or batch.actors != self._actors:
             self._take(batch, forget=is_new)

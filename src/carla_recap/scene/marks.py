@@ -9,17 +9,13 @@ import numpy as np
 
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.replay.events import Collided
-from carla_recap.replay.player import Player
 from carla_recap.replay.pose import LOCATION, right_handed
 from carla_recap.scene.appearance import look_of_present
 from carla_recap.scene.falls import is_new
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
-    from carla_recap.recording import Recording
     from carla_recap.replay import SceneBatch
 
     Floats = NDArray[np.float64]
@@ -34,8 +30,6 @@ MOST_MARKS: Final = 50
 """The number of marks at a time, the latest ones."""
 
 _MARK_HEIGHT: Final = 0.03  # m above the ground
-_MOST_RECALLED: Final = 50  # collisions
-_LEAD: Final = 0.3  # s before a collision that are read, for the velocities
 _SLACK: Final = 1e-6  # s
 
 
@@ -107,26 +101,6 @@ class CollisionMarks:
         location = np.mean(walkers or list(feet.values()), axis=0)
         location[2] += _MARK_HEIGHT
         self._marks[pair] = _Mark(location, until)
-
-
-def collision_scenes(recording: Recording, time: float) -> Iterator[SceneBatch]:
-    """Yield the scenes around those collisions before a moment of which something may be left, in order.
-
-    Args:
-        recording: The recording.
-        time: The moment, in elapsed seconds.
-    """
-    rows = [row for row in recording.collisions() if row.elapsed <= time]
-    lasting = [row for row in rows if "w" in (row.letter1, row.letter2) or row.elapsed > time - MARKED]
-    if not lasting:
-        return
-    player = Player(recording)
-    for row in lasting[-_MOST_RECALLED:]:
-        yield player.at(max(row.elapsed - _LEAD, 0.0)).batch
-        for scene in player.scenes():
-            if scene.time > row.elapsed + _SLACK:
-                break
-            yield scene.batch[scene.row : scene.row + 1]
 
 
 def _foot(id: int, batch: SceneBatch) -> Floats | None:
