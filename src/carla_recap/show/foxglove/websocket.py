@@ -151,7 +151,7 @@ class FoxgloveServer:
         self._requests.requested.clear()
 
     def welcome(self) -> None:
-        """Send the latest messages of topics to which viewers have subscribed, and the state; do so after `_WELCOME` again."""
+        """Send the latest messages of topics to which viewers have subscribed, and the state, and again after `_WELCOME`."""
         if monotonic() < self._welcomed + _WELCOME:
             return
         topics = self._requests.take_topics()
