@@ -11,7 +11,7 @@ import pytest
 from carla_recap import Player, open_recording
 from carla_recap.replay.pose import YAW
 from carla_recap.scene.ahead import NO_LIGHT, stop_points
-from carla_recap.scene.follow import FollowedActor, FollowedSeries, followed_series
+from carla_recap.scene.follow import FollowedActor, FollowedSeries, LiveFollow, followed_series
 from tests.replay.scripts import light, pose, spawn, velocity, write
 from tests.show.video.conftest import SAMPLES
 
@@ -118,3 +118,15 @@ def test_nothing_depends_on_how_scenes_are_batched() -> None:
     assert np.isfinite(whole.speed).sum() > 500
     for name, column in vars(FollowedSeries.joined(parts)).items():
         np.testing.assert_allclose(column, vars(whole)[name], rtol=1e-12, err_msg=name)
+
+
+def test_a_running_simulation_is_followed_from_when_on_the_actor_is_there(tmp_path: Path) -> None:
+    frames: list[dict[str, Any]] = [{"transforms": [pose(1, 100 * n)]} for n in range(4)]
+    frames[0]["spawned"], frames[2]["spawned"] = [spawn(1)], [spawn(7)]
+    live, chosen = LiveFollow(7), []
+    with open_recording(write(tmp_path / "in.log", frames)) as recording:
+        for number, frame in enumerate(recording.frames()):
+            scene, followed = live.scene(frame)
+            assert scene.poses[0, 0] == 100 * number
+            chosen.append((followed, live.followed))
+    assert chosen == [(None, None), (None, None), (7, 7), (None, 7)]

@@ -130,11 +130,10 @@ class SceneDescription:
     @cached_property
     def poses(self) -> Floats:
         """The poses in m and degrees, right-handed, (scenes, ids, 6); NaN where they are unknown."""
-        places = self._places
-        poses = np.empty((len(self), len(self.ids), 6))
-        recorded = places.rows >= 0
-        poses[:, recorded] = self.recorded_poses[:, places.rows[recorded]]
-        poses[:, ~recorded] = places.standing[~recorded]
+        places, others = self._places, self._places.rows < 0
+        nothing = np.empty((len(self), len(self.ids), 6))
+        poses = nothing if others.all() else self.recorded_poses.take(places.rows, axis=1)
+        poses[:, others] = places.standing[others]
         for row, id in places.attached:
             pose = self.batch.pose_of(id)
             poses[:, row] = np.nan if pose is None else right_handed(pose)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 import rerun as rr
@@ -157,39 +157,29 @@ def follow_views(
 
 
 def _plots(id: int, *, live: bool) -> list[rrb.View | rrb.Container]:
-    no_legend = rrb.PlotLegend(visible=False)  # it would cover the lines
     others = rrb.Tabs(
-        rrb.TimeSeriesView(
-            origin=entities.TIMES,
-            name="Collision (red), headway (s)",
-            axis_y=rrb.ScalarAxis(range=(0.0, LATEST)),
-            plot_legend=no_legend,
-        ),
-        rrb.TimeSeriesView(
-            origin=entities.DISTANCES,
-            name="Gap (white), headway (m)",
-            axis_y=rrb.ScalarAxis(range=(0.0, FARTHEST)),
-            plot_legend=no_legend,
-        ),
+        _plot(entities.TIMES, "Collision (red), headway (s)", (0.0, LATEST)),
+        _plot(entities.DISTANCES, "Gap (white), headway (m)", (0.0, FARTHEST)),
     )
+    steering = rr.SeriesLines(visible_series=[name == "steer" for name in CONTROLS])
     return [
-        rrb.TimeSeriesView(origin=entities.SPEED, name=f"Speed of {id} (km/h)", plot_legend=no_legend),
-        rrb.TimeSeriesView(
-            origin=entities.ACCELERATION,
-            name="Acceleration (m/s²)",
-            axis_y=rrb.ScalarAxis(range=_ACCELERATIONS),
-            plot_legend=no_legend,
-        ),
+        _plot(entities.SPEED, f"Speed of {id} (km/h)"),
+        _plot(entities.ACCELERATION, "Acceleration (m/s²)", _ACCELERATIONS),
         *(() if live else (others,)),
-        rrb.TimeSeriesView(
-            origin=entities.EGO,
+        _plot(
+            entities.EGO,
+            "Throttle, brake, steer",
+            (-1.05, 1.05),
             contents=[entities.CONTROLS, entities.PEDALS],
-            overrides={entities.CONTROLS: rr.SeriesLines(visible_series=[name == "steer" for name in CONTROLS])},
-            name="Throttle, brake, steer",
-            axis_y=rrb.ScalarAxis(range=(-1.05, 1.05)),
-            plot_legend=no_legend,
+            overrides={entities.CONTROLS: steering},
         ),
     ]
+
+
+def _plot(origin: str, name: str, values: tuple[float, float] | None = None, **options: Any) -> rrb.TimeSeriesView:
+    """Return a plot of the values in a range, without a legend, which would cover the lines."""
+    axis = None if values is None else rrb.ScalarAxis(range=values)
+    return rrb.TimeSeriesView(origin=origin, name=name, axis_y=axis, plot_legend=rrb.PlotLegend(visible=False), **options)
 
 
 def _view(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections import defaultdict
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -20,19 +19,20 @@ from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.show.rerun import entities
 from carla_recap.show.rerun.followed import CameraAxes
 from carla_recap.show.rerun.meshes import drawn, lamps_of, model_mesh, unlit
-from carla_recap.show.rerun.stream import PoseBuffer, TimeColumns, screen_radii
+from carla_recap.show.rerun.stream import HeldRows, PoseBuffer, screen_radii
 from carla_recap.show.rerun.surroundings import CorridorWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from carla_recap.replay.selection import Ids
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.description import SceneDescription
+    from carla_recap.scene.materials import Color
     from carla_recap.scene.mesh import Mesh
-    from carla_recap.show.rerun.stream import PoseBlock, Stream, TimePoint
+    from carla_recap.show.rerun.stream import PoseBlock, Stream, TimeColumns, TimePoint
 
 MOST_BOXES: Final = 5_000
 """The number of actors in the world, the first ones; the viewer is too slow to draw more. All are on the map."""
@@ -59,7 +59,6 @@ _LAMPS: Final = (
     Material.YELLOW_LAMP,
     Material.GREEN_LAMP,
 )
-_MAX_CHANGES: Final = 8192  # the number of changes of lamps that are held back
 
 
 class ActorWriter:
@@ -285,6 +284,10 @@ def _name(actor: ActorLife, look: Look | None) -> rr.Points3D:
     )
 
 
+def _factor_columns(colors: Sequence[Color]) -> Iterable[rr.ComponentColumn]:
+    return rr.Mesh3D.columns(albedo_factor=np.array(colors, np.uint8))
+
+
 class LampWriter:
     """Writes the lamps of actors whenever they change: an entity for each kind of lamp that is ever lit.
 
@@ -297,8 +300,7 @@ class LampWriter:
         self._meshes: dict[int, Mesh] = {}
         self._lit: dict[int, int] = {}  # the lamps of each actor in the latest scene, as in `SceneDescription.lamps`
         self._drawn: dict[int, set[Material]] = {}  # the lamps of each actor that have an entity
-        self._changes: defaultdict[tuple[int, Material], list[tuple[TimePoint, bool]]] = defaultdict(list)
-        self._count = 0
+        self._changes = HeldRows(stream, _factor_columns)
 
     def add(self, id: int, mesh: Mesh) -> None:
         """Add an actor, of which nothing is lit."""
@@ -317,26 +319,19 @@ class LampWriter:
         for row, id, lit in zip(rows.tolist(), ids[columns].tolist(), lamps[rows, columns].tolist(), strict=True):
             if id in self._meshes:
                 self._change(id, lit, times.point(row))
-        if self._count >= _MAX_CHANGES:
-            self.flush()
 
     def flush(self) -> None:
         """Write what is held back."""
-        for (id, material), changes in self._changes.items():
-            finish = MATERIALS[material]
-            colors = np.array([(finish.glow or finish.color) if lit else finish.color for _, lit in changes], np.uint8)
-            times = TimeColumns.of_points(time for time, _ in changes)
-            self._stream.columns(entities.lamps(id, material.name), times, rr.Mesh3D.columns(albedo_factor=colors))
-        self._changes.clear()
-        self._count = 0
+        self._changes.flush()
 
     def _change(self, id: int, lamps: int, time: TimePoint) -> None:
         """Note the lit lamps of an actor, given as bits `1 << material`."""
         changed, self._lit[id] = self._lit[id] ^ lamps, lamps
         for material in _LAMPS:
             if changed >> material & 1 and self._draw(id, material, time):
-                self._changes[id, material].append((time, bool(lamps >> material & 1)))
-                self._count += 1
+                finish = MATERIALS[material]
+                color = finish.glow if lamps >> material & 1 else None
+                self._changes.add(entities.lamps(id, material.name), time, color or finish.color)
 
     def _draw(self, id: int, material: Material, time: TimePoint) -> bool:
         """Draw the lamps of an actor unless they are drawn already; return whether it has any."""

@@ -5,10 +5,11 @@ The timelines are `frame`, a sequence, and `sim_time`, a duration.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 from functools import reduce
 from itertools import groupby, pairwise
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, Self, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     Flags = NDArray[np.bool_]
     Floats = NDArray[np.float64]
 
+V = TypeVar("V")
+
 FRAME: Final = "frame"
 SIM_TIME: Final = "sim_time"
 
@@ -39,6 +42,7 @@ ROWS: Final = 1024
 """The number of frames in a block, more or less."""
 
 _MAX_POSES: Final = 1 << 19  # the number of poses in a block of many actors, more or less
+_MAX_HELD: Final = 8192  # the number of single rows that are held back
 _TRANSLATION: Final = rr.Transform3D.descriptor_translation()
 _ROTATION: Final = rr.Transform3D.descriptor_quaternion()
 
@@ -155,6 +159,36 @@ class Stream:
 
 def _indexes(times: TimeColumns) -> dict[str, pa.Array]:
     return {FRAME: pa.array(times.frame), SIM_TIME: pa.array(times.elapsed).view(pa.duration("ns"))}
+
+
+class HeldRows(Generic[V]):
+    """Single rows of some entities, which are written as columns: when there are many, or when `flush` is called.
+
+    Args:
+        stream: The stream.
+        columns: Returns the components of rows, given their values.
+    """
+
+    def __init__(self, stream: Stream, columns: Callable[[list[V]], Iterable[rr.ComponentColumn]]) -> None:
+        self._stream = stream
+        self._columns = columns
+        self._rows: defaultdict[str, list[tuple[TimePoint, V]]] = defaultdict(list)
+        self._count = 0
+
+    def add(self, path: str, time: TimePoint, value: V) -> None:
+        """Add a row of an entity, whose times ascend."""
+        self._rows[path].append((time, value))
+        self._count += 1
+        if self._count >= _MAX_HELD:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what is held back."""
+        for path, rows in self._rows.items():
+            times = TimeColumns.of_points(time for time, _ in rows)
+            self._stream.columns(path, times, self._columns([value for _, value in rows]))
+        self._rows.clear()
+        self._count = 0
 
 
 def screen_radii(points: float) -> list[float]:

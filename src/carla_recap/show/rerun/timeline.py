@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from functools import cache
 from typing import TYPE_CHECKING, Final
 
@@ -20,10 +19,10 @@ from carla_recap.scene.marks import MARK_RADIUS
 from carla_recap.scene.materials import Material
 from carla_recap.show.rerun import entities
 from carla_recap.show.rerun.meshes import circle, model_mesh
-from carla_recap.show.rerun.stream import TimeColumns
+from carla_recap.show.rerun.stream import HeldRows, TimeColumns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-_MAX_CHANGES: Final = 8192  # the number of lines, or of changes of states, that are held back
 _LEVELS: Final = {
     Level.DEBUG: rr.TextLogLevel.DEBUG,
     Level.INFO: rr.TextLogLevel.INFO,
@@ -69,18 +67,16 @@ class EventWriter:
     def __init__(self, stream: Stream) -> None:
         self._stream = stream
         self._text = EventText()
-        self._lines: list[tuple[TimePoint, Line]] = []
+        self._lines = HeldRows(stream, _log_columns)
         self._clock: list[TimeColumns] = []  # of all scenes
 
     def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
         self._clock.append(times)
-        time = times.point(0)
-        self._lines += [(time, line) for line in self._text.lines(description.batch.scene(0))]
+        for line in self._text.lines(description.batch.scene(0)):
+            self._lines.add(entities.EVENTS, times.point(0), line)
         for row, locations in description.marks:
             self._mark(locations, times.point(row))
-        if len(self._lines) >= _MAX_CHANGES:
-            self.flush()
 
     @property
     def clock(self) -> TimeColumns:
@@ -91,15 +87,12 @@ class EventWriter:
         """Write the incidents that began during the scenes so far, each at the scene at which it began."""
         clock = self.clock
         if len(clock.frame):
-            self._lines += [(clock.point(row), line) for row, line in incident_lines(found, clock.seconds)]
+            for row, line in incident_lines(found, clock.seconds):
+                self._lines.add(entities.EVENTS, clock.point(row), line)
 
     def flush(self) -> None:
         """Write what is held back."""
-        if self._lines:
-            times = TimeColumns.of_points(time for time, _ in self._lines)
-            texts, levels = zip(*((line.text, _LEVELS[line.level]) for _, line in self._lines), strict=True)
-            self._stream.columns(entities.EVENTS, times, rr.TextLog.columns(text=texts, level=levels))
-        self._lines.clear()
+        self._lines.flush()
 
     def _mark(self, locations: Floats, time: TimePoint) -> None:
         """Show marks: each one is a ring on the ground with a cross in it, which hide nothing."""
@@ -109,6 +102,14 @@ class EventWriter:
         strips = [location + line for location in locations for line in _mark_lines()]
         lines = rr.LineStrips3D(strips, colors=[style.COLLISION], radii=[_MARK_WIDTH / 2])
         self._stream.log(entities.COLLISIONS, time, lines)
+
+
+def _log_columns(lines: Sequence[Line]) -> Iterable[rr.ComponentColumn]:
+    return rr.TextLog.columns(text=[line.text for line in lines], level=[_LEVELS[line.level] for line in lines])
+
+
+def _state_columns(names: Sequence[str]) -> Iterable[rr.ComponentColumn]:
+    return rr.StateChange.columns(state=names)
 
 
 @cache
@@ -135,8 +136,7 @@ class TrafficLightWriter:
         self._stream = stream
         self._last: tuple[bytes, bytes] = (b"", b"")  # ids and states of the last scene
         self._states: dict[int, int] = {}
-        self._changes: defaultdict[int, list[tuple[TimePoint, int]]] = defaultdict(list)
-        self._count = 0
+        self._changes = HeldRows(stream, _state_columns)
 
     def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
@@ -153,8 +153,6 @@ class TrafficLightWriter:
         self._last = ids.tobytes(), states[-1].tobytes()
         for row, index in zip(*(found.tolist() for found in np.nonzero(changed)), strict=True):
             self._change(int(ids[index]), int(states[row, index]), times.point(row))
-        if self._count >= _MAX_CHANGES:
-            self.flush()
 
     def _change(self, id: int, state: int, time: TimePoint) -> None:
         before = self._states.get(id)
@@ -164,17 +162,11 @@ class TrafficLightWriter:
             names, colors = zip(*style.LIGHTS, strict=True)
             self._stream.log_static(entities.state(id), rr.StateConfiguration(values=names, colors=colors))
         self._states[id] = state
-        self._changes[id].append((time, state))
-        self._count += 1
+        self._changes.add(entities.state(id), time, style.light(state)[0])
 
     def flush(self) -> None:
         """Write what is held back."""
-        for id, changes in self._changes.items():
-            times = TimeColumns.of_points(time for time, _ in changes)
-            names = [style.light(state)[0] for _, state in changes]
-            self._stream.columns(entities.state(id), times, rr.StateChange.columns(state=names))
-        self._changes.clear()
-        self._count = 0
+        self._changes.flush()
 
 
 class LightAheadWriter:
@@ -188,7 +180,7 @@ class LightAheadWriter:
         self._stream = stream
         self._begun = False
         self._last: tuple[int, int] | None = None  # id and state
-        self._changes: list[tuple[TimePoint, str]] = []
+        self._changes = HeldRows(stream, _state_columns)
         self._colors: dict[str, style.Color] = {_NONE: _NO_COLOR}
 
     def write(self, description: SceneDescription, times: TimeColumns, series: FollowedSeries) -> None:
@@ -206,11 +198,7 @@ class LightAheadWriter:
 
     def flush(self) -> None:
         """Write what is held back."""
-        if self._changes:
-            times = TimeColumns.of_points(time for time, _ in self._changes)
-            names = [name for _, name in self._changes]
-            self._stream.columns(entities.LIGHT_AHEAD, times, rr.StateChange.columns(state=names))
-        self._changes.clear()
+        self._changes.flush()
 
     def _change(self, now: tuple[int, int] | None, pose: Floats | None, seen_from: Floats, time: TimePoint) -> None:
         """Note which light is ahead, with its state, and show it, given the poses of the light and of the actor."""
@@ -223,7 +211,7 @@ class LightAheadWriter:
             self._colors[text] = color
             values, colors = list(self._colors), list(self._colors.values())
             self._stream.log_static(entities.LIGHT_AHEAD, rr.StateConfiguration(values=values, colors=colors))
-        self._changes.append((time, text))
+        self._changes.add(entities.LIGHT_AHEAD, time, text)
         if pose is not None:
             lamps = pose[LOCATION] + rotations(pose) @ _middle_of_lamps()
             self._stream.log(entities.AHEAD, time, *_ring(lamps, seen_from, text, color))
