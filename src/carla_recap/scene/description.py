@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.actors import ActorLife
 from carla_recap.model.presence import FAR
+from carla_recap.model.records import Spawn
 from carla_recap.replay.player import Player
 from carla_recap.replay.pose import right_handed
 from carla_recap.replay.selection import NO_IDS, find
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.actors import ActorLife
     from carla_recap.recording import Recording
     from carla_recap.replay import SceneBatch
     from carla_recap.replay.selection import Ids
@@ -89,7 +90,8 @@ class SceneDescription:
 
     Attributes:
         batch: The scenes.
-        actors: The present actors, and their looks; the same object as before if they are the same.
+        lives: The present actors, by their ids.
+        actors: The looks of those that have one; the same object as before if they are the same.
         vehicles: The ids of the vehicles, ascending.
         flags: Their lit lamps as bits of CARLA's VehicleLightState, (scenes, vehicles).
         falls: The walkers that fall and get up in these scenes.
@@ -100,6 +102,7 @@ class SceneDescription:
     """
 
     batch: SceneBatch
+    lives: Mapping[int, ActorLife]
     actors: LookColumns
     vehicles: Ids
     flags: Integers
@@ -205,14 +208,17 @@ class SceneDescriber:
 
     Args:
         signs: Whether signs are actors to be seen; those of a map are part of its `TownMesh`.
+        unspawned: Whether actors are to be seen of which the recording has poses, but no spawn.
     """
 
-    def __init__(self, *, signs: bool = False) -> None:
+    def __init__(self, *, signs: bool = False, unspawned: bool = False) -> None:
         self._signs = signs
+        self._unspawned = unspawned
         self._lamps = VehicleLamps()
         self._walkers = FallenWalkers()
         self._marks = CollisionMarks()
         self._present: Mapping[int, ActorLife] = {}
+        self._lives: Mapping[int, ActorLife] = {}
         self._ids: Ids | None = None
         self._known: dict[int, tuple[ActorLife, Look | None]] = {}
         self._actors = LookColumns(NO_IDS, [])
@@ -249,13 +255,15 @@ class SceneDescriber:
             falls = [*(FallChange(0, id, fall) for id, fall in fallen.items()), *falls]
             if len(marked) and not (marks and marks[0][0] == 0):
                 marks = [(0, marked), *marks]
-        return SceneDescription(batch, self._actors, self._lamps.ids, flags, falls, fallen, marks, marked, self._places)
+        actors = self._lives, self._actors
+        return SceneDescription(batch, *actors, self._lamps.ids, flags, falls, fallen, marks, marked, self._places)
 
     def _take(self, batch: SceneBatch) -> None:
         """Take the actors of a batch."""
         self._ids, self._present = batch.ids, batch.actors
+        self._lives = {**batch.actors, **self._without_spawns(batch)} if self._unspawned else batch.actors
         known: dict[int, tuple[ActorLife, Look | None]] = {}
-        for id, actor in batch.actors.items():
+        for id, actor in self._lives.items():
             before = self._known.get(id)
             same = before is not None and before[0] is actor
             known[id] = before if before is not None and same else (actor, look_of_present(actor, signs=self._signs))
@@ -274,3 +282,11 @@ class SceneDescriber:
             else:
                 standing[row] = right_handed(actor.spawn_pose)
         self._places = _Places(np.where(recorded, index, -1), standing, attached)
+
+    def _without_spawns(self, batch: SceneBatch) -> dict[int, ActorLife]:
+        """Return the actors that have poses, but no spawn."""
+        ids, time = sorted(set(batch.ids.tolist()).difference(batch.actors)), batch.time[0].item()
+        return {id: self._known[id][0] if self._is_without_spawn(id) else ActorLife.of(Spawn(id), time) for id in ids}
+
+    def _is_without_spawn(self, id: int) -> bool:
+        return id in self._known and not self._known[id][0].type_id

@@ -10,7 +10,6 @@ import numpy as np
 
 from carla_recap.scene import style
 from carla_recap.scene.appearance import Look, look_of_present
-from carla_recap.scene.lamps import lamps_of_vehicles
 from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.scene.models import MODELS
 from carla_recap.show.foxglove import shapes
@@ -66,9 +65,9 @@ def frame_of(id: int) -> str:
     return f"actor {id}"
 
 
-def lamps_id(id: int) -> str:
-    """Return the id of the entity of the lamps of a vehicle."""
-    return f"lamps {id}"
+def lamps_id(actor: ActorLife) -> str:
+    """Return the id of the entity of the lamps of a vehicle or traffic light."""
+    return frame_of(actor.id) if actor.kind == "traffic_light" else f"lamps {actor.id}"
 
 
 def topic_of(actor: ActorLife) -> str:
@@ -98,21 +97,18 @@ def entity(actor: ActorLife, id: str, shape: bytes, **metadata: str) -> bytes:
     return (MessagePart(start + shape) + TIMESTAMP).within(SceneUpdate.ENTITIES_FIELD_NUMBER).data
 
 
-def lamps(actor: ActorLife, look: Look, flags: int) -> bytes:
-    """Return the lit lamps of a vehicle as an entity; see `body`.
+def lit_lamps(actor: ActorLife, look: Look, lamps: int) -> bytes:
+    """Return the lit lamps of a vehicle or traffic light as an entity; see `body`.
 
     Args:
-        actor: The vehicle.
+        actor: The vehicle or traffic light.
         look: Its look.
-        flags: CARLA's VehicleLightState.
+        lamps: A bit for each lamp that is lit; see `SceneDescription.lamps`.
     """
-    return entity(actor, lamps_id(actor.id), _lit_shape(look._replace(color=_ANY_COLOR), flags))
-
-
-def signal(actor: ActorLife, look: Look, state: int) -> bytes:
-    """Return what a traffic light shows as an entity; see `body`."""
-    name, _ = style.light(state)
-    return entity(actor, frame_of(actor.id), _signal_shape(look, state), state=name)
+    if actor.kind != "traffic_light":
+        return entity(actor, lamps_id(actor), _lit_shape(look._replace(color=_ANY_COLOR), lamps))
+    state = next(state for state, lamp in enumerate(_SIGNAL_LAMPS) if lamps >> lamp & 1)
+    return entity(actor, lamps_id(actor), _signal_shape(look, state), state=style.light(state)[0])
 
 
 def ahead_entity(actor: ActorLife, state: int, text: str) -> bytes:
@@ -175,21 +171,18 @@ def _box(look: Look, opacity: float) -> bytes:
 
 
 @lru_cache(maxsize=4096)
-def _lit_shape(look: Look, flags: int) -> bytes:
-    lit = int(lamps_of_vehicles(np.array(flags)))
+def _lit_shape(look: Look, lamps: int) -> bytes:
     vertices = vertices_of(look)
     return b"".join(
         shapes.box(middle, size + _MARGIN, MATERIALS[part.material].glow or MATERIALS[part.material].color)
         for part in _surfaces(look.model)
-        if part.material in _LAMPS and lit >> part.material & 1
+        if part.material in _LAMPS and lamps >> part.material & 1
         for middle, size in shapes.boxes(part, vertices)
     )
 
 
 @lru_cache(maxsize=64)
 def _signal_shape(look: Look, state: int) -> bytes:
-    if not 0 <= state < len(_SIGNAL_LAMPS):
-        return b""
     vertices = vertices_of(look)[MODELS[look.model].mesh.materials == _SIGNAL_LAMPS[state]]
     if not len(vertices):
         return b""

@@ -13,11 +13,10 @@ from carla_recap.formats.mcap.schema import MESSAGE, LogClock
 from carla_recap.replay import Played
 from carla_recap.scene.captions import EventText, Level, incident_lines
 from carla_recap.scene.description import SceneDescriber
-from carla_recap.scene.falls import FallChange
 from carla_recap.scene.follow import FollowedActor
-from carla_recap.show.foxglove import bodies, followed, marks, scene
+from carla_recap.show.foxglove import bodies, followed, scene
 from carla_recap.show.foxglove.messages import FrameTransforms, Log, SceneUpdate, single, timestamps
-from carla_recap.show.foxglove.town import MAP, map_message
+from carla_recap.show.foxglove.town import MAP, MARKS, map_message, mark_messages
 from carla_recap.v1.followed_pb2 import Followed, ShownLights
 
 if TYPE_CHECKING:
@@ -45,7 +44,7 @@ _MESSAGES: Final[dict[str, type[Message]]] = {
     bodies.OTHERS: SceneUpdate,
     bodies.LAMPS: SceneUpdate,
     bodies.SIGNALS: SceneUpdate,
-    marks.MARKS: SceneUpdate,
+    MARKS: SceneUpdate,
     followed.AHEAD: SceneUpdate,
     followed.TRANSFORMS: FrameTransforms,
     scene.MOVED: FrameTransforms,
@@ -112,9 +111,8 @@ class SceneMessages:
         self._stops = {} if stops is None else stops
         self._followed = FollowedActor(follow, self._stops)
         self._town = town
-        self._describer = SceneDescriber()
+        self._describer = SceneDescriber(unspawned=True)
         self._entities = scene.ActorEntities()
-        self._falls: list[FallChange] = []  # since the latest scene that is shown
         self._frames = followed.ViewFrames()
         self._lights = followed.LightMessages()
         self._text = EventText()
@@ -170,14 +168,12 @@ class SceneMessages:
         batch = description.batch
         if self._last is None:
             self._start = batch.time[0].item()
-            self._falls = [FallChange(0, id, fall) for id, fall in description.fallen.items()]
-            yield single(MAP, 0, map_message(self._town, int(times[0])))
+            yield single(MAP, 0, map_message(self._town, timestamps(times[:1])[0]))
         for line in self._text.lines(batch.scene(0)):
             yield _log_line(line, 0, times)
         if self._followed.id is not None:
             yield from followed.motion_messages(batch, self._followed.id, series)
-        yield from marks.mark_messages(description, timestamps(times))
-        self._falls = [*(fall._replace(row=0) for fall in self._falls), *description.falls]
+        yield from mark_messages(description, timestamps(times))
         rows = self._choose(batch)
         if len(rows):
             yield from self._show(description, rows, times, series)
@@ -198,9 +194,7 @@ class SceneMessages:
         """Yield the messages of the scenes that are shown, given the followed actor in the batch."""
         batch, series, stamps = description.batch, series.take(rows), timestamps(times[rows])
         yield from self._frames.messages(batch, rows, stamps, series)
-        falls = [fall for fall in self._falls if fall.row <= rows[-1]]
-        self._falls = [fall for fall in self._falls if fall.row > rows[-1]]
-        yield from self._entities.messages(description, rows, stamps, falls)
+        yield from self._entities.messages(description, rows, stamps)
         yield from self._lights.messages(batch, rows, stamps, series)
 
     def _times_of(self, batch: SceneBatch) -> Times:

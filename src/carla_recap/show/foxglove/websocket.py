@@ -25,6 +25,7 @@ from carla_recap.replay.player import LiveScenes
 from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.ahead import add_stop_points, stop_points
 from carla_recap.scene.captions import PlayedIncidents
+from carla_recap.show.foxglove.messages import timestamps
 from carla_recap.show.foxglove.topics import LOG, RATE, TOPICS, SceneMessages, incident_messages
 from carla_recap.show.foxglove.town import MAP, map_message, town_around
 from carla_recap.util.signals import unwind_on_termination
@@ -383,7 +384,7 @@ class _PlayedRecording:
         if first is None or last is None or self._zero is None:
             raise RecapError(f"{source.location}: its times cannot be shown; they end at {player.stop:g} s")
         self.span = first, last
-        self._map = map_message(town, first)
+        self._map = map_message(town, timestamps(np.array([first], np.uint64))[0])
         roads = road_network_of_map(road_map) if town is not None else None
         self._incidents = self._find_incidents(player, clock, roads, progress)
 
