@@ -11,16 +11,19 @@ import pytest
 
 from carla_recap import import_tracks, open_recording
 from carla_recap.model.actors import ROAD_USERS
-from carla_recap.queries.incidents import IncidentOptions
+from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.replay import Player
 from carla_recap.scene import style
+from carla_recap.scene.captions import caption_of
 from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.scene.models import MODELS
 from carla_recap.show.foxglove import export_foxglove
+from carla_recap.show.page import write_report
 from carla_recap.show.page.sampling import sample
 from carla_recap.show.video.film import Film
 from tests.replay.scripts import light, pose, spawn, write
 from tests.samples import carla_log
+from tests.show.page.conftest import WITHOUT_ROADS, data
 
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
@@ -32,6 +35,8 @@ from tests.show.test_rerun import Rrd
 SAMPLES = Path(__file__).parents[2] / "samples"
 MOMENTS = 10
 LAMPS = [material for material, finish in MATERIALS.items() if finish.glow is not None and "LAMP" not in material.name]
+PATIENCE = 2.0  # s after which a long stop has a caption
+HELD = 1.4  # s for which Rerun keeps an actor see-through, at most
 LYING = 1.0  # m: a body that is not higher lies
 
 
@@ -48,6 +53,7 @@ class Seen:
         speed: The speed of the followed actor in m/s; None if it is unknown.
         pedals: Its throttle and brake as they are shown, if they are recorded.
         light: The colour of the traffic light ahead of it, if there is one.
+        see_through: The road users that are see-through for the camera behind the followed one.
     """
 
     places: dict[int, tuple[float, ...]] = field(default_factory=dict)
@@ -58,6 +64,7 @@ class Seen:
     speed: float | None = None
     pedals: tuple[float, ...] | None = None
     light: str | None = None
+    see_through: set[int] = field(default_factory=set)
 
 
 def parked_below() -> list[dict]:
@@ -72,6 +79,20 @@ def parked_below() -> list[dict]:
     return frames
 
 
+def in_the_way() -> list[dict]:
+    """Return frames of a fire engine close behind the hero, which falls back after 3 s, and a walker close ahead of it."""
+    frames: list[dict] = []
+    for number in range(80):
+        back = 900 + 150 * max(number - 30, 0)
+        frames.append({"transforms": [pose(1, 50 * number), pose(2, 50 * number - back), pose(3, 50 * number + 500)]})
+    frames[0]["spawned"] = [
+        spawn(1, role_name="hero"),
+        spawn(2, "vehicle.carlamotors.firetruck"),
+        spawn(3, "walker.pedestrian.0001"),
+    ]
+    return frames
+
+
 def tracks() -> str:
     """Return tracks of two cars of another data set: one brakes at 6.5 m/s²."""
     rows, x, speed = ["id,time,x,y,yaw,kind"], 0.0, 20.0
@@ -83,7 +104,9 @@ def tracks() -> str:
     return "\n".join(rows) + "\n"
 
 
-@pytest.fixture(scope="module", params=["crash", "crash from the middle", "junction", "real", "import", "parked below"])
+@pytest.fixture(
+    scope="module", params=["crash", "crash from the middle", "junction", "real", "import", "parked below", "in the way"]
+)
 def recorded(request, tmp_path_factory):
     """A recording, and the time from which on it is shown: in the middle, while a mark is to be seen."""
     name, folder = request.param, tmp_path_factory.mktemp("same")
@@ -95,6 +118,8 @@ def recorded(request, tmp_path_factory):
         import_tracks(folder / "tracks.csv", path)
     elif name == "parked below":
         path = write(folder / "below.log", parked_below(), tick=0.1)
+    elif name == "in the way":
+        path = write(folder / "way.log", in_the_way(), tick=0.1)
     else:
         path = SAMPLES / f"{name.partition(' ')[0]}.mcap"
     with open_recording(path) as opened:
@@ -105,8 +130,8 @@ def recorded(request, tmp_path_factory):
 def exported(recorded, tmp_path_factory):
     """What is exported to Rerun and to Foxglove."""
     folder, (recording, start) = tmp_path_factory.mktemp("shown"), recorded
-    export_rerun(recording, folder / "x.rrd", start=start)
-    export_foxglove(recording, folder / "x.mcap", start=start)
+    export_rerun(recording, folder / "x.rrd", start=start, incidents=WITHOUT_ROADS)
+    export_foxglove(recording, folder / "x.mcap", start=start, incidents=WITHOUT_ROADS)
     return folder
 
 
@@ -153,6 +178,7 @@ def _in_video(recording, time: float, followed: int | None, users: set[int], wal
     instances, read, found = shot.instances, shot.readings, Seen(speed=shot.readings.speed)
     found.pedals = None if read.controls is None else read.controls[:2]
     found.light = None if read.light is None else style.light(read.light.state)[0]
+    found.see_through = {id for id in instances.ids[instances.opacity < 1].tolist() if id in users}
     for row, id in enumerate(instances.ids.tolist()):
         mesh, turn = MODELS[instances.models[row]].mesh, instances.rotations[row]
         if MODELS[instances.models[row]].name == "collision mark":
@@ -189,6 +215,9 @@ def _in_rerun(rrd: Rrd, time: float, users: set[int], walkers: set[int]) -> Seen
         else:
             found.yaws[id] = math.degrees(math.atan2(turn[1, 0], turn[0, 0]))
         found.places[id] = tuple(place + turn @ middle)
+        faded = rrd.at(path, "Mesh3D:albedo_factor", time)
+        if faded is not None and faded[0] & 0xFF < 0xFF:
+            found.see_through.add(id)
         for lamp in LAMPS:
             color = rrd.at(f"{path}/lamps/{lamp.name.lower()}", "Mesh3D:albedo_factor", time)
             if color is not None and tuple(color[0].to_bytes(4, "big")[:3]) == _glow(lamp):
@@ -333,18 +362,42 @@ def test_its_pedals_and_the_light_ahead_are_the_same(shown, viewer):
             assert other.pedals == pytest.approx(one.pedals, abs=1e-6), time
 
 
+def test_the_same_actors_are_see_through(shown):
+    times, found = shown
+    for index, (time, one, other) in enumerate(zip(times, found["video"], found["rerun"], strict=True)):
+        held = set().union(*(found["video"][row].see_through for row in range(index) if time - times[row] < HELD))
+        assert one.see_through <= other.see_through <= one.see_through | held, time
+
+
 def test_the_same_events_are_listed(logs):
     rerun, foxglove = logs
     assert rerun == foxglove
     assert len(rerun) > 0
 
 
+def test_the_same_incidents_are_captioned_and_listed(recorded, logs, tmp_path):
+    """What the page lists is in both logs in the same words, and in a caption of the video with readable names."""
+    recording, start = recorded
+    found = incidents(recording.reader, WITHOUT_ROADS)
+    write_report(recording, tmp_path / "page", WITHOUT_ROADS)
+    assert [each["text"] for each in data(tmp_path / "page", "report")["incidents"]] == [each.text for each in found]
+    for log in logs:
+        assert {each.text for each in found if each.start >= start and each.kind != "collision"} <= set(log)
+    player = Player(recording, start=start)
+    film = Film(recording, player, "chase", (640, 360), rate=2.0, shown=WITHOUT_ROADS)
+    captions = {caption.text for shot in film.shots() for caption in shot.readings.captions}
+    assert captions <= {caption_of(each) for each in found}
+    own = [each for each in found if player.followed in each.actors and start <= each.start < player.stop - PATIENCE]
+    assert {caption_of(each) for each in own} <= captions
+
+
 def test_something_is_to_be_compared(request, shown):
     """The recordings have what is compared: lit lamps, and that of the crash a mark."""
     name, (_, found) = request.node.name, shown
-    assert any(each.lamps for each in found["video"]) or "real" in name
+    assert any(each.lamps for each in found["video"]) or "real" in name or "way" in name
     assert any(each.marks for each in found["video"]) or "crash" not in name
     assert found["video"][0].marks or "middle" not in name
+    assert found["video"][0].see_through == {1, 2} or "way" not in name
 
 
 def test_a_parked_car_is_there_once_it_is_on_the_road(request, shown):
