@@ -17,7 +17,7 @@ from carla_recap.model.records import CM, NO_ACTOR, ActorKind, Spawn
 from carla_recap.util.text import first_of, readable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Container, Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -192,8 +192,8 @@ class ActorLives:
         return tuple(life.type_id if (life := self.at(id, time)) else "" for id in ids)
 
     def is_object(self, id: int) -> bool:
-        """Return whether an id stands for a static object, which is no actor; before CARLA 0.9.13 that is 0."""
-        return id == NO_ACTOR or (id == 0 and id not in self._by_id)
+        """Return whether an id stands for a static object, which is no actor."""
+        return is_object(id, self._by_id)
 
     def is_fixed(self, id: int, time: float) -> bool:
         """Return whether an id stands for what never moves: a static object, or a traffic light."""
@@ -205,6 +205,11 @@ class ActorLives:
             return STATIC_OBJECT
         life = self.at(id, time)
         return life.name if life else f"actor {id}"
+
+
+def is_object(id: int, actors: Container[int]) -> bool:
+    """Return whether an id stands for a static object, which is none of the actors; before CARLA 0.9.13 that is 0."""
+    return id == NO_ACTOR or (id == 0 and id not in actors)
 
 
 def _spawned_at(life: ActorLife) -> float:

@@ -35,7 +35,7 @@ def merged(held: NDArray[np.void], new: NDArray[np.void]) -> NDArray[np.void]:
     return latest(np.concatenate((held, new.astype(held.dtype, copy=False)))) if len(held) else latest(new)
 
 
-def find(ids: Ids, among: Ids) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+def find(ids: NDArray[np.integer], among: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """Return the indices of ids among others, which ascend, and whether they are among them."""
     if not len(among):
         return np.zeros(len(ids), np.intp), np.zeros(len(ids), np.bool_)

@@ -164,11 +164,26 @@ def test_a_recorded_collision_with_a_barrier_stops_the_actor(tmp_path: Path) -> 
     assert event.impulse.x == pytest.approx(-10.0 * mass, rel=0.01)
 
 
-@pytest.mark.parametrize("other", [9, 0])
-def test_a_recorded_collision_with_an_unknown_actor_is_left_out(tmp_path: Path, other: int) -> None:
+def with_collision(path: Path, other: int, *spawns: Spawn) -> Path:
+    """Write a recording in which car 7 collides with something at 0.1 s, and that with it."""
     car = Spawn(7, ActorKind.VEHICLE, type_id="vehicle.audi.tt")
-    with carla_recap.create_recording(tmp_path / "odd.mcap", map_name="Flat", date=0) as recording:
-        recording.add_frame(0.0, spawned=[car], transforms=[(7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)])
+    with carla_recap.create_recording(path, map_name="Flat", date=0) as recording:
+        recording.add_frame(0.0, spawned=[car, *spawns], transforms=[(7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)])
         recording.add_frame(0.1, collisions=[(0, 7, other, True, False), (1, other, 7, False, False)])
         recording.add_frame(1.0)
-    assert collisions(replayed(tmp_path / "odd.mcap"), 10) == {}
+    return path
+
+
+def test_a_recorded_collision_with_an_unknown_actor_is_left_out(tmp_path: Path) -> None:
+    assert collisions(replayed(with_collision(tmp_path / "odd.mcap", 9)), 10) == {}
+
+
+def test_a_static_object_has_the_id_0_before_carla_0_9_13(tmp_path: Path) -> None:
+    ((tick, (event,)),) = collisions(replayed(with_collision(tmp_path / "old.mcap", 0)), 10).items()
+    assert (tick, event.actor1, event.actor2) == (1, 7, None)
+
+
+def test_a_light_that_the_town_does_not_have_is_a_barrier(tmp_path: Path) -> None:
+    light = Spawn(9, ActorKind.TRAFFIC_LIGHT, type_id="traffic.traffic_light")
+    ((tick, (event,)),) = collisions(replayed(with_collision(tmp_path / "light.mcap", 9, light)), 10).items()
+    assert (tick, event.actor1, event.actor2) == (1, 7, None)

@@ -612,6 +612,22 @@ def test_stopping_takes_back_what_was_spawned_or_keeps_it(drive: Path) -> None:
     world.run(1.0)
 
 
+def test_actors_that_were_kept_play_the_same_recording_again(drive: Path) -> None:
+    world = new_world()
+    taken = spawn_car(world, 500.0, blueprint="vehicle.tesla.model3")  # with the id of the hero
+    assert taken.id == 4
+    play(world, drive, 20, duration=1.0)
+    world.stop_replayer(keep_actors=True)
+    hero = played(world, 4)
+    assert hero.id != 4
+    world.run(1.0)
+    play(world, drive, 20)
+    assert played(world, 4) is hero
+    world.destroy(hero)
+    play(world, drive, 20)
+    assert played(world, 4) is not hero
+
+
 def test_a_new_replay_ends_the_one_before_and_a_recording(tmp_path: Path, drive: Path) -> None:
     world = new_world()
     world.start_recorder(tmp_path / "a.log")

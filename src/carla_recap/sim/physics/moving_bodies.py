@@ -133,6 +133,7 @@ class MovingBodies(StructOfArrays):
         """Let forces move an actor, or let it stay where it is placed."""
         body = self.bodies[row]
         self.simulated[row] = simulated
+        self.acceleration[row], self.angular_velocity[row, :2] = 0.0, 0.0  # a replay may have set them
         if body.is_sleeping:  # Chipmunk corrupts its lists when the type of a sleeping body changes
             body.activate()
         if simulated:
@@ -202,6 +203,11 @@ class MovingBodies(StructOfArrays):
     def end_tick(self, seconds: float) -> None:
         """End a tick: set the heights and the velocities of those that moved."""
         raise NotImplementedError
+
+    def _accelerate(self, seconds: float) -> None:
+        """Set the accelerations of those that forces move, at the end of a tick; a replay sets those that it moves."""
+        free = self.simulated
+        self.acceleration[free] = (self.velocity[free] - self._before[free]) / seconds
 
     def _moment(self, row: int) -> float:
         """Return the moment of inertia of an actor's body, in kg m²."""

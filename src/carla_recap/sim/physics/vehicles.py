@@ -245,7 +245,7 @@ class Vehicles(MovingBodies):
         """See `MovingBodies.end_tick`."""
         rows = np.flatnonzero(self._moved)
         if not len(rows):
-            self.acceleration[:] = 0
+            self.acceleration[self.simulated] = 0
             return
         self._settle(rows, seconds)
         yaw = np.radians(self.rotation[:, 1])
@@ -254,7 +254,7 @@ class Vehicles(MovingBodies):
         self.velocity[moved, 0] = (cos * self.speed - sin * self.sideways)[moved]
         self.velocity[moved, 1] = (sin * self.speed + cos * self.sideways)[moved]
         self.angular_velocity[moved, 2] = np.degrees(self.turning)[moved]
-        self.acceleration = (self.velocity - self._before) / seconds
+        self._accelerate(seconds)
 
     def _settle(self, rows: NDArray[np.intp], seconds: float) -> None:
         """Set the heights and pitches of vehicles by the road below their axles."""

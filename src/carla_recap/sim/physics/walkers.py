@@ -112,7 +112,7 @@ class Walkers(MovingBodies):
         """See `MovingBodies.end_tick`."""
         moved = self._moved
         if not moved.any():
-            self.acceleration[:] = 0
+            self.acceleration[self.simulated] = 0
             return
         walking = self._walking
         rows = np.flatnonzero(moved)
@@ -122,4 +122,4 @@ class Walkers(MovingBodies):
         self.velocity[rows[near], 2] = 0.0
         self.rotation[walking, 1] = np.degrees(np.arctan2(self.direction[walking, 1], self.direction[walking, 0]))
         self.velocity[moved, :2] = self.slide[moved]
-        self.acceleration = (self.velocity - self._before) / seconds
+        self._accelerate(seconds)

@@ -25,19 +25,22 @@ if TYPE_CHECKING:
 _NEAR: Final = 15.0  # m: the greatest distance between a recorded light or sign and the town's
 _SPECTATOR: Final = "spectator"
 _SENSOR: Final = "sensor."
-_TRAFFIC: Final = "traffic."
+TRAFFIC: Final = "traffic."
+"""What the blueprints of lights and signs begin with."""
 
 
 class ActorMapping:
     """Maps recorded actors to actors of the world, the replayed actors.
 
-    A recorded actor is mapped to the actor of the world that has its id and blueprint; if there is none, one is spawned,
-    with the recorded id unless another actor has, or had, it. Lights and signs are mapped to the nearest ones of the town,
+    A recorded actor is mapped to the actor of the world that has its id and blueprint; if there is none, to the one that has
+    stayed of an earlier replay of the same recording; else one is spawned, with the recorded id unless another actor has, or
+    had, it. Lights and signs are mapped to the nearest ones of the town,
     and the spectator to the spectator.
 
     Args:
         world: The world.
         replay_sensors: Spawn sensors, too.
+        earlier: The actors of an earlier replay of the same recording, by the ids of the recording.
 
     Attributes:
         replayed: The actors of the world that follow the recording, by the ids of the recording.
@@ -46,8 +49,11 @@ class ActorMapping:
         changes: The number of times that a replayed actor came or went.
     """
 
-    def __init__(self, world: ReplayWorld, *, replay_sensors: bool) -> None:
+    def __init__(
+        self, world: ReplayWorld, *, replay_sensors: bool, earlier: Mapping[int, Actor] = MappingProxyType({})
+    ) -> None:
         self._world = world
+        self._earlier = earlier
         self._replay_sensors = replay_sensors
         self._spawned: set[int] = set()
         self.replayed: dict[int, Actor] = {}
@@ -68,12 +74,12 @@ class ActorMapping:
             scene: Their poses.
         """
         actors = [actor for actor in actors if actor.id in scene.actors]
-        signs = [actor for actor in actors if actor.type_id.startswith(_TRAFFIC)]
+        signs = [actor for actor in actors if actor.type_id.startswith(TRAFFIC)]
         self.replayed |= self._nearest(signs)
         # an actor whose recorded id is taken shall not get the one of another
         self._world.reserve_ids(max((actor.id for actor in actors if actor.id <= LARGEST_WANTED), default=0))
         for actor in actors:
-            if not actor.type_id.startswith(_TRAFFIC) and (replayed := self._counterpart(actor, scene)) is not None:
+            if not actor.type_id.startswith(TRAFFIC) and (replayed := self._counterpart(actor, scene)) is not None:
                 self.replayed[actor.id] = replayed
                 _make_kinematic(replayed)
         self.changes += 1
@@ -111,9 +117,10 @@ class ActorMapping:
             return self._world.spectator
         if actor.type_id.startswith(_SENSOR) and not self._replay_sensors:
             return None
-        same_id = self._world.actors.get(actor.id)
-        if same_id is not None and same_id.type_id == actor.type_id and same_id not in self.replayed.values():
-            return same_id
+        for same in (self._world.actors.get(actor.id), self._earlier.get(actor.id)):
+            is_free = same is not None and same.is_alive and same not in self.replayed.values()
+            if same is not None and is_free and same.type_id == actor.type_id:
+                return same
         return self._spawn(actor, scene)
 
     def _spawn(self, actor: ActorLife, scene: Scene) -> Actor | None:

@@ -9,15 +9,19 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.records import NO_ACTOR
+from carla_recap.model.actors import is_object
 from carla_recap.sim.actors.events import Collision
 from carla_recap.sim.actors.motion import is_watched
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.geometry import Location, Vector
+from carla_recap.sim.replaying.actor_mapping import TRAFFIC
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
+    from carla_recap.model.actors import ActorLife
     from carla_recap.replay import Collided, Scene
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.interfaces import ReplayWorld
@@ -33,7 +37,8 @@ class CollisionReplay:
     """Adds the recorded collisions of replayed actors to the events of the world.
 
     A collision is reported for the actor for which it was recorded, and for the other one if it is watched, as by two
-    collision sensors. Collisions with actors that are not replayed are left out. A pair of actors has one collision in a
+    collision sensors. A light or sign that the town does not have counts as a barrier; collisions with other actors that are
+    not replayed are left out. A pair of actors has one collision in a
     tick, however many frames of the recording pass in it.
 
     Recordings contain no impulses. That between two actors is the impulse of an inelastic impact along the line between
@@ -51,13 +56,14 @@ class CollisionReplay:
         self._mapping = mapping
         self._kinematic = kinematic
         self._collided: list[Collided] = []
+        self._recorded: Mapping[int, ActorLife] = {}
         self._actors: dict[int, Actor] = {}
         self._velocities: dict[int, Floats] = {}
         self._latest: dict[tuple[int, int | None], float] = {}
 
     def prepare(self, scene: Scene) -> None:
         """Keep what is needed of the actors that collide, before they are moved to a scene, or destroyed."""
-        self._collided, replayed = scene.collisions, self._mapping.replayed
+        self._collided, self._recorded, replayed = scene.collisions, scene.actors, self._mapping.replayed
         ids = {id for each in self._collided for id in (each.actor1, each.actor2)}
         self._actors = {id: replayed[id] for id in ids if id in replayed}
         self._velocities = {actor.id: self._velocity(actor) for actor in self._actors.values()}
@@ -70,7 +76,7 @@ class CollisionReplay:
         pairs: dict[tuple[int, int | None], tuple[Actor, Actor | None, Collided]] = {}
         for each in self._collided:
             first, second = actors.get(each.actor1), actors.get(each.actor2)
-            if first is not None and (second is not None or each.actor2 == NO_ACTOR):
+            if first is not None and (second is not None or self._is_barrier(each.actor2)):
                 pairs.setdefault((first.id, None if second is None else second.id), (first, second, each))
         for first, second, each in list(pairs.values()):
             if second is not None and is_watched(second):
@@ -79,6 +85,11 @@ class CollisionReplay:
             is_new = not abs(each.elapsed - self._latest.get(pair, -np.inf)) < _SAME_CONTACT
             self._latest[pair] = each.elapsed
             self._world.pending.collisions.append(self._collision(first, second, each.number, is_new=is_new))
+
+    def _is_barrier(self, id: int) -> bool:
+        """Return whether a recorded id that stands for no actor of the world is that of something that never moves."""
+        actor = self._recorded.get(id)
+        return is_object(id, self._recorded) or (actor is not None and actor.type_id.startswith(TRAFFIC))
 
     def _collision(self, first: Actor, second: Actor | None, number: int, *, is_new: bool) -> Collision:
         if second is None:

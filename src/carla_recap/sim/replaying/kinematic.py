@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections import defaultdict, deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.motion import possible_step
+from carla_recap.model.motion import LONGEST_STEP, possible_step
 from carla_recap.replay.pose import wrap
+from carla_recap.replay.selection import find
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.physics.drivetrain import GEARS
@@ -23,11 +25,13 @@ if TYPE_CHECKING:
     from carla_recap.sim.replaying.actor_mapping import ActorMapping
 
     Floats = NDArray[np.float64]
+    Ids = NDArray[np.int64]
     Rows = NDArray[np.intp]
 
 _SHORTEST: Final = 1e-3  # s; velocities are not computed over less
 _PITCH_YAW_ROLL: Final = [4, 5, 3]
 """Their indices in a pose."""
+_ROUNDING: Final = 0.01  # the part of an interval between frames by which ticks may be shorter
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,8 +53,37 @@ class _Link:
     changes: int
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Velocities:
+    """The recorded velocities of vehicles or walkers in a tick.
+
+    Attributes:
+        time: The end of the tick, in elapsed seconds of the recording.
+        ids: The ids of the replayed actors in the world, (n,).
+        values: The velocity of each in m/s, (n, 3); NaN where it is not known, as in a jump.
+    """
+
+    time: float
+    ids: Ids
+    values: Floats
+
+    def of(self, ids: Ids) -> Floats:
+        """Return the velocities of actors; NaN where they are not known."""
+        if np.array_equal(ids, self.ids):
+            return self.values
+        order = np.argsort(self.ids)
+        where, known = find(ids, self.ids[order])
+        found = np.full((len(ids), 3), np.nan)
+        found[known] = self.values[order[where[known]]]
+        return found
+
+
 class KinematicReplay:
     """Moves the actors of a replay, which are rows of arrays.
+
+    Their velocities are the ways between two ticks through the time. Their accelerations are the differences of two such
+    velocities, of ticks that are at least as far apart as the frames of the recording: between two frames, poses are
+    interpolated, and velocities constant.
 
     Args:
         world: The world.
@@ -64,7 +97,9 @@ class KinematicReplay:
         self._links: dict[str, _Link] = {}
         self._speeds: dict[int, list[float]] = {}
         self._set_poses: dict[int, bytes] = {}
-        self._in_motion: dict[str, NDArray[np.int64]] = {}
+        self._in_motion: dict[str, Ids] = {}
+        self._moved: defaultdict[str, Ids] = defaultdict(lambda: np.empty(0, np.int64))
+        self._latest: defaultdict[str, deque[_Velocities]] = defaultdict(deque)
 
     def move(self, scene: Scene, delta: float, seconds: float) -> None:
         """Move all replayed actors to their recorded poses in the tick that begins.
@@ -78,7 +113,13 @@ class KinematicReplay:
             rows, indices = self._linked(name, scene.ids, movers.id)
             poses = scene.poses[indices]
             finite = np.isfinite(poses).all(axis=1)
-            self._move(name, movers, rows[finite], poses[finite], delta, seconds)
+            rows, poses = rows[finite], poses[finite]
+            self._stop(name, movers, rows)
+            velocities = self._move(name, movers, rows, poses, delta, seconds)
+            movers.acceleration[rows] = 0.0
+            if velocities is not None:
+                changes = self._changes(name, _Velocities(scene.time, movers.id[rows], velocities), scene)
+                movers.acceleration[rows] = changes * (seconds / delta) ** 2
         self._set_other_poses(scene)
         self._set_controls(scene)
         self._set_walks(scene)
@@ -92,21 +133,37 @@ class KinematicReplay:
         """Return the recorded velocity of an actor, in m/s along the world's axes."""
         return self._speeds.get(actor.id, [0.0, 0.0, 0.0])
 
-    def _move(self, name: str, movers: MovingBodies, rows: Rows, poses: Floats, delta: float, seconds: float) -> None:
+    def _stop(self, name: str, movers: MovingBodies, rows: Rows) -> None:
+        """Let replayed actors stand still that have no pose any more."""
+        ids = movers.id[rows]
+        if not np.array_equal(ids, self._moved[name]):
+            left = np.isin(movers.id, self._moved[name]) & ~np.isin(movers.id, ids) & ~movers.simulated
+            for column in (movers.velocity, movers.angular_velocity, movers.acceleration):
+                column[left] = 0.0
+
+    def _move(
+        self, name: str, movers: MovingBodies, rows: Rows, poses: Floats, delta: float, seconds: float
+    ) -> Floats | None:
+        """Move vehicles or walkers; return their recorded velocities in m/s, NaN where they are unknown, if time passes."""
         position, rotation = poses[:, :3] / CM_PER_M, poses[:, _PITCH_YAW_ROLL]
         path = position - movers.position[rows]
-        yaw_change = wrap(rotation - movers.rotation[rows])[:, 1]
+        turn = wrap(rotation - movers.rotation[rows])
         distance = np.linalg.norm(path, axis=1)
+        ids, velocities = movers.id[rows], None
         if seconds >= _SHORTEST:
-            path[distance > possible_step(seconds, least=0.0)] = 0
-            self._speeds |= zip(movers.id[rows].tolist(), (path / seconds).tolist(), strict=True)
+            jumps = distance > possible_step(seconds, least=0.0)
+            path[jumps], turn[jumps] = 0.0, 0.0
+            velocities = path / seconds
+            self._speeds |= zip(ids.tolist(), velocities.tolist(), strict=True)
+            velocities[jumps | ~np.isin(ids, self._moved[name])] = np.nan
+        self._moved[name] = ids
         pushing = distance <= possible_step(delta, least=0.0)  # an actor that jumps pushes none on its way
         for row, (x, y, z), (pitch, yaw, roll) in zip(rows[~pushing], position[~pushing], rotation[~pushing], strict=True):
             movers.place(int(row), (x, y, z), (pitch, yaw, roll))
         rate = 1 / delta if delta else 0.0
         motions = np.zeros((len(movers), 3))
         motions[rows, :2] = path[:, :2] * rate * pushing[:, None]
-        motions[rows, 2] = np.radians(yaw_change) * rate * pushing
+        motions[rows, 2] = np.radians(turn[:, 1]) * rate * pushing
         moving: NDArray[np.bool_] = (motions != 0).any(axis=1)
         in_motion = self._in_motion.get(name, ())
         stopping = np.isin(movers.id, in_motion) & ~movers.simulated  # bodies keep the velocity of the tick before
@@ -117,7 +174,21 @@ class KinematicReplay:
         movers.position[rows] = position
         movers.rotation[rows] = rotation
         movers.velocity[rows] = path * rate
-        movers.angular_velocity[rows, 2] = yaw_change * rate
+        movers.angular_velocity[rows] = _turning(rotation, turn) * rate
+        return velocities
+
+    def _changes(self, name: str, latest: _Velocities, scene: Scene) -> Floats:
+        """Return the changes of the recorded velocities in m/s², 0 where unknown, and keep the latest velocities."""
+        following, known = scene.batch.following, self._latest[name]
+        interval = min(following.elapsed - scene.frame.elapsed, LONGEST_STEP) if following is not None else 0.0
+        before = latest.time - interval * (1 - _ROUNDING)
+        while len(known) > 1 and known[1].time <= before:
+            known.popleft()
+        earlier = known[0] if known and known[0].time <= before else None
+        known.append(latest)
+        if earlier is None:
+            return np.zeros_like(latest.values)
+        return np.nan_to_num((latest.values - earlier.of(latest.ids)) / (latest.time - earlier.time))
 
     def _set_other_poses(self, scene: Scene) -> None:
         """Set the poses of props and the spectator."""
@@ -185,3 +256,21 @@ class KinematicReplay:
             rows, indices = np.array(pairs, np.intp).reshape(-1, 2).T
             link = self._links[name] = _Link(rows, indices, recorded, world_ids, changes)
         return link.rows, link.indices
+
+
+def _turning(rotation: Floats, turn: Floats) -> Floats:
+    """Return turns as vectors along the axes of the world, in degrees, (n, 3), as physics engines have angular velocities.
+
+    In CARLA's recordings, too, a positive pitch or roll turns around the negative axis.
+
+    Args:
+        rotation: Pitch, yaw and roll after the turn, in degrees, (n, 3).
+        turn: The changes of pitch, yaw and roll, in degrees, (n, 3).
+    """
+    pitch, yaw = np.radians(rotation[:, 0]), np.radians(rotation[:, 1])
+    cos, sin, still = np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))
+    right = np.stack((-sin, cos, still), axis=1)
+    ahead = np.stack((np.cos(pitch) * cos, np.cos(pitch) * sin, np.sin(pitch)), axis=1)
+    up = np.array((0.0, 0.0, 1.0))
+    vectors: Floats = turn[:, 1, None] * up - turn[:, 0, None] * right - turn[:, 2, None] * ahead
+    return vectors

@@ -222,8 +222,10 @@ class Replayer:
             map_name = map_name or reader.header.map_name
             loaded = self._load(reader.path, map_name, keep_town=keep_town, is_recorded=not chosen)
             self._replay_weather = replay_weather
+            earlier = self._mapping.replayed if path == self._path else {}
             self._path = path
-            self._begin(player, replay_sensors)
+            self._mapping = ActorMapping(self._world, replay_sensors=replay_sensors, earlier=earlier)
+            self._begin(player)
         except BaseException:
             self.stop()
             self._close()
@@ -351,10 +353,9 @@ class Replayer:
         self._corridors = town
         return True
 
-    def _begin(self, player: Player, replay_sensors: bool) -> None:
+    def _begin(self, player: Player) -> None:
         world = self._world
         self._player = player
-        self._mapping = ActorMapping(world, replay_sensors=replay_sensors)
         self._kinematic = KinematicReplay(world, self._mapping)
         self._collisions = CollisionReplay(world, self._mapping, self._kinematic)
         self._doors, self._weather = {}, None

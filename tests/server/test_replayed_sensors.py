@@ -1,0 +1,252 @@
+"""Sensors in a replay, as CARLA's own client attaches them, or has recorded them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import carla
+import numpy as np
+import pytest
+
+from carla_recap import open_recording
+from carla_recap.server import running
+from tests.roads.towns import town
+from tests.samples import carla_log
+from tests.server.clients.calls import ahead, spawn, straight
+from tests.server.test_sensors import Data, of_frame, sensor, settle, start
+from tests.waiting import PATIENCE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+CRASH, JUNCTION = SAMPLES / "crash.mcap", SAMPLES / "junction.mcap"
+HERO, CHANGING = 41, 54
+"""The ids of the hero of one recording, and of a car that changes lanes in the other."""
+DELTA = 0.05
+EYE = (1.5, 0.0, 1.2)
+"""The place of a sensor on a vehicle, in m."""
+ON_CAR = carla.Transform(carla.Location(*EYE))
+
+
+def way_of(path: Path, id: int) -> Any:
+    """Return the trajectory of a recorded actor, in m and CARLA's axes."""
+    with open_recording(path) as recording:
+        return recording.trajectory(id, axes="carla")
+
+
+def place_at(way: Any, time: float) -> carla.Location:
+    return carla.Location(*(float(np.interp(time, way.time, along)) for along in (way.x, way.y, way.z)))
+
+
+def eye_of(actor: carla.Actor) -> carla.Location:
+    """Return the place of a sensor on an actor; the client's `transform` changes its argument."""
+    return actor.get_transform().transform(carla.Location(*EYE))
+
+
+def replayed(client: carla.Client, path: Path, id: int, begin: float, **options: Any) -> carla.Vehicle:
+    """Begin a replay, and return the actor that is where the recorded one is; other ids may be taken."""
+    client.replay_file(str(path), begin, 0.0, 0, options.get("sensors", False))
+    world = client.get_world()
+    world.tick()
+    there = place_at(way_of(path, id), begin + DELTA)
+    return min(world.get_actors().filter("vehicle.*"), key=lambda actor: actor.get_location().distance(there))
+
+
+def test_each_tick_has_its_data_of_its_moment(client: carla.Client, world: carla.World) -> None:
+    hero, way, begin = replayed(client, CRASH, HERO, 5.0), way_of(CRASH, HERO), 5.0 + DELTA
+    first = world.get_snapshot().timestamp.elapsed_seconds
+    small = {"image_size_x": "64", "image_size_y": "48"}
+    kinds = ["camera.rgb", "camera.depth", "lidar.ray_cast", "other.radar", "other.gnss", "other.imu"]
+    data = {kind: Data(sensor(world, kind, hero, ON_CAR, **(small if "camera" in kind else {}))) for kind in kinds}
+    start(world, *data.values())
+    for _ in range(40):
+        frame = world.tick()
+        elapsed = world.get_snapshot().timestamp.elapsed_seconds
+        moment = begin + elapsed - first
+        assert hero.get_location().distance(place_at(way, moment)) < 1e-3
+        for kind, queue in data.items():
+            measured = of_frame(queue, frame)
+            assert measured.timestamp == pytest.approx(elapsed), kind
+            assert measured.transform.location.distance(eye_of(hero)) < 1e-3, kind
+            if kind == "other.imu":
+                v = [place_at(way, moment - late * DELTA) for late in (0, 1, 2)]
+                change = (v[0] - v[1] - (v[1] - v[2])).dot(hero.get_transform().get_forward_vector()) / DELTA**2
+                assert measured.accelerometer.x == pytest.approx(change, abs=0.05)
+            elif kind == "other.gnss":
+                there = world.get_map().transform_to_geolocation(measured.transform.location)
+                assert (measured.latitude, measured.longitude) == pytest.approx((there.latitude, there.longitude), abs=1e-9)
+    assert hero.get_velocity().length() > 5.0
+    assert all(queue.empty() for queue in data.values())
+
+
+def test_lane_invasions_of_a_replayed_car_come_where_it_changes_lanes(client: carla.Client, world: carla.World) -> None:
+    begin = 3.0
+    car = replayed(client, JUNCTION, CHANGING, begin)
+    first = world.get_snapshot().timestamp.elapsed_seconds
+    data = Data(sensor(world, "other.lane_invasion", car, carla.Transform()))
+    settle()
+    for _ in range(80):
+        world.tick()
+    settle()
+    events = [data.get() for _ in range(data.qsize())]
+    moments = [begin + DELTA + event.timestamp - first for event in events]
+    assert len(moments) == 3  # two corners of the car, its middle line in between, and the other two
+    assert 4.0 < moments[0] < 5.0 < moments[-1] < 6.5  # the middle of the car is on another lane from 5.0 s on
+    assert {mark.type for event in events for mark in event.crossed_lane_markings} == {carla.LaneMarkingType.Broken}
+
+
+def test_a_paused_or_slow_replay_has_data_in_each_tick(client: carla.Client, world: carla.World) -> None:
+    hero, way = replayed(client, CRASH, HERO, 6.0), way_of(CRASH, HERO)
+    camera = Data(sensor(world, "camera.rgb", hero, image_size_x="64", image_size_y="48"))
+    imu = Data(sensor(world, "other.imu", hero))
+    start(world, camera, imu)
+    for factor in (0.5, 0.0, 1.0):
+        client.set_replayer_time_factor(factor)
+        world.tick()
+        before = hero.get_location()
+        for _ in range(4):
+            frame = world.tick()
+            assert of_frame(camera, frame).frame == frame
+            measured = of_frame(imu, frame)
+        gone = before.distance(hero.get_location())
+        assert gone == pytest.approx(4 * DELTA * factor * 5.0, abs=0.6 * factor)
+        assert measured.accelerometer.x == pytest.approx(3.0 * factor**2, abs=0.1)
+    assert place_at(way, 6.4).distance(hero.get_location()) < 2.0
+
+
+@pytest.fixture
+def collision(client: carla.Client, world: carla.World, tmp_path: Path) -> tuple[Path, float, float]:
+    """A recording of a hero with sensors that hits a van, the time of impact in s, and half of the length of the van."""
+    place = straight(world, 60.0)
+    hero = spawn(world, "vehicle.tesla.model3", place, role_name="hero")
+    van = spawn(world, "vehicle.mercedes.sprinter", ahead(place, 25.0, up=place.location.z))
+    world.tick()
+    path = tmp_path / "collision.log"
+    client.start_recorder(str(path), True)
+    world.tick()
+    begin = world.get_snapshot().timestamp.elapsed_seconds
+    camera = sensor(world, "camera.depth", hero, ON_CAR, image_size_x="64", image_size_y="48", fov="60")
+    sensors = [camera, *(sensor(world, f"other.{kind}", hero) for kind in ("collision", "lane_invasion", "imu"))]
+    data, length = Data(sensors[1]), van.bounding_box.extent.x
+    settle()
+    hero.apply_control(carla.VehicleControl(throttle=1.0))
+    for _ in range(90):
+        world.tick()
+    client.stop_recorder()
+    impact = data.get(timeout=PATIENCE).timestamp - begin
+    for actor in (*sensors, hero, van):
+        actor.destroy()
+    world.tick()
+    return path, impact, length
+
+
+def test_recorded_sensors_can_be_listened_to(
+    client: carla.Client, world: carla.World, collision: tuple[Path, float, float]
+) -> None:
+    path, impact, length = collision
+    client.replay_file(str(path), 0.5, 0.0, 0, True)
+    world.tick()
+    first = world.get_snapshot().timestamp.elapsed_seconds
+    actors = world.get_actors()
+    (hero,) = (actor for actor in actors.filter("vehicle.*") if actor.attributes["role_name"] == "hero")
+    (van,) = actors.filter("vehicle.mercedes.sprinter")
+    sensors = {actor.type_id: actor for actor in actors.filter("sensor.*")}
+    assert set(sensors) == {
+        f"sensor.{name}" for name in ("camera.depth", "other.collision", "other.lane_invasion", "other.imu")
+    }
+    assert {actor.parent.id for actor in sensors.values()} == {hero.id}
+    assert sensors["sensor.camera.depth"].attributes["fov"] == "60"
+    camera, events = Data(sensors["sensor.camera.depth"]), Data(sensors["sensor.other.collision"])
+    start(world, camera)
+    settle()
+    while world.get_snapshot().timestamp.elapsed_seconds - first + 0.5 + DELTA < impact - 2 * DELTA:
+        image = of_frame(camera, world.tick())
+        pixels = np.frombuffer(image.raw_data, np.uint8).reshape(image.height, image.width, 4)[24, 32].astype(float)
+        depth = (pixels[2] + pixels[1] * 256 + pixels[0] * 65536) / (256**3 - 1) * 1000.0
+        assert depth == pytest.approx(eye_of(hero).distance_2d(van.get_location()) - length, abs=0.5)
+    for _ in range(20):
+        world.tick()
+    event = events.get(timeout=PATIENCE)
+    assert event.timestamp - first + 0.5 + DELTA == pytest.approx(impact, abs=DELTA)
+    assert (event.actor.id, event.other_actor.id) == (hero.id, van.id)
+    assert event.normal_impulse.dot(hero.get_transform().get_forward_vector()) < -1000.0
+    client.stop_replayer(False)
+    world.tick()
+    assert not world.get_actors().filter("sensor.*")
+
+
+def test_a_replay_without_its_hero_has_no_sensors_of_it(
+    client: carla.Client, world: carla.World, collision: tuple[Path, float, float]
+) -> None:
+    client.set_replayer_ignore_hero(True)
+    try:
+        client.replay_file(str(collision[0]), 0.5, 0.0, 0, True)
+        world.tick()
+        assert [actor.type_id for actor in world.get_actors().filter("vehicle.*")] == ["vehicle.mercedes.sprinter"]
+        assert not world.get_actors().filter("sensor.*")
+    finally:
+        client.set_replayer_ignore_hero(False)
+
+
+def test_a_sensor_goes_on_after_the_end_and_in_the_next_replay(
+    client: carla.Client, world: carla.World, collision: tuple[Path, float, float]
+) -> None:
+    path, impact, _ = collision
+    client.replay_file(str(path), impact - 0.5, 1.0, 0, False)
+    world.tick()
+    (hero,) = world.get_actors().filter("vehicle.tesla.model3")
+    events = Data(sensor(world, "other.collision", hero))
+    image = Data(sensor(world, "camera.rgb", hero, image_size_x="64", image_size_y="48"))
+    start(world, image)
+    settle()
+    for _ in range(40):  # 1 s of it are the replay
+        frame = world.tick()
+        assert of_frame(image, frame).frame == frame
+    seen = events.qsize()
+    assert seen >= 1
+    while not events.empty():
+        events.get()
+    client.replay_file(str(path), impact - 0.5, 1.0, 0, False)
+    world.tick()
+    assert [actor.id for actor in world.get_actors().filter("vehicle.tesla.model3")] == [hero.id]
+    for _ in range(15):
+        frame = world.tick()
+        assert of_frame(image, frame).frame == frame
+    assert events.get(timeout=PATIENCE).actor.id == hero.id
+
+
+# --- recordings of CARLA -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def in_town(tmp_path: Path) -> Iterator[carla.Client]:
+    """A client of a server that has CARLA's Town01."""
+    with running(maps=town("Town01").parent, recordings=tmp_path) as port:
+        client = carla.Client("127.0.0.1", port)
+        client.set_timeout(PATIENCE)
+        client.set_files_base_folder(str(tmp_path))
+        yield client
+
+
+@pytest.mark.parametrize(("name", "hero"), [("0.9.10", 259), ("0.9.13", 234)])
+def test_sensors_of_a_recording_of_carla_send_again(in_town: carla.Client, name: str, hero: int) -> None:
+    path = carla_log(f"carla-{name}-lane-center.log")
+    way = way_of(path, hero)
+    in_town.replay_file(str(path), 8.0, 0.0, 0, True)
+    world = in_town.get_world()
+    world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=DELTA))
+    actors = world.get_actors()
+    (car,) = (actor for actor in actors.filter("vehicle.*") if actor.attributes["role_name"] == "hero")
+    kinds = {"sensor.other.gnss", "sensor.other.imu", "sensor.camera.rgb"}
+    data = [Data(actor) for actor in actors if actor.type_id in kinds and actor.parent and actor.parent.id == car.id]
+    assert {each.sensor.type_id for each in data} == kinds
+    start(world, *data)
+    for _ in range(30):
+        frame = world.tick()
+        measured = [of_frame(each, frame) for each in data]
+        assert max(each.transform.location.distance(car.get_location()) for each in measured) < 8.0
+    along = [carla.Location(*map(float, place)) for place in zip(way.x, way.y, way.z, strict=True)]
+    assert min(place.distance(car.get_location()) for place in along) < 0.6
+    assert car.get_velocity().length() > 1.0
