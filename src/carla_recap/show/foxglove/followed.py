@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from carla_recap.replay import Event
     from carla_recap.replay.scene import SceneBatch
     from carla_recap.scene.follow import FollowedSeries
-    from carla_recap.show.foxglove.messages import Floats, Indices, Stamps
+    from carla_recap.show.foxglove.messages import Floats, Indices, ShownScenes, Stamps
 
 TRANSFORMS: Final = "/tf"
 HERO: Final = "/hero"
@@ -63,20 +63,14 @@ class ViewFrames:
     def __init__(self) -> None:
         self._hero: int | None = None
 
-    def messages(self, batch: SceneBatch, rows: Indices, stamps: Stamps, series: FollowedSeries) -> Iterator[TopicMessages]:
-        """Yield the messages of some scenes of a batch.
-
-        Args:
-            batch: The scenes.
-            rows: The positions of the scenes that are shown.
-            stamps: The timestamp of each of these.
-            series: The followed actor in these.
-        """
+    def messages(self, scenes: ShownScenes) -> Iterator[TopicMessages]:
+        """Yield the messages of some scenes of a batch."""
+        (description, rows, stamps, series), batch = scenes, scenes.description.batch
         if any(self._may_be_hero(event) for event in batch.events):
             self._hero = next((actor.id for actor in heroes_of(batch.actors.values())), None)
-        views = np.nan_to_num(series.camera, nan=0.0)
-        poses = None if self._hero is None else batch.pose_of(self._hero)
-        hero = np.full((len(rows), 6), np.nan) if poses is None else poses[rows]
+        views = right_handed(np.nan_to_num(series.camera, nan=0.0))
+        column = np.flatnonzero(description.ids == self._hero)
+        hero = description.poses[rows, column[0]] if len(column) else np.full((len(rows), 6), np.nan)
         known = np.isfinite(hero).all(axis=1)
         for some, frames in (
             (~known, {_FOLLOWED_FRAME: views}),
@@ -137,15 +131,9 @@ class LightMessages:
         self._shown: tuple[bytes, bytes, int] | None = None  # the latest ids and states, and the id of the light ahead
         self._marked: str | None = None
 
-    def messages(self, batch: SceneBatch, rows: Indices, stamps: Stamps, series: FollowedSeries) -> Iterator[TopicMessages]:
-        """Yield messages for each of some scenes in which a light has changed, or another light is ahead.
-
-        Args:
-            batch: The scenes.
-            rows: The positions of the scenes that are shown.
-            stamps: The timestamp of each of these.
-            series: The followed actor in these.
-        """
+    def messages(self, scenes: ShownScenes) -> Iterator[TopicMessages]:
+        """Yield messages for each of some scenes in which a light has changed, or another light is ahead."""
+        (_, rows, stamps, series), batch = scenes, scenes.description.batch
         lights = batch.light_states[rows]
         ids, states, ahead = lights["id"][0], lights["state"], series.light
         changed = (states[1:] != states[:-1]).any(axis=1) | (ahead[1:] != ahead[:-1])
@@ -205,9 +193,9 @@ def _transform_part(frame: str) -> MessagePart:
 
 
 def _transforms(rows: Indices, stamps: Stamps, frames: dict[str, Floats]) -> TopicMessages:
-    """Return messages with the poses of some frames, in cm and degrees, by name."""
+    """Return messages with the poses of some frames by name, in m and degrees, right-handed."""
     messages, transforms = _transforms_template(tuple(frames)).messages(TRANSFORMS, rows)
-    poses = right_handed(np.stack(list(frames.values())))
+    poses = np.stack(list(frames.values()))
     for frame, positions, turns in zip(frames, poses[..., LOCATION], quaternions(poses), strict=True):
         transforms[f"{frame}timestamp"] = stamps
         fill_pose(transforms, positions, turns, frame)

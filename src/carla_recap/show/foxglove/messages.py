@@ -46,6 +46,9 @@ if TYPE_CHECKING:
     from google.protobuf.message import Message
     from numpy.typing import DTypeLike, NDArray
 
+    from carla_recap.scene.description import SceneDescription
+    from carla_recap.scene.follow import FollowedSeries
+
     Floats = NDArray[np.float64]
     Indices = NDArray[np.intp]
     Stamps = NDArray[np.uint8]
@@ -110,6 +113,22 @@ class TopicMessages(NamedTuple):
     topic: str
     rows: Indices
     data: NDArray[np.uint8]
+
+
+class ShownScenes(NamedTuple):
+    """The scenes of a batch that are shown.
+
+    Attributes:
+        description: All scenes of the batch.
+        rows: The positions of those that are shown, at least one.
+        stamps: The timestamp of each of these.
+        series: The followed actor in these.
+    """
+
+    description: SceneDescription
+    rows: Indices
+    stamps: Stamps
+    series: FollowedSeries
 
 
 def single(topic: str, row: int, message: Message | bytes) -> TopicMessages:

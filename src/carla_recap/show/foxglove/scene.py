@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.description import LookColumns, SceneDescription
     from carla_recap.scene.falls import Fall
-    from carla_recap.show.foxglove.messages import Floats, Indices, Stamps
+    from carla_recap.show.foxglove.messages import Floats, Indices, ShownScenes, Stamps
 
 MOVED: Final = "/tf/actors"
 STILL: Final = "/tf/still"
@@ -183,14 +183,9 @@ class ActorEntities:
         self._lamps = _TopicEntities(bodies.LAMPS)
         self._signals = _TopicEntities(bodies.SIGNALS)
 
-    def messages(self, description: SceneDescription, rows: Indices, stamps: Stamps) -> Iterator[TopicMessages]:
-        """Yield the messages of some scenes of a batch.
-
-        Args:
-            description: The scenes.
-            rows: The positions of the scenes that are shown.
-            stamps: The timestamp of each of these.
-        """
+    def messages(self, scenes: ShownScenes) -> Iterator[TopicMessages]:
+        """Yield the messages of some scenes of a batch."""
+        description, rows, stamps, _ = scenes
         batch, changed = description.batch, self._take_actors(description)
         shown = slice(None) if len(rows) == len(batch) else rows
         poses, present = description.poses[shown], description.shown[shown]

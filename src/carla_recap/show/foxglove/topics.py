@@ -15,7 +15,7 @@ from carla_recap.scene.captions import EventText, Level, incident_lines
 from carla_recap.scene.description import SceneDescriber
 from carla_recap.scene.follow import FollowedActor
 from carla_recap.show.foxglove import bodies, followed, scene
-from carla_recap.show.foxglove.messages import FrameTransforms, Log, SceneUpdate, single, timestamps
+from carla_recap.show.foxglove.messages import FrameTransforms, Log, SceneUpdate, ShownScenes, single, timestamps
 from carla_recap.show.foxglove.town import MAP, MARKS, map_message, mark_messages
 from carla_recap.v1.followed_pb2 import Followed, ShownLights
 
@@ -192,10 +192,9 @@ class SceneMessages:
         self, description: SceneDescription, rows: Indices, times: Times, series: FollowedSeries
     ) -> Iterator[TopicMessages]:
         """Yield the messages of the scenes that are shown, given the followed actor in the batch."""
-        batch, series, stamps = description.batch, series.take(rows), timestamps(times[rows])
-        yield from self._frames.messages(batch, rows, stamps, series)
-        yield from self._entities.messages(description, rows, stamps)
-        yield from self._lights.messages(batch, rows, stamps, series)
+        scenes = ShownScenes(description, rows, timestamps(times[rows]), series.take(rows))
+        for part in (self._frames, self._entities, self._lights):
+            yield from part.messages(scenes)
 
     def _times_of(self, batch: SceneBatch) -> Times:
         times = self._clock.times_of(batch.time)

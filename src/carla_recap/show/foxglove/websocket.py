@@ -12,7 +12,7 @@ from bisect import bisect_left
 from heapq import merge
 from threading import Event, Lock, Thread
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 
@@ -20,11 +20,11 @@ from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.formats.mcap.schema import SECOND, LogClock
 from carla_recap.rendering.town import town_of_map
 from carla_recap.replay import Player
-from carla_recap.replay.follow import HERO, LiveChoice
-from carla_recap.replay.player import LiveScenes
+from carla_recap.replay.follow import HERO
 from carla_recap.roads.surfaces import road_network_of_map
-from carla_recap.scene.ahead import add_stop_points, stop_points
+from carla_recap.scene.ahead import stop_points
 from carla_recap.scene.captions import PlayedIncidents
+from carla_recap.scene.follow import LiveFollow
 from carla_recap.show.foxglove.messages import timestamps
 from carla_recap.show.foxglove.topics import LOG, RATE, TOPICS, SceneMessages, incident_messages
 from carla_recap.show.foxglove.town import MAP, map_message, town_around
@@ -427,28 +427,21 @@ class FoxgloveView:
     Args:
         server: What sends them.
         header: The header of the recording.
-        follow: The actor that the layouts follow as soon as it is present; see `LiveChoice`.
+        follow: The actor that the layouts follow as soon as it is present; see `LiveFollow`.
         road_map: The map of the town.
     """
 
     def __init__(
         self, server: FoxgloveServer, header: Header, follow: Follow = HERO, road_map: RoadMap | None = None
     ) -> None:
-        town = town_of_map(road_map)
         self._server = server
-        self._choice = LiveChoice(follow)
-        self._followed: int | None = None
-        self._scenes = LiveScenes()
-        self._stops: dict[int, Any] = {}
-        self._messages = SceneMessages(header, None, town, self._stops)
+        self._follow = LiveFollow(follow)
+        self._messages = SceneMessages(header, None, town_of_map(road_map), self._follow.stops)
 
     def enter(self, frame: Frame) -> None:
         """Add a frame."""
-        scene = self._scenes.scene(frame)
-        add_stop_points(self._stops, frame)
-        chosen = self._choice.choose(scene)
-        if chosen is not None and chosen != self._followed:
-            self._followed = chosen
+        scene, chosen = self._follow.scene(frame)
+        if chosen is not None:
             self._messages.follow(chosen)
         for part in self._messages.of(scene.batch):
             for sent in part.in_order():
