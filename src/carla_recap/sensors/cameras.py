@@ -52,7 +52,7 @@ class PlacedSensor(NamedTuple):
     pose: Floats
 
 
-class _View:
+class _Pass:
     """What cameras of the same pose, size and field of view see.
 
     Args:
@@ -106,8 +106,8 @@ class RigCameras:
             What waits for images, each for those of some cameras, and returns them as arrays by the id of the sensor; see
             `decoded`.
         """
-        views: dict[tuple[object, ...], _View] = {}
-        found: list[_View] = []
+        views: dict[tuple[object, ...], _Pass] = {}
+        found: list[_Pass] = []
         for spec, pose in sorted(sensors, key=lambda sensor: sensor.spec.image is ImageKind.FLOW):
             kind, camera, left_out = spec.image, camera_of(spec, pose), hidden(spec)
             assert kind is not None
@@ -118,14 +118,14 @@ class RigCameras:
                 if view is not None and kind in view.kinds and _actors_of(view.previous) is not _actors_of(previous):
                     view = None  # it shows the motion since another moment
             if view is None:
-                view = views[place] = _View(camera, left_out)
+                view = views[place] = _Pass(camera, left_out)
                 found.append(view)
             view.previous = previous or view.previous
             view.sensors.append((spec.id, kind))
         sky = Sky.of_weather(scene.weather)
         return [self._drawn(view, instances, sky) for view in found]
 
-    def _drawn(self, view: _View, instances: Instances, sky: Sky) -> Callable[[], dict[str, Image]]:
+    def _drawn(self, view: _Pass, instances: Instances, sky: Sky) -> Callable[[], dict[str, Image]]:
         """Have the images of a view drawn, and return what waits for them."""
         future: Future[dict[ImageKind, Image]] = self._renderer.submit(
             view.camera, instances, view.kinds, sky, view.previous, without=view.hidden
