@@ -46,6 +46,7 @@ NAMES = [
     "RecapWarning",
     "RecordError",
     "RecordTable",
+    "RecordedSensor",
     "Recorder",
     "Recording",
     "RecordingIndex",

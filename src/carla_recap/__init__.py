@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.incidents import Incident, IncidentOptions
     from carla_recap.queries.info import InfoRow
     from carla_recap.queries.measures.table import MeasureRow, MeasureSeries
+    from carla_recap.queries.sensors import RecordedSensor
     from carla_recap.queries.summary import HeroSummary, RecordingSummary
     from carla_recap.recording import Recording, RecordingInfo, open_recording
     from carla_recap.replay import Player, Scene
@@ -105,6 +106,7 @@ __all__ = [
     "RecapWarning",
     "RecordError",
     "RecordTable",
+    "RecordedSensor",
     "Recorder",
     "Recording",
     "RecordingIndex",
@@ -204,6 +206,7 @@ _get, __dir__ = lazily(
         "queries.incidents": ("Incident", "IncidentOptions"),
         "queries.measures.table": ("MeasureRow", "MeasureSeries"),
         "queries.info": ("InfoRow",),
+        "queries.sensors": ("RecordedSensor",),
         "queries.summary": ("HeroSummary", "RecordingSummary"),
         "model.records": ("ActorKind", "Attribute", "Spawn", "attributes"),
         "recording": ("Recording", "RecordingInfo", "open_recording"),

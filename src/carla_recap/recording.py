@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from types import TracebackType
 
-    from carla_recap.formats.base import Reader
+    from carla_recap.formats.base import Reader, TopicMessage
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame, Header
     from carla_recap.queries.blocked import Blocked
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.measures import Measures
     from carla_recap.queries.measures.over_time import Subjects
     from carla_recap.queries.measures.table import MeasureSeries
+    from carla_recap.queries.sensors import RecordedSensors
     from carla_recap.queries.summary import RecordingSummary
     from carla_recap.tables.display import Preview
 
@@ -190,6 +191,34 @@ class Recording:
     def heroes(self) -> list[ActorLife]:
         """The actors whose role_name is hero, vehicles and walkers first."""
         return heroes_of(self.actors.values())
+
+    @cached_property
+    def sensors(self) -> RecordedSensors:
+        """The sensors whose data the recording has, with their topics; a `.log` has none.
+
+        Raises:
+            FormatError: The file contradicts its format.
+        """
+        from carla_recap.queries.sensors import sensors
+
+        return sensors(self.reader)
+
+    def sensor_messages(self, id: str, start: float = -math.inf, stop: float = math.inf) -> Iterator[TopicMessage]:
+        """Yield the messages of a sensor: `topic`, `elapsed` in s, and `data`, which are encoded as the topic's schema says.
+
+        Those of all its topics come in order of time. Only the chunks of its topics are read.
+
+        Args:
+            id: The sensor's id.
+            start: The time of the first message, in s.
+            stop: The time before which the last message is, in s.
+
+        Raises:
+            RecapError: There is no such sensor.
+        """
+        from carla_recap.queries.sensors import sensor_messages
+
+        return sensor_messages(self.reader, id, start, stop)
 
     def frames(self, start: float = -math.inf, stop: float = math.inf) -> Iterator[Frame]:
         """Yield the frames.

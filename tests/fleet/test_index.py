@@ -17,6 +17,7 @@ from carla_recap.fleet.sources import SourceFile
 from carla_recap.model.records import attributes
 from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.roads import find_map, find_road_network
+from tests.sensed import sensed
 from tests.waiting import PATIENCE
 
 pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
@@ -410,3 +411,13 @@ def test_a_signal_ends_a_query_that_never_ends(tmp_path):
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
+
+
+def test_sensors_are_rows_of_a_table(tmp_path):
+    sensed(tmp_path / "run.mcap")
+    write_index([tmp_path / "run.mcap", SAMPLES / "crash.mcap"], tmp_path / "index", jobs=1)
+    with open_index(tmp_path / "index") as opened:
+        (row,) = opened.table("sensors").to_pylist()
+        (found,) = opened.sql("select parse_filename(recording) as file, count, first, last from sensors").to_pylist()
+    assert (row["id"], row["type"], row["topics"]) == ("front", "sensor.camera.rgb", ["/sensors/front/image"])
+    assert found == {"file": "run.mcap", "count": 100, "first": 0.0, "last": pytest.approx(9.9, abs=1e-6)}

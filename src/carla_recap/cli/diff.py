@@ -54,7 +54,8 @@ def diff(
 ) -> NoReturn:
     """Compare two recordings of a scenario.
 
-    The exit code is 0 if they are equal within the tolerance, 1 if they differ, 2 if one cannot be read.
+    Data of sensors are not compared. The exit code is 0 if they are equal within the tolerance, 1 if they differ, 2 if one
+    cannot be read.
     """
     from carla_recap.editing.convert import check_destination
     from carla_recap.queries.output import differences as output

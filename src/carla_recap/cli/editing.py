@@ -31,7 +31,7 @@ _format = click.option(
 def convert(request: WriteRequest, suffix: str | None) -> None:
     """Write recordings in another format: one to a file, whose suffix says which; many to a folder.
 
-    .log to .mcap and back gives the same bytes.
+    .log to .mcap and back gives the same bytes. A .mcap keeps the data of sensors, which a .log cannot hold.
     """
     request.write(_convert, suffix, "mcap", "converting")
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.editing.convert import check_destination
+from carla_recap.editing.convert import TopicCopy, check_destination
 from carla_recap.editing.initial_state import InitialState
 from carla_recap.errors import RecapError
 from carla_recap.formats import create_writer, open_reader
@@ -49,6 +49,9 @@ def clip(
     the packets are those of the source, byte for byte, so their clocks (platform_time, visual_time) are those of the
     source. One exception: a parent that an actor got after its spawn is recorded in the second frame, because a parent in
     the frame of the spawn means that the pose of the spawn is relative to the parent.
+
+    In an .mcap, the clip has the messages of further topics of its time, too, such as those of sensors, their bytes
+    unchanged; of a topic with a single message, such as a calibration, that message. A .log cannot hold them.
 
     Args:
         source: A recording of any format, or its URL.
@@ -105,17 +108,18 @@ class ClipCutter:
         batches: Iterable[Batch] = _renumbered(self._batches(first, stop), start)
         extent = Extent()
         with create_writer(destination, _moved(self._reader.header, start)) as writer:
+            copy = TopicCopy(self._reader, writer, start=_start(first), stop=_end(stop), origin=start)
             for batch in progress(batches, self._reader) if progress else batches:
                 writer.write_batch(batch)
+                copy.write(batch.elapsed[-1].item())
                 last = batch.index + len(batch)
                 extent = Extent(last, last, batch.elapsed[-1].item())
+            copy.write()
         return extent
 
     def _batches(self, first: Frame, stop: float) -> Iterator[Batch]:
         yield Batch.of(self._initial_state.complete(first))
-        start = first.elapsed if math.isfinite(first.elapsed) else -math.inf
-        # The stop is part of the clip, as are frames within `SAME_TIME` of it.
-        for batch in self._reader.batches(start=start, stop=stop + 2 * SAME_TIME):
+        for batch in self._reader.batches(start=_start(first), stop=_end(stop)):
             rest = batch[max(first.index + 1 - batch.index, 0) :]
             if len(rest) and self._initial_state.has_late_parents:
                 yield Batch.of(self._initial_state.add_parents(rest.frame(0)))
@@ -127,6 +131,16 @@ class ClipCutter:
 def origin(first: Frame) -> float:
     """Return the elapsed seconds of the source at which a clip begins whose first frame is given."""
     return first.elapsed if math.isfinite(first.elapsed) else 0.0
+
+
+def _start(first: Frame) -> float:
+    """Return the elapsed seconds of the source from which on frames are read, given the first frame of the clip."""
+    return first.elapsed if math.isfinite(first.elapsed) else -math.inf
+
+
+def _end(stop: float) -> float:
+    """Return the elapsed seconds up to which they are read: the stop is part of the clip, within `SAME_TIME`."""
+    return stop + 2 * SAME_TIME
 
 
 def _renumbered(batches: Iterable[Batch], origin: float) -> Iterator[Batch]:

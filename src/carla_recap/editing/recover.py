@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from carla_recap.editing.convert import check_destination
+from carla_recap.editing.convert import TopicCopy, check_destination
 from carla_recap.errors import FormatError, RecapError, RecapWarning
 from carla_recap.formats import create_writer, read_start
 from carla_recap.formats.carla_log import LogReader, is_log
@@ -78,7 +78,7 @@ def recover(
     progress: Progress | None = None,
     format: str | None = None,
 ) -> Recovery:
-    """Write the intact frames of a recording to a new one.
+    """Write the intact frames of a recording to a new one, and in an .mcap its intact further topics, such as of sensors.
 
     Args:
         source: The damaged file, MCAP or log; or its URL, which is copied to a temporary file.
@@ -89,6 +89,9 @@ def recover(
 
     Raises:
         RecapError: Nothing can be saved, or the destination cannot be written.
+
+    Warns:
+        RecapWarning: Further topics are left out of a .log.
     """
     check_destination(source, destination, force=force)
     left = [] if is_remote(source) else partials(path_of(source))
@@ -100,6 +103,7 @@ def recover(
         if left and next(reader.frames(), None) is None:
             raise _unfinished(source, left)
         with create_writer(destination, reader.header, force=force, format=format) as writer:
+            copy = TopicCopy(reader, writer)
             stream: Iterable[Batch] = map(Batch.of, reader.frames())
             for batch in progress(stream, reader) if progress else stream:
                 frame = batch.frame(0)
@@ -112,6 +116,8 @@ def recover(
                 writer.write(frame)
                 frames += 1
                 last, duration = frame.index, frame.elapsed
+                copy.write(duration)
+            copy.write()
         if isinstance(reader, LogReader):
             cut = sum(map(len, reader.tail()))
             finished = not cut

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -15,7 +15,7 @@ from carla_recap.roads.find import plain_name
 from carla_recap.util.text import readable, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Sequence
+    from collections.abc import Generator, Iterable
 
     from distributed import Client
 
@@ -37,6 +37,7 @@ class CheckedRecording:
         warnings: The warnings, a line each.
         page: The path of its incident page, relative to the folder of pages; None if it has none.
         clip: The path of the clip of the first failure, relative to the folder of pages; None if it has none.
+        sensors: The ids of the sensors whose data it has.
     """
 
     recording: str
@@ -47,6 +48,7 @@ class CheckedRecording:
     warnings: tuple[str, ...] = ()
     page: str | None = None
     clip: str | None = None
+    sensors: tuple[str, ...] = ()
     status: Status = field(init=False)
 
     def __post_init__(self) -> None:
@@ -80,18 +82,18 @@ def check_sources(
             error = visible((outcome.error or "it cannot be read").removeprefix(f"{outcome.source.location}: "))
             yield CheckedRecording(outcome.source.location, tuple(unreadable(rules, error)), warnings=outcome.warnings)
         else:
-            map_name, frames, duration, verdicts = outcome.value
-            yield CheckedRecording(
-                outcome.source.location, tuple(verdicts), map_name, frames, duration, tuple(map(visible, outcome.warnings))
-            )
+            yield replace(outcome.value, warnings=tuple(map(visible, outcome.warnings)))
 
 
-def _checked(rules: RuleSet, road_map: str | None, source: SourceFile) -> tuple[str, int, float, Sequence[Verdict]]:
+def _checked(rules: RuleSet, road_map: str | None, source: SourceFile) -> CheckedRecording:
     with open_recording(source.address) as recording:
         verdicts = check(recording, rules, road_map=road_map)
         map_name = visible(plain_name(readable(recording.header.map_name)))
+        found = CheckedRecording(source.location, tuple(verdicts), map_name)
         try:
             extent = recording.reader.extent()
+            names = tuple(visible(sensor.id) for sensor in recording.sensors)
         except RecapError:  # which the verdicts say
-            return map_name, 0, 0.0, verdicts
-        return map_name, extent.frames, extent.duration if math.isfinite(extent.duration) else 0.0, verdicts
+            return found
+        duration = extent.duration if math.isfinite(extent.duration) else 0.0
+        return replace(found, frames=extent.frames, duration=duration, sensors=names)

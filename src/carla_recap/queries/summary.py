@@ -14,6 +14,7 @@ from carla_recap.queries import Answer
 from carla_recap.queries.actors import actors
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import KINDS
+from carla_recap.queries.sensors import sensors
 from carla_recap.tables.trajectories import trajectories
 from carla_recap.util.text import readable
 
@@ -52,6 +53,7 @@ class RecordingSummary:
         actors: The number of actors by kind, vehicles and walkers first.
         hero: The first hero that has poses; None if there is none.
         incidents: The number of incidents by kind, of the kinds that occur.
+        sensors: The types of the sensors whose data it has, by id.
     """
 
     map: str
@@ -60,6 +62,7 @@ class RecordingSummary:
     actors: dict[str, int]
     hero: HeroSummary | None
     incidents: dict[str, int]
+    sensors: dict[str, str]
 
 
 class Summaries(Answer[RecordingSummary]):
@@ -95,6 +98,7 @@ def summary(source: Reader, options: IncidentOptions | None = None) -> Summaries
         {kind: count for kind in (*ROAD_USERS, *kinds) if (count := kinds.get(kind))},
         next((hero for hero in heroes if hero is not None), None),
         {kind: found[kind] for kind in KINDS if found[kind]},
+        {sensor.id: sensor.type for sensor in sensors(source)},
     )
     return Summaries([row], source, compat=False)
 

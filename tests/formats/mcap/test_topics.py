@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import random
 from contextlib import closing
 from itertools import pairwise
 
@@ -14,7 +13,6 @@ from mcap.reader import make_reader
 
 from carla_recap import RecapError, RecordError, open_recording
 from carla_recap.formats import open_reader
-from carla_recap.formats.base import Topic
 from carla_recap.formats.mcap.recovery import recover_summary
 from carla_recap.formats.mcap.writer import (
     FURTHER_CHUNK_SECONDS,
@@ -24,12 +22,11 @@ from carla_recap.formats.mcap.writer import (
     McapWriter,
 )
 from carla_recap.formats.sources import LocalSource
-from carla_recap.model.frame import Header
 from tests.formats.mcap.forge import chunk_records, data_records
 from tests.samples import contents, drive, images
+from tests.sensed import HEADER, camera, noise, plain, sensed
 
 SECOND = 1_000_000_000
-HEADER = Header("Town01", 1_600_000_000)
 QUERIES = {
     "collisions": lambda recording: recording.collisions(),
     "blocked": lambda recording: recording.blocked(1.0),
@@ -39,38 +36,6 @@ QUERIES = {
     "part": lambda recording: [frame.id for frame in recording.frames(3.0, 5.0)],
     "moment": lambda recording: [recording.frame_at(7.03).id],
 }
-
-
-def noise(size, seed):
-    """Bytes that cannot be compressed, as those of a JPEG."""
-    return random.Random(seed).randbytes(size)
-
-
-def camera(id="front", **metadata):
-    spec = {"id": id, "type": "sensor.camera.rgb", "attributes": {"fov": 90.0}}
-    return Topic(
-        f"/sensors/{id}/image", "foxglove.CompressedImage", lambda: b"image", {"sensor": json.dumps(spec)} | metadata
-    )
-
-
-def plain(name):
-    return Topic(name, "", bytes, {}, "json")
-
-
-def sensed(path, *, live=False, seconds=10.0, size=20_000):
-    """A recording with an image of a camera in every other frame, and small messages of two topics that share chunks."""
-    with McapWriter(path, HEADER, live=live) as writer:
-        writer.add_topic(camera())
-        writer.add_topic(plain("/sensors/imu/imu"), group="small")
-        for frame in drive(seconds):
-            writer.write(frame)
-            if frame.index % 2 == 0:
-                writer.write_message("/sensors/front/image", frame.elapsed, noise(size, frame.index))
-            writer.write_message("/sensors/imu/imu", frame.elapsed, b"{}")
-            if frame.index == 20:
-                writer.add_topic(plain("/note"), group="small")
-                writer.write_message("/note", frame.elapsed, b'"late"')
-    return path
 
 
 def chunk_topics(path):

@@ -65,10 +65,11 @@ class RecordingIndex:
             raise RecapError(f"{str(path)[:200]}: does not exist; 'carla-recap index' makes an index of recordings")
         with self._opened(_READING) as database:
             found = {name for (name,) in database.sql("select table_name from duckdb_tables()").fetchall()}
-            if not found.issuperset(TABLES):
+            if RECORDINGS.name not in found:
                 raise RecapError(f"{path}: {_NO_INDEX}")
-            schemas = {name: database.sql(f"from {name} limit 0").to_arrow_table().schema for name in TABLES}
-        if any(not schemas[name].equals(table.schema) for name, table in TABLES.items()):
+            tables = found & TABLES.keys()
+            schemas = {name: database.sql(f"from {name} limit 0").to_arrow_table().schema for name in tables}
+        if any(name not in schemas or not schemas[name].equals(table.schema) for name, table in TABLES.items()):
             raise RecapError(f"{path}: is an index of another version of carla-recap; {_remedy(self.path)}")
 
     def __enter__(self) -> Self:
@@ -87,7 +88,7 @@ class RecordingIndex:
         """Return a table of the index, with the units of columns in their metadata.
 
         Args:
-            name: The table: recordings, actors, collisions, stationary, incidents or measures.
+            name: The table: recordings, actors, collisions, stationary, incidents, measures or sensors.
 
         Raises:
             RecapError: There is no such table, or the index is damaged.

@@ -94,6 +94,7 @@ def _content(recording: Recording, measured: bool, road_map: str | None) -> tupl
         "collisions": map(_fields("collisions"), collisions(reader)),
         "incidents": map(_fields("incidents"), incidents(reader, IncidentOptions(kinds=kinds, roads=roads))),
         "measures": map(_fields("measures"), measures(reader, heroes, roads=roads) if heroes else ()),
+        "sensors": map(_fields("sensors"), recording.sensors),
     }
     children = [_columns(rows[table.name], len(table.hints)) for table in CHILDREN]
     fields = {

@@ -11,6 +11,7 @@ from carla_recap.model.actors import BoundingBox  # noqa: TC001 - the columns ar
 from carla_recap.queries.collisions import CollisionRow, Collisions
 from carla_recap.queries.incidents import Incident, Incidents
 from carla_recap.queries.measures import MeasureRow
+from carla_recap.queries.sensors import RecordedSensor, RecordedSensors
 from carla_recap.tables import column_types
 
 if TYPE_CHECKING:
@@ -138,6 +139,7 @@ CHILDREN: Final = (
     IndexTable("stationary", StationaryRow, {"start": "s", "duration": "s", "x": "m", "y": "m", "z": "m"}),
     IndexTable("incidents", Incident, Incidents.row_units),
     IndexTable("measures", MeasureRow, {"time": "s"}),
+    IndexTable("sensors", RecordedSensor, RecordedSensors.row_units),
 )
 """The tables of what is in recordings."""
 TABLES: Final = {table.name: table for table in (RECORDINGS, *CHILDREN)}

@@ -92,7 +92,7 @@ class FurtherTopics:
 
     @cached_property
     def topics(self) -> dict[str, FurtherTopic]:
-        """The topics by name.
+        """The topics by name, but for those whose schemas are damaged or too large.
 
         Raises:
             FormatError: The file is damaged.
@@ -105,7 +105,11 @@ class FurtherTopics:
             first = self._clock.elapsed(min(start for start, _ in known)) if known else None
             last = self._clock.elapsed(max(end for _, end in known)) if known else None
             count = sum(counts[id] for id in ids)
-            found[name] = FurtherTopic(self._topic(channels[0]), count, first, last, groups.get(ids[0], ""))
+            try:
+                topic = self._topic(channels[0])
+            except FormatError:
+                continue
+            found[name] = FurtherTopic(topic, count, first, last, groups.get(ids[0], ""))
         return found
 
     def messages(
@@ -214,7 +218,7 @@ class FurtherTopics:
         return self._schema(id)[1]
 
     def _schema(self, id: int) -> tuple[str, bytes]:
-        """Return the encoding and the data of a schema.
+        """Return the encoding and the data of a schema; nothing where the file has none of that id.
 
         Raises:
             FormatError: It is damaged, or too large.
@@ -222,7 +226,7 @@ class FurtherTopics:
         span = self._summary.schema_spans.get(id)
         location = self._source.location
         if span is None:
-            raise FormatError(location, None, f"the schema {id} is missing")
+            return "", b""
         if span[1] > _SCHEMA_LIMIT:
             raise FormatError(location, span[0], f"a schema of {span[1]} bytes; at most {_SCHEMA_LIMIT} are read")
         try:

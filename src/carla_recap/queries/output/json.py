@@ -7,6 +7,8 @@ from dataclasses import asdict
 from json import JSONEncoder
 from typing import TYPE_CHECKING, Any, Final
 
+from carla_recap.queries.info import Info
+from carla_recap.queries.sensors import RecordedSensor, sensors
 from carla_recap.tables import column_names
 from carla_recap.util.text import readable
 
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 def json(answer: AnyAnswer, warnings: Sequence[str] | None = None) -> Iterator[str]:
     """Yield an answer as one JSON object, in pieces; its `rows` have the fields and units of the row's class.
 
+    That of info also lists the sensors whose data the recording has.
+
     Numbers that are not finite become null.
 
     Args:
@@ -32,6 +36,9 @@ def json(answer: AnyAnswer, warnings: Sequence[str] | None = None) -> Iterator[s
         yield separator + row
         separator = ",\n"
     about = _extent(answer.extent)
+    if isinstance(answer, Info):
+        names = column_names(RecordedSensor)
+        about["sensors"] = [{name: getattr(sensor, name) for name in names} for sensor in sensors(answer.source)]
     yield "\n], " + encoded(about if warnings is None else {**about, "warnings": list(warnings)})[1:] + "\n"
 
 

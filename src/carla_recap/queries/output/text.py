@@ -10,7 +10,7 @@ import numpy as np
 
 from carla_recap.model.frame import Packet
 from carla_recap.model.records import FRAME_END
-from carla_recap.util.text import number, readable
+from carla_recap.util.text import first_of, number, readable, visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     AnyAnswer = RecordedActors | Info | Collisions | Blocked | Incidents | Measures | MeasuresOverTime | Summaries
 
 _NAME_WIDTH: Final = 35
+_SENSORS: Final = 20  # of a recording, that its summary names
 KMH: Final = 3.6
 """km/h in a m/s."""
 
@@ -137,6 +138,9 @@ def _overview(answer: Summaries) -> Iterator[str]:
             way = f"{hero.distance:.0f} m in {hero.time:.1f} s, at {hero.top_speed * KMH:.0f} km/h at most"
             yield f"Hero: {hero.type_id} ({hero.id}), {way}\n"
         yield f"Incidents: {incident_counts(row.incidents)}\n"
+        if row.sensors:
+            named = [f"{visible(id)} ({visible(type)})" for id, type in row.sensors.items()]
+            yield f"Sensor data: {first_of(named, _SENSORS)}\n"
 
 
 def _summaries(answer: Summaries) -> Iterator[str]:

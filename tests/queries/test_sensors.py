@@ -1,0 +1,164 @@
+"""The sensors of a recording: topics whose metadata have their specifications."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from carla_recap import RecapError, RecapWarning, load_rules, open_recording
+from carla_recap.fleet.check import check_sources
+from carla_recap.fleet.sources import SourceFile
+from carla_recap.formats.base import Topic
+from carla_recap.formats.mcap.writer import McapWriter
+from tests.cli import command
+from tests.cli.command import CROSSING, answer
+from tests.samples import drive, write
+from tests.sensed import HEADER, camera, plain, sensed
+
+
+def of_spec(text, name="/sensors/front/image"):
+    return Topic(name, "", bytes, {"sensor": text}, "json")
+
+
+def written(path, *topics):
+    with McapWriter(path, HEADER) as writer:
+        for topic in topics:
+            writer.add_topic(topic)
+    return path
+
+
+def test_sensors_are_listed_with_what_they_sent(tmp_path):
+    with open_recording(sensed(tmp_path / "run.mcap")) as recording:
+        (front,) = recording.sensors
+    assert (front.id, front.type, front.topics, front.count) == ("front", "sensor.camera.rgb", ["/sensors/front/image"], 100)
+    assert (front.first, front.last) == (0.0, pytest.approx(9.9, abs=1e-6))
+    assert front.spec["attributes"] == {"fov": 90.0}
+
+
+def test_all_topics_of_a_sensor_are_its_own(tmp_path):
+    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
+        for topic in (camera(), camera("rear"), camera(name="calibration")):
+            writer.add_topic(topic)
+        writer.write_message("/sensors/front/calibration", 0.5, b"lens")
+        for time in (1.0, 2.0):
+            writer.write_message("/sensors/front/image", time, b"front")
+            writer.write_message("/sensors/rear/image", time, b"rear")
+    with open_recording(tmp_path / "run.mcap") as recording:
+        front, rear = recording.sensors
+        assert (front.topics, front.count) == (["/sensors/front/image", "/sensors/front/calibration"], 3)
+        assert (front.first, front.last, rear.first) == (0.5, 2.0, 1.0)
+        assert list(recording.sensor_messages("front")) == [
+            ("/sensors/front/calibration", 0.5, b"lens"),
+            ("/sensors/front/image", 1.0, b"front"),
+            ("/sensors/front/image", 2.0, b"front"),
+        ]
+        assert [message.elapsed for message in recording.sensor_messages("rear", 1.5, 2.5)] == [2.0]
+        with pytest.raises(RecapError, match="has no data of a sensor 'side'; it has those of front, rear"):
+            recording.sensor_messages("side")
+
+
+def test_a_table_has_a_row_for_each_sensor(tmp_path):
+    with open_recording(sensed(tmp_path / "run.mcap")) as recording:
+        table = recording.sensors.to_arrow()
+    assert table.column_names == ["id", "type", "topics", "count", "first", "last"]
+    assert table.to_pylist()[0]["topics"] == ["/sensors/front/image"]
+
+
+def test_a_log_has_no_sensors(small):
+    with open_recording(small) as recording:
+        assert recording.sensors == []
+        assert recording.sensors.to_arrow().num_rows == 0
+        with pytest.raises(RecapError, match="it has those of none"):
+            recording.sensor_messages("front")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{",
+        "[]",
+        "null",
+        "{}",
+        '{"type": 1}',
+        "[" * 100_000,
+        '{"type": "a", "b": ' + "[" * 40 + "]" * 40 + "}",
+        "1" * 5000,
+    ],
+)
+def test_a_topic_with_broken_metadata_is_no_sensor(tmp_path, text):
+    with open_recording(written(tmp_path / "run.mcap", of_spec(text), camera("rear"))) as recording:
+        assert [sensor.id for sensor in recording.sensors] == ["rear"]
+        assert list(recording.reader.further_topics()) == ["/sensors/front/image", "/sensors/rear/image"]
+
+
+@pytest.mark.parametrize(
+    "name", ["/sensors", "/sensors/", "/sensors/front", "/sensors//image", "/other/front/image", "sensors/a/b"]
+)
+def test_topics_elsewhere_are_no_sensors(tmp_path, name):
+    spec = json.dumps({"type": "sensor.camera.rgb"})
+    with open_recording(written(tmp_path / "run.mcap", of_spec(spec, name), plain("/sensors/imu/imu"))) as recording:
+        assert recording.sensors == []
+        assert name in recording.reader.further_topics()
+
+
+def test_a_closed_recording_has_no_more_messages(tmp_path):
+    recording = open_recording(sensed(tmp_path / "run.mcap", seconds=2))
+    messages = recording.sensor_messages("front")
+    next(messages)
+    recording.close()
+    with pytest.raises(RecapError, match="is closed"):
+        list(messages)
+
+
+# --- where they are listed ------------------------------------------------------------------------------------
+
+
+def summary(*arguments):
+    """What the command prints; it also warns that the map is unknown."""
+    done = command.run("summary", *arguments)
+    assert done.returncode == 0
+    return done.stdout.decode()
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return sensed(tmp_path_factory.mktemp("sensed") / "run.mcap")
+
+
+def test_the_summary_lists_them(run):
+    with open_recording(run) as recording, pytest.warns(RecapWarning, match="is unknown"):
+        assert recording.summary.sensors == {"front": "sensor.camera.rgb"}
+    assert "Sensor data: front (sensor.camera.rgb)" in summary(run).splitlines()
+    (row,) = json.loads(summary(run, "--json"))["rows"]
+    assert row["sensors"] == {"front": "sensor.camera.rgb"}
+
+
+def test_info_lists_them_as_json_and_not_in_carlas_text(run, tmp_path):
+    (found,) = json.loads(answer("info", run, "--json"))["sensors"]
+    assert (found["id"], found["type"], found["count"]) == ("front", "sensor.camera.rgb", 100)
+    assert (found["topics"], found["first"]) == (["/sensors/front/image"], 0)
+    write(tmp_path / "run.log", HEADER, drive(10.0))
+    for options in ((), ("--compat",)):
+        assert answer("info", run, *options) == answer("info", tmp_path / "run.log", *options)
+    assert json.loads(answer("info", tmp_path / "run.log", "--json"))["sensors"] == []
+
+
+def test_names_of_sensors_cannot_control_a_terminal(tmp_path):
+    spec = json.dumps({"type": "\x1b[2J"})
+    path = written(tmp_path / "run.mcap", of_spec(spec, "/sensors/\x1b[31m/image"))
+    text = summary(path)
+    assert "\x1b" not in text
+    assert r"Sensor data: \x1b[31m (\x1b[2J)" in text
+
+
+def test_a_check_lists_them(run):
+    (checked,) = check_sources([SourceFile(str(run))], load_rules(CROSSING.with_name("rules.toml")), jobs=1)
+    assert checked.sensors == ("front",)
+
+
+def test_recordings_do_not_differ_in_them(run, tmp_path):
+    write(tmp_path / "run.mcap", HEADER, drive(10.0))
+    with open_recording(run) as one, open_recording(tmp_path / "run.mcap") as other:
+        assert one.diff(other).equal
