@@ -6,23 +6,22 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.replay.pose import LOCATION, right_handed, rotations
+from carla_recap.replay.pose import LOCATION, rotations
 from carla_recap.scene.appearance import Look, look_of
-from carla_recap.scene.description import LookColumns, SceneDescriber
+from carla_recap.scene.description import SceneDescriber
 from carla_recap.scene.instances import Instances
 from carla_recap.scene.marks import MARK_RADIUS
 from carla_recap.scene.materials import MATERIALS, Color, Material, Tag
 from carla_recap.scene.models import INDEX
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
     from carla_recap.recording import Recording
     from carla_recap.replay import Scene
-    from carla_recap.replay.selection import Ids
-    from carla_recap.scene.description import SceneDescription
+    from carla_recap.scene.description import LookColumns, SceneDescription
     from carla_recap.scene.falls import Fall
 
     Floats = NDArray[np.float64]
@@ -33,15 +32,31 @@ _MARK_IDS: Final = 0xFFFF_0000  # ids from here on are those of marks
 _MARK_COLOR: Final[Color] = MATERIALS[Material.COLLISION_MARK].color
 
 
-def instances(ids: Sequence[int] | Ids, looks: Sequence[Look], poses: Floats) -> Instances:
-    """Return instances of actors that are drawn, all lamps off.
+def instances(
+    actors: LookColumns, poses: Floats, lamps: NDArray[np.uint64] | None = None, steering: Floats | None = None
+) -> Instances:
+    """Return instances of actors that are drawn.
 
     Args:
-        ids: Their ids, ascending.
-        looks: Their looks.
-        poses: CARLA's poses in the world: x, y, z in cm and roll, pitch, yaw in degrees, (n, 6).
+        actors: The actors.
+        poses: Their poses in m and degrees, right-handed, (actors, 6).
+        lamps: Their lit lamps: a bit `1 << material` for each, (actors,); None: all are off.
+        steering: The angles of their front wheels in radians, positive to the left, (actors,); None: all are straight.
     """
-    return _instances(LookColumns(np.array(ids, np.uint32), looks), right_handed(poses))
+    turned = rotations(poses)
+    count = len(actors.ids)
+    return Instances(
+        actors.ids,
+        actors.models,
+        poses[:, LOCATION] + (turned @ actors.centers[..., None])[..., 0],
+        turned.astype(np.float32),
+        actors.half_extents,
+        actors.colors,
+        np.zeros(count, np.uint64) if lamps is None else lamps,
+        np.zeros(count, np.float32) if steering is None else steering.astype(np.float32),
+        np.ones(count, np.float32),
+        actors.tags,
+    )
 
 
 def instances_of(scene: Scene, *, marks: bool = True) -> Instances:
@@ -62,9 +77,7 @@ def described_instances(description: SceneDescription, row: int = 0, *, marks: b
         row: The position of the scene.
         marks: Whether collisions are marked on the ground.
     """
-    found = _instances(description.actors, description.poses[row])
-    found.lamps[:] = description.lamps[row]
-    found.steering[:] = description.steering[row]
+    found = instances(description.actors, description.poses[row], description.lamps[row], description.steering[row])
     _lay(found, description.actors.centers, description.fallen_at(row))
     if not description.shown[row].all():
         found = found.take(description.shown[row])
@@ -91,24 +104,6 @@ class SceneActors:
     def recall(self, recording: Recording, time: float) -> None:
         """Learn what is to be seen of the time before a moment; see `SceneDescriber.recall`."""
         self._describer.recall(recording, time)
-
-
-def _instances(actors: LookColumns, poses: Floats) -> Instances:
-    """Return instances at poses in m, right-handed, all lamps off."""
-    turned = rotations(poses)
-    count = len(actors.ids)
-    return Instances(
-        actors.ids,
-        actors.models,
-        poses[:, LOCATION] + (turned @ actors.centers[..., None])[..., 0],
-        turned.astype(np.float32),
-        actors.half_extents,
-        actors.colors,
-        np.zeros(count, np.uint64),
-        np.zeros(count, np.float32),
-        np.ones(count, np.float32),
-        actors.tags,
-    )
 
 
 def _lay(found: Instances, centers: Floats, fallen: Mapping[int, Fall]) -> None:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from carla_recap.model.actors import ActorLife, BoundingBox
 from carla_recap.model.presence import RoadHeights
-from carla_recap.replay.pose import LOCATION, right_handed, rotations
+from carla_recap.replay.pose import right_handed
 from carla_recap.scene.actors import instances, look_of
+from carla_recap.scene.description import LookColumns
 from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehicles
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor
@@ -66,7 +66,7 @@ class WorldActors:
             poses[rows, 3:] = movers.rotation[sources][:, [2, 0, 1]]
         for row, actor in self._others:
             poses[row] = pose(actor.transform)
-        found = self._lit(self._at(poses))
+        found = instances(self._actors, right_handed(poses), *self._lamps_and_steering())
         away = self._heights.away(found.ids, poses[None])[0]
         return found.take(~away) if away.any() else found
 
@@ -78,8 +78,7 @@ class WorldActors:
         ids = [actor.id for actor in drawn]
         self._heights = RoadHeights([ActorLife.of(spawn(actor), 0.0) for actor in actors])
         self._poses = np.zeros((len(ids), 6))
-        self._fixed = instances(ids, [look for id in ids if (look := looks[id]) is not None], self._poses)
-        self._centers = self._fixed.locations.copy()  # those of boxes without a pose are in the actors' axes
+        self._actors = LookColumns(np.array(ids, np.uint32), [look for id in ids if (look := looks[id]) is not None])
         row_of = {id: row for row, id in enumerate(ids)}
         self._vehicles = _paired(row_of, self._world.vehicles)
         self._walkers = _paired(row_of, self._world.walkers)
@@ -92,15 +91,9 @@ class WorldActors:
                 if not isinstance(actor, Sign):
                     self._others.append((row, actor))
 
-    def _at(self, poses: NDArray[np.float64]) -> Instances:
-        converted = right_handed(poses)
-        turned = rotations(converted)
-        locations = converted[:, LOCATION] + (turned @ self._centers[..., None])[..., 0]
-        return replace(self._fixed, locations=locations, rotations=turned.astype(np.float32))
-
-    def _lit(self, found: Instances) -> Instances:
-        """Return instances with their lamps, and with front wheels that steer."""
-        lamps, steering = np.zeros(len(found), np.uint64), np.zeros(len(found), np.float32)
+    def _lamps_and_steering(self) -> tuple[NDArray[np.uint64], NDArray[np.float64]]:
+        """Return the lit lamps of all that are drawn, and the angles of their front wheels; see `instances`."""
+        lamps, steering = np.zeros(len(self._actors.ids), np.uint64), np.zeros(len(self._actors.ids))
         rows, sources = self._lights
         lamps[rows] = lamps_of_lights(self._world.signals.state[sources])
         vehicles = self._world.vehicles
@@ -115,7 +108,7 @@ class WorldActors:
         lamps[rows] = lamps_of_vehicles(flags)
         angle = np.where(vehicles.simulated, vehicles.steer_angle, vehicles.steer * vehicles.full_lock)
         steering[rows] = -angle[sources]
-        return replace(found, lamps=lamps, steering=steering)
+        return lamps, steering
 
 
 def _look(actor: Actor) -> Look | None:

@@ -119,9 +119,10 @@ class DrawnImages:
 def _trial() -> tuple[Camera, Instances]:
     """Return a small camera, and a vehicle in front of it."""
     from carla_recap.scene.actors import instances, look_of
+    from carla_recap.scene.description import LookColumns
 
     looks = [look] if (look := look_of(_TRIAL, ActorKind.VEHICLE, {})) is not None else []
-    return _TRIAL_CAMERA, instances(range(len(looks)), looks, np.zeros((len(looks), 6)))
+    return _TRIAL_CAMERA, instances(LookColumns(np.arange(len(looks), dtype=np.uint32), looks), np.zeros((len(looks), 6)))
 
 
 def _in_thread(function: Callable[..., T], *arguments: Any) -> Future[T]:
