@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from carla_recap.errors import RecapError
+from carla_recap.rendering.buffers import Halos
 from carla_recap.rendering.camera import Camera, ImageKind
-from carla_recap.rendering.halos import Halos
 from carla_recap.rendering.renderer import Renderer
 from carla_recap.rendering.sky import Sky
 from carla_recap.replay.pose import right_handed, rotations

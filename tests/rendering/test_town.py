@@ -12,7 +12,7 @@ import carla_recap
 import carla_recap.rendering.town as town_module
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.records import ActorKind, Spawn
-from carla_recap.rendering.heights import TriangleGrid
+from carla_recap.rendering.building import TriangleGrid
 from carla_recap.rendering.town import TownMesh, build_town, load_town_mesh, load_town_of, town_mesh_of, town_of_map
 from carla_recap.roads import RoadMap
 from carla_recap.roads.opendrive import read_opendrive

@@ -19,7 +19,7 @@ from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.scene.models import MODELS
 from carla_recap.show.foxglove import export_foxglove
 from carla_recap.show.page import write_report
-from carla_recap.show.page.sampling import sample
+from carla_recap.show.page.samples import sample
 from carla_recap.show.video.film import Film
 from tests.replay.scripts import light, pose, spawn, write
 from tests.samples import carla_log

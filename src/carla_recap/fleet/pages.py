@@ -17,7 +17,7 @@ from carla_recap.fleet.check import WORST_FIRST
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.sources import SourceFile
 from carla_recap.show.page import Opening
-from carla_recap.show.page.single import hash_source
+from carla_recap.show.page.script import hash_source
 from carla_recap.util.resources import viewer_folder
 from carla_recap.util.text import number, visible
 

@@ -20,7 +20,9 @@ import numpy as np
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering import shaders
 from carla_recap.rendering.buffers import (
+    HALO,
     GroundBuffers,
+    Halos,
     ImageBuffers,
     InstanceGroup,
     ModelBuffers,
@@ -30,7 +32,6 @@ from carla_recap.rendering.buffers import (
 )
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.rendering.camera_view import CameraView, valid_camera
-from carla_recap.rendering.halos import HALO, Halos
 from carla_recap.rendering.sky import Sky
 
 if TYPE_CHECKING:

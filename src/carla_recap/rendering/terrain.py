@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.rendering.building import TILE, UP
-from carla_recap.rendering.surfaces import KERB_HEIGHT
+from carla_recap.rendering.road_surfaces import KERB_HEIGHT
 from carla_recap.scene.materials import Material
 
 if TYPE_CHECKING:
@@ -16,9 +16,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.rendering.building import MeshBuilder
-    from carla_recap.rendering.heights import TriangleGrid
-    from carla_recap.rendering.surfaces import SampledSection
+    from carla_recap.rendering.building import MeshBuilder, TriangleGrid
+    from carla_recap.rendering.road_surfaces import SampledSection
 
     Floats = NDArray[np.float64]
     Flags = NDArray[np.bool_]

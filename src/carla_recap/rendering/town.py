@@ -17,15 +17,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.errors import FormatError, RecapError, RecapWarning
-from carla_recap.rendering.barriers import add_barriers
-from carla_recap.rendering.building import MeshBuilder
-from carla_recap.rendering.heights import TriangleGrid
-from carla_recap.rendering.junctions import fill_junctions
+from carla_recap.rendering.building import MeshBuilder, TriangleGrid
 from carla_recap.rendering.markings import Painter, add_lines, paint_objects, paint_stops
-from carla_recap.rendering.signs import LightPost, add_signs, light_posts
-from carla_recap.rendering.surfaces import PAVED, add_lanes, driving_grid, sample_roads, surface_grid
+from carla_recap.rendering.road_surfaces import PAVED, add_lanes, driving_grid, fill_junctions, sample_roads, surface_grid
+from carla_recap.rendering.roadside import LightPost, add_barriers, add_signs, add_trees, light_posts
 from carla_recap.rendering.terrain import Terrain, add_edges
-from carla_recap.rendering.trees import add_trees
 from carla_recap.replay.recorded_map import LONGEST_DRIVEN, load_map_of
 from carla_recap.roads.corridors import is_of_corridors
 from carla_recap.roads.files import content_digest, expecting_map, read_parts

@@ -9,7 +9,7 @@ import pytest
 from carla_recap import RecapError, open_recording
 from carla_recap.queries.incidents import incidents
 from carla_recap.rendering.town import load_town_of
-from carla_recap.show.page import Opening, sampling, write_report
+from carla_recap.show.page import Opening, samples, write_report
 from carla_recap.show.page import report as module
 from tests.samples import names_in
 from tests.show.page.conftest import CROSSING, NASTY, WITHOUT_ROADS, data, record, report, spawn
@@ -66,7 +66,7 @@ def test_without_a_time_a_page_opens_at_the_last_incident(tmp_path: Path) -> Non
 
 
 def test_a_long_recording_is_replayed_around_its_incidents(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sampling, "BUDGET", 15_000)
+    monkeypatch.setattr(samples, "BUDGET", 15_000)
     report(CROSSING, tmp_path / "page", before=2, after=1)
     summary, recording = data(tmp_path / "page", "report"), data(tmp_path / "page", "recording")
     assert not summary["whole"]
@@ -76,7 +76,7 @@ def test_a_long_recording_is_replayed_around_its_incidents(tmp_path: Path, monke
 
 
 def test_incidents_beyond_the_budget_are_listed_without_a_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sampling, "BUDGET", 5_000)
+    monkeypatch.setattr(samples, "BUDGET", 5_000)
     report(CROSSING, tmp_path / "page", before=2, after=1)
     page = tmp_path / "page"
     listed, spans = data(page, "report")["incidents"], data(page, "recording")["spans"]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from carla_recap import RecapError
-from carla_recap.show.page import page_server, sampling
+from carla_recap.show.page import page_server, samples
 from tests.samples import names_in
 from tests.show.page.conftest import CROSSING, browser, data, report
 from tests.waiting import wait_until
@@ -43,7 +43,7 @@ def test_the_viewer_shows_the_time_and_the_actor_of_an_incident(tmp_path: Path) 
 
 
 def test_a_long_recording_has_no_viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sampling, "BUDGET", 5_000)
+    monkeypatch.setattr(samples, "BUDGET", 5_000)
     with pytest.raises(RecapError, match="too long for the viewer"):
         report(CROSSING, tmp_path / "page", viewer=True)
     assert names_in(tmp_path) == []

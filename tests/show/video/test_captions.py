@@ -8,7 +8,7 @@ import pytest
 
 from carla_recap.queries.incidents import Incident
 from carla_recap.scene.captions import readable_name
-from carla_recap.show.video.captions import Captions, is_near
+from carla_recap.show.video.overlay import Captions, is_near
 
 
 def incident(kind: Any, start: float, stop: float, *actors: int, text: str = "hero does it", x: float = 0.0) -> Incident:

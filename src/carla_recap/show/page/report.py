@@ -22,9 +22,8 @@ from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.style import LIGHTS, OTHER, STYLES
 from carla_recap.show.page import script
 from carla_recap.show.page.base_map import base_map
-from carla_recap.show.page.packing import Packer
-from carla_recap.show.page.sampling import sample
-from carla_recap.show.page.single import data_address, single_page
+from carla_recap.show.page.samples import sample
+from carla_recap.show.page.script import Packer, data_address, single_page
 from carla_recap.util.files import WholeFile, check_folder, check_path, copy_files, new_folder
 from carla_recap.util.resources import viewer_folder
 from carla_recap.util.text import readable

@@ -1,4 +1,4 @@
-"""Samples of a replay for the incident page: the poses of all actors at regular times, stored compactly."""
+"""Samples of a recording for the incident page: the poses of all actors at regular times, stored compactly."""
 
 from __future__ import annotations
 
@@ -12,16 +12,20 @@ import numpy as np
 from carla_recap.model.motion import possible_step
 from carla_recap.model.presence import FAR
 from carla_recap.replay.events import Destroyed
+from carla_recap.replay.player import Player
 from carla_recap.replay.pose import YAW, right_handed
 from carla_recap.replay.selection import NO_IDS
 from carla_recap.scene.follow import speeds_between, speeds_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from carla_recap.model.actors import ActorLife
+    from carla_recap.queries.incidents import Incident
+    from carla_recap.recording import Recording
+    from carla_recap.replay.player import Progress
     from carla_recap.replay.scene import Scene
 
     Floats = NDArray[np.float64]
@@ -33,6 +37,10 @@ ROW_BYTES: Final = 12  # of a sample of an actor in the page
 ACTOR_BYTES: Final = 250  # of an actor in the page
 _SAME_TIME: Final = 1e-4  # s
 _COLUMNS: Final = (0, 1, YAW)
+BUDGET: Final = 15_000_000
+"""The most bytes of samples before compression; of a longer recording, a page has only the time around incidents."""
+
+RATES: Final = (20.0, 10.0)  # samples per second of a whole recording
 
 
 @dataclass(slots=True)
@@ -329,3 +337,57 @@ def _intervals(samples: Floats, times: Floats) -> Iterator[tuple[int, int, int, 
             if present[first, column]:
                 spread = np.ptp(samples[first : last + 1, column], axis=0)
                 yield column, first, last, bool((spread < (STILL, STILL, STILL_TURN)).all())
+
+
+def sample(
+    recording: Recording, found: Sequence[Incident], before: float, after: float, progress: Progress | None
+) -> tuple[SampledReplay, bool]:
+    """Return the samples of a recording, or if they are too large, those around its incidents; and whether it is all.
+
+    Args:
+        recording: The recording.
+        found: The incidents.
+        before: The seconds before each.
+        after: The seconds after each.
+        progress: Gets the scenes and their player, and yields the scenes.
+    """
+    for rate in RATES:
+        player = Player(recording)
+        sampler = Sampler(rate)
+        scenes = progress(player.scenes(), player) if progress else player.scenes()
+        for scene in scenes:
+            sampler.add(scene, last=player.finished)
+            if sampler.size > BUDGET:
+                break
+        else:
+            return sampler.finish(), True
+        if scene.time - player.start < RATES[-1] / RATES[0] * (player.stop - player.start):
+            break  # it would be too large at half the rate, too
+    player, sampler = Player(recording), Sampler(RATES[0])
+    scenes = _around(player, _windows(found, before, after, player.total), sampler)
+    for scene in progress(scenes, player) if progress else scenes:
+        sampler.add(scene)
+        if sampler.size > BUDGET:
+            break
+    return sampler.finish(), False
+
+
+def _windows(found: Sequence[Incident], before: float, after: float, total: float) -> list[tuple[float, float]]:
+    """Return the intervals around incidents; those that overlap are joined."""
+    windows: list[tuple[float, float]] = []
+    for start, stop in sorted((max(0.0, one.start - before), min(total, one.start + after)) for one in found):
+        if windows and start <= windows[-1][1]:
+            windows[-1] = (windows[-1][0], max(stop, windows[-1][1]))
+        else:
+            windows.append((start, stop))
+    return windows
+
+
+def _around(player: Player, windows: Sequence[tuple[float, float]], sampler: Sampler) -> Iterator[Scene]:
+    for start, stop in windows:
+        sampler.begin()
+        yield player.at(start)
+        for scene in player.scenes():
+            if scene.time > stop:
+                break
+            yield scene

@@ -1,10 +1,14 @@
-"""The data of the incident page as scripts, which load from the disk, too."""
+"""The data of the incident page as scripts and columns, which load from the disk, too; and the page as one file."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 import math
 import re
+import struct
+import zlib
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -18,17 +22,19 @@ from carla_recap.scene.style import OTHER, color_of, label_of, style_of
 from carla_recap.show.page.base_map import LAYERS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from carla_recap.model.actors import ActorLife
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.style import Color
     from carla_recap.show.page.base_map import BaseMap
-    from carla_recap.show.page.packing import Packer
     from carla_recap.show.page.samples import SampledActor, SampledReplay
 
+LEVEL: Final = 6  # of compression
+_LARGEST: Final = 2.0**30  # units; larger columns get a larger unit
 LONGEST: Final = 120  # characters of a name
 LENGTH_UNIT: Final = 0.002  # m
 TIME_UNIT: Final = 1e-5  # s
@@ -39,6 +45,57 @@ _PAINT: Final = re.compile(r" *(\d{1,3}) *, *(\d{1,3}) *, *(\d{1,3}) *")
 _LONG: Final = 2.65  # m, half the length from which a vehicle is drawn as a truck
 _UNKNOWN: Final = BoundingBox(0.0, 0.0, 0.0, 0.15, 0.15, 0.15)  # of an actor whose spawn is not recorded
 _CYCLES: Final = (Tag.MOTORCYCLE, Tag.BICYCLE, Tag.RIDER)
+_STYLE: Final = re.compile(r'<link rel="stylesheet" href="([^"]+)">\n')
+_SCRIPT: Final = re.compile(r'<script src="([^"]+)" defer></script>\n')
+_POLICY: Final = re.compile(r'content="default-src [^"]*"')
+
+
+class Packer:
+    """Collects columns; `pack` returns them with a value of JSON's types that refers to them.
+
+    The text is base64 of a zlib stream: the length of the JSON as uint32, the JSON, the bytes of the columns. In the JSON, a
+    column is an object with the key "column": the offset of its bytes, the number of its values, the number of bytes of
+    each, its unit, and the number of times that differences were taken. The values are multiples of the unit, differences
+    from the one before, zigzag-encoded, and stored as planes: the lowest bytes of all values, then the next ones.
+    """
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._size = 0
+
+    def column(self, values: ArrayLike, unit: float = 1.0, *, order: int = 1) -> dict[str, list[float]]:
+        """Add a column of finite numbers, and return the reference to it.
+
+        Args:
+            values: The numbers.
+            unit: The precision; numbers of more than a thousand million units get a larger one.
+            order: The number of times to take differences: 0 for numbers that do not continue each other, 1 for those that
+                do, 2 for those that change steadily.
+        """
+        numbers = np.asarray(values, np.float64)
+        unit = max(unit, float(np.abs(numbers).max(initial=0.0)) / _LARGEST)
+        whole = np.rint(numbers / unit).astype(np.int64)
+        for _ in range(order):
+            whole = np.diff(whole, prepend=np.int64(0))
+        wrapped = whole.astype(np.int32)  # the reader's sums wrap as well
+        zigzag = ((wrapped << 1) ^ (wrapped >> 31)).astype("<u4")
+        planes = max(1, (int(zigzag.max(initial=0)).bit_length() + 7) // 8)
+        self._add(zigzag.view(np.uint8).reshape(-1, 4).T[:planes].tobytes())
+        return {"column": [self._size - planes * len(zigzag), len(zigzag), planes, unit, order]}
+
+    def _add(self, part: bytes) -> None:
+        self._parts.append(part)
+        self._size += len(part)
+
+    def pack(self, value: Any) -> str:
+        """Return a value of JSON's types, with the columns, as text.
+
+        Raises:
+            ValueError: The value contains NaN or infinity.
+        """
+        head = json.dumps(value, separators=(",", ":"), allow_nan=False).encode()
+        content = b"".join((struct.pack("<I", len(head)), head, *self._parts))
+        return base64.b64encode(zlib.compress(content, LEVEL)).decode()
 
 
 def script(name: str, value: Any) -> str:
@@ -179,3 +236,41 @@ def _lines(lines: Sequence[NDArray[np.float64]], packer: Packer) -> dict[str, An
         "y": packer.column(y, MAP_UNIT),
         "lengths": packer.column([len(line) for line in lines]),
     }
+
+
+def single_page(folder: Path, data: Mapping[str, str]) -> str:
+    """Return the page of a folder as one document, which loads nothing and runs nothing but its own scripts.
+
+    Args:
+        folder: The folder with `index.html` and what it refers to.
+        data: The texts of the scripts that are not in the folder, by address.
+    """
+    page = (folder / "index.html").read_text("utf-8")
+    styles = "\n".join((folder / name).read_text("utf-8") for name in _STYLE.findall(page))
+    names = _SCRIPT.findall(page)
+    scripts = [data[name] if name in data else (folder / name).read_text("utf-8") for name in names]
+    scripts = [text for text in scripts if "</script" not in text.lower() and "<!--" not in text]
+    assert len(scripts) == len(names), "a script would end early"
+    policy = (
+        f"default-src 'none'; script-src {' '.join(map(hash_source, scripts))}; style-src {hash_source(styles)}; "
+        "img-src data:; base-uri 'none'; form-action 'none'"
+    )
+    page = _SCRIPT.sub("", _STYLE.sub("", page))
+    page = _POLICY.sub(lambda _: f'content="{policy}"', page)
+    page = page.replace("</head>", f"<style>{styles}</style>\n</head>")
+    return page.replace("</body>", "".join(f"<script>{text}</script>\n" for text in scripts) + "</body>")
+
+
+def data_address(content: bytes, kind: str) -> str:
+    """Return the address that contains a file.
+
+    Args:
+        content: The content of the file.
+        kind: Its media type.
+    """
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def hash_source(text: str) -> str:
+    """Return the source expression of a content security policy that permits a text."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -16,6 +16,7 @@ from carla_recap.scene.ahead import NO_LIGHT, stop_points
 from carla_recap.scene.captions import incidents_around, readable_name
 from carla_recap.scene.follow import followed_series
 from carla_recap.show.video.cameras import (
+    Transparency,
     camera_path,
     camera_size,
     covered_by,
@@ -23,9 +24,7 @@ from carla_recap.show.video.cameras import (
     pixels_per_metre,
     subject_of,
 )
-from carla_recap.show.video.captions import Captions, is_near
-from carla_recap.show.video.overlay import LightAhead, Overlay, Readings
-from carla_recap.show.video.transparency import Transparency
+from carla_recap.show.video.overlay import Captions, LightAhead, Overlay, Readings, is_near
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from carla_recap import IncidentOptions, RecapError, open_recording, write_report
-from carla_recap.show.page.packing import Packer
+from carla_recap.show.page.script import Packer
 from tests.samples import names_in
 from tests.show.page.conftest import CROSSING, NASTY, data, record, report, spawn, unpack
 from tests.show.page.test_browser import Page
