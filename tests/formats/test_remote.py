@@ -19,6 +19,7 @@ from carla_recap.formats.remote import RemoteSource
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4
 from tests.samples import collision, contents, explore, listed, save, spawn
+from tests.sensed import sensed
 from tests.waiting import time_limit
 from tests.web import obstore, serve, serve_bucket
 
@@ -89,6 +90,17 @@ def test_a_query_of_a_finished_recording_takes_two_requests_and_a_megabyte(web, 
     assert len(web.requests) <= 2
     assert web.sent < 1 << 20
     assert web.requests[0] == ("/finished.mcap", "bytes=-524288")
+
+
+def test_a_query_fetches_no_data_of_sensors(tmp_path):
+    sensed(tmp_path / "run.mcap", size=200_000)
+    with serve(tmp_path) as web, open_recording(f"{web.url}/run.mcap") as recording:
+        assert len(recording.collisions()) == 29
+        assert sum(len(batch) for batch in recording.batches()) == 200
+        assert web.sent < 3 << 20 < (tmp_path / "run.mcap").stat().st_size / 5
+        before = web.sent
+        assert len(list(recording.sensor_messages("front", 2.0, 2.1))) == 1
+        assert web.sent - before < 5 << 20
 
 
 def test_more_events_than_the_tail_has_take_a_second_request(tmp_path):

@@ -136,9 +136,9 @@ def rewrite(source: Path, destination: Path, **options: Any) -> Path:
         assert summary
         ids = {}
         for channel in sorted(summary.channels.values(), key=lambda channel: channel.topic):
-            schema = summary.schemas[channel.schema_id]
-            schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-            ids[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
+            schema = summary.schemas.get(channel.schema_id)
+            schema_id = writer.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
+            ids[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, schema_id, channel.metadata)
         for _, channel, message in reader.iter_messages(log_time_order=True):
             writer.add_message(ids[channel.id], message.log_time, message.data, message.publish_time, message.sequence)
         for metadata in reader.iter_metadata():

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+import tracemalloc
 from contextlib import closing
 from itertools import pairwise
 
 import pytest
 from mcap import records
 from mcap.reader import make_reader
+from mcap.writer import IndexType
 
-from carla_recap import RecapError, RecordError, open_recording
+from carla_recap import FormatError, RecapError, RecordError, convert, open_recording
 from carla_recap.formats import open_reader
 from carla_recap.formats.mcap.recovery import recover_summary
 from carla_recap.formats.mcap.writer import (
@@ -22,9 +24,20 @@ from carla_recap.formats.mcap.writer import (
     McapWriter,
 )
 from carla_recap.formats.sources import LocalSource
-from tests.formats.mcap.forge import chunk_records, data_records
-from tests.samples import contents, drive, images
+from tests.formats.mcap.forge import (
+    MAGIC,
+    Forge,
+    chunk_records,
+    data_records,
+    message,
+    packed,
+    read_records,
+    rewrite,
+    seal,
+)
+from tests.samples import contents, drive, images, write
 from tests.sensed import HEADER, camera, noise, plain, sensed
+from tests.waiting import time_limit
 
 SECOND = 1_000_000_000
 QUERIES = {
@@ -269,3 +282,128 @@ def test_mcaps_own_reader_reads_all_messages(tmp_path):
             assert len(found) == topic.count
             assert [each.data for _, _, each in found] == [data for _, data in recording.reader.messages(name)]
             assert [each.sequence for _, _, each in found] == list(range(topic.count))
+
+
+# --- files of other programs, and hostile ones ------------------------------------------------------------------
+
+
+def further(path):
+    """What a file has of further topics, and their messages."""
+    with open_recording(path) as recording:
+        topics = recording.reader.further_topics()
+        described = {
+            name: (topic.topic.message, topic.topic.schema(), topic.topic.metadata, topic.count, topic.first, topic.last)
+            for name, topic in topics.items()
+        }
+        return described, {name: list(recording.reader.messages(name)) for name in topics}
+
+
+@pytest.mark.parametrize("options", [{}, {"index_types": IndexType.ALL & ~IndexType.MESSAGE}, {"use_statistics": False}])
+@pytest.mark.parametrize("chunk_size", [10_000, 1 << 20])
+def test_topics_that_another_program_has_merged_are_further_topics(tmp_path, options, chunk_size):
+    ours = sensed(tmp_path / "ours.mcap")
+    other = rewrite(ours, tmp_path / "other.mcap", chunk_size=chunk_size, **options)
+    assert images(other) == images(ours)
+    described, messages = further(ours)
+    assert further(other)[0].items() >= described.items()
+    assert further(other)[1] == messages
+
+
+def with_chunk(path, content, topics=(), **false):
+    """A recording with one more chunk behind the others, of channel 99 unless there are other topics."""
+    topics = topics or [records.Channel(99, "/sensors/bad/image", "json", {"sensor": "{"}, 0)]
+    chunk = seal(content, message_start_time=HEADER.date * SECOND, message_end_time=HEADER.date * SECOND + 7 * SECOND)
+    for name, value in false.items():
+        setattr(chunk, name, value)
+    return Forge([*data_records(path), *topics, chunk]).write(path)
+
+
+def test_a_message_that_claims_a_gigabyte_is_an_error(tmp_path):
+    content = bytearray(message(99, 0, HEADER.date * SECOND, b"x"))
+    content[1:9] = (1 << 30).to_bytes(8, "little")
+    path = with_chunk(write(tmp_path / "run.mcap", HEADER, drive(2.0)), bytes(content))
+    with open_recording(path) as recording, pytest.raises(FormatError, match="damaged chunk: a record of 1073741824 bytes"):
+        list(recording.reader.messages("/sensors/bad/image"))
+
+
+@pytest.mark.parametrize(
+    ("false", "text"),
+    [
+        ({"uncompressed_size": 1 << 30}, "a chunk of 1073741824 bytes"),
+        ({"uncompressed_size": 3}, "another size"),
+        ({"uncompressed_crc": 7}, "the checksum does not match"),
+        ({"data": b"none"}, "damaged chunk"),
+    ],
+)
+def test_a_chunk_that_is_not_what_it_claims_is_an_error(tmp_path, false, text):
+    content = message(99, 0, HEADER.date * SECOND, b"x")
+    path = with_chunk(write(tmp_path / "run.mcap", HEADER, drive(2.0)), content, **false)
+    with open_recording(path) as recording, pytest.raises(FormatError, match=text):
+        list(recording.reader.messages("/sensors/bad/image"))
+
+
+def test_an_index_that_names_other_chunks_yields_what_these_have(tmp_path):
+    path = sensed(tmp_path / "run.mcap", seconds=4.0)
+    found = read_records(path)
+    summary = found[next(n for n, record in enumerate(found) if isinstance(record, records.DataEnd)) + 1 :]
+    ids = {record.topic: record.id for record in summary if isinstance(record, records.Channel)}
+    chunks = [record for record in summary if isinstance(record, records.ChunkIndex)]
+    image = ids["/sensors/front/image"]
+    for chunk in chunks:
+        if image not in chunk.message_index_offsets:
+            chunk.message_index_offsets |= {image: 1 << 40}
+        else:
+            del chunk.message_index_offsets[image]
+            chunk.message_index_offsets |= {ids["/frames"]: 5}
+    data = path.read_bytes()
+    start = summary[-1].summary_start
+    kept = [record for record in summary if not isinstance(record, (records.Footer, records.SummaryOffset))]
+    tail = packed(records.Footer(summary_start=start, summary_offset_start=0, summary_crc=0))
+    path.write_bytes(data[:start] + packed(*kept) + tail + MAGIC)
+    with open_recording(path) as recording:
+        assert not list(recording.reader.messages("/sensors/front/image"))
+        assert recording.sensors[0].count == 40  # as the file says
+
+
+def test_ten_thousand_channels_take_little_time_and_memory(tmp_path):
+    path = write(tmp_path / "run.mcap", HEADER, drive(2.0))
+    spec = json.dumps({"type": "sensor.camera.rgb"})
+    topics = [records.Channel(100 + n, f"/sensors/{n}/image", "json", {"sensor": spec}, 0) for n in range(10_000)]
+    content = b"".join(message(100 + n, 0, HEADER.date * SECOND + n, b"x") for n in range(10_000))
+    with_chunk(path, content, topics)
+    tracemalloc.start()
+    try:
+        with time_limit(), open_recording(path) as recording:
+            assert len(recording.sensors) == 10_000
+            assert [message.data for message in recording.sensor_messages("77")] == [b"x"]
+        assert tracemalloc.get_traced_memory()[1] < 100 << 20
+    finally:
+        tracemalloc.stop()
+    with time_limit():
+        convert(path, tmp_path / "copy.mcap")
+    with open_recording(tmp_path / "copy.mcap") as recording:
+        assert sum(sensor.count for sensor in recording.sensors) == 10_000
+
+
+def test_more_messages_than_the_file_can_mean_are_an_error(tmp_path):
+    path = write(tmp_path / "run.mcap", HEADER, drive(2.0))
+    with_chunk(path, message(99, 0, HEADER.date * SECOND, b"") * 600_000)
+    with time_limit(), open_recording(path) as recording, pytest.raises(FormatError, match="more than 500000 messages"):
+        list(recording.reader.messages("/sensors/bad/image"))
+
+
+def test_a_schema_that_is_damaged_hides_its_topic_alone(tmp_path):
+    path = write(tmp_path / "run.mcap", HEADER, drive(2.0))
+    schema = records.Schema(id=99, data=b"x" * 100, encoding="e", name="bad.Message")
+    channels = [records.Channel(99, "/bad", "json", {}, 99), records.Channel(100, "/good", "json", {}, 0)]
+    with_chunk(path, message(100, 0, HEADER.date * SECOND, b"x"), [schema, *channels])
+    data = path.read_bytes()
+    broken = packed(schema).replace((100).to_bytes(4, "little") + b"xxxx", (10_000).to_bytes(4, "little") + b"xxxx")
+    path.write_bytes(without_crc(data.replace(packed(schema), broken)))
+    with open_recording(path) as recording:
+        assert list(recording.reader.further_topics()) == ["/good"]
+
+
+def without_crc(data):
+    """A file whose summary has no checksum."""
+    return data[: -len(MAGIC) - 4] + bytes(4) + data[-len(MAGIC) :]

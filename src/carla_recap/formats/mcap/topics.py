@@ -97,7 +97,8 @@ class FurtherTopics:
         Raises:
             FormatError: The file is damaged.
         """
-        counts, spans, groups = self._counts(), self._spans(), self._groups()
+        counts, spans = (self._summary.counts, self._spans()) if self._is_indexed else self._measured()
+        groups = self._groups()
         found = {}
         for name, channels in self._channels.items():
             ids = [channel.id for channel in channels]
@@ -237,16 +238,24 @@ class FurtherTopics:
     def _ids(self) -> set[int]:
         return {channel.id for channels in self._channels.values() for channel in channels}
 
-    def _counts(self) -> Counter[int]:
-        """Return the number of messages of each channel: as the file says, or as they are counted."""
-        if self._summary.counts or not self._summary.chunks:
-            return self._summary.counts
+    @property
+    def _is_indexed(self) -> bool:
+        """Whether the file says how many messages each channel has, and which chunks have them."""
+        chunks = self._summary.chunks
+        return not chunks or (bool(self._summary.counts) and all(chunk.channels for chunk in chunks))
+
+    def _measured(self) -> tuple[Counter[int], dict[int, tuple[int, int]]]:
+        """Return the number of messages of each channel, and the first and last log time, of the messages themselves."""
         counts: Counter[int] = Counter()
+        spans: dict[int, tuple[int, int]] = {}
         ids = self._ids()
         chunks = self._chunks(ids)
         for chunk, data in zip(chunks, self._opened(chunks), strict=True):
-            counts.update(message.channel for message in self._messages_in(chunk, data, ids, None, None))
-        return counts
+            for time, channel, _ in self._messages_in(chunk, data, ids, None, None):
+                counts[channel] += 1
+                first, last = spans.get(channel, (time, time))
+                spans[channel] = min(first, time), max(last, time)
+        return counts, spans
 
     def _spans(self) -> dict[int, tuple[int, int]]:
         """Return the first and the last log time of each channel, in ns, as the index has them."""
