@@ -27,7 +27,7 @@ from tests.waiting import PATIENCE
 CRASH = CROSSING.with_name("crash.mcap")
 WRITING = ("capture", "clip", "clips", "convert", "export", "import", "index", "record", "recover", "replay", "report")
 WRITING += ("snapshot", "video")
-ASKING = ("actors", "blocked", "check", "collisions", "diff", "incidents", "info", "measures", "sql", "summary")
+ASKING = ("actors", "blocked", "check", "collisions", "diff", "doctor", "incidents", "info", "measures", "sql", "summary")
 
 
 class Stream(io.TextIOWrapper):

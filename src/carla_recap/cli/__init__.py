@@ -37,6 +37,7 @@ _COMMANDS: Final = {
     "check": ("check",),
     "diff": ("diff",),
     "index": ("index", "sql"),
+    "doctor": ("doctor",),
 }
 """The commands of each module."""
 _MODULES: Final = {command: module for module, commands in _COMMANDS.items() for command in commands}

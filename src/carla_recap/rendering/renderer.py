@@ -10,6 +10,7 @@ another process instead.
 
 from __future__ import annotations
 
+import ctypes
 import sys
 from collections import OrderedDict
 from enum import StrEnum
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
 
 LARGEST: Final = 8192
 """The largest width and height of an image, in pixels."""
+_EGL_VENDOR: Final = 0x3053  # the name of the vendor in eglQueryString
 _LARGEST_BUFFER: Final = 16384  # pixels along a side, that OpenGL draws
 _SIZES: Final = 8  # image sizes whose buffers are kept
 _SHADOWED: Final = 12  # pixels: half the size of the smallest actor whose shadow has a shape
@@ -430,6 +432,34 @@ class Renderer:
                 contents.append(content_of(program, self._halos, HALO, "/i"))
             self._arrays[key] = self._context.vertex_array(program, contents)
         return self._arrays[key]
+
+
+def drawing_device() -> dict[str, str]:
+    """Return what draws, as OpenGL names it: device, vendor, version, and the vendor of EGL, empty if it is unknown.
+
+    Raises:
+        MissingExtra: moderngl is not installed.
+        RecapError: OpenGL cannot be used.
+    """
+    context = _create_context()
+    try:
+        info = context.info
+        names = {"device": "GL_RENDERER", "vendor": "GL_VENDOR", "version": "GL_VERSION"}
+        return {name: str(info.get(key, "")) for name, key in names.items()} | {"egl_vendor": _egl_vendor()}
+    finally:
+        context.release()
+
+
+def _egl_vendor() -> str:
+    """Return the vendor of the EGL that the current context has; empty if there is none."""
+    try:
+        egl = ctypes.CDLL("libEGL.so.1")
+        egl.eglGetCurrentDisplay.restype = ctypes.c_void_p
+        egl.eglQueryString.argtypes, egl.eglQueryString.restype = (ctypes.c_void_p, ctypes.c_int), ctypes.c_char_p
+        vendor: bytes | None = egl.eglQueryString(egl.eglGetCurrentDisplay(), _EGL_VENDOR)
+    except (OSError, AttributeError):
+        return ""
+    return (vendor or b"").decode("ascii", "replace")
 
 
 def _create_context() -> Any:

@@ -39,6 +39,14 @@ def cache_folder() -> Path | None:
     return base / "carla-recap" / "towns"
 
 
+def cache_size() -> tuple[int, int]:
+    """Return the number of the entries of the cache, and the sum of their sizes in bytes."""
+    folder, sizes = cache_folder(), list[int]()
+    with suppress(OSError):
+        sizes.extend(path.stat().st_size for path in ([] if folder is None else folder.glob(f"*{_SUFFIX}")))
+    return len(sizes), sum(sizes)
+
+
 def content_key(content: bytes, *sources: str) -> str:
     """Return the key of a map's content, for this version of the code.
 

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 _SHORTEST: Final = 1e-3  # s; velocities are not computed over less
 _PITCH_YAW_ROLL: Final = [4, 5, 3]
 """Their indices in a pose."""
+_MOST_TICKS: Final = int(LONGEST_STEP / _SHORTEST) + 2  # whose velocities are kept
 _ROUNDING: Final = 0.01  # the part of an interval between frames by which ticks may be shorter
 
 
@@ -99,7 +100,7 @@ class KinematicReplay:
         self._set_poses: dict[int, bytes] = {}
         self._in_motion: dict[str, Ids] = {}
         self._moved: defaultdict[str, Ids] = defaultdict(lambda: np.empty(0, np.int64))
-        self._latest: defaultdict[str, deque[_Velocities]] = defaultdict(deque)
+        self._latest: defaultdict[str, deque[_Velocities]] = defaultdict(lambda: deque(maxlen=_MOST_TICKS))
 
     def move(self, scene: Scene, delta: float, seconds: float) -> None:
         """Move all replayed actors to their recorded poses in the tick that begins.
@@ -155,7 +156,9 @@ class KinematicReplay:
             path[jumps], turn[jumps] = 0.0, 0.0
             velocities = path / seconds
             self._speeds |= zip(ids.tolist(), velocities.tolist(), strict=True)
-            velocities[jumps | ~np.isin(ids, self._moved[name])] = np.nan
+            velocities[jumps] = np.nan
+            if not np.array_equal(ids, self._moved[name]):
+                velocities[~np.isin(ids, self._moved[name])] = np.nan
         self._moved[name] = ids
         pushing = distance <= possible_step(delta, least=0.0)  # an actor that jumps pushes none on its way
         for row, (x, y, z), (pitch, yaw, roll) in zip(rows[~pushing], position[~pushing], rotation[~pushing], strict=True):
@@ -188,7 +191,9 @@ class KinematicReplay:
         known.append(latest)
         if earlier is None:
             return np.zeros_like(latest.values)
-        return np.nan_to_num((latest.values - earlier.of(latest.ids)) / (latest.time - earlier.time))
+        changes = (latest.values - earlier.of(latest.ids)) / (latest.time - earlier.time)
+        changes[np.isnan(changes)] = 0.0
+        return changes
 
     def _set_other_poses(self, scene: Scene) -> None:
         """Set the poses of props and the spectator."""
@@ -267,10 +272,13 @@ def _turning(rotation: Floats, turn: Floats) -> Floats:
         rotation: Pitch, yaw and roll after the turn, in degrees, (n, 3).
         turn: The changes of pitch, yaw and roll, in degrees, (n, 3).
     """
+    vectors: Floats = np.zeros_like(turn)
+    vectors[:, 2] = turn[:, 1]
+    if not turn[:, ::2].any():
+        return vectors
     pitch, yaw = np.radians(rotation[:, 0]), np.radians(rotation[:, 1])
     cos, sin, still = np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))
     right = np.stack((-sin, cos, still), axis=1)
     ahead = np.stack((np.cos(pitch) * cos, np.cos(pitch) * sin, np.sin(pitch)), axis=1)
-    up = np.array((0.0, 0.0, 1.0))
-    vectors: Floats = turn[:, 1, None] * up - turn[:, 0, None] * right - turn[:, 2, None] * ahead
+    vectors -= turn[:, 0, None] * right + turn[:, 2, None] * ahead
     return vectors

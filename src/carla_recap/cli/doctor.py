@@ -1,0 +1,130 @@
+"""The command that says what this installation has: what draws, extras, maps and the cache."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import re
+from collections import defaultdict
+from importlib.metadata import PackageNotFoundError, requires, version
+from typing import Any, Final
+
+import click
+
+from carla_recap.cli import options
+from carla_recap.cli.output import counted
+
+_PACKAGE: Final = "carla-recap"
+_NO_FEATURES: Final = ("all", "dev")
+"""The extras that bring nothing of their own."""
+_REQUIREMENT: Final = re.compile(r"([\w.-]+).*extra\s*==\s*['\"]([\w-]+)['\"]")
+_ON_PROCESSOR: Final = re.compile(r"llvmpipe|softpipe|swrast|swiftshader|software", re.IGNORECASE)
+"""The names of OpenGL devices that are programs."""
+_MB: Final = 1e6
+
+
+@click.command()
+@options.json
+def doctor(form: str | None) -> None:
+    """Print what this installation has, for questions and reports of faults.
+
+    These are the versions, the device that draws pictures, the extras, the maps and the cache. What is missing is no error:
+    the exit code is 0.
+    """
+    found = {
+        "versions": _versions(),
+        "drawing": _drawing(),
+        "extras": _extras(),
+        "maps": _maps(),
+        "cache": _cache(),
+    }
+    if form == "json":
+        click.echo(json.dumps(found, indent=1))
+    else:
+        for heading, lines in _lines(found).items():
+            click.echo("\n".join([heading, *(f"  {name:<14} {text}".rstrip() for name, text in lines)]))
+
+
+def _versions() -> dict[str, str | None]:
+    return {
+        _PACKAGE: _version(_PACKAGE),
+        "python": platform.python_version(),
+        "system": platform.platform(),
+        "carla": _version("carla"),
+    }
+
+
+def _drawing() -> dict[str, Any]:
+    """Return the device that draws pictures, whether it is a GPU, and why there is none."""
+    from carla_recap.errors import RecapError
+    from carla_recap.rendering.renderer import drawing_device
+
+    try:
+        device = drawing_device()
+    except RecapError as error:
+        return {"device": None, "gpu": False, "error": str(error)}
+    return {**device, "gpu": _ON_PROCESSOR.search(device["device"]) is None, "error": None}
+
+
+def _extras() -> dict[str, dict[str, str | None]]:
+    """Return the versions of the packages of each extra; None for those that are not installed."""
+    packages: defaultdict[str, dict[str, str | None]] = defaultdict(dict)
+    try:
+        required = requires(_PACKAGE) or []
+    except PackageNotFoundError:
+        return {}
+    for match in filter(None, map(_REQUIREMENT.match, required)):
+        name, extra = match.groups()
+        if extra not in _NO_FEATURES and name != _PACKAGE:
+            packages[extra][name] = _version(name)
+    return dict(sorted(packages.items()))
+
+
+def _maps() -> dict[str, Any]:
+    from carla_recap.roads.find import FOLDER, find_maps
+
+    return {"folder": os.environ.get(FOLDER) or None, "files": {name: str(path) for name, path in find_maps().items()}}
+
+
+def _cache() -> dict[str, Any]:
+    from carla_recap.util.cache import cache_folder, cache_size
+
+    folder, (entries, size) = cache_folder(), cache_size()
+    return {"folder": None if folder is None else str(folder), "entries": entries, "bytes": size}
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _lines(found: dict[str, Any]) -> dict[str, list[tuple[str, str]]]:
+    """Return the lines of the text, each a name and what is said of it, by their headings."""
+    from carla_recap.roads.find import described_folder
+
+    drawing, cache = found["drawing"], found["cache"]
+    if drawing["error"]:
+        drawn = [("none", drawing["error"])]
+    else:
+        kind = "a GPU" if drawing["gpu"] else "the processor, no GPU"
+        drawn = [("device", f"{drawing['device']} ({kind})"), ("OpenGL", f"{drawing['version']}, {drawing['vendor']}")]
+        drawn += [("EGL", drawing["egl_vendor"])] if drawing["egl_vendor"] else []
+    extras = []
+    for extra, packages in found["extras"].items():
+        missing = [name for name, installed in packages.items() if installed is None]
+        has = ", ".join(f"{name} {installed}" for name, installed in packages.items())
+        extras.append((extra, f"missing: {', '.join(missing)}; pip install '{_PACKAGE}[{extra}]'" if missing else has))
+    maps = list(found["maps"]["files"].items())
+    if not found["maps"]["folder"] or len(maps) <= 1:
+        maps.append(("others", f"none in {described_folder()}"))
+    size = f"{counted(cache['entries'], 'file')}, {cache['bytes'] / _MB:.1f} MB"
+    return {
+        "Versions": [(name, text or "not installed") for name, text in found["versions"].items()],
+        "Drawing": drawn,
+        "Extras": extras,
+        "Maps": maps,
+        "Cache": [("folder", cache["folder"] or "switched off"), ("size", size)],
+    }

@@ -1,0 +1,93 @@
+"""The command doctor."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import sys
+from importlib.metadata import files
+
+from click.testing import CliRunner
+
+import carla_recap
+import carla_recap.rendering.renderer
+import carla_recap.roads.find
+import carla_recap.util.cache
+from carla_recap.cli.doctor import doctor as doctor_command
+from tests.cli.command import ENVIRONMENT, run
+
+BUILT_IN = "Brickfield"
+
+
+def doctor(monkeypatch, **environment):
+    """Return the JSON of the command in an environment."""
+    for name, value in environment.items():
+        monkeypatch.setitem(ENVIRONMENT, name, str(value))
+    done = run("doctor", "--json")
+    assert (done.returncode, done.stderr) == (0, b"")
+    return json.loads(done.stdout)
+
+
+def test_versions_are_those_of_the_packages(monkeypatch):
+    versions = doctor(monkeypatch)["versions"]
+    assert versions["carla-recap"] == carla_recap.__version__
+    assert versions["python"] == ".".join(map(str, sys.version_info[:3]))
+
+
+def test_an_extra_lists_its_packages(monkeypatch):
+    extras = doctor(monkeypatch)["extras"]
+    assert {"pandas", "cameras", "server", "sql", "rerun"} <= set(extras)
+    assert not {"all", "dev"} & set(extras)
+    assert set(extras["cameras"]) == {"embreex", "moderngl", "pillow"}
+    assert set(extras["server"]) >= {"pymunk", "msgpack"}
+
+
+def test_what_is_missing_is_named_with_the_remedy(monkeypatch, tmp_path):
+    """The metadata of this package are found, those of other packages are not; its modules are imported above."""
+    metadata = next(file for file in files("carla-recap") if file.name == "METADATA").locate()
+    shutil.copytree(metadata.parent, tmp_path / metadata.parent.name)
+    monkeypatch.setattr(sys, "path", [str(tmp_path)])
+    done = CliRunner().invoke(doctor_command, ["--json"])
+    assert done.exit_code == 0
+    found = json.loads(done.stdout)
+    assert found["extras"]["sql"] == {"duckdb": None, "pyarrow": None}
+    assert found["versions"]["carla"] is None
+    text = CliRunner().invoke(doctor_command, []).stdout
+    assert re.search(r"^  sql +missing: \w+, \w+; pip install 'carla-recap\[sql\]'$", text, re.MULTILINE)
+
+
+def test_maps_are_listed_with_their_files(monkeypatch, tmp_path):
+    (tmp_path / "Somewhere.xodr").write_text("<OpenDRIVE/>")
+    maps = doctor(monkeypatch, CARLA_RECAP_MAPS=tmp_path)["maps"]
+    assert maps["folder"] == str(tmp_path)
+    assert maps["files"]["Somewhere"] == str(tmp_path / "Somewhere.xodr")
+    assert BUILT_IN in maps["files"]
+
+
+def test_the_cache_has_a_folder_and_a_size(monkeypatch, tmp_path):
+    (tmp_path / "a.town").write_bytes(bytes(1000))
+    (tmp_path / "other").write_bytes(bytes(1000))
+    assert doctor(monkeypatch, CARLA_RECAP_CACHE=tmp_path)["cache"] == {"folder": str(tmp_path), "entries": 1, "bytes": 1000}
+    assert doctor(monkeypatch, CARLA_RECAP_CACHE="")["cache"] == {"folder": None, "entries": 0, "bytes": 0}
+    missing = tmp_path / "missing"
+    assert doctor(monkeypatch, CARLA_RECAP_CACHE=missing)["cache"] == {"folder": str(missing), "entries": 0, "bytes": 0}
+
+
+def test_without_a_driver_there_is_a_line_and_no_traceback(monkeypatch, tmp_path):
+    nowhere = tmp_path / "none.json"
+    nowhere.write_text("{}")
+    drawing = doctor(monkeypatch, __EGL_VENDOR_LIBRARY_FILENAMES=nowhere)["drawing"]
+    assert drawing["device"] is None
+    assert "OpenGL cannot be used" in drawing["error"] or "needs" in drawing["error"]
+    done = run("doctor")
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert "Drawing\n  none " in done.stdout.decode()
+
+
+def test_the_text_has_all_parts():
+    done = run("doctor")
+    assert done.returncode == 0
+    lines = done.stdout.decode().splitlines()
+    assert [line for line in lines if not line.startswith(" ")] == ["Versions", "Drawing", "Extras", "Maps", "Cache"]
+    assert any(line.split()[0] == BUILT_IN for line in lines)
