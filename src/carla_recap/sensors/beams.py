@@ -94,8 +94,10 @@ class LidarBeams(_Rays):
         begin, self.angle = self.angle, (self.angle + turn) % tau
         turned = (begin + turn * np.arange(count) / max(count, 1)) % tau
         yaws = turned / tau * self._sector - self._sector / 2
-        pitch, yaw = (values.ravel() for values in np.meshgrid(self._pitches, yaws, indexing="ij"))
-        return np.stack((np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)), axis=1)
+        rays = np.empty((self.channels, count, 3))
+        level = np.cos(self._pitches)[:, None]
+        rays[..., 0], rays[..., 1], rays[..., 2] = level * np.cos(yaws), level * np.sin(yaws), np.sin(self._pitches)[:, None]
+        return rays.reshape(-1, 3)
 
     def points_of_channels(self, hits: SurfaceHits, rays: Floats) -> Integers:
         """Return how many hits of rays each channel has, (channels,)."""
