@@ -13,7 +13,7 @@ from carla_recap.errors import RecapError
 from carla_recap.model.frame import Header
 from carla_recap.sensors.encoding import bgrx, millimetres, png
 from carla_recap.sensors.rig import SensorRig
-from carla_recap.sensors.sensing import DETECTION, FIX, INERTIA, POINT, SEMANTIC_POINT, Sample
+from carla_recap.sensors.sensing import DETECTION, FIX, INERTIA, POINT, SEMANTIC_POINT, Sample, SensedFrame
 from carla_recap.v1.sensors_pb2 import ImuReading, SpeedReading
 
 pytest.importorskip("foxglove_schemas_protobuf")
@@ -29,6 +29,8 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from carla_recap.sensors.messages import TRANSFORMS, SensorMessages
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from google.protobuf.message import Message
 
 HEADER = Header("Town01", 1_600_000_000)
@@ -217,6 +219,25 @@ def test_topics_have_the_specification_of_the_sensor() -> None:
         assert SensorRig.of([json.loads(topic.metadata["sensor"])]) == rig
         assert b"foxglove" in topic.schema()
     assert (transforms.name, transforms.metadata) == (TRANSFORMS, {})
+
+
+def test_messages_of_moments_come_in_order_and_hold_up_no_more_than_a_few() -> None:
+    some = sample("sensor.camera.rgb", picture())
+    taken = []
+
+    def frames() -> Iterator[SensedFrame]:
+        for index in range(8):
+            taken.append(index)
+            own = Sample(some.spec, index * 0.1, POSE, picture())
+            yield SensedFrame(own.time, None, None, 1, POSE, {"own": own})  # type: ignore[arg-type]
+
+    maker = SensorMessages(SensorRig((some.spec,)), HEADER)
+    found = maker.encoded(frames())
+    first, messages = next(found)
+    assert first.time == 0.0
+    assert len(taken) < 5
+    assert [message.topic for message in messages] == [*(topic.name for topic in maker.topics)]
+    assert [frame.time for frame, _ in found] == [index * 0.1 for index in range(1, 8)]
 
 
 def test_pngs_are_read_again() -> None:

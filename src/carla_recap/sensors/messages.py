@@ -7,6 +7,8 @@ right in the image, y down, z along the axis of view; all others have x forward,
 from __future__ import annotations
 
 import json
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -37,6 +39,7 @@ except ImportError:
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
+    from concurrent.futures import Future
 
     from google.protobuf.message import Message
     from numpy.typing import NDArray
@@ -44,7 +47,7 @@ if TYPE_CHECKING:
     from carla_recap.model.frame import Header
     from carla_recap.rendering.camera import Camera
     from carla_recap.sensors.rig import SensorRig, SensorSpec
-    from carla_recap.sensors.sensing import Sample
+    from carla_recap.sensors.sensing import Sample, SensedFrame
 
     Stamp = Any  # of google.protobuf.timestamp_pb2, which has no types
 
@@ -55,6 +58,7 @@ WORLD: Final = "world"
 LARGEST_ID: Final = (1 << 24) - 1
 """The largest id of an actor in an image of instances."""
 
+_AHEAD: Final = 2  # moments whose messages are made while one is used
 _OPTICAL: Final = (-0.5, 0.5, -0.5, 0.5)  # x, y, z, w of the rotation from forward, left, up to right, down, forward
 _STEPS: Final = 256.0  # in 1, of the numbers of points that are rounded: m, or without a unit
 _FLOW_STEPS: Final = 64.0  # in a pixel
@@ -112,6 +116,18 @@ class SensorMessages:
             yield from self._makers[sample.spec.id].messages(sample, stamp)
         if transforms.transforms:
             yield SensorMessage(TRANSFORMS, elapsed, transforms.SerializeToString())
+
+    def encoded(self, frames: Iterable[SensedFrame]) -> Iterator[tuple[SensedFrame, list[SensorMessage]]]:
+        """Yield moments with their messages, which a thread makes while later moments are sensed."""
+        waiting: deque[tuple[SensedFrame, Future[list[SensorMessage]]]] = deque()
+        with ThreadPoolExecutor(1, "carla-recap-encoding") as thread:
+            for frame in frames:
+                waiting.append((frame, thread.submit(list, self.of(frame.samples.values()))))
+                if len(waiting) > _AHEAD:
+                    before, messages = waiting.popleft()
+                    yield before, messages.result()
+            for before, messages in waiting:
+                yield before, messages.result()
 
     def _stamp(self, elapsed: float) -> Stamp:
         from google.protobuf.timestamp_pb2 import Timestamp

@@ -68,7 +68,8 @@ FIX: Final = np.dtype([("latitude", "<f8"), ("longitude", "<f8"), ("altitude", "
 INERTIA: Final = np.dtype([("acceleration", "<f8", (3,)), ("angular_velocity", "<f8", (3,)), ("compass", "<f8")])
 """What an IMU measures: acceleration with gravity in m/s², angular velocity in rad/s, radians clockwise from north."""
 
-_AHEAD: Final = 3  # moments whose images are drawn while the one before is used
+_AHEAD: Final = 3  # moments whose images are drawn while the one before is used, at most
+_PIXELS_AHEAD: Final = 1 << 25  # of the images of these moments: 128 MB of bytes as they are drawn
 _LONGEST: Final = 10.0  # s between two samples, for which rays are cast
 _MIRROR: Final = np.array((1.0, -1.0, 1.0))
 _ANGULAR_MIRROR: Final = np.array((1.0, -1.0, -1.0))
@@ -307,10 +308,12 @@ class _Sensing:
             self._open(stack)
             waiting: deque[Callable[[], SensedFrame]] = deque()
             before = None
+            sizes = [int(spec.number("image_size_x") * spec.number("image_size_y")) for spec in self._rig if spec.image]
+            ahead = min(_AHEAD, _PIXELS_AHEAD // max(sum(sizes), 1))
             for scene in progress(scenes, self._player) if progress else scenes:
                 waiting.append(self._begin(scene, before))
                 before = scene
-                if len(waiting) > _AHEAD:
+                if len(waiting) > ahead:
                     yield waiting.popleft()()
             while waiting:
                 yield waiting.popleft()()

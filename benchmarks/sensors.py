@@ -1,0 +1,119 @@
+"""What a rig sees of a recording: images, points, and all sensors of the Leaderboard with their messages."""
+
+from __future__ import annotations
+
+import math
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from benchmarks.measuring import Line, Subject, timed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carla_recap.rendering.camera import Quality
+    from carla_recap.sensors.rig import SensorRig
+
+RECORDING: Final = Path("samples/crash.mcap")
+LEADERBOARD: Final = Path("samples/rigs/leaderboard.json")
+START: Final = 7.0  # s: the hero drives from then on
+IMAGES: Final = 60
+FIRST: Final = 10  # moments that are left out: shaders are compiled, and images are drawn ahead
+SECONDS: Final = 8.0
+CAMERA: Final[dict[str, Any]] = {"x": 1.5, "y": 0.0, "z": 1.6, "width": 800, "height": 600, "fov": 100}
+FOUR: Final = ("rgb", "depth", "semantic_segmentation", "instance_segmentation")
+
+
+def sense(_: Subject) -> Iterator[Line]:
+    times = {}
+    goals: tuple[tuple[Quality, float], ...] = (("epic", 35), ("low", 80))
+    for quality, goal in goals:
+        one = times[quality, 1] = _each(cameras(FOUR[:1]), quality)
+        times[quality, 4] = _each(cameras(FOUR), quality)
+        yield Line(
+            f"RGB, 800 x 600, {quality}", f"{1 / one:.0f} a second", f"{one * 1e3:.0f} ms", f"≥ {goal} /s", 1 / one >= goal
+        )
+    ratio = times["epic", 4] / times["epic", 1]
+    each = times["epic", 4]
+    yield Line("RGB, depth, semantic, instance", f"{1 / each:.0f} a second", f"{ratio:.1f} x RGB", "≤ 1.5 x", ratio <= 1.5)
+    yield from lidars()
+    yield from leaderboard()
+
+
+def cameras(kinds: tuple[str, ...]) -> SensorRig:
+    """Return a rig of cameras in one place."""
+    from carla_recap.sensors.rig import SensorRig
+
+    return SensorRig.of([{"type": f"sensor.camera.{kind}", "id": kind, **CAMERA} for kind in kinds])
+
+
+def _each(rig: SensorRig, quality: Quality) -> float:
+    """Return the seconds in which a moment is sensed."""
+    from carla_recap import open_recording
+    from carla_recap import sense as sense_recording
+
+    with open_recording(RECORDING) as recording:
+        frames = sense_recording(recording, rig, start=START, quality=quality)
+        list(islice(frames, FIRST))
+        seconds = timed(lambda: list(islice(frames, IMAGES))) / IMAGES
+        frames.close()  # type: ignore[attr-defined]
+    return seconds
+
+
+def lidars() -> Iterator[Line]:
+    """The points of a lidar in relation to its rays alone."""
+    from carla_recap.rendering.rays import RayScene
+    from carla_recap.sensors.rig import SensorRig
+
+    rig = SensorRig.of([{"type": "sensor.lidar.ray_cast", "id": "top", "x": 0.0, "y": 0.0, "z": 2.4}], leaderboard=True)
+    seconds = 0.0
+    cast = RayScene.cast
+
+    def timed_cast(*arguments: Any) -> Any:
+        nonlocal seconds
+        found: list[Any] = []
+        seconds += timed(lambda: found.append(cast(*arguments)))
+        return found[0]
+
+    least = math.inf, math.inf
+    try:
+        RayScene.cast = timed_cast  # type: ignore[method-assign]
+        for _ in range(3):
+            seconds = 0.0
+            each = _each(rig, "low")
+            least = min(least, (each, seconds / (FIRST + IMAGES)))
+    finally:
+        RayScene.cast = cast  # type: ignore[method-assign]
+    each, alone = least
+    what = f"{each * 1e3:.0f} ms a sweep"
+    yield Line("lidar, 64 channels, 600,000 /s", what, f"{each / alone:.1f} x the rays", "≤ 2 x", each <= 2 * alone)
+
+
+def leaderboard() -> Iterator[Line]:
+    """The rig of the Leaderboard at 10 Hz, with its messages."""
+    from carla_recap import open_recording
+    from carla_recap import sense as sense_recording
+    from carla_recap.sensors.messages import SensorMessages
+    from carla_recap.sensors.rig import SensorRig
+
+    rig = SensorRig.load(LEADERBOARD, leaderboard=True)
+    sizes: list[int] = []
+    with open_recording(RECORDING) as recording:
+        maker = SensorMessages(rig, recording.header)
+        frames = sense_recording(recording, rig, start=START, duration=SECONDS, rate=10.0)
+
+        def work() -> None:
+            for _, messages in maker.encoded(frames):
+                sizes.append(sum(len(message.data) for message in messages))
+
+        seconds = timed(work)
+    share, size = seconds / SECONDS, np.mean(sizes) / 1e3
+    yield Line(
+        "Leaderboard rig, 10 Hz, messages included", f"{size:.0f} kB each", f"{share:.2f} x the time", "≤ 1 x", share <= 1
+    )
+
+
+ROWS: Final = (sense,)
