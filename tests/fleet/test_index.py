@@ -317,12 +317,13 @@ def test_an_index_of_an_earlier_version_is_refused_with_the_command_that_makes_i
             use(old)
 
 
-def test_an_index_of_other_columns_is_refused(runs, tmp_path):
+@pytest.mark.parametrize("change", ["alter table incidents drop column text", "drop table sensors"])
+def test_an_index_of_other_columns_or_tables_is_refused(runs, tmp_path, change):
     import duckdb
 
     write_index([runs], tmp_path / "index", jobs=1)
     with duckdb.connect(tmp_path / "index") as database:
-        database.execute("alter table incidents drop column text")
+        database.execute(change)
     for use in (open_index, lambda path: write_index([runs], path, jobs=1)):
         with pytest.raises(RecapError, match="another version of carla-recap; remove it, and 'carla-recap index SOURCE"):
             use(tmp_path / "index")
