@@ -357,6 +357,16 @@ def test_without_its_map_a_rig_sees_where_vehicles_have_driven(tmp_path: Path) -
     assert (frame.samples["lidar"].data["tag"] == Tag.ROADS).any()
 
 
+@pytest.mark.parametrize(("rate", "share"), [(None, 1), (10.0, 2), (40.0, 0.5)])
+def test_sweeps_are_as_long_as_the_time_between_moments(tmp_path: Path, rate: float | None, share: float) -> None:
+    pytest.importorskip("embreex")
+    every = {**LIDAR, "points_per_second": 64_000, "lower_fov": -80.0, "upper_fov": -20.0}  # all rays meet the ground
+    for frames in (1, 5):
+        with carla_recap.open_recording(drive(tmp_path / "cars.mcap", frames)) as recording:
+            found = [len(frame.samples["lidar"].data) for frame in sense(recording, SensorRig.of([every]), rate=rate)]
+        assert found == pytest.approx([64_000 * STEP * share] * len(found), rel=0.02)
+
+
 def test_without_a_driver_other_sensors_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         raise RecapError("OpenGL cannot be used")

@@ -70,6 +70,7 @@ INERTIA: Final = np.dtype([("acceleration", "<f8", (3,)), ("angular_velocity", "
 
 _AHEAD: Final = 3  # moments whose images are drawn while the one before is used, at most
 _PIXELS_AHEAD: Final = 1 << 25  # of the images of these moments: 128 MB of bytes as they are drawn
+_USUAL_STEP: Final = 0.05  # s between two frames
 _LONGEST: Final = 10.0  # s between two samples, for which rays are cast
 _MIRROR: Final = np.array((1.0, -1.0, 1.0))
 _ANGULAR_MIRROR: Final = np.array((1.0, -1.0, -1.0))
@@ -173,8 +174,7 @@ def sense(
     find_actor(recording.location, recording.actors.values(), actor, purpose="to carry the rig")
     player = Player(recording, start=start, duration=0.0 if math.isinf(duration) else duration)
     town = _Town(recording, road_map, player)
-    sensing = _Sensing(recording, rig, actor, player, town, quality)
-    return sensing.frames(player.scenes(rate), progress)
+    return _Sensing(recording, rig, actor, player, town, quality, rate).frames(progress)
 
 
 @dataclass(eq=False)
@@ -236,6 +236,7 @@ class _Moment(NamedTuple):
     Attributes:
         scene: The scene.
         before: The one before it, if any.
+        step: The seconds since that one; at first, those that are usual.
         instances: What is drawn of the actors.
         motion: The motion of the carrier; None if no sensor needs it.
         carrier: The carrier and what is attached to it, which rays do not meet.
@@ -243,6 +244,7 @@ class _Moment(NamedTuple):
 
     scene: Scene
     before: Scene | None
+    step: float
     instances: Instances
     motion: Motion | None
     carrier: frozenset[int]
@@ -282,13 +284,21 @@ class _Sensing:
     """Senses a recording; see `sense` for the arguments."""
 
     def __init__(
-        self, recording: Recording, rig: SensorRig, actor: ActorName, player: Player, town: _Town, quality: Quality
+        self,
+        recording: Recording,
+        rig: SensorRig,
+        actor: ActorName,
+        player: Player,
+        town: _Town,
+        quality: Quality,
+        rate: float | None,
     ) -> None:
         self._recording = recording
         self._actor = actor
         self._player = player
         self._town = town
         self._quality = quality
+        self._rate = rate
         self._rig = tuple(rig)
         self._mounts = np.array(
             [(*(value / CM for value in (spec.x, spec.y, spec.z)), spec.roll, spec.pitch, spec.yaw) for spec in self._rig]
@@ -302,7 +312,7 @@ class _Sensing:
         self._instruments: dict[str, _Instrument] = {}
         self._carrier: int | None = None
 
-    def frames(self, scenes: Iterable[Scene], progress: Progress | None) -> Iterator[SensedFrame]:
+    def frames(self, progress: Progress | None) -> Iterator[SensedFrame]:
         """Yield the moments; images are drawn some moments ahead."""
         with ExitStack() as stack:
             self._open(stack)
@@ -310,6 +320,7 @@ class _Sensing:
             before = None
             sizes = [int(spec.number("image_size_x") * spec.number("image_size_y")) for spec in self._rig if spec.image]
             ahead = min(_AHEAD, _PIXELS_AHEAD // max(sum(sizes), 1))
+            scenes: Iterable[Scene] = self._player.scenes(self._rate)
             for scene in progress(scenes, self._player) if progress else scenes:
                 waiting.append(self._begin(scene, before))
                 before = scene
@@ -379,7 +390,7 @@ class _Sensing:
                 poses = right_handed(attach(left_handed(pose), self._mounts[due]))
                 instances = described_instances(description, marks=False)
                 motion = self._motion_of(carrier).at(scene.time) if self._needs_motion else None
-                moment = _Moment(scene, before, instances, motion, _with_attached(scene, carrier))
+                moment = _Moment(scene, before, self._step(scene, before), instances, motion, _with_attached(scene, carrier))
                 for row, own in zip(due, poses, strict=True):
                     spec = self._rig[row]
                     if spec.kind == "camera":
@@ -398,6 +409,15 @@ class _Sensing:
             return SensedFrame(scene.time, scene, description, carrier, pose, samples)
 
         return finished
+
+    def _step(self, scene: Scene, before: Scene | None) -> float:
+        """Return the seconds between a scene and the one before."""
+        if before is not None:
+            return scene.time - before.time
+        if self._rate is not None:
+            return 1 / self._rate
+        step = scene.frame.duration  # -1 in the last frame
+        return step if 0 < step < _LONGEST else _USUAL_STEP
 
     def _carrier_of(self, scene: Scene) -> tuple[int | None, Floats]:
         """Return the carrier in a scene, and its pose in m and degrees, right-handed."""
@@ -457,9 +477,7 @@ class _Caster:
 
     def seconds(self, moment: _Moment) -> float:
         """Return the time for which a moment stands, in s."""
-        before, scene = moment.before, moment.scene
-        step = scene.frame.duration if before is None else scene.time - before.time
-        return min(max(step, self._interval, 0.0), _LONGEST)
+        return min(max(moment.step, self._interval), _LONGEST)
 
     def cast(self, directions: Floats, moment: _Moment, pose: Floats) -> SurfaceHits:
         """Return what rays meet first, but for the carrier.
