@@ -73,6 +73,7 @@ class CarrierMotion:
         self._joined = (seconds > 0) & (seconds <= LONGEST_STEP)
         self._joined &= np.sqrt((steps**2).sum(axis=1)) <= possible_step(seconds, fastest)
         seconds = np.where(self._joined, seconds, np.nan)[:, None]
+        recorded_rows = np.isfinite(motion[:, :3]).all(axis=1)
         by_steps = np.concatenate((steps, _turns(rotations(poses))), axis=1) / seconds
         for part in (slice(0, 3), slice(3, 6)):
             for side in (slice(1, None), slice(None, -1)):  # by the step to the frame, else by that from it
@@ -81,7 +82,10 @@ class CarrierMotion:
         motion = np.nan_to_num(motion)
         self._velocity, self._rotation = motion[:, :3], motion[:, 3:]
         self._acceleration = np.zeros_like(self._velocity)
-        self._acceleration[1:] = np.nan_to_num(np.diff(self._velocity, axis=0) / seconds)
+        # The velocity by a step is that in its middle
+        between = np.concatenate((seconds[:1], (seconds[1:] + seconds[:-1]) / 2))
+        between = np.where((recorded_rows[1:] & recorded_rows[:-1])[:, None], seconds, between)
+        self._acceleration[1:] = np.nan_to_num(np.diff(self._velocity, axis=0) / between)
 
     def at(self, time: float) -> Motion:
         """Return the motion at elapsed seconds; an actor without poses is at rest."""
