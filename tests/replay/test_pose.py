@@ -8,8 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from carla_recap.replay import quaternions, right_handed, right_handed_velocities
+from carla_recap import open_recording
+from carla_recap.replay import Player, quaternions, right_handed, right_handed_velocities
 from carla_recap.replay.pose import attach, change, detach, left_handed, rotations, wrap
+from tests.samples import carla_log
 
 ANGLES = st.floats(-720, 720)
 POSES = arrays(np.float64, (6,), elements=st.floats(-180, 180, allow_subnormal=False).map(lambda value: round(value, 3)))
@@ -30,7 +32,21 @@ def test_change_of_locations() -> None:
 
 def test_right_handed() -> None:
     assert right_handed(np.array([100.0, 200, 300, 1, 2, 3])).tolist() == [1, -2, 3, 1, -2, -3]
-    assert right_handed_velocities(np.array([[1.0, 2, 3, 4, 5, 6]])).tolist() == [[1, -2, 3, 4, -5, -6]]
+    assert right_handed_velocities(np.array([[1.0, 2, 3, 4, 5, 6]])).tolist() == [[1, -2, 3, -4, 5, -6]]
+
+
+@pytest.mark.parametrize(("name", "hero"), [("0.9.10", 259), ("0.9.13", 234)])
+def test_recorded_rotations_turn_right_handed_axes_as_poses_do(name: str, hero: int) -> None:
+    with open_recording(carla_log(f"carla-{name}-lane-center.log")) as recording:
+        scenes = [scene for scene in Player(recording).scenes() if hero in scene.velocities["id"]]
+    rows = [scene.velocities[scene.velocities["id"] == hero][0].item()[1:] for scene in scenes]
+    recorded = right_handed_velocities(np.array(rows))[:, 3:]
+    axes = rotations(right_handed(np.array([scene.pose_of(hero) for scene in scenes])))
+    seconds = np.diff([scene.time for scene in scenes])
+    turn = axes[1:] @ np.swapaxes(axes[:-1], 1, 2)
+    turned = np.stack((turn[:, 2, 1], turn[:, 0, 2], turn[:, 1, 0]), axis=1)  # small angles about x, y and z
+    for mine, others in zip((np.degrees(turned) / seconds[:, None]).T, recorded[1:].T, strict=True):
+        assert np.corrcoef(mine, others)[0, 1] > 0.8
 
 
 @given(POSES)

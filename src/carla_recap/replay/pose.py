@@ -31,7 +31,7 @@ YAW: Final = 5
 _NEAR: Final = JUMP / CM / 2  # steps along each axis, in cm, and rotations, in degrees, are shorter in most frames
 
 _TO_RIGHT_HANDED: Final = np.array([CM, -CM, CM, 1, -1, -1])
-_VELOCITY_TO_RIGHT_HANDED: Final = np.array([1.0, -1, 1, 1, -1, -1])
+_VELOCITY_TO_RIGHT_HANDED: Final = np.array([1.0, -1, 1, -1, 1, -1])  # a mirror turns rotations the other way around
 
 
 def wrap(angles: Floats) -> Floats:

@@ -73,7 +73,7 @@ _PIXELS_AHEAD: Final = 1 << 25  # of the images of these moments: 128 MB of byte
 _USUAL_STEP: Final = 0.05  # s between two frames
 _LONGEST: Final = 10.0  # s between two samples, for which rays are cast
 _MIRROR: Final = np.array((1.0, -1.0, 1.0))
-_ANGULAR_MIRROR: Final = np.array((1.0, -1.0, -1.0))
+_ANGULAR_MIRROR: Final = np.array((-1.0, 1.0, -1.0))
 _RAY_KINDS: Final = ("lidar", "semantic_lidar", "radar")
 
 
