@@ -28,6 +28,9 @@ LOCATION: Final = slice(0, 3)
 ROTATION: Final = slice(3, 6)
 YAW: Final = 5
 
+MIRROR: Final = np.array((1.0, -1.0, 1.0))
+"""The factors of coordinates between CARLA's axes and right-handed ones."""
+
 _NEAR: Final = JUMP / CM / 2  # steps along each axis, in cm, and rotations, in degrees, are shorter in most frames
 
 _TO_RIGHT_HANDED: Final = np.array([CM, -CM, CM, 1, -1, -1])

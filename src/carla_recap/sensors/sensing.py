@@ -24,7 +24,7 @@ from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.presence import FAR
 from carla_recap.model.records import CM
 from carla_recap.replay import Player
-from carla_recap.replay.pose import LOCATION, YAW, attach, left_handed, right_handed, rotations
+from carla_recap.replay.pose import LOCATION, MIRROR, YAW, attach, left_handed, right_handed, rotations
 from carla_recap.replay.recorded_map import load_map_of
 from carla_recap.roads.files import read_text
 from carla_recap.scene.actors import described_instances
@@ -72,7 +72,6 @@ _AHEAD: Final = 3  # moments whose images are drawn while the one before is used
 _PIXELS_AHEAD: Final = 1 << 25  # of the images of these moments: 128 MB of bytes as they are drawn
 _USUAL_STEP: Final = 0.05  # s between two frames
 _LONGEST: Final = 10.0  # s between two samples, for which rays are cast
-_MIRROR: Final = np.array((1.0, -1.0, 1.0))
 _ANGULAR_MIRROR: Final = np.array((-1.0, 1.0, -1.0))
 _RAY_KINDS: Final = ("lidar", "semantic_lidar", "radar")
 
@@ -488,7 +487,7 @@ class _Caster:
             pose: The pose of the sensor.
         """
         others = ~np.isin(moment.instances.ids, list(moment.carrier))
-        along = (directions * _MIRROR) @ rotations(pose).T
+        along = (directions * MIRROR) @ rotations(pose).T
         return self._rays.cast(pose[LOCATION], along, self._reach, moment.instances.take(others))
 
 
@@ -499,7 +498,7 @@ def _warn_of(spec: SensorSpec) -> Callable[[str], None]:
 def _points(hits: SurfaceHits, directions: Floats, dtype: np.dtype[np.void]) -> NDArray[np.void]:
     """Return the points of hits, right-handed; other fields are 0."""
     points = np.zeros(len(hits.ray), dtype)
-    places = directions[hits.ray] * hits.distance[:, None] * _MIRROR
+    places = directions[hits.ray] * hits.distance[:, None] * MIRROR
     for axis, name in enumerate("xyz"):
         points[name] = places[:, axis]
     return points
@@ -543,8 +542,8 @@ def _radar(spec: SensorSpec, rays: RayScene) -> _Instrument:
         towards = np.zeros((len(hits.actor), 3))
         if len(ids):
             towards = np.where((ids[rows] == hits.actor)[:, None], velocities[rows], 0.0)
-        turned = rotations(pose) * _MIRROR[:, None] * _MIRROR
-        found = detections(hits, directions, turned, (towards - moment.motion.velocity) * _MIRROR)
+        turned = rotations(pose) * MIRROR[:, None] * MIRROR
+        found = detections(hits, directions, turned, (towards - moment.motion.velocity) * MIRROR)
         table = np.zeros(len(found), DETECTION)
         for column, name in enumerate(DETECTION.names or ()):
             table[name] = found[:, column]
@@ -558,7 +557,7 @@ def _gnss(spec: SensorSpec, opendrive: str) -> _Instrument:
     receiver = Gnss(spec.number, geo_reference(opendrive))
 
     def measure(moment: _Moment, pose: Floats) -> NDArray[np.void]:
-        return np.array(tuple(receiver.measure(pose[LOCATION] * _MIRROR)), FIX)
+        return np.array(tuple(receiver.measure(pose[LOCATION] * MIRROR)), FIX)
 
     return measure
 
@@ -569,11 +568,11 @@ def _imu(spec: SensorSpec) -> _Instrument:
     def measure(moment: _Moment, pose: Floats) -> NDArray[np.void]:
         motion = moment.motion
         assert motion is not None
-        turned = rotations(pose) * _MIRROR[:, None] * _MIRROR
+        turned = rotations(pose) * MIRROR[:, None] * MIRROR
         felt, turning, compass = device.measure(
-            turned, -float(pose[YAW]), motion.acceleration * _MIRROR, motion.rotation * _ANGULAR_MIRROR
+            turned, -float(pose[YAW]), motion.acceleration * MIRROR, motion.rotation * _ANGULAR_MIRROR
         )
-        return np.array((felt * _MIRROR, turning * _ANGULAR_MIRROR, compass), INERTIA)
+        return np.array((felt * MIRROR, turning * _ANGULAR_MIRROR, compass), INERTIA)
 
     return measure
 

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.rendering.camera import Camera, ImageKind
+from carla_recap.replay.pose import MIRROR
 from carla_recap.sensors.kinds import LARGEST_SIDE, NARROWEST, WIDEST
 from carla_recap.server.sensors.dvs import EventDetector
 from carla_recap.server.sensors.feed import number
 from carla_recap.server.sensors.images import CameraScene, Shot, View
-from carla_recap.server.sensors.rays import MIRROR, axes, row
+from carla_recap.server.sensors.rays import axes, row
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import msgpack
 
+from carla_recap.replay.pose import MIRROR
 from carla_recap.scene.materials import Tag
 from carla_recap.server.sensors.feed import flag, number
-from carla_recap.server.sensors.rays import MIRROR, ActorBoxes, row, visible_actors
+from carla_recap.server.sensors.rays import ActorBoxes, row, visible_actors
 from carla_recap.sim.actors.moving import MovingActor
 
 if TYPE_CHECKING:

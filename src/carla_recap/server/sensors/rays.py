@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.rendering.rays import OrientedBoxes, SurfaceHits
+from carla_recap.replay.pose import MIRROR
 from carla_recap.sensors.beams import LidarBeams, LidarReturns, RadarBeams, detections
 from carla_recap.server.actor_records import tag
 from carla_recap.server.sensors.feed import interval, numbers, warn_of
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 _LIDAR_HEADER: Final = struct.Struct("<fI")
 _POINT: Final = np.dtype([("location", "<(3,)f4"), ("intensity", "<f4")])
 _SEMANTIC_POINT: Final = np.dtype([("location", "<(3,)f4"), ("cosine", "<f4"), ("actor", "<u4"), ("tag", "<u4")])
-MIRROR: Final = np.array((1.0, -1.0, 1.0))
-"""The factors of coordinates between CARLA's axes and right-handed ones."""
 
 
 def axes(transform: Transform) -> Floats:
