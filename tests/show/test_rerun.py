@@ -565,7 +565,8 @@ def test_invalid_numbers_are_left_out(tmp_path: Path) -> None:
 
 def test_an_actor_that_was_never_spawned(tmp_path: Path) -> None:
     rrd = export(write(tmp_path / "stranger.log", driven(3, of=9)), tmp_path / "stranger.rrd")
-    assert rrd.at("/world/actors/9", "Boxes3D:half_sizes", 0)[0] == pytest.approx((0.15, 0.15, 0.15))
+    corners = np.array(rrd.at("/world/actors/9", "Mesh3D:vertex_positions", 0))
+    assert (corners.min(axis=0), corners.max(axis=0)) == (pytest.approx((-0.15, -0.15, 0)), pytest.approx((0.15, 0.15, 0.3)))
     assert rrd.place("/world/actors/9", 2) == [2, 0, 0]
 
 

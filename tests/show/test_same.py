@@ -93,6 +93,15 @@ def in_the_way() -> list[dict]:
     return frames
 
 
+def without_a_spawn() -> list[dict]:
+    """Return frames of the hero, and of an actor ahead of it of which nothing but poses is recorded, from 2 s on."""
+    frames: list[dict] = [{"transforms": [pose(1, 50 * number)]} for number in range(50)]
+    for number in range(20, 50):
+        frames[number]["transforms"].append(pose(9, 50 * number + 1500, yaw=30))
+    frames[0]["spawned"] = [spawn(1, role_name="hero")]
+    return frames
+
+
 def tracks() -> str:
     """Return tracks of two cars of another data set: one brakes at 6.5 m/s²."""
     rows, x, speed = ["id,time,x,y,yaw,kind"], 0.0, 20.0
@@ -105,7 +114,8 @@ def tracks() -> str:
 
 
 @pytest.fixture(
-    scope="module", params=["crash", "crash from the middle", "junction", "real", "import", "parked below", "in the way"]
+    scope="module",
+    params=["crash", "crash from the middle", "junction", "real", "import", "parked below", "in the way", "without a spawn"],
 )
 def recorded(request, tmp_path_factory):
     """A recording, and the time from which on it is shown: in the middle, while a mark is to be seen."""
@@ -120,6 +130,8 @@ def recorded(request, tmp_path_factory):
         path = write(folder / "below.log", parked_below(), tick=0.1)
     elif name == "in the way":
         path = write(folder / "way.log", in_the_way(), tick=0.1)
+    elif name == "without a spawn":
+        path = write(folder / "without.log", without_a_spawn(), tick=0.1)
     else:
         path = SAMPLES / f"{name.partition(' ')[0]}.mcap"
     with open_recording(path) as opened:
@@ -152,7 +164,7 @@ def shown(recorded, exported):
         topics[topic] = [(start + time, message) for time, message in messages]
     replay, _ = sample(recording, [], 0.0, 0.0, None)
     times = _moments(replay.times, np.array([time for time, _ in topics["/tf/actors"]]))
-    users = {actor.id for actor in recording.actors.values() if actor.kind in ROAD_USERS}
+    users = {actor.id for actor in recording.actors.values() if actor.kind in ROAD_USERS} | _without_spawns(recording)
     followed = Player(recording, start=start).followed
     return times, {
         "video": [_in_video(recording, time, followed, users, walkers) for time in times],
@@ -160,6 +172,10 @@ def shown(recorded, exported):
         "foxglove": [_in_foxglove(topics, time, users, walkers) for time in times],
         "page": [_in_page(replay, time, followed, users) for time in times],
     }
+
+
+def _without_spawns(recording) -> set[int]:
+    return {id for batch in Player(recording).batches() for id in set(batch.ids.tolist()) - set(batch.actors)}
 
 
 def _moments(*times: np.ndarray) -> list[float]:
@@ -241,7 +257,8 @@ def _in_foxglove(topics, time: float, users: set[int], walkers: set[int]) -> See
         if any(at <= time + 1e-6 for at, _ in topics[topic]):
             transforms |= {each.child_frame_id: each for each in latest(topics[topic], time).transforms}
     for id in users:
-        body = {**seen(topics["/scene/vehicles"], time), **seen(topics["/scene/walkers"], time)}.get(f"actor {id}")
+        bodies = [seen(topics[f"/scene/{kind}"], time) for kind in ("vehicles", "walkers", "others")]
+        body = next((found[f"actor {id}"] for found in bodies if f"actor {id}" in found), None)
         frame = transforms.get(f"actor {id}")
         if body is None or frame is None:
             continue
@@ -394,10 +411,20 @@ def test_the_same_incidents_are_captioned_and_listed(recorded, logs, tmp_path):
 def test_something_is_to_be_compared(request, shown):
     """The recordings have what is compared: lit lamps, and that of the crash a mark."""
     name, (_, found) = request.node.name, shown
-    assert any(each.lamps for each in found["video"]) or "real" in name or "way" in name
+    assert any(each.lamps for each in found["video"]) or any(part in name for part in ("real", "way", "without"))
     assert any(each.marks for each in found["video"]) or "crash" not in name
     assert found["video"][0].marks or "middle" not in name
     assert found["video"][0].see_through == {1, 2} or "way" not in name
+
+
+def test_an_actor_without_a_spawn_is_there_as_a_small_box(request, shown):
+    if "without a spawn" not in request.node.name:
+        pytest.skip("this is about the actor that was never spawned")
+    times, found = shown
+    for seen_by in found.values():
+        assert [9 in each.places for each in seen_by] == [time > 1.95 for time in times]
+        assert seen_by[-1].yaws[9] == pytest.approx(-30, abs=0.1)
+    assert found["video"][-1].places[9][2] == pytest.approx(0.15)
 
 
 def test_a_parked_car_is_there_once_it_is_on_the_road(request, shown):

@@ -176,6 +176,10 @@ _MOST: Final = 50.0  # m; a greater extent is none
 _LEAST: Final = 0.005  # m
 
 
+UNKNOWN: Final = Look(INDEX["box"], (150, 150, 150), (0.15, 0.15, 0.15), (0.0, 0.0, 0.15), Tag.OTHER)
+"""The look of an actor of which poses are recorded, but no spawn: nothing says what it is."""
+
+
 def look_of(
     type_id: str,
     kind: int,

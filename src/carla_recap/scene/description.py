@@ -15,7 +15,7 @@ from carla_recap.model.records import Spawn
 from carla_recap.replay.player import Player
 from carla_recap.replay.pose import right_handed
 from carla_recap.replay.selection import NO_IDS, find
-from carla_recap.scene.appearance import look_of_present
+from carla_recap.scene.appearance import UNKNOWN, look_of_present
 from carla_recap.scene.falls import FallChange, FallenWalkers
 from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehicles
 from carla_recap.scene.marks import MARKED, CollisionMarks
@@ -88,9 +88,11 @@ class _Places:
 class SceneDescription:
     """What is to be seen in the scenes of a batch; the actors are those with a look: no sensors, no spectator.
 
+    An actor of which the recording has poses, but no spawn, is among them: its look is `UNKNOWN`.
+
     Attributes:
         batch: The scenes.
-        lives: The present actors, by their ids.
+        lives: The present actors, by their ids, those without a spawn included.
         actors: The looks of those that have one; the same object as before if they are the same.
         vehicles: The ids of the vehicles, ascending.
         flags: Their lit lamps as bits of CARLA's VehicleLightState, (scenes, vehicles).
@@ -208,12 +210,10 @@ class SceneDescriber:
 
     Args:
         signs: Whether signs are actors to be seen; those of a map are part of its `TownMesh`.
-        unspawned: Whether actors are to be seen of which the recording has poses, but no spawn.
     """
 
-    def __init__(self, *, signs: bool = False, unspawned: bool = False) -> None:
+    def __init__(self, *, signs: bool = False) -> None:
         self._signs = signs
-        self._unspawned = unspawned
         self._lamps = VehicleLamps()
         self._walkers = FallenWalkers()
         self._marks = CollisionMarks()
@@ -221,6 +221,7 @@ class SceneDescriber:
         self._lives: Mapping[int, ActorLife] = {}
         self._ids: Ids | None = None
         self._known: dict[int, tuple[ActorLife, Look | None]] = {}
+        self._unspawned: dict[int, ActorLife] = {}
         self._actors = LookColumns(NO_IDS, [])
         self._places = _Places(np.zeros(0, np.intp), np.zeros((0, 6)), [])
         self._recalled = False
@@ -261,12 +262,13 @@ class SceneDescriber:
     def _take(self, batch: SceneBatch) -> None:
         """Take the actors of a batch."""
         self._ids, self._present = batch.ids, batch.actors
-        self._lives = {**batch.actors, **self._without_spawns(batch)} if self._unspawned else batch.actors
+        self._unspawned = self._without_spawn(batch)
+        self._lives = {**batch.actors, **self._unspawned} if self._unspawned else batch.actors
         known: dict[int, tuple[ActorLife, Look | None]] = {}
         for id, actor in self._lives.items():
             before = self._known.get(id)
             same = before is not None and before[0] is actor
-            known[id] = before if before is not None and same else (actor, look_of_present(actor, signs=self._signs))
+            known[id] = before if before is not None and same else (actor, self._look_of(actor))
         self._known = known
         seen = sorted((id, look) for id, (_, look) in known.items() if look is not None)
         ids = np.array([id for id, _ in seen], np.uint32)
@@ -283,10 +285,10 @@ class SceneDescriber:
                 standing[row] = right_handed(actor.spawn_pose)
         self._places = _Places(np.where(recorded, index, -1), standing, attached)
 
-    def _without_spawns(self, batch: SceneBatch) -> dict[int, ActorLife]:
+    def _look_of(self, actor: ActorLife) -> Look | None:
+        return UNKNOWN if actor.id in self._unspawned else look_of_present(actor, signs=self._signs)
+
+    def _without_spawn(self, batch: SceneBatch) -> dict[int, ActorLife]:
         """Return the actors that have poses, but no spawn."""
         ids, time = sorted(set(batch.ids.tolist()).difference(batch.actors)), batch.time[0].item()
-        return {id: self._known[id][0] if self._is_without_spawn(id) else ActorLife.of(Spawn(id), time) for id in ids}
-
-    def _is_without_spawn(self, id: int) -> bool:
-        return id in self._known and not self._known[id][0].type_id
+        return {id: self._unspawned.get(id) or ActorLife.of(Spawn(id), time) for id in ids}

@@ -80,11 +80,6 @@ def style_of(actor: ActorLife) -> Style:
     return STYLES.get(_kind_of(actor), OTHER)
 
 
-def is_outlined(actor: ActorLife) -> bool:
-    """Return whether only the edges of the box are drawn: of a sensor, or an unknown actor without a recorded box."""
-    return style_of(actor) is STYLES[ActorKind.SENSOR] or (style_of(actor) is OTHER and actor.bounding_box is None)
-
-
 def color_of(actor: ActorLife) -> Color:
     """Return the colour of an actor: that of the hero, or that of its kind."""
     return HERO if actor.is_hero else style_of(actor).color
@@ -92,7 +87,7 @@ def color_of(actor: ActorLife) -> Color:
 
 def label_of(actor: ActorLife) -> str:
     """Return a short name of an actor, such as `hero 24` or `audi.tt 31`."""
-    name = "hero" if actor.is_hero else actor.type_id.partition(".")[2] or actor.type_id or style_of(actor).name
+    name = "hero" if actor.is_hero else actor.type_id.partition(".")[2] or actor.type_id or "actor"
     return f"{name} {actor.id}"
 
 

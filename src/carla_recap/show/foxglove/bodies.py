@@ -46,7 +46,6 @@ TIMESTAMP: Final = timestamp(SceneEntity.TIMESTAMP_FIELD_NUMBER)
 """The end of an entity, the only part of it that differs from message to message."""
 
 _ANY_COLOR: Final = (0, 0, 0)
-_FAINT: Final = 0.35  # opacity of a box that only stands for something
 _LAMPS: Final = tuple(material for material, finish in MATERIALS.items() if finish.glow is not None)
 _MARGIN: Final = 0.03  # m by which a lit lamp is larger than the unlit one, within which it is
 _SIGNAL: Final = 0.46  # m; the diameter of a lit lamp of a traffic light, which is seen from far away
@@ -84,9 +83,7 @@ def body(actor: ActorLife, look: Look, fall: Fall | None = None, *, detailed: bo
         fall: How it lies, if it was knocked down.
         detailed: Draw its model, not only its box.
     """
-    opacity = _FAINT if style.is_outlined(actor) else 1.0
-    shape = _shape(look, fall, opacity) if detailed and opacity == 1.0 else _box(look, opacity)
-    return entity(actor, frame_of(actor.id), shape)
+    return entity(actor, frame_of(actor.id), _shape(look, fall) if detailed else _box(look))
 
 
 def entity(actor: ActorLife, id: str, shape: bytes, **metadata: str) -> bytes:
@@ -144,9 +141,9 @@ def vertices_of(look: Look) -> Floats:
 
 
 @lru_cache(maxsize=1024)
-def _shape(look: Look, fall: Fall | None, opacity: float) -> bytes:
+def _shape(look: Look, fall: Fall | None) -> bytes:
     return b"".join(
-        shapes.triangles(geometry, look.color if part.material is Material.PAINT else part.color, opacity)
+        shapes.triangles(geometry, look.color if part.material is Material.PAINT else part.color)
         for part, geometry in _geometries(look._replace(color=_ANY_COLOR), fall)
     )
 
@@ -166,8 +163,8 @@ def _surfaces(model: int) -> list[shapes.Surfaces]:
 
 
 @lru_cache(maxsize=1024)
-def _box(look: Look, opacity: float) -> bytes:
-    return shapes.cube(np.array(look.center), 2 * np.array(look.half_extents), look.color, opacity)
+def _box(look: Look) -> bytes:
+    return shapes.cube(np.array(look.center), 2 * np.array(look.half_extents), look.color)
 
 
 @lru_cache(maxsize=4096)

@@ -45,21 +45,20 @@ _FACES: Final = np.array(
 )
 
 
-def color(rgb: Rgb, opacity: float = 1.0) -> Color:
+def color(rgb: Rgb) -> Color:
     """Return a colour as Foxglove has it."""
     red, green, blue = (part / 255 for part in rgb)
-    return Color(r=red, g=green, b=blue, a=opacity)
+    return Color(r=red, g=green, b=blue, a=1.0)
 
 
-def triangles(geometry: bytes, rgb: Rgb, opacity: float = 1.0) -> bytes:
+def triangles(geometry: bytes, rgb: Rgb) -> bytes:
     """Return a `TriangleListPrimitive`, as a field of an entity.
 
     Args:
         geometry: The points and corners; see `geometries`.
         rgb: The colour.
-        opacity: The opacity.
     """
-    start = TriangleListPrimitive(pose=_POSE, color=color(rgb, opacity)).SerializeToString()
+    start = TriangleListPrimitive(pose=_POSE, color=color(rgb)).SerializeToString()
     return MessagePart(start + geometry).within(SceneEntity.TRIANGLES_FIELD_NUMBER).data
 
 
@@ -79,12 +78,12 @@ def _point() -> MessagePart:
     return numbers(Point3, "xyz").within(TriangleListPrimitive.POINTS_FIELD_NUMBER)
 
 
-def cube(center: Floats, size: Floats, rgb: Rgb, opacity: float = 1.0) -> bytes:
+def cube(center: Floats, size: Floats, rgb: Rgb) -> bytes:
     """Return a `CubePrimitive` along the axes of its frame, as a field of an entity."""
     x, y, z = np.asarray(center, np.float64).tolist()
     pose = Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(w=1.0))
     x, y, z = np.asarray(size, np.float64).tolist()
-    shape = CubePrimitive(pose=pose, size=Vector3(x=x, y=y, z=z), color=color(rgb, opacity))
+    shape = CubePrimitive(pose=pose, size=Vector3(x=x, y=y, z=z), color=color(rgb))
     return MessagePart(shape.SerializeToString()).within(SceneEntity.CUBES_FIELD_NUMBER).data
 
 

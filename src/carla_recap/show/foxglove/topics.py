@@ -111,7 +111,7 @@ class SceneMessages:
         self._stops = {} if stops is None else stops
         self._followed = FollowedActor(follow, self._stops)
         self._town = town
-        self._describer = SceneDescriber(unspawned=True)
+        self._describer = SceneDescriber()
         self._entities = scene.ActorEntities()
         self._frames = followed.ViewFrames()
         self._lights = followed.LightMessages()

@@ -16,7 +16,7 @@ import numpy as np
 from carla_recap.model.actors import BoundingBox
 from carla_recap.model.blueprints import box_of
 from carla_recap.queries.kinds import KINDS
-from carla_recap.scene.appearance import look_of_present
+from carla_recap.scene.appearance import UNKNOWN, look_of_present
 from carla_recap.scene.materials import Tag
 from carla_recap.scene.style import OTHER, color_of, label_of, style_of
 from carla_recap.show.page.base_map import LAYERS
@@ -43,7 +43,6 @@ SPEED_UNIT: Final = 0.01  # m/s
 _TURN: Final = 16384 / 360  # units of a yaw per degree
 _PAINT: Final = re.compile(r" *(\d{1,3}) *, *(\d{1,3}) *, *(\d{1,3}) *")
 _LONG: Final = 2.65  # m, half the length from which a vehicle is drawn as a truck
-_UNKNOWN: Final = BoundingBox(0.0, 0.0, 0.0, 0.15, 0.15, 0.15)  # of an actor whose spawn is not recorded
 _CYCLES: Final = (Tag.MOTORCYCLE, Tag.BICYCLE, Tag.RIDER)
 _STYLE: Final = re.compile(r'<link rel="stylesheet" href="([^"]+)">\n')
 _SCRIPT: Final = re.compile(r'<script src="([^"]+)" defer></script>\n')
@@ -142,8 +141,8 @@ def kind_data() -> dict[str, Any]:
 def actor_data(sampled: SampledActor) -> dict[str, Any]:
     """Return an actor; `box` is x, y and half extents in m, in its own axes."""
     actor = sampled.details
-    look = None if actor is None else look_of_present(actor)
-    box = _UNKNOWN if actor is None else box_of(actor)
+    look = UNKNOWN if actor is None else look_of_present(actor)
+    box = _box(UNKNOWN) if actor is None else box_of(actor)
     return {
         "id": sampled.id,
         "kind": OTHER.name if actor is None else style_of(actor).name,
@@ -158,6 +157,10 @@ def actor_data(sampled: SampledActor) -> dict[str, Any]:
         "since": number(sampled.since),
         "until": None if sampled.until is None else number(sampled.until),
     }
+
+
+def _box(look: Look) -> BoundingBox:
+    return BoundingBox(*look.center, *look.half_extents)
 
 
 def _paint(actor: ActorLife) -> str | None:

@@ -9,9 +9,8 @@ import numpy as np
 import rerun as rr
 
 from carla_recap.errors import RecapWarning
-from carla_recap.model.actors import ROAD_USERS, ActorLife
+from carla_recap.model.actors import ROAD_USERS
 from carla_recap.model.blueprints import box_of
-from carla_recap.model.records import Spawn
 from carla_recap.replay import Destroyed, Spawned, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION
 from carla_recap.scene import style
@@ -27,6 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.model.actors import ActorLife
     from carla_recap.replay.selection import Ids
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.description import SceneDescription
@@ -124,7 +124,7 @@ class ActorWriter:
         if batch.ids is not self._ids:
             self._ids = batch.ids
             for id in set(batch.ids.tolist()) - self._present - away:
-                self._draw(ActorLife.of(Spawn(id), float(batch.time[0])), description, times.point(0))
+                self._draw(description.lives[id], description, times.point(0))
         named = None if self._named is None else batch.actors.get(self._named)
         if named is not None:
             self._stream.log(entities.actor(named.id), times.point(0), _name(named, description.actors.look_of(named.id)))
@@ -197,8 +197,8 @@ class ActorWriter:
             archetypes.append(drawn(look, mesh, with_shadow=actor.kind == "vehicle"))
             if actor.kind in _WITH_LAMPS:
                 self._lamps.add(actor.id, mesh)
-        elif look is not None or not actor.type_id:
-            archetypes.append(_box(actor, look))
+        elif look is not None:
+            archetypes.append(_box(look))
         if actor.is_hero or actor.id == self._followed:
             archetypes.append(_name(actor, look))
         if description.batch.index_of(actor.id) is None:
@@ -223,8 +223,7 @@ class ActorWriter:
             if batch.away[row, column]:
                 self._erase(id, times.point(row))
             elif id not in self._present:
-                actor = batch.actors.get(id) or ActorLife.of(Spawn(id), float(batch.time[0]))
-                self._draw(actor, description, times.point(row))
+                self._draw(description.lives[id], description, times.point(row))
         self._away = set(batch.ids[batch.away[-1]].tolist())
 
     def _lay(self, description: SceneDescription, times: TimeColumns) -> None:
@@ -257,15 +256,9 @@ def _location(actor: ActorLife) -> rr.Transform3D:
     )
 
 
-def _box(actor: ActorLife, look: Look | None) -> rr.Boxes3D:
-    """Return the box of an actor: the edges alone of one that has no look."""
-    box = box_of(actor)
-    return rr.Boxes3D(
-        centers=[(box.x, box.y, box.z)],
-        half_sizes=[(box.extent_x, box.extent_y, box.extent_z)],
-        colors=[style.color_of(actor) if look is None else look.color],
-        fill_mode="majorwireframe" if look is None else "solid",
-    )
+def _box(look: Look) -> rr.Boxes3D:
+    """Return the box of an actor."""
+    return rr.Boxes3D(centers=[look.center], half_sizes=[look.half_extents], colors=[look.color], fill_mode="solid")
 
 
 def _name(actor: ActorLife, look: Look | None) -> rr.Points3D:
