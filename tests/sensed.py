@@ -1,19 +1,19 @@
-"""Recordings with further topics, such as those of sensors, whose messages are made up."""
+"""Recordings with further topics: those of sensors, drawn or cast, and ones whose messages are made up."""
 
 from __future__ import annotations
 
 import json
 import random
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Any
 
+from carla_recap import open_recording
 from carla_recap.formats.base import Topic
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.model.frame import Header
 from tests.samples import drive
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
+CRASH = Path(__file__).parents[1] / "samples" / "crash.mcap"
 HEADER = Header("Town01", 1_600_000_000)
 
 
@@ -46,4 +46,31 @@ def sensed(path: Path, *, live: bool = False, seconds: float = 10.0, size: int =
             if frame.index == 20:
                 writer.add_topic(plain("/note"), group="small")
                 writer.write_message("/note", frame.elapsed, b'"late"')
+    return path
+
+
+def sensed_crash(path: Path, sensors: list[dict[str, Any]], start: float = 11.0, stop: float = 13.0, **options: Any) -> Path:
+    """Some seconds around the crash of the sample, with what sensors on the hero would have measured.
+
+    Args:
+        path: The destination, an .mcap.
+        sensors: The rig.
+        start: The elapsed time of the first measurements, in s; the frames are those from the beginning on.
+        stop: The elapsed time of the end, in s.
+        options: Those of `SensorMessages`.
+    """
+    from carla_recap.sensors import SensorRig
+    from carla_recap.sensors.messages import SensorMessages
+    from carla_recap.sensors.sensing import sense
+
+    rig = SensorRig.of(sensors)
+    with open_recording(CRASH) as recording, McapWriter(path, recording.header) as writer:
+        messages = SensorMessages(rig, recording.header, **options)
+        for topic in messages.topics:
+            writer.add_topic(topic)
+        for frame in recording.frames(stop=stop + 0.01):
+            writer.write(frame)
+        for sensed_frame in sense(recording, rig, start=start, duration=stop - start, quality="low"):
+            for message in messages.of(sensed_frame.samples.values()):
+                writer.write_message(*message)
     return path

@@ -33,6 +33,42 @@ def crossing_rrd(tmp_path_factory):
     return path
 
 
+PLACE = {"x": 1.5, "y": 0.0, "z": 1.6}
+SENSORS = [
+    {"type": "sensor.camera.rgb", "id": "front", **PLACE, "width": 160, "height": 120, "fov": 90.0},
+    {"type": "sensor.camera.rgb", "id": "back", "x": -2.0, "y": 0.0, "z": 1.6, "yaw": 180.0, "width": 160, "height": 120},
+    {"type": "sensor.camera.depth", "id": "depth", **PLACE, "width": 160, "height": 120, "fov": 90.0},
+    {"type": "sensor.camera.semantic_segmentation", "id": "tags", **PLACE, "width": 160, "height": 120, "fov": 90.0},
+    {"type": "sensor.camera.instance_segmentation", "id": "ids", **PLACE, "width": 160, "height": 120, "fov": 90.0},
+    {
+        "type": "sensor.lidar.ray_cast",
+        "id": "lidar",
+        "x": 0.0,
+        "y": 0.0,
+        "z": 2.5,
+        "range": 50.0,
+        "rotation_frequency": 20.0,
+    },
+    {"type": "sensor.other.radar", "id": "radar", "x": 2.4, "y": 0.0, "z": 1.0},
+    {"type": "sensor.other.gnss", "id": "gnss"},
+]
+SENSED = 11.0, 12.5
+"""The elapsed seconds between which the recording of `sensed_recording` has data of sensors."""
+
+
+@pytest.fixture(scope="session")
+def sensed_recording(tmp_path_factory):
+    """A recording around a crash with what two cameras and others on the hero see; skips the test where none can draw."""
+    pytest.importorskip("foxglove_schemas_protobuf", reason="the extra `foxglove` is not installed")
+    pytest.importorskip("embreex", reason="the extra `cameras` is not installed")
+    from tests.sensed import sensed_crash
+
+    try:
+        return sensed_crash(tmp_path_factory.mktemp("sensed") / "sensed.mcap", SENSORS, *SENSED)
+    except RecapError as error:
+        pytest.skip(str(error))
+
+
 @pytest.fixture
 def temporary(tmp_path, monkeypatch):
     """An empty folder for temporary files, in which the test must leave none."""

@@ -11,6 +11,7 @@ import rerun.blueprint as rrb
 
 from carla_recap.model.actors import ActorLife
 from carla_recap.model.records import CM
+from carla_recap.queries.sensors import sensors
 from carla_recap.replay import Player, camera
 from carla_recap.replay.recorded_map import first_locations
 from carla_recap.scene import style
@@ -21,15 +22,22 @@ from carla_recap.show.rerun.followed import FARTHEST, LATEST, LOOK_DOWN, Triple,
 from carla_recap.show.rerun.stream import FRAME, SIM_TIME
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
+    from carla_recap.queries.sensors import RecordedSensor
     from carla_recap.roads import RoadMap
 
 View = Literal["chase", "top"]
 """The camera: behind and above the actor, or straight above it."""
 
+MOST_IMAGES: Final = 16
+"""The number of cameras whose images have a view."""
+
+_COLORED: Final = ("image", "video")
+_IMAGES: Final = (*_COLORED, "depth", "semantic", "instance", "normals", "flow")
+_IN_A_COLUMN: Final = 3  # images; more are in two columns
 _TRAIL: Final = 4.0  # s; the time for which the trail is shown
 _TRAIL_FRAMES: Final = 80  # the same in frames
 _MIN_RADIUS: Final = 30.0  # m; of what an overview shows
@@ -46,10 +54,30 @@ def blueprint(player: Player, *, view: View = "chase", followed: int | None = No
         followed: The actor that they follow; None: the one that the player follows, and without one, they stand still.
             Any other actor needs the axes that `write` adds with `cameras`.
     """
-    return arranged(camera_views(player, followed=followed), view, player.followed)
+    found = sensors(player.reader)
+    return arranged(camera_views(player, followed=followed), view, player.followed, images=image_views(found))
 
 
-def arranged(cameras: Mapping[View, rrb.Spatial3DView], view: View, ego: int | None, *, live: bool = False) -> rrb.Blueprint:
+def image_views(sensors: Iterable[RecordedSensor]) -> list[rrb.Spatial2DView]:
+    """Return the views of the images of sensors, the first `MOST_IMAGES`."""
+    paths = _image_paths(sensors)[:MOST_IMAGES]
+    return [rrb.Spatial2DView(origin=path.rpartition("/")[0], contents=path, name=path.split("/")[-2]) for path, _ in paths]
+
+
+def _image_paths(sensors: Iterable[RecordedSensor]) -> list[tuple[str, str]]:
+    """Return the paths of images, and their kinds."""
+    kinds = ((sensor.id, topic.rpartition("/")[2]) for sensor in sensors for topic in sensor.topics)
+    return [(entities.sensor(id, kind), kind) for id, kind in kinds if kind in _IMAGES]
+
+
+def arranged(
+    cameras: Mapping[View, rrb.Spatial3DView],
+    view: View,
+    ego: int | None,
+    *,
+    live: bool = False,
+    images: Sequence[rrb.Spatial2DView] = (),
+) -> rrb.Blueprint:
     """Return the arrangement of views around those of the cameras.
 
     Args:
@@ -57,6 +85,7 @@ def arranged(cameras: Mapping[View, rrb.Spatial3DView], view: View, ego: int | N
         view: The camera that is shown first.
         ego: The actor that has plots, if any.
         live: Whether frames are still being added: the viewer then shows the latest one.
+        images: The views of the images of cameras.
     """
     log = rrb.TextLogView(
         origin=entities.EVENTS,
@@ -78,8 +107,11 @@ def arranged(cameras: Mapping[View, rrb.Spatial3DView], view: View, ego: int | N
     ]
     if ego is not None:
         beside += _plots(ego, live=live)
+    columns: list[rrb.Container] = [scene, rrb.Vertical(*beside, row_shares=[2] + [1] * (len(beside) - 1))]
+    if images:
+        columns.insert(1, rrb.Grid(*images, grid_columns=1 if len(images) <= _IN_A_COLUMN else 2, name="Cameras"))
     return rrb.Blueprint(
-        rrb.Horizontal(scene, rrb.Vertical(*beside, row_shares=[2] + [1] * (len(beside) - 1)), column_shares=[3, 1]),
+        rrb.Horizontal(*columns, column_shares=[3, 1] if not images else [5, 3, 2]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="following" if live else "playing"),
@@ -110,12 +142,13 @@ def live_blueprint(
 def camera_views(player: Player, *, followed: int | None = None) -> dict[View, rrb.Spatial3DView]:
     """Return the views of both cameras; see `blueprint`."""
     followed = player.followed if followed is None else followed
+    hidden = [path for path, kind in _image_paths(sensors(player.reader)) if kind not in _COLORED]
     if followed is None:
-        return overviews(first_locations(player))
+        return overviews(first_locations(player), hidden)
     size = _half_extents(player, followed)
     if followed == player.followed:
-        return follow_views(entities.CHASE, "", player.followed, size)
-    return follow_views(entities.camera(followed), f" {followed}", player.followed, size)
+        return follow_views(entities.CHASE, "", player.followed, size, hidden)
+    return follow_views(entities.camera(followed), f" {followed}", player.followed, size, hidden)
 
 
 def _half_extents(player: Player, id: int) -> Triple | None:
@@ -128,17 +161,25 @@ def _half_extents(player: Player, id: int) -> Triple | None:
     return None
 
 
-def overviews(locations: NDArray[np.float64]) -> dict[View, rrb.Spatial3DView]:
-    """Return the views of cameras that stand still and see some locations: (n, 3) in m, right-handed."""
-    (x, y, z), radius = _extent(locations)
+def overviews(locations: NDArray[np.float64], hidden: Sequence[str] = ()) -> dict[View, rrb.Spatial3DView]:
+    """Return the views of cameras that stand still and see some locations: (n, 3) in m, right-handed.
+
+    Args:
+        locations: The locations.
+        hidden: The paths of what is not shown.
+    """
+    centre, radius = _extent(locations)
+    x, y, z = centre
     return {
-        "chase": _view("Overview", entities.WORLD, (x - 1.5 * radius, y, z + 1.2 * radius), (x, y, z), (0, 0, 1)),
-        "top": _view("Top", entities.WORLD, (x, y, z + 2.2 * radius), (x, y, z), (0, 1, 0)),
+        "chase": _view(
+            "Overview", entities.WORLD, (x - 1.5 * radius, y, z + 1.2 * radius), (x, y, z), (0, 0, 1), hidden=hidden
+        ),
+        "top": _view("Top", entities.WORLD, (x, y, z + 2.2 * radius), centre, (0, 1, 0), hidden=hidden),
     }
 
 
 def follow_views(
-    axes: str, suffix: str, ego: int | None, half_extents: Triple | None = None
+    axes: str, suffix: str, ego: int | None, half_extents: Triple | None = None, hidden: Sequence[str] = ()
 ) -> dict[View, rrb.Spatial3DView]:
     """Return the views of cameras that stand still in axes that move.
 
@@ -147,12 +188,13 @@ def follow_views(
         suffix: The end of the titles.
         ego: The actor whose trail is shown, if any.
         half_extents: Half the size of the followed actor's box; None if it is unknown.
+        hidden: The paths of what is not shown.
     """
     back, _, up = eye = chase_eye(half_extents)
     ahead = up - back * math.tan(math.radians(LOOK_DOWN))
     return {
-        "chase": _view(f"Chase{suffix}", axes, eye, (0, 0, ahead), (0, 0, 1), ego),
-        "top": _view(f"Top{suffix}", axes, (0, 0, camera.TOP_UP * CM), (0, 0, 0), (1, 0, 0), ego),
+        "chase": _view(f"Chase{suffix}", axes, eye, (0, 0, ahead), (0, 0, 1), ego, hidden),
+        "top": _view(f"Top{suffix}", axes, (0, 0, camera.TOP_UP * CM), (0, 0, 0), (1, 0, 0), ego, hidden),
     }
 
 
@@ -189,8 +231,9 @@ def _view(
     target: tuple[float, float, float],
     up: tuple[float, float, float],
     ego: int | None = None,
+    hidden: Sequence[str] = (),
 ) -> rrb.Spatial3DView:
-    """Return the view of a camera in some axes, with the trail of the ego."""
+    """Return the view of a camera in some axes, with the trail of the ego, and without the paths that are hidden."""
     now = rr.TimeRangeBoundary.cursor_relative()
     trail = rrb.VisibleTimeRanges(
         [
@@ -200,7 +243,7 @@ def _view(
     )
     return rrb.Spatial3DView(
         origin=origin,
-        contents=f"{entities.WORLD}/**",
+        contents=[f"+ {entities.WORLD}/**", *(f"- {path}" for path in hidden)],
         name=name,
         background=[*style.HORIZON, 255],
         line_grid=False,
@@ -209,9 +252,10 @@ def _view(
     )
 
 
-def _extent(locations: NDArray[np.float64]) -> tuple[list[float], float]:
+def _extent(locations: NDArray[np.float64]) -> tuple[Triple, float]:
     """Return the centre and the radius of some locations, in m, right-handed."""
     if not len(locations):
-        return [0.0, 0.0, 0.0], _MIN_RADIUS
+        return (0.0, 0.0, 0.0), _MIN_RADIUS
     low, high = locations.min(axis=0), locations.max(axis=0)
-    return ((low + high) / 2).tolist(), max(_MIN_RADIUS, float(np.linalg.norm(high - low)) / 2)
+    x, y, z = ((low + high) / 2).tolist()
+    return (x, y, z), max(_MIN_RADIUS, float(np.linalg.norm(high - low)) / 2)

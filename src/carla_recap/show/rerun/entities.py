@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+import rerun as rr
+
 WORLD: Final = "/world"
 ACTORS: Final = "/world/actors"
 ROADS: Final = "/world/map"
@@ -15,6 +17,7 @@ TRAIL: Final = "/world/trail"
 COLLISIONS: Final = "/world/collisions"
 SKY: Final = "/world/sky"
 AHEAD: Final = "/world/ahead"
+SENSORS: Final = "/world/sensors"
 
 STATES: Final = "/signals"
 EVENTS: Final = "/events"
@@ -68,3 +71,9 @@ def trail(id: int) -> str:
 def state(id: int) -> str:
     """Return the path of the states of a traffic light, shown as a lane of a timeline."""
     return f"{STATES}/tl_{id}"
+
+
+def sensor(id: str, kind: str = "") -> str:
+    """Return the path of a sensor, in its own axes, or that of a kind of its data."""
+    path = f"{SENSORS}/{rr.escape_entity_path_part(id)}"
+    return f"{path}/{rr.escape_entity_path_part(kind)}" if kind else path

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import rerun as rr
 
-from carla_recap.errors import RecapWarning
+from carla_recap.errors import MissingExtra, RecapWarning
 from carla_recap.formats.sources import unsigned
 from carla_recap.model.actors import ROAD_USERS
 from carla_recap.queries.actors import actors
+from carla_recap.queries.sensors import sensors
 from carla_recap.recording import Recording
 from carla_recap.rendering.town import town_of_map
 from carla_recap.replay import Played, Player
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.ahead import StopPoints
     from carla_recap.scene.description import SceneDescription
     from carla_recap.show.rerun.blueprint import View
+    from carla_recap.show.rerun.sensors import SensorWriter
 
 MOST_CAMERAS: Final = 500
 """The number of actors that get a camera, the first ones."""
@@ -240,7 +242,8 @@ def write(
         cameras: Ids of other actors than the followed one that get the axes of a camera, too.
 
     Warns:
-        RecapWarning: The map is that of another town, or there are too many actors to show all of them.
+        RecapWarning: The map is that of another town, there are too many actors to show all of them, or the recording has
+            sensors, and an optional dependency for them is not installed.
 
     Raises:
         FormatError: The file contradicts its format.
@@ -249,19 +252,37 @@ def write(
     describe(stream, reader.header, reader.path.name, unsigned(reader.location))
     road_map = map_around(road_map, player)
     writer = SceneWriter(stream, followed=player.followed, road_map=road_map, cameras=cameras, stops=stop_points(reader))
+    measured = _sensor_writer(Stream(stream), player)
     if player.start > 0:
         writer.recall(Recording(reader), player.start)
     count = 0
     played = PlayedIncidents(player, road_network_of_map(road_map), incidents)
     for batch in player.batches(progress):
         writer.write(batch)
+        if measured is not None:
+            measured.write(TimeColumns.of(batch))
         count += len(batch)
     writer.write_incidents(played.found())
     series = played.series()
     if series is not None:
         writer.write_measures(series)
+    if measured is not None:
+        measured.close()
     writer.close()
     return Played(count, player.stop - player.start)
+
+
+def _sensor_writer(stream: Stream, player: Player) -> SensorWriter | None:
+    """Return what writes the sensors of a recording; None if it has none, or they cannot be decoded here."""
+    reader = player.reader
+    if not sensors(reader):
+        return None
+    try:
+        from carla_recap.show.rerun.sensors import SensorWriter
+    except MissingExtra as error:
+        warnings.warn(f"{reader.location}: its sensors are left out: {error}", RecapWarning, stacklevel=3)
+        return None
+    return SensorWriter(stream, reader, player.start, player.stop)
 
 
 def filmed(player: Player) -> list[int]:

@@ -1,0 +1,151 @@
+"""Sensors of a recording in Rerun's viewer: images on pinholes, points and poses, in step with the scenes."""
+
+from __future__ import annotations
+
+import io
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
+
+from PIL import Image
+from rerun.chunk import RrdReader
+
+from carla_recap import export_rerun, open_recording
+from carla_recap.errors import FormatError, RecapError, RecapWarning
+from carla_recap.formats.mcap.writer import McapWriter
+from carla_recap.show.rerun import entities
+from tests.sensed import HEADER, camera
+from tests.show.conftest import SENSED
+
+
+@pytest.fixture(scope="module")
+def rrd(sensed_recording, tmp_path_factory):
+    path = tmp_path_factory.mktemp("rerun") / "sensed.rrd"
+    with open_recording(sensed_recording) as recording:
+        export_rerun(recording, path, start=10.5)
+    return path
+
+
+def rows(path, entity, column):
+    """The values of a component of an entity, and the nanoseconds and frames of its rows."""
+    found, times, frames = [], [], []
+    for chunk in RrdReader(path).stream().filter(content=entity, is_static=False).to_chunks():
+        batch = chunk.to_record_batch()
+        if column in batch.schema.names:
+            found += batch.column(column).to_pylist()
+            times += [value.value for value in batch.column("sim_time")]
+            frames += batch.column("frame").to_pylist()
+    return found, times, frames
+
+
+def stored(path, topic):
+    with open_recording(path) as recording:
+        return list(recording.reader.messages(topic))
+
+
+def test_each_image_is_shown_when_it_was_taken_with_its_frame(rrd, sensed_recording):
+    images, times, frames = rows(rrd, entities.sensor("front", "image"), "EncodedImage:blob")
+    recorded = [elapsed for elapsed, _ in stored(sensed_recording, "/sensors/front/image")]
+    assert times == [round(elapsed * 1e9) for elapsed in recorded]
+    assert len(images) == len(recorded) > 20
+    with open_recording(sensed_recording) as recording:
+        expected = {round(frame.elapsed * 1e9): frame.id for frame in recording.frames(SENSED[0])}
+    assert dict(zip(times, frames, strict=True)) == {time: expected[time] for time in times}
+    picture = Image.open(io.BytesIO(bytes(images[0][0])))
+    assert (picture.format, picture.size) == ("JPEG", (160, 120))
+
+
+def test_sensors_move_with_the_actor(rrd):
+    places, times, _ = rows(rrd, entities.sensor("lidar"), "Transform3D:translation")
+    cars, car_times, _ = rows(rrd, entities.actor(41), "Transform3D:translation")
+    heights = []
+    for place, time in zip(places, times, strict=True):
+        if time in car_times:
+            offset = np.array(place[0]) - cars[car_times.index(time)][0]
+            assert np.hypot(*offset[:2]) < 0.2
+            heights.append(offset[2])
+    assert len(heights) > 20
+    assert heights == pytest.approx([2.5] * len(heights), abs=0.2)
+
+
+def test_points_and_detections_have_colours(rrd, sensed_recording):
+    for id, kind in (("lidar", "points"), ("radar", "detections")):
+        path = entities.sensor(id, kind)
+        points, _, _ = rows(rrd, path, "Points3D:positions")
+        colors, _, _ = rows(rrd, path, "Points3D:colors")
+        assert len(points) == len(stored(sensed_recording, f"/sensors/{id}/{kind}"))
+        assert [len(each) for each in points] == [len(each) for each in colors]
+        assert max(len(each) for each in points) > 20
+    lidar = rows(rrd, entities.sensor("lidar", "points"), "Points3D:positions")[0][0]
+    assert np.linalg.norm(lidar, axis=1).max() <= 51
+
+
+def test_depth_is_in_metres_and_labels_are_kept(rrd, sensed_recording):
+    depths, _, _ = rows(rrd, entities.sensor("depth", "depth"), "EncodedDepthImage:blob")
+    tags, _, _ = rows(rrd, entities.sensor("tags", "semantic"), "SegmentationImage:buffer")
+    ids, _, _ = rows(rrd, entities.sensor("ids", "instance"), "SegmentationImage:buffer")
+    depth = np.asarray(Image.open(io.BytesIO(bytes(depths[0][0]))))
+    assert depth.shape == (120, 160)
+    assert 1_000 < depth[-1, 80] < 10_000  # mm, down to the road
+    assert set(bytes(tags[0][0])) >= {1, 11}  # road, sky
+    with open_recording(sensed_recording) as recording:
+        assert set(np.frombuffer(bytes(ids[0][0]), "<u2").tolist()) - {0} <= set(recording.actors)
+
+
+def test_positions_on_earth_are_not_shown_since_the_viewer_would_fetch_a_map(rrd):
+    paths = RrdReader(rrd).store().schema().entity_paths()
+    assert not [path for path in paths if "gnss" in path and "fix" in path]
+
+
+def test_the_viewer_shows_each_camera_beside_the_scene(rrd, crossing_rrd):
+    from tests.screenshots import ScreenshotTaker
+
+    with ScreenshotTaker(rrd, (1000, 700)) as screenshots:
+        screenshots.take(12.0)
+        views = screenshots.state.views
+    assert not [report for view in views for report in view.reports]
+    assert [view.view_class for view in views].count("2D") == 1 + 5
+
+
+def test_videos_are_passed_on_as_they_are(tmp_path):
+    pytest.importorskip("av", reason="the extra `video` is not installed")
+    from tests.sensed import sensed_crash
+
+    sensors = [{"type": "sensor.camera.rgb", "id": "front", "x": 1.5, "y": 0, "z": 1.6, "width": 96, "height": 64}]
+    try:
+        path = sensed_crash(tmp_path / "video.mcap", sensors, 11.0, 11.5, video=True)
+    except RecapError as error:
+        pytest.skip(str(error))
+    with open_recording(path) as recording:
+        export_rerun(recording, tmp_path / "video.rrd", start=10.9, duration=0.7)
+    packets, _, _ = rows(tmp_path / "video.rrd", entities.sensor("front", "video"), "VideoStream:sample")
+    messages = [data for _, data in stored(path, "/sensors/front/video")]
+    assert len(packets) == len(messages) > 5
+    assert all(bytes(packet[0]) in data for packet, data in zip(packets, messages, strict=True))
+
+
+def test_without_the_extra_the_sensors_are_left_out_with_a_warning(sensed_recording, tmp_path, monkeypatch):
+    for name in ("carla_recap.show.rerun.sensors", "carla_recap.sensors.decoding", "carla_recap.sensors.messages"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setitem(sys.modules, "foxglove_schemas_protobuf.CameraCalibration_pb2", None)
+    warned = pytest.warns(RecapWarning, match=r"its sensors are left out: .*foxglove")
+    with open_recording(sensed_recording) as recording, warned:
+        export_rerun(recording, tmp_path / "without.rrd", start=11, duration=0.2)
+    assert (tmp_path / "without.rrd").stat().st_size > 1000
+
+
+def test_a_damaged_message_is_an_error_that_names_topic_and_time(tmp_path):
+    from tests.samples import drive
+
+    with McapWriter(tmp_path / "damaged.mcap", HEADER) as writer:
+        writer.add_topic(camera())
+        for frame in drive(1.0):
+            writer.write(frame)
+        writer.write_message("/sensors/front/image", 0.5, b"\xff\xff")
+    refused = pytest.raises(FormatError, match=r"damaged.mcap: a message of /sensors/front/image at 0.5 s: ")
+    with open_recording(tmp_path / "damaged.mcap") as recording, refused:
+        export_rerun(recording, tmp_path / "damaged.rrd")
+    assert not (tmp_path / "damaged.rrd").exists()
