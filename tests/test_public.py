@@ -80,6 +80,7 @@ NAMES = [
     "export_osi",
     "export_parquet",
     "export_rerun",
+    "export_sensed",
     "export_video",
     "import_tracks",
     "load_map",

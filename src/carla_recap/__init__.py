@@ -65,6 +65,7 @@ if TYPE_CHECKING:
     from carla_recap.sensors.sensing import Sample, SensedFrame, sense
     from carla_recap.show.clips import clips
     from carla_recap.show.foxglove import export_foxglove
+    from carla_recap.show.foxglove.sensed import export_sensed
     from carla_recap.show.page import write_report
     from carla_recap.show.rrd import export_rerun
     from carla_recap.show.video import export_video, picture, snapshot
@@ -140,6 +141,7 @@ __all__ = [
     "export_osi",
     "export_parquet",
     "export_rerun",
+    "export_sensed",
     "export_video",
     "import_tracks",
     "load_map",
@@ -186,6 +188,7 @@ _get, __dir__ = lazily(
         "sensors.sensing": ("Sample", "SensedFrame", "sense"),
         "show.clips": ("clips",),
         "show.foxglove": ("export_foxglove",),
+        "show.foxglove.sensed": ("export_sensed",),
         "show.page": ("write_report",),
         "show.rrd": ("export_rerun",),
         "show.video": ("export_video", "picture", "snapshot"),

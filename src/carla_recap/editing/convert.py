@@ -15,7 +15,7 @@ from carla_recap.util.files import check_path
 from carla_recap.util.text import first_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator
 
     from carla_recap.formats.base import Reader, TopicMessage, Writer
     from carla_recap.formats.mcap.writer import McapWriter
@@ -80,6 +80,7 @@ class TopicCopy:
         start: The time of the first message, in elapsed seconds of the recording.
         stop: The elapsed time at which to stop.
         origin: The elapsed time of the recording at which the copy begins.
+        without: The names of topics that are not copied.
 
     Warns:
         RecapWarning: They are left out.
@@ -93,12 +94,13 @@ class TopicCopy:
         start: float = -math.inf,
         stop: float = math.inf,
         origin: float = 0.0,
+        without: Collection[str] = (),
     ) -> None:
         self._writer: McapWriter | None = None
         self._origin = origin
         self._messages: Iterator[TopicMessage] = iter(())
         self._next: TopicMessage | None = None
-        topics = reader.further_topics()
+        topics = {name: topic for name, topic in reader.further_topics().items() if name not in without}
         if not topics:
             return
         from carla_recap.formats.mcap.writer import McapWriter

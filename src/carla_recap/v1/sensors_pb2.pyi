@@ -1,6 +1,8 @@
+from google.protobuf.internal import containers as _containers
 from google.protobuf import descriptor as _descriptor
 from google.protobuf import message as _message
-from typing import ClassVar as _ClassVar, Optional as _Optional
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
 
 DESCRIPTOR: _descriptor.FileDescriptor
 
@@ -33,3 +35,25 @@ class SpeedReading(_message.Message):
     speed: float
     speed_kmh: float
     def __init__(self, elapsed: _Optional[float] = ..., speed: _Optional[float] = ..., speed_kmh: _Optional[float] = ...) -> None: ...
+
+class ActorEntry(_message.Message):
+    __slots__ = ("id", "type_id", "kind", "role_name", "spawned_at", "destroyed_at")
+    ID_FIELD_NUMBER: _ClassVar[int]
+    TYPE_ID_FIELD_NUMBER: _ClassVar[int]
+    KIND_FIELD_NUMBER: _ClassVar[int]
+    ROLE_NAME_FIELD_NUMBER: _ClassVar[int]
+    SPAWNED_AT_FIELD_NUMBER: _ClassVar[int]
+    DESTROYED_AT_FIELD_NUMBER: _ClassVar[int]
+    id: int
+    type_id: str
+    kind: str
+    role_name: str
+    spawned_at: float
+    destroyed_at: float
+    def __init__(self, id: _Optional[int] = ..., type_id: _Optional[str] = ..., kind: _Optional[str] = ..., role_name: _Optional[str] = ..., spawned_at: _Optional[float] = ..., destroyed_at: _Optional[float] = ...) -> None: ...
+
+class ActorTable(_message.Message):
+    __slots__ = ("actors",)
+    ACTORS_FIELD_NUMBER: _ClassVar[int]
+    actors: _containers.RepeatedCompositeFieldContainer[ActorEntry]
+    def __init__(self, actors: _Optional[_Iterable[_Union[ActorEntry, _Mapping]]] = ...) -> None: ...

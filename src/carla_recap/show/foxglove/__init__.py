@@ -20,11 +20,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from carla_recap.editing.convert import check_destination
 from carla_recap.replay import Played, Player
-from carla_recap.util.resources import viewer_folder
+from carla_recap.show.foxglove.layouts import layout_files, layout_hints
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
@@ -72,46 +70,19 @@ def export_foxglove(
         MissingExtra: The extra `foxglove` is not installed.
         RecapError: The recording has no such time or no such actor, or the file cannot be written.
     """
-    from carla_recap.roads.surfaces import road_network_of_map
-    from carla_recap.scene.ahead import stop_points
-    from carla_recap.scene.captions import PlayedIncidents
     from carla_recap.show.foxglove.mcap import FoxgloveFile
-    from carla_recap.show.foxglove.topics import SceneMessages, incident_messages
-    from carla_recap.show.foxglove.town import town_around
+    from carla_recap.show.foxglove.topics import RecordingMessages
 
     reader = source.reader
     check_destination(reader.location, destination, force=force)
     player = Player(source, start=start, duration=duration, follow=follow)
-    town = town_around(road_map, player, source)
-    messages = SceneMessages(reader.header, player.followed, town, stop_points(reader))
-    if player.start > 0:
-        messages.recall(source, player.start)
+    messages = RecordingMessages(source, player, road_map, incidents)
     with FoxgloveFile(destination, _description(reader, player)) as file:
-        played = PlayedIncidents(player, road_network_of_map(road_map) if town is not None else None, incidents)
-        elapsed, times = [np.zeros(0)], [np.zeros(0, np.uint64)]
-        for batch in player.batches(progress):
-            for part in messages.of(batch):
-                file.write(part)
-                elapsed.append(part.elapsed)
-                times.append(part.times)
-        file.write(messages.end())
+        for part in messages.scenes(progress):
+            file.write(part)
         file.end_chunk()  # the times of what follows begin again
-        file.write(incident_messages(played.found(), np.concatenate(elapsed), np.concatenate(times)))
+        file.write(messages.incidents())
         return messages.played
-
-
-def layout_files() -> dict[str, Path]:
-    """Return the layouts for such a file, by the viewers that import them."""
-    folder = viewer_folder() / "foxglove"
-    return {
-        "Foxglove": folder / "carla-recap.foxglove.json",
-        "Lichtblick and Foxglove 1.x": folder / "carla-recap.lichtblick.json",
-    }
-
-
-def layout_hints(**_: object) -> list[str]:
-    """Return where the layouts are, a line for each viewer."""
-    return [f"the layout for {viewer}: {path}" for viewer, path in layout_files().items()]
 
 
 def _description(reader: Reader, player: Player) -> dict[str, str]:

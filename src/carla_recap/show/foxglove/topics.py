@@ -11,12 +11,14 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from carla_recap.formats.base import Topic
 from carla_recap.formats.mcap.schema import MESSAGE, LogClock
 from carla_recap.replay import Played
-from carla_recap.scene.captions import EventText, Level, incident_lines
+from carla_recap.roads.surfaces import road_network_of_map
+from carla_recap.scene.ahead import stop_points
+from carla_recap.scene.captions import EventText, Level, PlayedIncidents, incident_lines
 from carla_recap.scene.description import SceneDescriber
 from carla_recap.scene.follow import FollowedActor
 from carla_recap.show.foxglove import bodies, followed, scene
 from carla_recap.show.foxglove.messages import FrameTransforms, Log, SceneUpdate, ShownScenes, single, timestamps
-from carla_recap.show.foxglove.town import MAP, MARKS, map_message, mark_messages
+from carla_recap.show.foxglove.town import MAP, MARKS, map_message, mark_messages, town_around
 from carla_recap.v1.followed_pb2 import Followed, ShownLights
 
 if TYPE_CHECKING:
@@ -25,10 +27,13 @@ if TYPE_CHECKING:
     from google.protobuf.message import Message
 
     from carla_recap.model.frame import Header
-    from carla_recap.queries.incidents import Incident
+    from carla_recap.queries.incidents import Incident, IncidentOptions
     from carla_recap.recording import Recording
     from carla_recap.rendering.town import TownMesh
+    from carla_recap.replay import Player
+    from carla_recap.replay.player import Progress
     from carla_recap.replay.scene import SceneBatch
+    from carla_recap.roads import RoadMap
     from carla_recap.scene.ahead import StopPoints
     from carla_recap.scene.captions import Line
     from carla_recap.scene.description import SceneDescription
@@ -55,12 +60,13 @@ _MESSAGES: Final[dict[str, type[Message]]] = {
 }
 
 
-def _schema(message: type[Message]) -> bytes:
+def schema_of(message: type[Message]) -> bytes:
+    """Return the schema of a message: the descriptors of all files that it needs."""
     data: bytes = build_file_descriptor_set(message).SerializeToString()
     return data
 
 
-TOPICS: Final = [Topic(name, type.DESCRIPTOR.full_name, partial(_schema, type)) for name, type in _MESSAGES.items()]
+TOPICS: Final = [Topic(name, type.DESCRIPTOR.full_name, partial(schema_of, type)) for name, type in _MESSAGES.items()]
 """All topics."""
 
 RATE: Final = 20.0
@@ -201,6 +207,50 @@ class SceneMessages:
         if times is None:
             return np.array([self._clock.times(time)[0] for time in batch.time.tolist()], np.uint64)
         return times[:, 0]
+
+
+class RecordingMessages:
+    """Makes the messages of a recording: first of its scenes, then of its incidents, whose times begin again.
+
+    Args:
+        source: The recording.
+        player: Plays it, or a part of it.
+        road_map: The map of the town.
+        incidents: Which incidents are found; None: all kinds, those against the rules of the road if the map is given.
+    """
+
+    def __init__(
+        self, source: Recording, player: Player, road_map: RoadMap | None, incidents: IncidentOptions | None = None
+    ) -> None:
+        town = town_around(road_map, player, source)
+        self._player = player
+        self._messages = SceneMessages(source.reader.header, player.followed, town, stop_points(source.reader))
+        if player.start > 0:
+            self._messages.recall(source, player.start)
+        self._incidents = PlayedIncidents(player, road_network_of_map(road_map) if town is not None else None, incidents)
+        self._elapsed, self._times = [np.zeros(0)], [np.zeros(0, np.uint64)]
+
+    def scenes(self, progress: Progress | None = None) -> Iterator[TimedMessages]:
+        """Yield the messages of all scenes, in the order of time.
+
+        Args:
+            progress: Is given the stream of scenes and their player, and passes the scenes on.
+        """
+        for batch in self._player.batches(progress):
+            for part in self._messages.of(batch):
+                yield part
+                self._elapsed.append(part.elapsed)
+                self._times.append(part.times)
+        yield self._messages.end()
+
+    def incidents(self) -> TimedMessages:
+        """Return the messages of the incidents, after those of the scenes."""
+        return incident_messages(self._incidents.found(), np.concatenate(self._elapsed), np.concatenate(self._times))
+
+    @property
+    def played(self) -> Played:
+        """How many scenes there were, and the seconds that they span."""
+        return self._messages.played
 
 
 def incident_messages(found: Iterable[Incident], elapsed: Floats, times: Times) -> TimedMessages:

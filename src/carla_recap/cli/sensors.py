@@ -1,0 +1,90 @@
+"""The command that writes what sensors would have measured."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from carla_recap.cli import options
+from carla_recap.cli.output import counted
+from carla_recap.cli.writing import WriteRequest, writes
+from carla_recap.fleet.outcomes import WrittenFile
+
+if TYPE_CHECKING:
+    from carla_recap.sensors.rig import SensorRig
+
+
+@click.command()
+@writes
+@click.option("--rig", "rig_file", type=click.Path(), required=True, metavar="FILE", help="The sensors, as JSON.")
+@click.option("--leaderboard", is_flag=True, help="Give the sensors the values that the CARLA Leaderboard fixes.")
+@click.option(
+    "--actor",
+    type=options.FOLLOW,
+    default="hero",
+    show_default=True,
+    metavar="ID|hero",
+    help="The actor that carries the sensors.",
+)
+@options.start
+@options.duration
+@click.option(
+    "--rate", type=options.POSITIVE, metavar="N", help="Measure N times per second; else in each frame of the recording."
+)
+@click.option("--video", is_flag=True, help="Write RGB images as H.264, which takes less room, instead of as JPEGs.")
+@click.option(
+    "--quality",
+    type=click.Choice(["low", "epic"]),
+    default="epic",
+    show_default=True,
+    help="Of RGB images; low ones have neither shadows nor smooth edges, and take less time.",
+)
+@options.road_map
+@options.models
+def sense(
+    request: WriteRequest, rig_file: str, leaderboard: bool, start: float | None, duration: float | None, **given: Any
+) -> None:
+    """Write recordings with what the sensors of a rig would have measured: .mcap files.
+
+    DST is the recording, and has its scene and the data of the sensors for Foxglove, Lichtblick and Rerun; layouts for the
+    first two are beside it. SRC#t=12.1 means from 5 s before that moment to 5 s after it. Many recordings go to a folder.
+    """
+    from carla_recap.sensors.rig import SensorRig
+
+    rig = SensorRig.load(rig_file, leaderboard=leaderboard)
+    write = partial(_sense, rig, start, duration, given)
+    request.write(write, None, "mcap", "sensing")
+
+
+def _sense(
+    rig: SensorRig,
+    start: float | None,
+    duration: float | None,
+    given: dict[str, Any],
+    source: str,
+    destination: str,
+    force: bool,
+) -> WrittenFile:
+    from carla_recap.cli.progress import watch_scenes
+    from carla_recap.recording import open_recording
+    from carla_recap.show.foxglove.layouts import hints_of
+    from carla_recap.show.foxglove.sensed import export_sensed
+
+    source, start, duration = options.timed(source, start, duration)
+    with open_recording(source) as recording:
+        done = export_sensed(
+            recording,
+            destination,
+            rig,
+            start=start,
+            duration=duration,
+            force=force,
+            progress=watch_scenes("sensing"),
+            **given,
+        )
+    samples = sum(done.samples.values())
+    notes = counted(len(done.samples), "sensor"), counted(samples, "sample")
+    facts = {"samples": dict(done.samples), "layouts": [str(path) for path in done.layouts.values()]}
+    return WrittenFile(notes, done.frames, done.seconds, facts=facts, hints=tuple(hints_of(done.layouts)))

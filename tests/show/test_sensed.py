@@ -1,0 +1,414 @@
+"""Recordings with sensors, read back with the libraries of MCAP, protobuf and Foxglove."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+import subprocess
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+import carla_recap
+from carla_recap import RecapError, RecapWarning, export_sensed, open_recording
+from carla_recap.editing.convert import convert
+from carla_recap.replay.recorded_map import load_map_of
+from carla_recap.sensors.rig import SensorRig
+from carla_recap.show.foxglove import export_foxglove
+from carla_recap.show.foxglove.layouts import write_layouts
+from tests.rendering.test_renderer import create
+from tests.samples import names_in
+from tests.sensors.test_sensing import (
+    AHEAD,
+    CAMERA,
+    EXACT,
+    GAP,
+    HERO,
+    HERO_POSE,
+    LEFT,
+    RAYS,
+    RIGHT,
+    ROOF,
+    SPEED,
+    STEP,
+    car_pose,
+    drive,
+    spawn,
+)
+from tests.waiting import PATIENCE
+
+pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
+
+from mcap_protobuf.decoder import DecoderFactory
+
+from carla_recap.sensors.messages import SensorMessages
+
+ROOT = Path(__file__).parents[2]
+CRASH = ROOT / "samples" / "crash.mcap"
+NODE = ROOT / "tests" / "node"
+FRAMES = 3
+
+RIG = SensorRig.of(
+    [
+        *(
+            {"type": f"sensor.camera.{kind}", "id": id, **CAMERA}
+            for id, kind in (
+                ("front", "rgb"),
+                ("depth", "depth"),
+                ("tags", "semantic_segmentation"),
+                ("ids", "instance_segmentation"),
+            )
+        ),
+        {"type": "sensor.lidar.ray_cast", "id": "lidar", **ROOF, **RAYS, **EXACT},
+        {"type": "sensor.other.gnss", "id": "gnss"},
+        {"type": "sensor.other.imu", "id": "imu"},
+        {"type": "sensor.speedometer", "id": "speed"},
+    ]
+)
+SCHEMAS = {
+    "/sensors/front/image": "foxglove.CompressedImage",
+    "/sensors/depth/depth": "foxglove.RawImage",
+    "/sensors/tags/semantic": "foxglove.RawImage",
+    "/sensors/ids/instance": "foxglove.RawImage",
+    **{f"/sensors/{id}/calibration": "foxglove.CameraCalibration" for id in ("front", "depth", "tags", "ids")},
+    "/sensors/lidar/points": "foxglove.PointCloud",
+    "/sensors/gnss/fix": "foxglove.LocationFix",
+    "/sensors/imu/imu": "carla_recap.v1.ImuReading",
+    "/sensors/speed/speed": "carla_recap.v1.SpeedReading",
+    "/tf/sensors": "foxglove.FrameTransforms",
+}
+MOTION = SensorRig.of([{"type": "sensor.other.imu", "id": "imu"}, {"type": "sensor.speedometer", "id": "speed"}])
+"""A rig that needs no driver, and hardly any time."""
+
+
+def export(source: Path, destination: Path, rig: SensorRig = MOTION, **options: Any) -> Any:
+    with open_recording(source) as recording:
+        return export_sensed(recording, destination, rig, **options)
+
+
+def read(path: Path) -> dict[str, list[tuple[int, Any]]]:
+    """Return the log time and the message of all messages, by topic."""
+    topics = defaultdict(list)
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages():
+            topics[channel.topic].append((message.log_time, decoded))
+    return topics
+
+
+def raw_messages(path: Path) -> dict[str, list[tuple[int, bytes]]]:
+    """Return the log time and the data of all messages, by topic."""
+    topics = defaultdict(list)
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            topics[channel.topic].append((message.log_time, message.data))
+    return dict(topics)
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of a hero at rest with a car ahead and one on each side."""
+    return drive(tmp_path_factory.mktemp("source") / "cars.mcap", FRAMES)
+
+
+@pytest.fixture(scope="module")
+def path(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """That recording with the data of a rig."""
+    create(None).close()  # skips where there is no driver
+    path = tmp_path_factory.mktemp("sensed") / "sensed.mcap"
+    done = export(source, path, RIG, quality="low")
+    assert (done.frames, done.seconds) == (FRAMES, pytest.approx((FRAMES - 1) * STEP))
+    assert done.samples == {spec.id: FRAMES for spec in RIG}
+    return path
+
+
+@pytest.fixture(scope="module")
+def topics(path: Path) -> dict[str, list[tuple[int, Any]]]:
+    return read(path)
+
+
+# --- the file ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not shutil.which("node"), reason="node is not installed")
+def test_foxgloves_own_libraries_read_it(path: Path) -> None:
+    if not (NODE / "node_modules").is_dir():
+        pytest.skip("the libraries of the independent reader are not installed: npm ci --prefix tests/node")
+    command = ["node", NODE / "read.mjs", path]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)["topics"]
+    for topic, schema in SCHEMAS.items():
+        assert (found[topic]["schema"], found[topic]["count"]) == (schema, FRAMES), topic
+    assert found["/scene/vehicles"]["schema"] == "foxglove.SceneUpdate"
+    assert [entry["id"] for entry in found["/sensors/actors"]["last"]["actors"]] == [HERO, AHEAD, LEFT, RIGHT]
+
+
+def contents(recording: carla_recap.Recording) -> list[Any]:
+    """Return all frames of a recording as they are stored."""
+    return [
+        (frame.id, frame.elapsed, frame.duration, [(packet.id, bytes(packet.payload)) for packet in frame.packets])
+        for frame in recording.frames()
+    ]
+
+
+def test_queries_give_the_answers_of_the_source(source: Path, path: Path) -> None:
+    with open_recording(source) as one, open_recording(path) as other:
+        assert other.header == one.header
+        assert contents(other) == contents(one)
+        assert list(other.actors.values()) == list(one.actors.values())
+
+
+def test_answers_about_a_crash_are_those_of_its_recording(tmp_path: Path) -> None:
+    export(CRASH, tmp_path / "sensed.mcap")
+    with open_recording(CRASH) as one, open_recording(tmp_path / "sensed.mcap") as other:
+        for name in ("collisions", "blocked", "incidents", "measures"):
+            assert list(getattr(other, name)()) == list(getattr(one, name)()), name
+        assert other.info == one.info
+        assert {sensor.id: sensor.type for sensor in other.sensors} == {spec.id: spec.type for spec in MOTION}
+    converted = tmp_path / "converted.log"
+    with pytest.warns(RecapWarning, match="left out"):
+        convert(tmp_path / "sensed.mcap", converted)
+    convert(CRASH, tmp_path / "plain.log")
+    assert converted.read_bytes() == (tmp_path / "plain.log").read_bytes()
+
+
+def test_the_scene_is_that_of_an_export_to_foxglove(source: Path, path: Path, tmp_path: Path) -> None:
+    with open_recording(source) as recording:
+        roads = load_map_of(recording, None, carla_recap.load_map, lambda corridors: corridors)
+        export_foxglove(recording, tmp_path / "scene.mcap", follow=HERO, road_map=roads)
+    expected, found = raw_messages(tmp_path / "scene.mcap"), raw_messages(path)
+    assert "/scene/vehicles" in expected
+    assert {name: found[name] for name in expected} == expected
+
+
+def test_log_times_are_those_of_the_frames(topics: Any) -> None:
+    times = [time for time, _ in topics["/frames"]]
+    for topic in SCHEMAS:
+        assert [time for time, _ in topics[topic]] == times
+    for time, image in topics["/sensors/front/image"]:
+        assert image.timestamp.ToNanoseconds() == time
+
+
+def test_metadata_of_topics_have_the_specification(path: Path) -> None:
+    with open_recording(path) as recording:
+        assert [sensor.id for sensor in recording.sensors] == [spec.id for spec in RIG]
+        for sensor, spec in zip(recording.sensors, RIG, strict=True):
+            assert SensorRig.of([sensor.spec])[spec.id] == spec
+
+
+# --- geometry ------------------------------------------------------------------------------------------------------
+
+
+def raw(message: Any, dtype: str) -> np.ndarray:
+    """Return the pixels of an image."""
+    return np.frombuffer(message.data, dtype).reshape(message.height, message.width)
+
+
+def seen(topics: Any, id: int, index: int = 0) -> np.ndarray:
+    """Return where an actor is in the image of ids."""
+    return raw(topics["/sensors/ids/instance"][index][1], "<u4") & 0xFF_FFFF == id
+
+
+def test_a_car_15_m_ahead_has_its_depth_in_millimetres(topics: Any) -> None:
+    for index, (_, message) in enumerate(topics["/sensors/depth/depth"]):
+        assert (message.encoding, message.step) == ("16UC1", 2 * message.width)
+        depth = raw(message, "<u2")[seen(topics, AHEAD, index)].min() / 1000
+        assert depth == pytest.approx(GAP + SPEED * STEP * index, abs=0.05)
+
+
+def points(topics: Any, index: int = 0) -> np.ndarray:
+    """Return the points of the lidar, (n, 3) in m: forward, left, up."""
+    message = topics["/sensors/lidar/points"][index][1]
+    fields = {field.name: field.offset for field in message.fields}
+    assert fields == {"x": 0, "y": 4, "z": 8, "intensity": 12}
+    return np.frombuffer(message.data, "<f4").reshape(-1, message.point_stride // 4)[:, :3]
+
+
+def test_a_car_15_m_ahead_has_its_distance_in_the_points(topics: Any) -> None:
+    for index in range(FRAMES):
+        x, y, z = points(topics, index).T
+        ahead = x[(x > 0) & (np.abs(y) < 0.9) & (z > -0.9)]
+        assert ahead.min() == pytest.approx(GAP + SPEED * STEP * index, abs=0.05)
+
+
+def test_a_car_on_each_side_is_on_that_side(topics: Any) -> None:
+    columns = {id: np.nonzero(seen(topics, id).any(axis=0))[0] for id in (LEFT, AHEAD, RIGHT)}
+    middle = CAMERA["width"] / 2
+    assert columns[LEFT].max() < middle < columns[RIGHT].min()
+    assert columns[AHEAD].mean() == pytest.approx(middle, abs=1.5)
+    x, y, z = points(topics).T
+    beside = y[(x > 10) & (x < 20) & (z > -0.9) & (np.abs(y) > 2)]
+    assert beside[beside > 0].min() == pytest.approx(7 - 0.95, abs=0.3)
+    assert beside[beside < 0].max() == pytest.approx(-5 + 0.95, abs=0.3)
+
+
+def test_the_ids_and_tags_of_images_are_those_of_the_actors(topics: Any) -> None:
+    ((_, table),) = topics["/sensors/actors"]
+    names = {entry.id: (entry.type_id, entry.kind, entry.role_name) for entry in table.actors}
+    assert names[AHEAD] == ("vehicle.ford.ambulance", "vehicle", "autopilot")
+    assert names[HERO] == ("vehicle.tesla.model3", "vehicle", "hero")
+    found = raw(topics["/sensors/ids/instance"][0][1], "<u4") & 0xFF_FFFF
+    assert set(np.unique(found).tolist()) <= {0, *names}
+    tags = raw(topics["/sensors/tags/semantic"][0][1], "u1")
+    assert len(np.unique(tags[found == LEFT])) == 1
+
+
+def test_images_are_jpegs_of_the_size_of_the_camera(topics: Any) -> None:
+    image_module = pytest.importorskip("PIL.Image", reason="Pillow is not installed")
+    for _, message in topics["/sensors/front/image"]:
+        assert message.format == "jpeg"
+        image = image_module.open(io.BytesIO(message.data))
+        assert image.size == (CAMERA["width"], CAMERA["height"])
+        assert np.asarray(image).std() > 10
+
+
+def test_a_video_is_decoded_to_as_many_images(source: Path, tmp_path: Path) -> None:
+    av = pytest.importorskip("av", reason="the extra video is not installed")
+    create(None).close()
+    rig = SensorRig.of([{"type": "sensor.camera.rgb", "id": "front", **CAMERA, "width": 320, "height": 240}])
+    export(source, tmp_path / "video.mcap", rig, video=True, quality="low")
+    messages = read(tmp_path / "video.mcap")["/sensors/front/video"]
+    decoder = av.CodecContext.create("h264", "r")
+    images = [image for _, message in messages for image in decoder.decode(av.Packet(message.data))]
+    images += decoder.decode(None)
+    assert [(image.width, image.height) for image in images] == [(320, 240)] * FRAMES
+
+
+# --- a part, other rates, other actors ---------------------------------------------------------------------------------
+
+
+def test_a_part_is_that_of_a_clip(tmp_path: Path) -> None:
+    done = export(CRASH, tmp_path / "sensed.mcap", start=11.0, duration=1.0, rate=10.0)
+    carla_recap.clip(CRASH, tmp_path / "clip.mcap", start=11.0, duration=1.0)
+    assert done.samples == {"imu": 11, "speed": 11}
+    with open_recording(tmp_path / "clip.mcap") as one, open_recording(tmp_path / "sensed.mcap") as other:
+        assert other.header == one.header
+        assert contents(other) == contents(one)
+        seconds = [message.elapsed for message in other.sensor_messages("imu")]
+    assert seconds == pytest.approx(np.arange(11) / 10)
+
+
+def test_another_actor_carries_the_rig(source: Path, tmp_path: Path) -> None:
+    export(source, tmp_path / "sensed.mcap", actor=AHEAD)
+    transforms = [message for _, message in read(tmp_path / "sensed.mcap")["/tf/sensors"]]
+    xs = [message.transforms[0].translation for message in transforms]
+    moved = np.hypot(xs[-1].x - xs[0].x, xs[-1].y - xs[0].y)
+    assert moved == pytest.approx(SPEED * STEP * (FRAMES - 1), abs=0.01)
+
+
+def test_an_actor_that_is_absent_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "cars.mcap"
+    with carla_recap.create_recording(path, map_name="Brickfield", date=0) as recorder:
+        for frame in range(4):
+            present = [id for id in (HERO, LEFT) if id != HERO or frame < 2]
+            poses = {id: car_pose(id, 0.0) if id != HERO else HERO_POSE for id in present}
+            records: dict[str, Any] = {"destroyed": [HERO]} if frame == 2 else {}
+            if not frame:
+                records["spawned"] = [spawn(id, pose) for id, pose in poses.items()]
+            recorder.add_frame(frame * STEP, transforms=[(id, *pose) for id, pose in poses.items()], **records)
+    with pytest.warns(RecapWarning, match=r"the hero is absent, or has no pose, at 2 of 4 moments, first at 0\.1 s"):
+        done = export(path, tmp_path / "sensed.mcap")
+    assert done.samples == {"imu": 2, "speed": 2}
+
+
+def test_a_recording_with_sensors_gets_those_of_another_rig(source: Path, tmp_path: Path) -> None:
+    export(source, tmp_path / "one.mcap")
+    with pytest.raises(RecapError, match="has data of a sensor 'imu' already"):
+        export(tmp_path / "one.mcap", tmp_path / "two.mcap")
+    export(tmp_path / "one.mcap", tmp_path / "two.mcap", SensorRig.of([{"type": "sensor.other.imu", "id": "second"}]))
+    with open_recording(tmp_path / "two.mcap") as recording:
+        assert {sensor.id: sensor.count for sensor in recording.sensors} == {"imu": 3, "speed": 3, "second": 3}
+    one, two = raw_messages(tmp_path / "one.mcap"), raw_messages(tmp_path / "two.mcap")
+    assert two["/scene/vehicles"] == one["/scene/vehicles"]
+    assert len(two["/tf/sensors"]) == 2 * FRAMES
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_failure_leaves_no_file(source: Path, tmp_path: Path) -> None:
+    def fail(scenes: Any, player: Any) -> Any:
+        yield next(iter(scenes))
+        raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        export(source, tmp_path / "out.mcap", progress=fail)
+    assert names_in(tmp_path) == []
+
+
+def test_a_file_is_overwritten_only_by_force(source: Path, tmp_path: Path) -> None:
+    (tmp_path / "out.mcap").write_bytes(b"precious")
+    with pytest.raises(RecapError, match="exists already; --force"):
+        export(source, tmp_path / "out.mcap")
+    assert (tmp_path / "out.mcap").read_bytes() == b"precious"
+    export(source, tmp_path / "out.mcap", force=True)
+    with open_recording(tmp_path / "out.mcap") as recording:
+        assert [sensor.id for sensor in recording.sensors] == ["imu", "speed"]
+
+
+def test_the_destination_is_an_mcap_file(source: Path, tmp_path: Path) -> None:
+    with pytest.raises(RecapError, match=r"out\.log' does not end in \.mcap, the format of recordings with sensors"):
+        export(source, tmp_path / "out.log")
+
+
+# --- layouts -----------------------------------------------------------------------------------------------------------
+
+
+def test_layouts_have_a_panel_for_each_image_and_the_points(tmp_path: Path) -> None:
+    images = [("image", "rgb"), ("depth", "depth"), ("semantic", "semantic_segmentation")]
+    names = [f"/sensors/{kind}_camera/{kind}" for kind, _ in images]
+    rig = [{"type": f"sensor.camera.{kind}", "id": f"{name}_camera", **CAMERA} for name, kind in images]
+    rig.append({"type": "sensor.lidar.ray_cast", "id": "lidar", **ROOF})
+    with open_recording(CRASH) as recording:
+        messages = SensorMessages(SensorRig.of(rig), recording.header)
+    layouts = write_layouts(tmp_path / "run.mcap", messages.topics)
+    assert [path.name for path in layouts.values()] == ["run.foxglove.json", "run.lichtblick.json"]
+    one, other = (json.loads(path.read_text()) for path in layouts.values())
+    panels = list(panels_of(one["content"]))
+    shown = [panel["config"]["imageMode"] for panel in panels if panel["panelType"] == "Image"]
+    assert [mode["imageTopic"] for mode in shown] == names
+    assert [mode["calibrationTopic"] for mode in shown] == [f"{name.rpartition('/')[0]}/calibration" for name in names]
+    worlds = [panel["config"] for panel in panels if panel["panelType"] == "ThreeDee"]
+    worlds += [config for id, config in other["configById"].items() if id.startswith("3D!")]
+    assert len(worlds) == 4
+    assert all(world["topics"]["/sensors/lidar/points"]["visible"] for world in worlds)
+    assert all(world["topics"]["/scene/vehicles"]["visible"] for world in worlds)
+    in_mosaic = list(leaves(other["layout"]))
+    assert sorted(in_mosaic) == sorted(other["configById"])
+    modes = [other["configById"][id]["imageMode"] for id in in_mosaic if id.startswith("Image!")]
+    assert modes == shown
+
+
+def panels_of(content: Any) -> Any:
+    """Yield the panels of a layout of Foxglove."""
+    if content["type"] == "panel":
+        yield content
+    for item in content.get("items", ()):
+        yield from panels_of(item["content"])
+
+
+def leaves(layout: Any) -> Any:
+    """Yield the ids of the panels of a layout of Lichtblick."""
+    if isinstance(layout, str):
+        yield layout
+    else:
+        yield from leaves(layout["first"])
+        yield from leaves(layout["second"])
+
+
+@pytest.mark.parametrize("count", [0, 1, 4, 5, 100])
+def test_layouts_of_any_number_of_cameras_are_whole(tmp_path: Path, count: int) -> None:
+    cameras = [{"type": "sensor.camera.depth", "id": f"c{n}", **CAMERA} for n in range(count)]
+    rig = SensorRig.of(cameras) if cameras else MOTION
+    with open_recording(CRASH) as recording:
+        layouts = write_layouts(tmp_path / "run.mcap", SensorMessages(rig, recording.header).topics)
+    one, other = (json.loads(path.read_text()) for path in layouts.values())
+    expected = min(count, 12)
+    assert sum(panel["panelType"] == "Image" for panel in panels_of(one["content"])) == expected
+    assert sum(id.startswith("Image!") for id in leaves(other["layout"])) == expected
