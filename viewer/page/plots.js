@@ -248,7 +248,7 @@ class Plots {
     context.globalAlpha = 1;
     ROWS.forEach((row, index) => {
       const { level, scale } = this.scales[index];
-      const leaders = [];
+      const notes = [];
       found.forEach(({ recording, series, actor }, which) => {
         const value = series ? series[row.of][Math.max(0, countUntil(series.times, time + 1e-5) - 1)] * row.factor : NaN;
         const known = !Number.isNaN(value) && actor >= 0 && recording.tracks.covers(time);
@@ -260,16 +260,17 @@ class Plots {
         }
         const number = Math.abs(value) < 0.05 ? 0 : value;
         write(this.readings[index].values[which], known ? number.toFixed(row.digits).replace("-", "−") : "–");
-        if (known && row.of === "gap") leaders.push(this.leader(recording, series, time));
+        if (known && row.of === "gap") notes.push(this.leader(recording, series, time));
+        if (series && !series.isMeasured && row.of !== "speed") notes.push("not measured");
       });
-      write(this.readings[index].note, [...new Set(leaders)].filter(Boolean).map((name) => `to ${name}`).join(", "));
+      write(this.readings[index].note, [...new Set(notes)].filter(Boolean).join(", "));
     });
   }
 
-  /** Return the name of what is ahead. */
+  /** Return a note of what is ahead. */
   leader(recording, series, time) {
     const leader = series.leader[Math.max(0, countUntil(series.times, time + 1e-5) - 1)];
-    return leader < 0 ? "" : recording.tracks.actors[leader].label;
+    return leader < 0 ? "" : `to ${recording.tracks.actors[leader].label}`;
   }
 }
 

@@ -13,7 +13,7 @@ class Recorded {
     this.letter = "AB"[index];
     this.report = report;
     this.tracks = new Tracks(data);
-    this.motion = new Motion(this.tracks);
+    this.motion = new Motion(this.tracks, data.measured);
     const rank = ({ kind, hero }) => ORDER.indexOf(kind) + (hero ? ORDER.length : 0);
     const { actors } = this.tracks;
     this.order = actors.map((_, actor) => actor).sort((a, b) => rank(actors[a]) - rank(actors[b]));

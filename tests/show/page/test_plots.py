@@ -45,7 +45,7 @@ def test_speed_and_acceleration_are_those_of_all_viewers(chromium: Chrome, follo
     found = series(Page(chromium, followed), 1)
     with open_recording(followed.with_name("a.mcap")) as recording:
         expected = followed_series(recording, 1, {})
-    for name, column, unit in (("speed", expected.speed, 0.005), ("acceleration", expected.acceleration, 0.05)):
+    for name, column, unit in (("speed", expected.speed, 0.005), ("acceleration", expected.acceleration, 0.011)):
         shown = [math.nan if value is None else value for value in found[name]]
         assert shown == pytest.approx(column.tolist(), abs=unit, nan_ok=True)
 
@@ -73,6 +73,23 @@ def test_the_gap_is_between_the_bumpers_of_the_same_lane(chromium: Chrome, follo
         assert found["gap"][sample] == pytest.approx(50 - (sample * 0.05) ** 2 - front - rear, abs=0.3)
         assert page.ask(f"replay.tracks.actors[{found['leader'][sample]}].id") == 2
     assert set(series(page, 3)["leader"]) == {-1}
+
+
+def test_the_gap_is_the_headway_that_is_measured(chromium: Chrome, followed: Path) -> None:
+    found = series(Page(chromium, followed), 1)
+    with open_recording(followed.with_name("a.mcap")) as recording:
+        expected = recording.time_series(1).distance_headway
+    shown = [math.inf if value is None else value for value in found["gap"]]
+    assert shown == pytest.approx(expected.tolist(), abs=0.03)
+    assert np.isfinite(expected).all()
+
+
+def test_of_an_actor_that_is_not_measured_only_the_speed_is_plotted(chromium: Chrome, followed: Path) -> None:
+    page = Page(chromium, followed)
+    page.browser.execute_script("replay.follow(3)")
+    page.until(lambda: page.text("readings").count("not measured") == 2)
+    assert set(series(page, 3)["acceleration"]) == {None}
+    assert series(page, 3)["speed"][0] == 0
 
 
 def test_the_values_at_the_present_time_are_shown(chromium: Chrome, followed: Path) -> None:

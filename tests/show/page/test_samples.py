@@ -69,7 +69,7 @@ def test_a_reused_id_is_another_actor(tmp_path: Path) -> None:
     there = {"transforms": [(7, 0, 0, 0, 0, 0, 0)]}
     frames = [there | {"spawned": [spawn(7)]}, there, {"destroyed": [7]}, there | {"spawned": [spawn(7, "walker.a")]}, there]
     replay = sampled(record(tmp_path / "a.log", frames))
-    assert [(actor.id, actor.until, actor.details.type_id if actor.details else None) for actor in replay.actors] == [
+    assert [(actor.id, actor.until, actor.actor.type_id) for actor in replay.actors] == [
         (7, 0.1, "vehicle.audi.tt"),
         (7, None, "walker.a"),
     ]

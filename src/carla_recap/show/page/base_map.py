@@ -160,7 +160,7 @@ def _driven(replays: Sequence[SampledReplay]) -> Iterator[Floats]:
     """Return the paths of all vehicles, without those parts where one is drawn already."""
     paths = []
     for replay in replays:
-        vehicles = {i for i, actor in enumerate(replay.actors) if actor.details and actor.details.kind == "vehicle"}
+        vehicles = {i for i, actor in enumerate(replay.actors) if actor.actor.kind == "vehicle"}
         moving = (track for track in replay.tracks if track.actor in vehicles and not track.is_still)
         paths += [_thinned(track.rows[:, :2]) for track in moving]
     return fresh_parts(paths, CELL, MOST)

@@ -22,7 +22,7 @@ from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.style import LIGHTS, OTHER, STYLES
 from carla_recap.show.page import script
 from carla_recap.show.page.base_map import base_map
-from carla_recap.show.page.samples import sample
+from carla_recap.show.page.samples import measure, sample
 from carla_recap.show.page.script import Packer, data_address, single_page
 from carla_recap.util.files import WholeFile, check_folder, check_path, copy_files, new_folder
 from carla_recap.util.resources import viewer_folder
@@ -36,13 +36,13 @@ if TYPE_CHECKING:
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
-    from carla_recap.show.page.samples import SampledReplay
 
 Pictures = Literal["drawn", "rendered", "none"]
 """The pictures of incidents: drawn from above, rendered from behind the first actor, or none."""
 
 SINGLE: Final = (".html", ".htm")  # the suffixes of a page that is one file
 ALL: Final = IncidentOptions(kinds="all")
+MEASURED: Final = 20  # the most actors whose acceleration and gap are plotted
 REPLAYED: Final = 200  # the most incidents with a taken picture and, of a long recording, with a replay
 PICTURE_SIZE: Final = (640, 400)
 FRAME: Final = 720  # pixels; the height of a page in a notebook
@@ -106,6 +106,7 @@ class _Reported:
         self, recording: Recording, options: IncidentOptions, around: tuple[float, float], progress: Progress | None
     ) -> None:
         self.recording = recording
+        self.followed = Player(recording).followed
         found = incidents(recording.reader, options)
         self.incidents = found[:LISTED]
         self.omitted = len(found) - len(self.incidents)
@@ -113,7 +114,17 @@ class _Reported:
         chosen = sorted(range(len(self.incidents)), key=lambda index: ranks.index(found[index].kind))[:REPLAYED]
         self.chosen = {index: self.incidents[index] for index in chosen}
         self.replay, self.whole = sample(recording, list(self.chosen.values()), *around, progress)
+        self.measured = measure(recording, self._plotted(), self.replay.times)
         self.pictures: dict[int, bytes] = {}
+
+    def _plotted(self) -> list[int]:
+        """Return the actors whose acceleration and gap are plotted: the followed one, heroes, and those of incidents."""
+        actors = self.recording.actors
+        heroes = [id for id, actor in actors.items() if actor.is_hero]
+        involved = [id for incident in self.incidents for id in incident.actors]
+        followed = [] if self.followed is None else [self.followed]
+        ids = dict.fromkeys([*followed, *heroes, *involved])
+        return [id for id in ids if id in actors and actors[id].kind in ROAD_USERS][:MEASURED]
 
     def take_pictures(self, town: TownMesh | None) -> None:
         """Render a picture of each chosen incident, from behind the first of its actors that is present."""
@@ -207,7 +218,7 @@ def write_report(
     data = {
         "data/kinds.js": script.script("KINDS", script.kind_data()),
         "data/ground.js": script.script("GROUND", ground),
-        "data/recordings.js": script.script("RECORDINGS", [_packed(each.replay) for each in reported]),
+        "data/recordings.js": script.script("RECORDINGS", [_packed(each) for each in reported]),
     }
     if single:
         names = [{i: data_address(one, "image/jpeg") for i, one in each.pictures.items()} for each in reported]
@@ -248,9 +259,9 @@ def _check_maps(recordings: Sequence[Recording]) -> None:
         raise RecapError(f"{first} is of the map {names[0]}, {second} of {names[1]}; recordings of one map were expected")
 
 
-def _packed(replay: SampledReplay) -> str:
+def _packed(reported: _Reported) -> str:
     packer = Packer()
-    return packer.pack(script.recording_data(replay, packer))
+    return packer.pack(script.recording_data(reported.replay, reported.measured, packer))
 
 
 def _write_pictures(reported: Iterable[_Reported], folder: Path) -> list[dict[int, str]]:
@@ -315,7 +326,7 @@ def _summary(reported: _Reported, pictures: dict[int, str]) -> dict[str, Any]:
         "lights": [[name, script.hexadecimal(color)] for name, color in LIGHTS],
         "whole": reported.whole,
         "omitted": reported.omitted,
-        "follow": Player(recording).followed,
+        "follow": reported.followed,
         "incidents": [_incident(incident, pictures.get(index)) for index, incident in enumerate(reported.incidents)],
     }
 

@@ -1,32 +1,42 @@
-"""Samples of a recording for the incident page: the poses of all actors at regular times, stored compactly."""
+"""Samples of a recording for the incident page: the poses of all actors at regular times, and measures of some."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.actors import ActorLives
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import possible_step
-from carla_recap.model.presence import FAR
+from carla_recap.queries.actors import actors as recorded_actors
+from carla_recap.queries.measures.motion import MotionCollector
+from carla_recap.queries.measures.series import NO_OTHER, criticality
 from carla_recap.replay.events import Destroyed
 from carla_recap.replay.player import Player
-from carla_recap.replay.pose import YAW, right_handed
-from carla_recap.replay.selection import NO_IDS
-from carla_recap.scene.follow import speeds_between, speeds_of
+from carla_recap.replay.pose import YAW
+from carla_recap.replay.selection import NO_IDS, find
+from carla_recap.scene.description import SceneDescriber
+from carla_recap.scene.follow import FollowedActor, speeds_between, speeds_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
     from carla_recap.model.actors import ActorLife
+    from carla_recap.model.batch import Batch
     from carla_recap.queries.incidents import Incident
+    from carla_recap.queries.measures.motion import MotionBlock
     from carla_recap.recording import Recording
     from carla_recap.replay.player import Progress
-    from carla_recap.replay.scene import Scene
+    from carla_recap.replay.scene import Scene, SceneBatch
+    from carla_recap.scene.appearance import Look
+    from carla_recap.scene.description import SceneDescription
 
     Floats = NDArray[np.float64]
 
@@ -48,16 +58,19 @@ class SampledActor:
     """An actor from its spawn to its end; an id that is used again begins another one.
 
     Attributes:
-        id: The actor id.
-        since: Elapsed seconds at which it appeared.
+        actor: Its spawn and properties.
+        look: Its look.
         until: Elapsed seconds at which it disappeared; None: not within the samples.
-        details: Its spawn and properties; None if its spawn is not recorded.
     """
 
-    id: int
-    since: float
+    actor: ActorLife
+    look: Look
     until: float | None = None
-    details: ActorLife | None = None
+
+    @property
+    def id(self) -> int:
+        """The actor id."""
+        return self.actor.id
 
 
 @dataclass(slots=True)
@@ -81,6 +94,23 @@ class Track:
     def is_still(self) -> bool:
         """Whether the actor stands still, so that there is one row for all samples."""
         return len(self.rows) == 1
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredActor:
+    """What is plotted of an actor at each sample, beside its speed; NaN where it is unknown.
+
+    Attributes:
+        id: The actor id.
+        acceleration: The acceleration in m/s²; see `FollowedSeries`.
+        headway: The distance headway in m; see `carla_recap.queries.measures`.
+        leader: The id of the actor ahead, or `NO_OTHER`.
+    """
+
+    id: int
+    acceleration: Floats
+    headway: Floats
+    leader: NDArray[np.int64]
 
 
 @dataclass
@@ -152,15 +182,15 @@ class Sampler:
         self._known: dict[tuple[int, float], int] = {}  # the index of an actor by its id and the time of its spawn
         self._open: dict[int, Track] = {}  # the latest track of an actor
         self._parts: dict[int, list[Floats]] = {}  # the rows of the latest track of an actor
-        self._actors: Mapping[int, ActorLife] = {}
+        self._describer = SceneDescriber(signs=True)
+        self._description: SceneDescription | None = None
         self._block: list[tuple[NDArray[np.intp], Floats]] = []
         self._begin = 0  # the first sample of the block
-        self._ids = NO_IDS
         self._changed = False  # whether actors appeared or disappeared since the last sample
         self._columns = np.zeros(0, np.intp)  # the actors of the rows of a sample
-        self._fixed = np.zeros((0, 4))  # the rows of actors without recorded poses
         self._before: Scene | None = None  # the scene before, if it belongs to the same interval
         self._latest: Scene | None = None  # the scene of the latest sample, until the next scene
+        self._latest_ids = NO_IDS  # of the rows of that sample
         self._appeared = np.zeros(0, np.bool_)  # whether each of its ids is not in the scene before
         self._light_ids, self._light_states = b"", b""
         self._shown: dict[int, int] = {}  # the states of the traffic lights
@@ -189,7 +219,8 @@ class Sampler:
         for event in scene.events:
             if isinstance(event, Destroyed) and event.id in self._index:
                 self._sampled[self._index.pop(event.id)].until = event.elapsed
-        self._changed |= scene.fresh or len(scene.events) > 0 or scene.ids is not self._ids
+        before_these, self._description = self._description, self._describe(scene)
+        self._changed |= scene.fresh or len(scene.events) > 0 or before_these is not self._description
         times = self._times
         if not math.isfinite(scene.time) or (times and scene.time <= times[-1]):
             return
@@ -198,19 +229,20 @@ class Sampler:
             return
         self._due = scene.time + self._step
         if self._changed:
-            self._update_actors(scene)
+            self._update_actors(self._description)
         if not self._block:
             self._begin = len(times)
             self._spans.append((scene.time, scene.time))
         times.append(scene.time)
-        self._actors = scene.actors
         self._spans[-1] = (self._spans[-1][0], scene.time)
-        poses = right_handed(scene.poses)[:, _COLUMNS]
-        poses[scene.batch.away[scene.row]] = np.nan
-        speeds = speeds_of(scene, before)
-        self._latest = scene
-        self._appeared = np.isin(scene.ids, NO_IDS if before is None else before.ids, invert=True)
-        self._block.append((self._columns, np.concatenate((np.column_stack((poses, speeds)), self._fixed))))
+        rows = np.full((len(self._columns), 4), np.nan)
+        shown = self._description.shown[scene.row]
+        rows[shown, :3] = self._description.poses[scene.row][shown][:, _COLUMNS]
+        where, recorded = find(self._description.ids, scene.ids)
+        rows[recorded, 3] = speeds_of(scene, before)[where[recorded]]
+        self._latest, self._latest_ids = scene, self._description.ids
+        self._appeared = np.isin(self._description.ids, NO_IDS if before is None else before.ids, invert=True)
+        self._block.append((self._columns, rows))
         self._note_lights(scene)
         if len(self._block) > BLOCK:
             self._flush()
@@ -227,32 +259,34 @@ class Sampler:
         scene, self._latest = self._latest, None
         if scene is None:
             return
-        speeds = self._block[-1][1][: len(scene.ids), 3]
-        unknown = np.isnan(speeds) & self._appeared
-        if unknown.any():
-            speeds[unknown] = speeds_between(scene, following)[unknown]
+        speeds = self._block[-1][1][:, 3]
+        unknown = np.flatnonzero(np.isnan(speeds) & self._appeared)
+        where, recorded = find(self._latest_ids[unknown], scene.ids)
+        if recorded.any():
+            speeds[unknown[recorded]] = speeds_between(scene, following)[where[recorded]]
 
-    def _update_actors(self, scene: Scene) -> None:
-        """Find the actors of a scene."""
-        for actor in scene.actors.values():
-            self._sampled[self._index_of(actor.id, actor.spawned_at)].details = actor
-        self._ids, self._changed = scene.ids, False
-        columns = [self._index[id] if id in self._index else self._index_of(id, scene.time) for id in scene.ids.tolist()]
-        moving, fixed = set(scene.ids.tolist()), []
-        for actor in scene.actors.values():
-            if actor.id not in moving and not actor.attached and actor.kind != "sensor":
-                columns.append(self._index[actor.id])
-                fixed.append(actor.spawn_pose)
-        self._columns = np.array(columns, np.intp)
-        self._fixed = np.zeros((len(fixed), 4))
-        self._fixed[:, :3] = right_handed(np.array(fixed).reshape(-1, 6))[:, _COLUMNS]
+    def _describe(self, scene: Scene) -> SceneDescription:
+        """Return the description of the batch of a scene."""
+        described = self._description
+        if described is not None and described.batch is scene.batch:
+            return described
+        return self._describer.describe(scene.batch)
 
-    def _index_of(self, id: int, since: float) -> int:
-        """Return the index of the actor with an id and the time of its spawn."""
-        index = self._known.get((id, since))
+    def _update_actors(self, description: SceneDescription) -> None:
+        """Find the actors of some scenes."""
+        self._changed = False
+        actors = zip(description.ids.tolist(), description.actors.looks, strict=True)
+        self._columns = np.array([self._index_of(description.lives[id], look) for id, look in actors], np.intp)
+
+    def _index_of(self, actor: ActorLife, look: Look) -> int:
+        """Return the index of an actor; one without a spawn is the same while its id belongs to nobody else."""
+        id, key = actor.id, (actor.id, actor.spawned_at)
+        index = self._index.get(id) if not actor.type_id else None
         if index is None:
-            index = self._known[id, since] = len(self._sampled)
-            self._sampled.append(SampledActor(id, since))
+            index = self._known.setdefault(key, len(self._sampled))
+        if index == len(self._sampled):
+            self._sampled.append(SampledActor(actor, look))
+        self._sampled[index].actor, self._sampled[index].look = actor, look
         self._index[id] = index
         return index
 
@@ -273,8 +307,6 @@ class Sampler:
         block = self._block
         if not block:
             return
-        for actor in self._actors.values():
-            self._sampled[self._known[actor.id, actor.spawned_at]].details = actor
         present = np.unique(np.concatenate([actors for actors, _ in block]))
         samples = np.full((len(block), len(present), 4), np.nan)
         held, columns = None, np.zeros(0, np.intp)
@@ -324,7 +356,7 @@ def _intervals(samples: Floats, times: Floats) -> Iterator[tuple[int, int, int, 
         samples: x, y, yaw by sample and actor; NaN if the actor is absent.
         times: The times of the samples.
     """
-    present = np.isfinite(samples).all(axis=2) & (np.abs(samples[:, :, :2]).max(axis=2) < FAR)
+    present = np.asarray(np.isfinite(samples).all(axis=2))
     distances = np.hypot(*np.moveaxis(np.diff(samples[:, :, :2], axis=0), 2, 0))
     joined = present[1:] & present[:-1] & (distances <= possible_step(np.diff(times))[:, None])
     for column in range(samples.shape[1]):
@@ -354,8 +386,8 @@ def sample(
     for rate in RATES:
         player = Player(recording)
         sampler = Sampler(rate)
-        scenes = progress(player.scenes(), player) if progress else player.scenes()
-        for scene in scenes:
+        scenes = chain.from_iterable(player.batches())
+        for scene in progress(scenes, player) if progress else scenes:
             sampler.add(scene, last=player.finished)
             if sampler.size > BUDGET:
                 break
@@ -364,8 +396,8 @@ def sample(
         if scene.time - player.start < RATES[-1] / RATES[0] * (player.stop - player.start):
             break  # it would be too large at half the rate, too
     player, sampler = Player(recording), Sampler(RATES[0])
-    scenes = _around(player, _windows(found, before, after, player.total), sampler)
-    for scene in progress(scenes, player) if progress else scenes:
+    around = _around(player, _windows(found, before, after, player.total), sampler)
+    for scene in progress(around, player) if progress else around:
         sampler.add(scene)
         if sampler.size > BUDGET:
             break
@@ -387,7 +419,75 @@ def _around(player: Player, windows: Sequence[tuple[float, float]], sampler: Sam
     for start, stop in windows:
         sampler.begin()
         yield player.at(start)
-        for scene in player.scenes():
+        for scene in chain.from_iterable(player.batches()):
             if scene.time > stop:
                 break
             yield scene
+
+
+class _Measurer:
+    """Measures actors at the times of samples.
+
+    Args:
+        ids: The ids of the actors.
+        times: The times of the samples, in elapsed seconds, ascending.
+    """
+
+    def __init__(self, ids: Iterable[int], times: Floats) -> None:
+        nothing = np.full(len(times), np.nan)
+        self.measured = [
+            MeasuredActor(id, nothing.copy(), nothing.copy(), np.full(len(times), NO_OTHER, np.int64)) for id in ids
+        ]
+        self._times = times
+        self._followed = [FollowedActor(each.id, {}) for each in self.measured]
+
+    def follow(self, batch: SceneBatch) -> None:
+        """Measure the accelerations in scenes, which come in order."""
+        samples, rows = self._samples_in(batch.time)
+        for measured, followed in zip(self.measured, self._followed, strict=True):
+            measured.acceleration[samples] = followed.series(batch).acceleration[rows]
+
+    def find_leaders(self, block: MotionBlock) -> None:
+        """Measure the distances to leaders in a block of motion."""
+        samples, rows = self._samples_in(block.time[block.core])
+        wanted, known = find(np.array([each.id for each in self.measured], np.uint32), np.asarray(block.ids, np.uint32))
+        subjects = wanted[known]
+        if not len(rows) or not len(subjects):
+            return
+        found = criticality(block, subjects)
+        rows += block.first
+        for position, index in enumerate(np.flatnonzero(known).tolist()):
+            measured, leader = self.measured[index], found.leader[position, rows]
+            there = np.flatnonzero(leader != NO_OTHER)
+            measured.headway[samples[there]] = found.headway[position, rows[there]]
+            measured.leader[samples[there]] = block.ids[leader[there]]
+
+    def _samples_in(self, moments: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the samples that are among some moments, ascending, and which of these they are of."""
+        rows = np.searchsorted(moments, self._times - SAME_TIME)
+        samples = np.flatnonzero(rows < len(moments))
+        samples = samples[np.flatnonzero(np.abs(moments[rows[samples]] - self._times[samples]) <= _SAME_TIME)]
+        return samples, rows[samples]
+
+
+def measure(recording: Recording, ids: Iterable[int], times: Floats) -> list[MeasuredActor]:
+    """Return what is plotted of some actors at the times of samples.
+
+    Args:
+        recording: The recording.
+        ids: The ids of the actors.
+        times: The times of the samples, in elapsed seconds, ascending.
+    """
+    measurer, motion = _Measurer(ids, times), MotionCollector(ActorLives(recorded_actors(recording.reader)))
+
+    def observe(batch: Batch) -> None:
+        for block in motion.add(batch):
+            measurer.find_leaders(block)
+
+    player = Player(recording)
+    player.observe(observe)
+    for batch in player.batches():
+        measurer.follow(batch)
+    for block in motion.finish():
+        measurer.find_leaders(block)
+    return measurer.measured

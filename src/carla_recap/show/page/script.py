@@ -13,16 +13,13 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.actors import BoundingBox
-from carla_recap.model.blueprints import box_of
 from carla_recap.queries.kinds import KINDS
-from carla_recap.scene.appearance import UNKNOWN, look_of_present
 from carla_recap.scene.materials import Tag
-from carla_recap.scene.style import OTHER, color_of, label_of, style_of
+from carla_recap.scene.style import color_of, label_of, style_of
 from carla_recap.show.page.base_map import LAYERS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import ArrayLike, NDArray
@@ -31,7 +28,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.style import Color
     from carla_recap.show.page.base_map import BaseMap
-    from carla_recap.show.page.samples import SampledActor, SampledReplay
+    from carla_recap.show.page.samples import MeasuredActor, SampledActor, SampledReplay
 
 LEVEL: Final = 6  # of compression
 _LARGEST: Final = 2.0**30  # units; larger columns get a larger unit
@@ -40,6 +37,9 @@ LENGTH_UNIT: Final = 0.002  # m
 TIME_UNIT: Final = 1e-5  # s
 MAP_UNIT: Final = 0.02  # m
 SPEED_UNIT: Final = 0.01  # m/s
+ACCELERATION_UNIT: Final = 0.02  # m/s²
+HEADWAY_UNIT: Final = 0.05  # m
+_MOST: Final = 100.0  # m/s²
 _TURN: Final = 16384 / 360  # units of a yaw per degree
 _PAINT: Final = re.compile(r" *(\d{1,3}) *, *(\d{1,3}) *, *(\d{1,3}) *")
 _LONG: Final = 2.65  # m, half the length from which a vehicle is drawn as a truck
@@ -140,27 +140,22 @@ def kind_data() -> dict[str, Any]:
 
 def actor_data(sampled: SampledActor) -> dict[str, Any]:
     """Return an actor; `box` is x, y and half extents in m, in its own axes."""
-    actor = sampled.details
-    look = UNKNOWN if actor is None else look_of_present(actor)
-    box = _box(UNKNOWN) if actor is None else box_of(actor)
+    actor, look = sampled.actor, sampled.look
+    (x, y, _), (length, width, _) = look.center, look.half_extents
     return {
-        "id": sampled.id,
-        "kind": OTHER.name if actor is None else style_of(actor).name,
-        "type": "" if actor is None else shortened(actor.type_id),
-        "role": "" if actor is None else shortened(actor.role_name),
-        "label": f"actor {sampled.id}" if actor is None else shortened(label_of(actor)),
-        "hero": actor is not None and actor.is_hero,
-        "color": hexadecimal(OTHER.color if actor is None else color_of(actor)),
-        "paint": None if actor is None else _paint(actor),
-        "shape": "box" if look is None else _shape(look),
-        "box": [number(size) or 0 for size in (box.x, box.y, box.extent_x, box.extent_y)],
-        "since": number(sampled.since),
+        "id": actor.id,
+        "kind": style_of(actor).name,
+        "type": shortened(actor.type_id),
+        "role": shortened(actor.role_name),
+        "label": shortened(label_of(actor)),
+        "hero": actor.is_hero,
+        "color": hexadecimal(color_of(actor)),
+        "paint": _paint(actor),
+        "shape": _shape(look),
+        "box": [number(size) or 0 for size in (x, y, length, width)],
+        "since": number(actor.spawned_at),
         "until": None if sampled.until is None else number(sampled.until),
     }
-
-
-def _box(look: Look) -> BoundingBox:
-    return BoundingBox(*look.center, *look.half_extents)
 
 
 def _paint(actor: ActorLife) -> str | None:
@@ -183,8 +178,8 @@ def _shape(look: Look) -> str:
     return "car" if look.tag == Tag.CAR else "box"
 
 
-def recording_data(replay: SampledReplay, packer: Packer) -> dict[str, Any]:
-    """Return the samples, with columns for the numbers.
+def recording_data(replay: SampledReplay, measured: Iterable[MeasuredActor], packer: Packer) -> dict[str, Any]:
+    """Return the samples and what is plotted of some actors, with columns for the numbers.
 
     `tracks` has five columns, with a row for each track: the actor, the first and the last sample, the index of its first
     row in `x`, `y`, `yaw` and `speed`, and the number of its rows: one for each sample, or a single one. A yaw of 16384 is
@@ -209,11 +204,26 @@ def recording_data(replay: SampledReplay, packer: Packer) -> dict[str, Any]:
         "y": packer.column(y, LENGTH_UNIT, order=2),
         "yaw": packer.column(np.rint(yaw * _TURN), order=2),
         "speed": packer.column(speed, SPEED_UNIT),
+        "measured": [measured_data(each, packer) for each in measured],
         "lights": {
             "actor": packer.column(actors),
             "time": packer.column(times, TIME_UNIT),
             "state": packer.column(states % 256, order=0),
         },
+    }
+
+
+def measured_data(measured: MeasuredActor, packer: Packer) -> dict[str, Any]:
+    """Return what is plotted of an actor at each sample, beside its speed.
+
+    An unknown acceleration is -128 m/s², others are from -100 to 100; without a leader, the headway is -1 m.
+    """
+    acceleration = np.nan_to_num(np.clip(measured.acceleration, -_MOST, _MOST), nan=-128.0)
+    return {
+        "id": measured.id,
+        "acceleration": packer.column(acceleration, ACCELERATION_UNIT),
+        "headway": packer.column(np.nan_to_num(measured.headway, nan=-1.0), HEADWAY_UNIT),
+        "leader": packer.column(measured.leader),
     }
 
 
