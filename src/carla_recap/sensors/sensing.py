@@ -35,7 +35,7 @@ from carla_recap.sensors.motion import CarrierMotion, velocities_of
 from carla_recap.sensors.position import Gnss, Imu, geo_reference
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Generator, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -136,7 +136,7 @@ def sense(
     road_map: Path | str | None = None,
     quality: Quality = "epic",
     progress: Progress | None = None,
-) -> Iterator[SensedFrame]:
+) -> Generator[SensedFrame]:
     """Return what the sensors of a rig on an actor of a recording would have measured, moment by moment.
 
     The rig sees the town of the recording's map, or without one, roads where its vehicles have driven; and the recorded
@@ -311,7 +311,7 @@ class _Sensing:
         self._instruments: dict[str, _Instrument] = {}
         self._carrier: int | None = None
 
-    def frames(self, progress: Progress | None) -> Iterator[SensedFrame]:
+    def frames(self, progress: Progress | None) -> Generator[SensedFrame]:
         """Yield the moments; images are drawn some moments ahead."""
         with ExitStack() as stack:
             self._open(stack)
