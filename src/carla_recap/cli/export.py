@@ -255,6 +255,15 @@ def snapshot(
     help="The format of files in a folder, by default mp4; a single file has the one of its suffix.",
 )
 @options.any_view
+@click.option(
+    "--camera",
+    "cameras",
+    multiple=True,
+    metavar="ID",
+    help="Film by a camera of the recording or of --rig.",
+)
+@click.option("--grid", is_flag=True, help="Film by all cameras of the recording, or of --rig, side by side.")
+@click.option("--rig", "rig_file", type=click.Path(), metavar="FILE", help="Sensors on the hero, or --follow, as JSON.")
 @_window
 @click.option(
     "--speed", type=options.POSITIVE, default=1, metavar="X", help="2: twice as fast as it happened; 0.25: in slow motion."
@@ -265,7 +274,10 @@ def snapshot(
 @options.overlay
 @options.shown_kinds
 @options.models
+@click.pass_context
 def video(
+    ctx: click.Context,
+    /,
     request: WriteRequest,
     suffix: str | None,
     start: float | None,
@@ -279,6 +291,19 @@ def video(
     SRC#t=12.1 means from 5 s before that moment to 5 s after it. Many recordings go to a folder.
     """
     shown["incidents"] = options.shown_incidents(kinds, road_map)
+    if shown.pop("grid"):
+        if shown["cameras"]:
+            raise click.UsageError("--grid shows all cameras; --camera chooses some. One of them was expected.", ctx)
+        shown["cameras"] = "all"
+    rig_file = shown.pop("rig_file")
+    if rig_file is not None:
+        if not shown["cameras"]:
+            raise click.UsageError("--rig goes with --camera or --grid.", ctx)
+        from carla_recap.sensors.rig import SensorRig
+
+        shown["rig"] = SensorRig.load(rig_file)
+    if shown["cameras"] and ctx.get_parameter_source("view") is ParameterSource.COMMANDLINE:
+        raise click.UsageError("--view goes without --camera and --grid.", ctx)
     request.write(partial(_video, start, duration, road_map, shown), suffix, "mp4", "filming")
 
 
@@ -303,6 +328,7 @@ def _video(
             start=start,
             duration=duration,
             town=partial(options.town_of, recording, road_map, start, duration),
+            road_map=road_map,
             progress=watch_scenes("filming"),
             force=force,
             **shown,

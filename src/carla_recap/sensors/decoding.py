@@ -67,7 +67,7 @@ _NUMERIC: Final = {
 }
 _MOST_FIELDS: Final = 64  # of a point
 _KEY_UNITS: Final = (5, 7)  # the types of H.264 units with which decoding can begin: an image, parameters
-_LONGEST_GROUP: Final = 60.0  # s before a moment, in which the key frame of a video is looked for
+_LONGEST_GROUP: Final = 10.0  # s before a moment, in which the image before it, or the key frame of a video, is looked for
 
 
 class EncodedImage(NamedTuple):

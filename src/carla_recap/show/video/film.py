@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+import numpy as np
+
 from carla_recap.errors import RecapError
 from carla_recap.recording import open_recording
 from carla_recap.rendering.camera import ImageKind
@@ -138,11 +140,20 @@ class Film:
             self._overlay.draw(picture, shot.readings)
         return picture
 
-    def _readings(self, scene: Scene, camera: Camera, index: int) -> Readings:
+    def written(self, picture: Picture, scene: Scene, index: int) -> Picture:
+        """Return the picture of a scene by another camera, with what is written on it; scenes have to come in order."""
+        if self._overlay is not None:
+            if self._followed is not None and self._series is not None:
+                instances = self._actors.at(scene)
+                self._subject = subject_of(self._followed, scene, instances, self._series) or self._subject
+            self._overlay.draw(picture, self._readings(scene, None, index))
+        return picture
+
+    def _readings(self, scene: Scene, camera: Camera | None, index: int) -> Readings:
         subject, series = self._subject, self._series
         if self._captions is None:
             return Readings(scene.time)
-        centre = camera.location if subject is None else subject.ground
+        centre = subject.ground if subject is not None else np.zeros(3) if camera is None else camera.location
         near = is_near(float(centre[0]), float(centre[1]))
         ground = float(centre[2]) if subject is not None else 0.0
         actor = None if self._followed is None else scene.actors.get(self._followed)
@@ -160,8 +171,8 @@ class Film:
             controls if math.isfinite(sum(controls)) else None,
             None if series.light[row] == NO_LIGHT else light,
             self._captions.at(scene.time, near),
-            pixels_per_metre(camera, ground),
-            None if subject is None else covered_by(camera, subject),
+            None if camera is None else pixels_per_metre(camera, ground),
+            None if subject is None or camera is None else covered_by(camera, subject),
         )
 
 

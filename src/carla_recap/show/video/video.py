@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError
 from carla_recap.replay import Player
+from carla_recap.replay.follow import HERO
 from carla_recap.scene.captions import shown_options
+from carla_recap.sensors.viewing import CameraChoice
 from carla_recap.show.video.encoding import LONGEST, check_video, create_video
 from carla_recap.show.video.film import RATE, Film, followed_of, opened_renderer, recorded_size, submit
+from carla_recap.show.video.sensors import Tiles, camera_pictures
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from concurrent.futures import Future
 
     from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import Recording
     from carla_recap.rendering.process import RenderProcess
     from carla_recap.replay import Follow
+    from carla_recap.sensors.rig import SensorRig
     from carla_recap.show.video.cameras import VideoView
     from carla_recap.show.video.encoding import Picture, Size
     from carla_recap.show.video.film import Images, Progress, Town, VideoShot
@@ -56,6 +61,8 @@ def export_video(
     destination: Path | str,
     *,
     view: VideoView = "chase",
+    cameras: Sequence[str] | Literal["all"] = (),
+    rig: SensorRig | None = None,
     follow: Follow | None = None,
     start: float = 0.0,
     duration: float = 0.0,
@@ -66,6 +73,7 @@ def export_video(
     overlay: bool = True,
     incidents: IncidentOptions | None = None,
     town: Town | None = None,
+    road_map: Path | str | None = None,
     renderer: RenderProcess | None = None,
     progress: Progress | None = None,
     force: bool = False,
@@ -77,18 +85,23 @@ def export_video(
         destination: The .mp4 (H.264) or .gif; it appears when it is complete.
         view: The view: "chase" from behind the followed actor, "top" from above, "driver" from its seat; or the id of a
             recorded camera, which has its recorded field of view.
+        cameras: The ids of cameras of the rig, or without one, of the sensors whose data the recording has, which film
+            instead of the view, several of them side by side; "all": all of them.
+        rig: Sensors on the hero, or the followed actor if that is given, whose images are drawn; None: cameras show the
+            images that the recording has of them, or if it has none, what they would have seen.
         follow: The followed actor: an id or "hero"; None: the hero, else the first to collide, else the one that goes
             farthest.
         start: The elapsed seconds to begin at; negative: before the end.
         duration: The seconds of the recording to show; 0: all of the rest.
         speed: The seconds of the recording in a second of the video.
-        size: Width and height in pixels; None: 1280 x 720, of a GIF 640 x 360, of a recorded camera those of its images.
+        size: Width and height in pixels; None: 1280 x 720, of a GIF 640 x 360, of cameras those of their images.
         rate: The frames per second; None: 30, of a GIF 12.5.
         smooth: Draw smooth edges, which takes about twice as long.
         overlay: Write time, speed, controls, the light ahead and incidents on the pictures.
         incidents: Which incidents are shown; None: all kinds, those against the rules of the road if the map is found.
         town: The town, or a function that loads it; None: that of the recording's map if it is the built-in one or in the
             folder that CARLA_RECAP_MAPS names, else roads where vehicles have driven.
+        road_map: The map of the town for cameras that are drawn, a file or a folder; None: looked for in the usual folders.
         renderer: What draws the pictures, for several videos of one town; None: one is made and closed.
         progress: Is given all scenes and the player, and passes the scenes on.
         force: Overwrite an existing file.
@@ -102,7 +115,9 @@ def export_video(
     if not 0 < speed < math.inf:
         raise RecapError(f"a speed of {speed:g}: a number above 0 was expected")
     player = Player(source, start=start, duration=duration, follow=followed_of(source, view, follow))
-    size = size or recorded_size(source, view) or (GIF_SIZE if is_gif else SIZE)
+    choice = CameraChoice(source, cameras, rig) if cameras or rig is not None else None
+    tiles = None if choice is None else Tiles({id: choice.size(id) for id in choice.ids}, size)
+    size = tiles.size if tiles is not None else size or recorded_size(source, view) or (GIF_SIZE if is_gif else SIZE)
     rate = (GIF_RATE if is_gif else RATE) if rate is None else rate
     length = player.stop - player.start
     frames = max(1, round(min(length * rate / speed, LONGEST + 1))) if rate > 0 else 0
@@ -115,6 +130,21 @@ def export_video(
         part = Player(source, start=player.start, duration=length, follow=player.followed)
         return Film(source, part, view, size, speed=speed, rate=rate, frames=frames, shown=shown)
 
+    if choice is not None and tiles is not None:
+        carrier = HERO if follow is None else follow
+        scenes = choice.scenes(
+            start=player.start,
+            duration=length,
+            rate=rate / speed,
+            actor=carrier,
+            road_map=road_map,
+            progress=progress,
+        )
+        pictures = camera_pictures(scenes, tiles, film(rate, speed, frames), frames)
+        with closing(pictures), create_video(path, size, rate) as file:
+            for picture in pictures:
+                file.add(picture)
+        return VideoInfo(frames, frames / rate, size, path.stat().st_size)
     span = {"start": player.start, "stop": player.stop}
     with opened_renderer(renderer, town, source, **span, supersampling=1 + smooth) as opened:
         main = film(rate, speed, frames)

@@ -1,0 +1,108 @@
+"""Videos by the cameras of a rig: one, or several side by side, each with its name."""
+
+from __future__ import annotations
+
+import math
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from carla_recap.show.video.encoding import LARGEST, SMALLEST
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Iterable, Mapping
+
+    from numpy.typing import NDArray
+
+    from carla_recap.sensors.viewing import CameraScene
+    from carla_recap.show.video.encoding import Picture, Size
+    from carla_recap.show.video.film import Film
+
+_NAME: Final = 14  # the height of a name as a part of that of an image, 1 / n
+_SMALLEST_NAME: Final = 12  # pixels
+_BACKGROUND: Final = (14, 17, 22)
+
+
+class Tile(NamedTuple):
+    """The place of a camera's image in a picture: left, top, width and height, in pixels."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+class Tiles:
+    """Where the images of cameras are in a picture: rows from left to right, as many columns as rows or one more.
+
+    Args:
+        sizes: The sizes of the images by the ids of the cameras.
+        size: The size of the picture; None: that of the largest images side by side, as far as a video can have it.
+    """
+
+    def __init__(self, sizes: Mapping[str, Size], size: Size | None = None) -> None:
+        columns = math.ceil(math.sqrt(len(sizes)))
+        rows = math.ceil(len(sizes) / columns)
+        if size is None:
+            width, height = (max(sides) for sides in zip(*sizes.values(), strict=True))
+            factor = min(1.0, LARGEST / (columns * width), LARGEST / (rows * height))
+            size = _even(columns * width * factor), _even(rows * height * factor)
+        self.size = size
+        width, height = size[0] // columns, size[1] // rows
+        self._tiles: dict[str, Tile] = {}
+        for index, (id, (own_width, own_height)) in enumerate(sizes.items()):
+            factor = min(width / own_width, height / own_height)
+            shown = max(1, round(own_width * factor)), max(1, round(own_height * factor))
+            left = index % columns * width + (width - shown[0]) // 2
+            top = index // columns * height + (height - shown[1]) // 2
+            self._tiles[id] = Tile(left, top, *shown)
+
+    def __len__(self) -> int:
+        return len(self._tiles)
+
+    def picture(self, images: Mapping[str, NDArray[np.uint8]], *, names: bool) -> Picture:
+        """Return the images of cameras as one picture: blue, green, red, alpha.
+
+        Args:
+            images: The images: red, green, blue; the places of those that are missing stay dark.
+            names: Whether each has the id of its camera in its lower left corner.
+        """
+        from PIL import Image, ImageDraw, ImageFont
+
+        canvas = Image.new("RGB", self.size, _BACKGROUND)
+        draw = ImageDraw.Draw(canvas)
+        for id, tile in self._tiles.items():
+            if id in images:
+                image: Any = Image.fromarray(np.ascontiguousarray(images[id]))
+                if image.size != (tile.width, tile.height):
+                    image = image.resize((tile.width, tile.height), Image.Resampling.BILINEAR, reducing_gap=2.0)
+                canvas.paste(image, (tile.left, tile.top))
+            if names:
+                font = ImageFont.load_default(max(_SMALLEST_NAME, tile.height // _NAME))
+                place = tile.left + tile.height // 40, tile.top + tile.height - tile.height // 40
+                draw.text(place, id, (255, 255, 255), font, anchor="ls", stroke_width=2, stroke_fill=(0, 0, 0))
+        picture = np.full((*canvas.size[::-1], 4), 255, np.uint8)
+        picture[..., 2::-1] = np.asarray(canvas)
+        return picture
+
+
+def camera_pictures(scenes: Iterable[CameraScene], tiles: Tiles, film: Film, frames: int) -> Generator[Picture]:
+    """Yield the pictures of a video.
+
+    Args:
+        scenes: The scenes with the images of the cameras.
+        tiles: The places of the images.
+        film: What writes on pictures what is known of a scene.
+        frames: The number of pictures; with fewer scenes, the last one stays.
+    """
+    count, picture = 0, None
+    for count, (scene, images) in enumerate(islice(scenes, frames), 1):
+        picture = film.written(tiles.picture(images, names=len(tiles) > 1), scene, count - 1)
+        yield picture
+    if picture is not None:
+        yield from (picture for _ in range(frames - count))
+
+
+def _even(side: float) -> int:
+    return max(SMALLEST, int(side)) & ~1
