@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _RGB: Final = "sensor.camera.rgb"
 
 
-class CameraScene(NamedTuple):
+class CameraMoment(NamedTuple):
     """A scene, and what cameras show then.
 
     Attributes:
@@ -93,7 +93,7 @@ class CameraChoice:
         actor: ActorName = "hero",
         road_map: Path | str | None = None,
         progress: Progress | None = None,
-    ) -> Iterator[CameraScene]:
+    ) -> Iterator[CameraMoment]:
         """Yield scenes with the latest image of each camera.
 
         Args:
@@ -121,7 +121,7 @@ class CameraChoice:
             for id, stored in kept.items():
                 if (image := stored.at(scene.time)) is not None:
                     latest[id] = image
-            yield CameraScene(scene, {id: latest[id] for id in self.ids if id in latest})
+            yield CameraMoment(scene, {id: latest[id] for id in self.ids if id in latest})
 
     def _drawn(
         self,
@@ -131,12 +131,12 @@ class CameraChoice:
         actor: ActorName,
         road_map: Path | str | None,
         progress: Progress | None,
-    ) -> Iterator[CameraScene]:
+    ) -> Iterator[CameraMoment]:
         """Yield scenes with the images of the cameras that are drawn."""
         if not specs:
             scenes = player.scenes(rate)
             for scene in progress(scenes, player) if progress else scenes:
-                yield CameraScene(scene, {})
+                yield CameraMoment(scene, {})
             return
         from carla_recap.sensors.sensing import sense
 
@@ -154,4 +154,4 @@ class CameraChoice:
         )
         with closing(frames):  # type: ignore[type-var]
             for frame in frames:
-                yield CameraScene(frame.scene, {id: sample.data for id, sample in frame.samples.items()})
+                yield CameraMoment(frame.scene, {id: sample.data for id, sample in frame.samples.items()})

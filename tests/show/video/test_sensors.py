@@ -17,7 +17,7 @@ from carla_recap.cli.export import video as video_command
 from carla_recap.errors import RecapError
 from carla_recap.sensors import SensorRig
 from carla_recap.sensors.decoding import StoredImages
-from carla_recap.show.video.sensors import Tiles
+from carla_recap.show.video.sensors import CameraGrid
 from tests.sensed import CRASH
 from tests.show.conftest import PLACE, SENSORS
 from tests.show.conftest import sensed_recording as sensed_recording
@@ -78,16 +78,16 @@ def test_what_is_known_of_the_scene_is_written_on_the_picture(sensed_recording, 
 
 
 def test_tiles_keep_the_shape_of_images_and_missing_ones_stay_dark():
-    tiles = Tiles({f"c{index}": (400, 300) for index in range(6)})
-    assert tiles.size == (1200, 600)
+    grid = CameraGrid({f"c{index}": (400, 300) for index in range(6)})
+    assert grid.size == (1200, 600)
     white = np.full((300, 400, 3), 255, np.uint8)
-    picture = tiles.picture({"c1": white, "c5": white}, names=False)
+    picture = grid.picture({"c1": white, "c5": white}, names=False)
     assert picture[:300, 400:800].min() == picture[300:, 800:].min() == 255
     assert picture[:300, :400, :3].max() < 40
-    narrow = Tiles({"one": (100, 300)}, (400, 300)).picture({"one": white[:, :100]}, names=False)
+    narrow = CameraGrid({"one": (100, 300)}, (400, 300)).picture({"one": white[:, :100]}, names=False)
     assert (narrow[:, 150:250] == 255).all()
     assert narrow[:, :149, :3].max() < 40
-    many = Tiles({f"c{index}": (4000, 3000) for index in range(9)})
+    many = CameraGrid({f"c{index}": (4000, 3000) for index in range(9)})
     assert max(many.size) <= 4096
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.sensors.viewing import CameraScene
+    from carla_recap.sensors.viewing import CameraMoment
     from carla_recap.show.video.encoding import Picture, Size
     from carla_recap.show.video.film import Film
 
@@ -24,7 +24,7 @@ _SMALLEST_NAME: Final = 12  # pixels
 _BACKGROUND: Final = (14, 17, 22)
 
 
-class Tile(NamedTuple):
+class ImagePlace(NamedTuple):
     """The place of a camera's image in a picture: left, top, width and height, in pixels."""
 
     left: int
@@ -33,7 +33,7 @@ class Tile(NamedTuple):
     height: int
 
 
-class Tiles:
+class CameraGrid:
     """Where the images of cameras are in a picture: rows from left to right, as many columns as rows or one more.
 
     Args:
@@ -50,16 +50,16 @@ class Tiles:
             size = _even(columns * width * factor), _even(rows * height * factor)
         self.size = size
         width, height = size[0] // columns, size[1] // rows
-        self._tiles: dict[str, Tile] = {}
+        self._places: dict[str, ImagePlace] = {}
         for index, (id, (own_width, own_height)) in enumerate(sizes.items()):
             factor = min(width / own_width, height / own_height)
             shown = max(1, round(own_width * factor)), max(1, round(own_height * factor))
             left = index % columns * width + (width - shown[0]) // 2
             top = index // columns * height + (height - shown[1]) // 2
-            self._tiles[id] = Tile(left, top, *shown)
+            self._places[id] = ImagePlace(left, top, *shown)
 
     def __len__(self) -> int:
-        return len(self._tiles)
+        return len(self._places)
 
     def picture(self, images: Mapping[str, NDArray[np.uint8]], *, names: bool) -> Picture:
         """Return the images of cameras as one picture: blue, green, red, alpha.
@@ -72,33 +72,34 @@ class Tiles:
 
         canvas = Image.new("RGB", self.size, _BACKGROUND)
         draw = ImageDraw.Draw(canvas)
-        for id, tile in self._tiles.items():
+        for id, place in self._places.items():
             if id in images:
                 image: Any = Image.fromarray(np.ascontiguousarray(images[id]))
-                if image.size != (tile.width, tile.height):
-                    image = image.resize((tile.width, tile.height), Image.Resampling.BILINEAR, reducing_gap=2.0)
-                canvas.paste(image, (tile.left, tile.top))
+                if image.size != (place.width, place.height):
+                    image = image.resize((place.width, place.height), Image.Resampling.BILINEAR, reducing_gap=2.0)
+                canvas.paste(image, (place.left, place.top))
             if names:
-                font = ImageFont.load_default(max(_SMALLEST_NAME, tile.height // _NAME))
-                place = tile.left + tile.height // 40, tile.top + tile.height - tile.height // 40
-                draw.text(place, id, (255, 255, 255), font, anchor="ls", stroke_width=2, stroke_fill=(0, 0, 0))
+                font = ImageFont.load_default(max(_SMALLEST_NAME, place.height // _NAME))
+                margin = place.height // 40
+                corner = place.left + margin, place.top + place.height - margin
+                draw.text(corner, id, (255, 255, 255), font, anchor="ls", stroke_width=2, stroke_fill=(0, 0, 0))
         picture = np.full((*canvas.size[::-1], 4), 255, np.uint8)
         picture[..., 2::-1] = np.asarray(canvas)
         return picture
 
 
-def camera_pictures(scenes: Iterable[CameraScene], tiles: Tiles, film: Film, frames: int) -> Generator[Picture]:
+def camera_pictures(scenes: Iterable[CameraMoment], grid: CameraGrid, film: Film, frames: int) -> Generator[Picture]:
     """Yield the pictures of a video.
 
     Args:
         scenes: The scenes with the images of the cameras.
-        tiles: The places of the images.
+        grid: The places of the images.
         film: What writes on pictures what is known of a scene.
         frames: The number of pictures; with fewer scenes, the last one stays.
     """
     count, picture = 0, None
     for count, (scene, images) in enumerate(islice(scenes, frames), 1):
-        picture = film.written(tiles.picture(images, names=len(tiles) > 1), scene, count - 1)
+        picture = film.written(grid.picture(images, names=len(grid) > 1), scene, count - 1)
         yield picture
     if picture is not None:
         yield from (picture for _ in range(frames - count))

@@ -16,7 +16,7 @@ from carla_recap.scene.captions import shown_options
 from carla_recap.sensors.viewing import CameraChoice
 from carla_recap.show.video.encoding import LONGEST, check_video, create_video
 from carla_recap.show.video.film import RATE, Film, followed_of, opened_renderer, recorded_size, submit
-from carla_recap.show.video.sensors import Tiles, camera_pictures
+from carla_recap.show.video.sensors import CameraGrid, camera_pictures
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -116,8 +116,8 @@ def export_video(
         raise RecapError(f"a speed of {speed:g}: a number above 0 was expected")
     player = Player(source, start=start, duration=duration, follow=followed_of(source, view, follow))
     choice = CameraChoice(source, cameras, rig) if cameras or rig is not None else None
-    tiles = None if choice is None else Tiles({id: choice.size(id) for id in choice.ids}, size)
-    size = tiles.size if tiles is not None else size or recorded_size(source, view) or (GIF_SIZE if is_gif else SIZE)
+    grid = None if choice is None else CameraGrid({id: choice.size(id) for id in choice.ids}, size)
+    size = grid.size if grid is not None else size or recorded_size(source, view) or (GIF_SIZE if is_gif else SIZE)
     rate = (GIF_RATE if is_gif else RATE) if rate is None else rate
     length = player.stop - player.start
     frames = max(1, round(min(length * rate / speed, LONGEST + 1))) if rate > 0 else 0
@@ -130,7 +130,7 @@ def export_video(
         part = Player(source, start=player.start, duration=length, follow=player.followed)
         return Film(source, part, view, size, speed=speed, rate=rate, frames=frames, shown=shown)
 
-    if choice is not None and tiles is not None:
+    if choice is not None and grid is not None:
         carrier = HERO if follow is None else follow
         scenes = choice.scenes(
             start=player.start,
@@ -140,7 +140,7 @@ def export_video(
             road_map=road_map,
             progress=progress,
         )
-        pictures = camera_pictures(scenes, tiles, film(rate, speed, frames), frames)
+        pictures = camera_pictures(scenes, grid, film(rate, speed, frames), frames)
         with closing(pictures), create_video(path, size, rate) as file:
             for picture in pictures:
                 file.add(picture)
