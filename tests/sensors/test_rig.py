@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carla_recap.errors import RecapError, RecapWarning
-from carla_recap.sensors import SENSOR_TYPES, SensorRig
+from carla_recap.sensors import SENSOR_TYPES, SensorRig, SensorSpec
 
 RIGS = Path(__file__).parents[2] / "samples" / "rigs"
 FRONT = {"type": "sensor.camera.rgb", "id": "front", "x": 1.5, "y": 0.0, "z": 1.6, "width": 320, "height": 240, "fov": 100}
@@ -250,3 +250,18 @@ def test_the_sample_like_nuscenes_has_its_sensors() -> None:
         assert (sensor.y < 0) == sensor.id.endswith("_LEFT")
         assert (sensor.y > 0) == sensor.id.endswith("_RIGHT")
         assert ("BACK" in sensor.id) <= (abs(sensor.yaw) > 90)
+
+
+def test_a_sensor_is_made_of_the_texts_of_an_actor() -> None:
+    own = SensorRig.of([{"type": "sensor.camera.rgb", "id": "a", "x": 1.0, "y": 0.5, "z": 2.0, "fov": 70, "iso": 5e-6}])["a"]
+    texts = own.texts()
+    assert (texts["fov"], texts["image_size_x"], texts["enable_postprocess_effects"]) == ("70.0", "800", "true")
+    pose = [own.x, own.y, own.z, own.roll, own.pitch, own.yaw]
+    assert SensorSpec.of_texts("a", own.type, pose, {**texts, "role_name": "hero"}) == own
+    assert SensorSpec.of_texts("a", own.type, (5000.0, 0, 0, 0, 0, 0), {}).x == 5000.0
+
+
+@pytest.mark.parametrize(("key", "text"), [("fov", "180"), ("image_size_x", "many"), ("exposure_mode", "none")])
+def test_texts_that_a_rig_cannot_have_are_errors(key: str, text: str) -> None:
+    with pytest.raises(RecapError, match=f"sensor 'a': {key}: "):
+        SensorSpec.of_texts("a", "sensor.camera.rgb", (0.0,) * 6, {key: text})

@@ -48,16 +48,17 @@ class ActorTracker:
         actors: The present actors, by id, in the order in which they came.
         heroes: The ids of all actors that are or were heroes.
         seen: The ids of all actors that are or were present.
+        present: The ids of the present actors, including those that are left out.
     """
 
     def __init__(self, world: carla.World, *, additional_data: bool) -> None:
         self.actors: dict[int, carla.Actor] = {}
         self.heroes: frozenset[int] = frozenset()
         self.seen: frozenset[int] = frozenset()
+        self.present: frozenset[int] = frozenset()
         self._world = world
         self._additional = additional_data
         self._types = attribute_types(world.get_blueprint_library())
-        self._ids: set[int] = set()  # of all actors of the last snapshot, including those that are left out
         self._of: dict[ActorKind, dict[int, Any]] = {kind: {} for kind in ActorKind}
 
     def update(self, snapshots: Snapshots) -> tuple[list[carla.Actor], list[int]]:
@@ -69,10 +70,10 @@ class ActorTracker:
         Warns:
             RecapWarning: The client cannot read the data of a new actor, which is left out.
         """
-        if snapshots.keys() == self._ids:
+        if snapshots.keys() == self.present:
             return [], []
-        new = sorted(snapshots.keys() - self._ids)
-        self._ids = set(snapshots)
+        new = sorted(snapshots.keys() - self.present)
+        self.present = frozenset(snapshots)
         gone = [id for id in reversed(self.actors) if id not in snapshots]  # children before their parents
         came = [actor for actor in self._asked(new) if not _is_own(actor)] if new else []
         stay = {id: actor for id, actor in self.actors.items() if id in snapshots}
@@ -97,12 +98,13 @@ class ActorTracker:
             snapshots: Their poses.
             attached: Whether those with parents have poses relative to these, as recorders write them after the beginning.
         """
-        poses = {actor.id: _pose(snapshots[actor.id]) for actor in came}
+        poses = {actor.id: pose_of(snapshots[actor.id].get_transform()) for actor in came}
         parents = {actor.id: parent.id for actor in came if (parent := parent_of(actor)) is not None}
         if attached:
             for id, parent in parents.items():
                 if parent in snapshots:
-                    x, y, z, roll, pitch, yaw = detach(np.array(_pose(snapshots[parent])), np.array(poses[id])).tolist()
+                    place = np.array(pose_of(snapshots[parent].get_transform()))
+                    x, y, z, roll, pitch, yaw = detach(place, np.array(poses[id])).tolist()
                     poses[id] = x, y, z, roll, pitch, yaw
         return {
             "spawned": [spawn(actor, poses[actor.id], self._types) for actor in came],
@@ -119,7 +121,7 @@ class ActorTracker:
         vehicles, walkers, lights = (self._of[kind] for kind in _EACH_FRAME)
         with_pose = [id for kind in WITH_POSE for id in self._of[kind]]
         rows: dict[str, Rows] = {
-            "transforms": [(id, *_pose(snapshots[id])) for id in sorted(with_pose)],
+            "transforms": [(id, *pose_of(snapshots[id].get_transform())) for id in sorted(with_pose)],
             "light_states": [
                 (id, light.is_frozen(), light.get_elapsed_time(), int(light.get_state())) for id, light in lights.items()
             ],
@@ -169,8 +171,8 @@ def _is_own(actor: carla.Actor) -> bool:
     return bool(actor.type_id.startswith("sensor.") and actor.attributes.get("role_name") == OWN)
 
 
-def _pose(snapshot: carla.ActorSnapshot) -> Pose:
-    transform = snapshot.get_transform()
+def pose_of(transform: carla.Transform) -> Pose:
+    """Return a transform as a pose in cm and degrees, in CARLA's axes."""
     location, rotation = transform.location, transform.rotation
     x, y, z = location.x * CM_PER_M, location.y * CM_PER_M, location.z * CM_PER_M
     return x, y, z, rotation.roll, rotation.pitch, rotation.yaw

@@ -81,6 +81,8 @@ class Observer:
         missed: The number of ticks that were missed.
         why: The reason of the end, in words; "" before it.
         map: The map.
+        times: The times of the latest observed frames by their numbers, in s since the episode began. A thread of the client
+            adds to them.
 
     Raises:
         RecapError: On entry: there is no server.
@@ -93,6 +95,7 @@ class Observer:
     ) -> None:
         self.missed = 0
         self.why = ""
+        self.times: dict[int, float] = {}
         self._host, self._port = host, port
         self._additional = additional_data
         self._attach = attach
@@ -164,15 +167,32 @@ class Observer:
             held.extend(self._observations.queue)
         yield from map(self._completed, held)
         if self._error is not None:
-            raise RecapError(f"{self._place}: {self._error}") from self._error
+            raise RecapError(f"{self.place}: {self._error}") from self._error
 
     @property
-    def _place(self) -> str:
+    def present(self) -> frozenset[int]:
+        """The ids of the actors of the latest observed tick, including those that are left out."""
+        return self._tracker.present
+
+    @property
+    def frame(self) -> int:
+        """The number of the latest observed tick; 0 before the first one."""
+        return self._frame
+
+    @property
+    def place(self) -> str:
+        """The address and the port of the server."""
         return f"{self._host}:{self._port}"
+
+    def new_client(self) -> carla.Client:
+        """Return a further client of the server, whose data arrive on connections and in a thread of its own."""
+        client = carla.Client(self._host, self._port, 1)
+        client.set_timeout(_FIRST_ANSWER)
+        return client
 
     def _connect(self) -> None:
         if not self._is_there():
-            raise RecapError(f"{self._place}: there is no CARLA server")
+            raise RecapError(f"{self.place}: there is no CARLA server")
         self._client = carla.Client(self._host, self._port, 1)  # snapshots and collisions arrive in the same thread
         self._client.set_timeout(_FIRST_ANSWER)
         try:
@@ -180,7 +200,7 @@ class Observer:
             self._episode = self._world.id
             self.map = self._world.get_map()
         except UNANSWERED as error:
-            raise RecapError(f"{self._place}: {' '.join(str(error).split())}") from None
+            raise RecapError(f"{self.place}: {' '.join(str(error).split())}") from None
         self._client.set_timeout(_ANSWER)
 
     def _is_there(self) -> bool:
@@ -218,6 +238,9 @@ class Observer:
             records |= self._tracker.introduction(came, found, attached=not is_first)
         records |= self._tracker.records(found, self._vehicle_lights)
         time = snapshot.timestamp
+        self.times[frame] = time.elapsed_seconds
+        if len(self.times) > _WAITING:
+            del self.times[next(iter(self.times))]
         self._observations.put(Observation(frame, time.elapsed_seconds, time.platform_timestamp, records))
         return None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -12,14 +13,19 @@ from carla_recap.capture.observer import HOST, PORT, Observer
 from carla_recap.editing.author import packets_of
 from carla_recap.editing.convert import check_new
 from carla_recap.editing.recover import finish_partial
-from carla_recap.formats import create_writer
+from carla_recap.errors import RecapError
+from carla_recap.formats import create_writer, format_of
+from carla_recap.model.actors import HERO
 from carla_recap.model.frame import LAST_FRAME_DURATION, Frame, Header, Packet
 from carla_recap.model.records import FRAME_END, UE4
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from carla_recap.capture.observer import Observation
+    from carla_recap.capture.sensors import RigSensors, SampleRecorder, Sensors
+    from carla_recap.formats.base import Writer
+    from carla_recap.model.actors import ActorName
 
     Progress = Callable[[Iterable[float]], Iterable[float]]
 
@@ -36,12 +42,16 @@ class Captured(NamedTuple):
         seconds: The elapsed time of the last one, in s.
         missed: The number of ticks that are not in it, because they came too fast.
         why: The reason of its end, in words.
+        samples: The number of samples of each sensor, by id.
+        dropped: The number of samples of each sensor that came too fast to be written, by id.
     """
 
     frames: int
     seconds: float
     missed: int
     why: str
+    samples: Mapping[str, int]
+    dropped: Mapping[str, int]
 
 
 def capture(
@@ -51,13 +61,15 @@ def capture(
     port: int = PORT,
     duration: float = math.inf,
     additional_data: bool = False,
+    sensors: Sensors | None = None,
+    actor: ActorName = HERO,
     force: bool = False,
     progress: Progress | None = None,
 ) -> Captured:
     """Record a CARLA server, as one of its clients; the world is never ticked.
 
     A hero that has no collision sensor gets one until the end; it is not in the recording. Ctrl-C, SIGTERM, a new episode
-    and the end of the server complete the recording.
+    and the end of the server complete the recording; so does the end of a sensor of the rig, or of its carrier.
 
     Args:
         destination: The recording; its suffix, .mcap or .log, is that of the format.
@@ -65,21 +77,40 @@ def capture(
         port: Its port.
         duration: The simulated seconds after which it ends.
         additional_data: Record velocities, boxes, physics and the times of lights, too.
+        sensors: A rig, whose sensors are spawned, recorded, and destroyed at the end; "existing": those that are there are
+            recorded. Either needs an .mcap.
+        actor: The actor that carries the rig: an id, or "hero".
         force: Overwrite an existing file.
         progress: Wraps the elapsed seconds of the frames, and yields them.
 
     Raises:
-        RecapError: There is no server, or the recording cannot be written: what was captured until then is kept, and the
-            message contains its path.
+        RecapError: There is no server, no such actor, or a sensor cannot be spawned; or the recording cannot be written:
+            what was captured until then is kept, and the message contains its path.
+        MissingExtra: An optional dependency is not installed.
+
+    Warns:
+        RecapWarning: The server does not know an attribute of a sensor, an existing sensor is left out or gone, or samples
+            are dropped.
     """
     check_new(destination, force=force)
-    with Observer(host, port, additional_data=additional_data, attach=True) as observer, observer.until_signal():
+    if sensors is not None and format_of(destination) != ".mcap":
+        raise RecapError(f"{destination}: has no place for what sensors send; an .mcap was expected")
+    with ExitStack() as stack:
+        observer = stack.enter_context(Observer(host, port, additional_data=additional_data, attach=True))
+        stack.enter_context(observer.until_signal())
+        rig = stack.enter_context(_rig_sensors(observer, sensors, actor)) if sensors is not None else None
         header = header_of(observer)
         writer = create_writer(Path(destination), header, live=True)
+        samples: SampleRecorder | None = None
         try:
-            observations = until(duration, observer, observer.observations())
-            elapsed = _written(writer.write, frames(observations, additional_data=additional_data))
-            last = deque(enumerate(progress(elapsed) if progress else elapsed, 1), maxlen=1)
+            with ExitStack() as listening:
+                if rig is not None:
+                    samples = listening.enter_context(_sample_recorder(observer, rig, writer, header))
+                observations = until(duration, observer, _beside(observer, samples))
+                elapsed = _written(writer.write, frames(observations, additional_data=additional_data))
+                last = deque(enumerate(progress(elapsed) if progress else elapsed, 1), maxlen=1)
+                if samples is not None:
+                    samples.finish()
             writer.close()
         except Exception as error:
             raise finish_partial(writer, Path(destination), error, force=force) from None
@@ -87,7 +118,32 @@ def capture(
             writer.abort()
             raise
     count, seconds = last.pop() if last else (0, 0.0)
-    return Captured(count, seconds, observer.missed, observer.why)
+    counts, dropped = ({}, {}) if samples is None else (dict(samples.counts), dict(samples.dropped))
+    return Captured(count, seconds, observer.missed, observer.why, counts, dropped)
+
+
+def _rig_sensors(observer: Observer, sensors: Sensors, actor: ActorName) -> RigSensors:
+    from carla_recap.capture.sensors import RigSensors
+
+    return RigSensors(observer, sensors, actor)
+
+
+def _sample_recorder(observer: Observer, sensors: RigSensors, writer: Writer, header: Header) -> SampleRecorder:
+    from carla_recap.capture.sensors import SampleRecorder
+    from carla_recap.formats.mcap.writer import McapWriter
+
+    assert isinstance(writer, McapWriter)
+    return SampleRecorder(observer, sensors, writer, header)
+
+
+def _beside(observer: Observer, samples: SampleRecorder | None) -> Iterator[Observation]:
+    """Yield the observations, and write what sensors send beside them."""
+    if samples is None:
+        yield from observer.observations()
+        return
+    for observation in observer.observations(samples.advance):
+        samples.advance(observation.frame)
+        yield observation
 
 
 def header_of(observer: Observer) -> Header:

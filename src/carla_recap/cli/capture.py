@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
 from carla_recap.cli import options
 from carla_recap.cli.output import counted, note, wrote
+from carla_recap.util.text import first_of
 
 if TYPE_CHECKING:
     from carla_recap.replay.follow import Follow
@@ -39,25 +40,60 @@ _server = options.together(
     help="Simulated s to record; else until Ctrl-C.",
 )
 @click.option("--additional-data", is_flag=True, help="Record velocities, boxes, physics and times, too.")
+@click.option("--rig", metavar="FILE", help="Spawn the sensors of this JSON file, and record what they send.")
+@click.option("--leaderboard", is_flag=True, help="Give the rig the values that the CARLA Leaderboard fixes.")
+@click.option(
+    "--actor",
+    type=options.FOLLOW,
+    default="hero",
+    show_default=True,
+    metavar="ID|hero",
+    help="The actor that carries the rig.",
+)
+@click.option("--sensors", type=click.Choice(["existing"]), help="Record what the sensors send that are there already.")
 @options.force
 @options.written
-def capture(destination: str, host: str, port: int, duration: float, additional_data: bool, force: bool) -> None:
-    """Record what a CARLA server does, as one of its clients, to .mcap or .log."""
+def capture(
+    destination: str,
+    host: str,
+    port: int,
+    duration: float,
+    additional_data: bool,
+    rig: str | None,
+    leaderboard: bool,
+    actor: Follow,
+    sensors: Literal["existing"] | None,
+    force: bool,
+) -> None:
+    """Record what a CARLA server does, as one of its clients, to .mcap or .log; with sensors, to .mcap."""
     from carla_recap.capture import capture as run
     from carla_recap.cli.progress import watch_ticks
+    from carla_recap.sensors.rig import SensorRig
 
+    if rig is not None and sensors is not None:
+        raise click.UsageError("--rig and --sensors exclude each other.", click.get_current_context())
+    if rig is None and leaderboard:
+        raise click.UsageError("--leaderboard goes with --rig.", click.get_current_context())
     captured = run(
         destination,
         host=host,
         port=port,
         duration=duration,
         additional_data=additional_data,
+        sensors=sensors if rig is None else SensorRig.load(rig, leaderboard=leaderboard),
+        actor=actor,
         force=force,
         progress=watch_ticks("capturing", duration),
     )
-    missed = [f"{counted(captured.missed, 'tick')} missed"] if captured.missed else []
+    notes = [f"{counted(captured.missed, 'tick')} missed"] if captured.missed else []
     facts: dict[str, Any] = {"missed": captured.missed, "end": captured.why}
-    wrote(destination, *missed, captured.why, frames=captured.frames, seconds=captured.seconds, **facts)
+    if rig is not None or sensors is not None:
+        facts |= {"samples": dict(captured.samples), "dropped": dict(captured.dropped)}
+        notes.append(counted(sum(captured.samples.values()), "sample"))
+    if captured.dropped:
+        few = first_of([f"{count} of {id}" for id, count in captured.dropped.items()])
+        notes.append(f"{few} dropped, since writing was slower")
+    wrote(destination, *notes, captured.why, frames=captured.frames, seconds=captured.seconds, **facts)
 
 
 @click.command()

@@ -108,12 +108,21 @@ class SensorMessages:
 
     def of(self, samples: Iterable[Sample]) -> Iterator[SensorMessage]:
         """Yield the messages of samples of one moment: of each sensor, and of the poses of all."""
-        transforms = FrameTransforms()
-        elapsed = 0.0
+        samples = list(samples)
         for sample in samples:
-            elapsed, stamp = sample.time, self._stamp(sample.time)
-            transforms.transforms.append(_transform(sample, stamp))
-            yield from self._makers[sample.spec.id].messages(sample, stamp)
+            yield from self.of_sample(sample)
+        yield from self.poses(samples)
+
+    def of_sample(self, sample: Sample) -> Iterator[SensorMessage]:
+        """Yield the messages of a sample, without that of its pose."""
+        return self._makers[sample.spec.id].messages(sample, self._stamp(sample.time))
+
+    def poses(self, samples: Iterable[Sample]) -> Iterator[SensorMessage]:
+        """Yield the message of the poses of samples of one moment, of which there is none without samples."""
+        transforms, elapsed = FrameTransforms(), 0.0
+        for sample in samples:
+            elapsed = sample.time
+            transforms.transforms.append(_transform(sample, self._stamp(elapsed)))
         if transforms.transforms:
             yield SensorMessage(TRANSFORMS, elapsed, transforms.SerializeToString())
 

@@ -12,7 +12,7 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from numbers import Real
 from pathlib import Path
@@ -92,6 +92,31 @@ class SensorSpec:
             KeyError: The type has no such attribute.
         """
         return float(self.attributes[key])
+
+    def texts(self) -> dict[str, str]:
+        """Return the attributes as CARLA's blueprints take them: as texts, with true and false in lower case."""
+        return {key: str(value).lower() if isinstance(value, bool) else str(value) for key, value in self.attributes.items()}
+
+    @classmethod
+    def of_texts(cls, id: str, type: str, pose: Sequence[float], texts: Mapping[str, str]) -> SensorSpec:
+        """Return the sensor of an actor of CARLA.
+
+        Args:
+            id: Its name.
+            type: The type of the actor.
+            pose: x, y, z in m, roll, pitch, yaw in degrees, in CARLA's axes: relative to the actor that carries it, or if
+                there is none, in the world.
+            texts: The attributes of the actor; those that are missing have their defaults, and unknown ones are left out.
+
+        Raises:
+            RecapError: The type or an attribute is none that a rig can have; the message names sensor and key.
+        """
+        known = SENSOR_TYPES[type].attributes if type in SENSOR_TYPES else {}
+        values = {key: _value_of(texts[key], row) for key, row in known.items() if key in texts}
+        place = dict.fromkeys(_PLACE, 0.0)
+        (spec,) = _rig([{"id": id, "type": type, **place, **values}], "the server", leaderboard=False)
+        x, y, z, roll, pitch, yaw = map(float, pose)
+        return replace(spec, x=x, y=y, z=z, roll=roll, pitch=pitch, yaw=yaw)
 
     def to_dict(self) -> dict[str, Value]:
         """Return the sensor as a dict that a rig can be made of."""
@@ -308,6 +333,16 @@ class _SensorReader:
         if not is_valid:
             self.refuse(key, attribute.values)
         return attribute.type(value)
+
+
+def _value_of(text: str, attribute: SensorAttribute) -> Value:
+    """Return an attribute of an actor as a value; the text itself if it is none of the type."""
+    try:
+        if attribute.type is bool:
+            return {"true": True, "1": True, "false": False, "0": False}.get(text.lower(), text)
+        return attribute.type(text)
+    except ValueError:
+        return text
 
 
 def _key(key: object) -> str:

@@ -72,7 +72,8 @@ _AHEAD: Final = 3  # moments whose images are drawn while the one before is used
 _PIXELS_AHEAD: Final = 1 << 25  # of the images of these moments: 128 MB of bytes as they are drawn
 _USUAL_STEP: Final = 0.05  # s between two frames
 _LONGEST: Final = 10.0  # s between two samples, for which rays are cast
-_ANGULAR_MIRROR: Final = np.array((-1.0, 1.0, -1.0))
+ANGULAR_MIRROR: Final = np.array((-1.0, 1.0, -1.0))
+"""The factors of angular velocities between CARLA's axes and right-handed ones."""
 _RAY_KINDS: Final = ("lidar", "semantic_lidar", "radar")
 
 
@@ -570,9 +571,9 @@ def _imu(spec: SensorSpec) -> _Instrument:
         assert motion is not None
         turned = rotations(pose) * MIRROR[:, None] * MIRROR
         felt, turning, compass = device.measure(
-            turned, -float(pose[YAW]), motion.acceleration * MIRROR, motion.rotation * _ANGULAR_MIRROR
+            turned, -float(pose[YAW]), motion.acceleration * MIRROR, motion.rotation * ANGULAR_MIRROR
         )
-        return np.array((felt * MIRROR, turning * _ANGULAR_MIRROR, compass), INERTIA)
+        return np.array((felt * MIRROR, turning * ANGULAR_MIRROR, compass), INERTIA)
 
     return measure
 
