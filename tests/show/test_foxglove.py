@@ -682,7 +682,7 @@ def test_the_log_has_each_contact_once(crossing):
     told = [(round(time, 3), line.message) for time, line in crossing["/log"] if line.name == "collisions"]
     assert told == [
         (20.9, "vehicle.bh.crossbike (105) collides with walker.pedestrian.0004 (110)"),
-        (24.6, "vehicle.tesla.model3 (100) collides with vehicle.audi.a2 (101)"),
+        (24.6, "hero collides with vehicle.audi.a2 (101)"),
     ]
     levels = {line.message: line.level for _, line in crossing["/log"]}
     assert [levels[text] for _, text in told] == [3, 4]

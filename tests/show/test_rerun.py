@@ -400,7 +400,7 @@ def test_a_contact_is_one_marker_and_one_line(crossing) -> None:
     first = list(crossing.recording.collisions())
     told = [(time, text) for time, (text,) in crossing.rrd.rows("/events", "TextLog:text") if "collides" in text]
     assert [time for time, _ in told] == pytest.approx([row.elapsed for row in first])
-    assert told[1][1] == f"vehicle.tesla.model3 ({HERO}) collides with vehicle.audi.a2 ({BLOCKING})"
+    assert told[1][1] == f"hero collides with vehicle.audi.a2 ({BLOCKING})"
     begins = [time for time, _ in told]
     marks = crossing.rrd.rows("/world/collisions", "LineStrips3D:strips")
     assert [time for time, _ in marks[:2]] == begins

@@ -17,7 +17,7 @@ from carla_recap.model.records import CM, NO_ACTOR, ActorKind, Spawn
 from carla_recap.util.text import first_of, readable
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Iterator, Sequence
+    from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -210,6 +210,27 @@ class ActorLives:
 def is_object(id: int, actors: Container[int]) -> bool:
     """Return whether an id stands for a static object, which is none of the actors; before CARLA 0.9.13 that is 0."""
     return id == NO_ACTOR or (id == 0 and id not in actors)
+
+
+def ranked(ids: tuple[int, int], actors: Mapping[int, ActorLife], heroes: tuple[bool, bool]) -> tuple[int, int]:
+    """Return both ids of a collision: the hero first, else a vehicle, a walker, the actor with the sensor; an object last.
+
+    Args:
+        ids: The ids, that of the actor with the sensor first.
+        actors: The actors of these ids, as far as they are known.
+        heroes: Whether each is recorded as the hero.
+    """
+
+    def rank(side: int) -> int:
+        actor = actors.get(ids[side])
+        if is_object(ids[side], actors):
+            return 5
+        if heroes[side] or (actor and actor.is_hero):
+            return 0
+        return 1 + (*ROAD_USERS, actor.kind).index(actor.kind) if actor else 4
+
+    first, second = sorted((0, 1), key=rank)
+    return ids[first], ids[second]
 
 
 def _spawned_at(life: ActorLife) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 from carla_recap.errors import RecapError
-from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.actors import ROAD_USERS, ranked
 from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, BrakingDetector
 from carla_recap.model.braking import TYPES as BRAKING_TYPES
 from carla_recap.model.contacts import MOTION, UNKNOWN, Contact, Impact
@@ -195,7 +195,8 @@ class CollisionIncidents:
         for contact in contacts:
             if contact.key in found:
                 contact.impact = found[contact.key].with_fixed(*(actors.is_fixed(id, contact.start) for id in contact.ids))
-            first, second = self._ranked(contact)
+            known = {id: life for id in contact.ids if (life := actors.at(id, contact.start))}
+            first, second = ranked(contact.ids, known, contact.heroes)
             if not actors.is_object(first):
                 yield self._incident(contact, first, second)
 
@@ -219,22 +220,6 @@ class CollisionIncidents:
             text=f"{actors.name(first, contact.start)} collides with {actors.name(second, contact.start)}",
             contact=contact,
         )
-
-    def _ranked(self, contact: Contact) -> tuple[int, int]:
-        """Return both ids: the hero first, else a vehicle, a walker, the actor with the sensor; a static object last."""
-        actors = self._search.actors
-
-        def rank(side: int) -> int:
-            id = contact.ids[side]
-            actor = actors.at(id, contact.start)
-            if actors.is_object(id):
-                return 5
-            if contact.heroes[side] or (actor and actor.is_hero):
-                return 0
-            return 1 + (*ROAD_USERS, actor.kind).index(actor.kind) if actor else 4
-
-        first, second = sorted((0, 1), key=rank)
-        return contact.ids[first], contact.ids[second]
 
 
 class LongStopIncidents:

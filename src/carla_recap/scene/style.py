@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from carla_recap.model.actors import STATIC_OBJECT
-from carla_recap.model.records import NO_ACTOR, ActorKind
+from carla_recap.model.actors import STATIC_OBJECT, is_object, ranked
+from carla_recap.model.records import ActorKind
 from carla_recap.replay.events import Collided, Destroyed, Parented, Spawned
 
 if TYPE_CHECKING:
@@ -97,10 +97,10 @@ def _kind_of(actor: ActorLife) -> int:
 
 
 def name_of(id: int, actors: Mapping[int, ActorLife]) -> str:
-    """Return the name of an actor for a sentence: `vehicle.audi.tt (31)`."""
-    if id == NO_ACTOR:
+    """Return the name of an actor for a sentence, as in texts of incidents: `hero`, `vehicle.audi.tt (31)`."""
+    if is_object(id, actors):
         return STATIC_OBJECT
-    return f"{actors[id].type_id} ({id})" if id in actors else f"actor {id}"
+    return actors[id].name if id in actors else f"actor {id}"
 
 
 def sentence(event: Event, actors: Mapping[int, ActorLife]) -> str:
@@ -111,10 +111,11 @@ def sentence(event: Event, actors: Mapping[int, ActorLife]) -> str:
         actors: The actors that are or were present.
     """
     if isinstance(event, Spawned):
-        return f"{event.actor.type_id} ({event.actor.id}) appears"
+        return f"{event.actor.name} appears"
     if isinstance(event, Destroyed):
         return f"{name_of(event.id, actors)} disappears"
     if isinstance(event, Parented):
         return f"{name_of(event.id, actors)} is attached to {name_of(event.parent, actors)}"
     assert isinstance(event, Collided)
-    return f"{name_of(event.actor1, actors)} collides with {name_of(event.actor2, actors)}"
+    first, second = ranked((event.actor1, event.actor2), actors, (event.hero1, event.hero2))
+    return f"{name_of(first, actors)} collides with {name_of(second, actors)}"
