@@ -152,6 +152,6 @@ class CameraChoice:
             road_map=road_map,
             progress=progress,
         )
-        with closing(frames):  # type: ignore[type-var]
+        with closing(frames):
             for frame in frames:
                 yield CameraMoment(frame.scene, {id: sample.data for id, sample in frame.samples.items()})

@@ -21,6 +21,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from carla_recap.editing.convert import check_destination
+from carla_recap.formats.mcap.schema import LogClock
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay import Played, Player
 from carla_recap.show.foxglove.layouts import layout_files, layout_hints
 from carla_recap.util.text import readable
@@ -71,15 +73,20 @@ def export_foxglove(
         RecapError: The recording has no such time or no such actor, or the file cannot be written.
     """
     from carla_recap.show.foxglove.mcap import FoxgloveFile
-    from carla_recap.show.foxglove.topics import RecordingMessages
+    from carla_recap.show.foxglove.topics import RecordingMessages, passed_topics
 
     reader = source.reader
     check_destination(reader.location, destination, force=force)
     player = Player(source, start=start, duration=duration, follow=follow)
     messages = RecordingMessages(source, player, road_map, incidents)
-    with FoxgloveFile(destination, _description(reader, player)) as file:
+    further, clock = passed_topics(reader), LogClock(reader.header)
+    names = [topic.name for topic in further]
+    passed = reader.further_messages(names, player.start, player.stop + 2 * SAME_TIME) if names else iter(())
+    with FoxgloveFile(destination, _description(reader, player), further) as file:
         for part in messages.scenes(progress):
             file.write(part)
+        for topic, elapsed, data in passed:
+            file.write_further(topic, clock.at(elapsed) or 0, data)
         file.end_chunk()  # the times of what follows begin again
         file.write(messages.incidents())
         return messages.played

@@ -12,8 +12,10 @@ from carla_recap.formats.mcap.schema import EXPORT_METADATA, MESSAGE, MESSAGE_DT
 from carla_recap.show.foxglove.topics import TOPICS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
+    from carla_recap.formats.base import Topic
     from carla_recap.show.foxglove.messages import Times, TopicMessages
     from carla_recap.show.foxglove.topics import TimedMessages
 
@@ -27,15 +29,18 @@ class FoxgloveFile(ChunkedFile):
     Args:
         path: The destination.
         description: The metadata.
+        further: The topics of other messages, such as those of sensors.
 
     Raises:
         RecapError: The file cannot be written.
     """
 
-    def __init__(self, path: Path | str, description: dict[str, str]) -> None:
-        super().__init__(path, TOPICS, level=_COMPRESSION_LEVEL)
-        self._channel_of = {topic.name: channel for channel, topic in enumerate(TOPICS, 1)}
+    def __init__(self, path: Path | str, description: dict[str, str], further: Sequence[Topic] = ()) -> None:
+        topics = [*TOPICS, *further]
+        super().__init__(path, topics, level=_COMPRESSION_LEVEL)
+        self._channel_of = {topic.name: channel for channel, topic in enumerate(topics, 1)}
         self._chunk = ChunkBuilder()
+        self._further_chunk = ChunkBuilder()
         self._begin(lambda: self._write_description(description))
 
     def write(self, added: TimedMessages) -> None:
@@ -68,6 +73,26 @@ class FoxgloveFile(ChunkedFile):
                 self.end_chunk()
             begin = stop
 
+    def write_further(self, topic: str, time: int, data: bytes) -> None:
+        """Add a message of a further topic, to chunks that have no others.
+
+        Args:
+            topic: The name of the topic.
+            time: Its time in ns since 1970.
+            data: The message, encoded.
+
+        Raises:
+            RecapError: The disk is full, or broken.
+        """
+        self._further_chunk.add(self._channel_of[topic], 0, (time, time), b"", data)
+        if self._further_chunk.size >= _CHUNK_SIZE:
+            self._end_further()
+
+    def _end_further(self) -> None:
+        if not self._further_chunk.is_empty:
+            chunk, self._further_chunk = self._further_chunk, ChunkBuilder()
+            self._add_chunk(chunk)
+
     def end_chunk(self) -> None:
         """End the current chunk."""
         if not self._chunk.is_empty:
@@ -82,6 +107,7 @@ class FoxgloveFile(ChunkedFile):
 
     def _finish(self) -> None:
         self.end_chunk()
+        self._end_further()
         super()._finish()
 
 

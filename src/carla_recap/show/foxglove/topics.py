@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from google.protobuf.message import Message
 
+    from carla_recap.formats.base import Reader
     from carla_recap.model.frame import Header
     from carla_recap.queries.incidents import Incident, IncidentOptions
     from carla_recap.recording import Recording
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from carla_recap.show.foxglove.messages import Floats, Indices, Times, TopicMessages
 
 LOG: Final = "/log"
+_PROTOBUF: Final = "protobuf"
 
 _MESSAGES: Final[dict[str, type[Message]]] = {
     MAP: SceneUpdate,
@@ -75,6 +77,17 @@ RATE: Final = 20.0
 _TOGETHER: Final = 128  # scenes whose messages are made at once
 _SLACK: Final = 0.9  # frames do not come quite evenly
 _LEVELS: Final = {Level.DEBUG: Log.DEBUG, Level.INFO: Log.INFO, Level.WARNING: Log.WARNING, Level.ERROR: Log.ERROR}
+
+
+def passed_topics(reader: Reader) -> list[Topic]:
+    """Return the topics of a recording that are passed on to Foxglove beside those of its scenes, such as those of sensors.
+
+    Raises:
+        FormatError: The file contradicts its format.
+    """
+    own = {topic.name for topic in TOPICS}
+    found = [each.topic for name, each in reader.further_topics().items() if name not in own]
+    return [topic for topic in found if topic.message and topic.encoding == topic.schema_encoding == _PROTOBUF]
 
 
 class TimedMessages(NamedTuple):
