@@ -62,6 +62,7 @@ FORMATS: Final[Mapping[str, ExportFormat]] = {
         ),
         ExportFormat("parquet", "", "a table for each record type as Parquet", "files.parquet:export_parquet", "arrow"),
         ExportFormat("osi", ".mcap", "a trace of ground truth as ASAM OSI", "files.osi:export_osi", "osi"),
+        ExportFormat("rosbag2", "", "a bag of ROS 2, for RViz and others", "files.rosbag:export_rosbag", "ros"),
         ExportFormat("csv", ".csv", "a row for each vehicle and walker in each frame", "files.tracks:export_csv"),
         ExportFormat(
             "xosc",

@@ -50,6 +50,10 @@ _LIST = "\n".join(f"    {form.name:9} {form.suffix or 'folder':7} {form.text}" f
 @options.shown_kinds
 @options.models
 @click.option("--cameras", type=click.Path(), metavar="DIR", help="Write a small .rbl for each actor, to follow it (Rerun).")
+@click.option("--rig", type=click.Path(), metavar="FILE", help="Sensors, as JSON, that the export has besides (rosbag2).")
+@click.option(
+    "--actor", type=options.FOLLOW, default="hero", metavar="ID|hero", help="The actor that carries them (rosbag2)."
+)
 def export(request: WriteRequest, to: str | None, kinds: frozenset[str] | Literal["all"], **shown: Any) -> None:
     """Write recordings in other formats."""
     shown["incidents"] = options.shown_incidents(kinds)

@@ -309,13 +309,21 @@ def _calibration(id: str, camera: Camera, stamp: Stamp) -> Message:
     )
 
 
+def frame_rotation(spec: SensorSpec, pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotation of a sensor's frame as a quaternion x, y, z, w.
+
+    Args:
+        spec: The sensor.
+        pose: Its pose in m and degrees, right-handed, (6,).
+    """
+    turn = quaternions(pose)
+    return turn if spec.image is None else _product(turn, np.array(_OPTICAL))
+
+
 def _transform(sample: Sample, stamp: Stamp) -> FrameTransform:
-    turn = quaternions(sample.pose)
-    if sample.spec.image is not None:
-        turn = _product(turn, np.array(_OPTICAL))
     found = FrameTransform(timestamp=stamp, parent_frame_id=WORLD, child_frame_id=sample.spec.id)
     found.translation.x, found.translation.y, found.translation.z = sample.pose[LOCATION].tolist()
-    x, y, z, w = turn.tolist()
+    x, y, z, w = frame_rotation(sample.spec, sample.pose).tolist()
     found.rotation.CopyFrom(Quaternion(x=x, y=y, z=z, w=w))
     return found
 

@@ -377,7 +377,7 @@ class _Sensing:
         """Begin to sense a moment; return what waits for the images."""
         batch = scene.batch if len(scene.batch) == 1 else scene.batch[scene.row : scene.row + 1]
         description = self._describer.describe(batch)
-        carrier, pose = self._carrier_of(scene)
+        carrier, pose = carrier_of(scene, self._actor)
         if carrier != self._carrier and self._cameras is not None:
             self._cameras.forget()
         self._carrier = carrier
@@ -419,20 +419,29 @@ class _Sensing:
         step = scene.frame.duration  # -1 in the last frame
         return step if 0 < step < _LONGEST else _USUAL_STEP
 
-    def _carrier_of(self, scene: Scene) -> tuple[int | None, Floats]:
-        """Return the carrier in a scene, and its pose in m and degrees, right-handed."""
-        if self._actor == HERO:
-            heroes = heroes_of(scene.actors.values())
-            id = heroes[0].id if heroes else None
-        else:
-            id = int(self._actor) if int(self._actor) in scene.actors else None
-        pose = None if id is None else scene.pose_of(id)
-        return id, np.full(6, np.nan) if pose is None else right_handed(pose)
-
     def _motion_of(self, carrier: int) -> CarrierMotion:
         if carrier not in self._motions:
             self._motions[carrier] = CarrierMotion(self._recording, carrier, self._player.start, self._player.stop)
         return self._motions[carrier]
+
+
+def carrier_of(scene: Scene, actor: ActorName) -> tuple[int | None, Floats]:
+    """Return which actor carries a rig in a scene, and its pose.
+
+    Args:
+        scene: The scene.
+        actor: The actor; see `sense`.
+
+    Returns:
+        The id; None while there is none; and the pose in m and degrees, right-handed, (6,); NaN if it is unknown.
+    """
+    if actor == HERO:
+        heroes = heroes_of(scene.actors.values())
+        id = heroes[0].id if heroes else None
+    else:
+        id = int(actor) if int(actor) in scene.actors else None
+    pose = None if id is None else scene.pose_of(id)
+    return id, np.full(6, np.nan) if pose is None else right_handed(pose)
 
 
 def _with_attached(scene: Scene, carrier: int) -> frozenset[int]:
