@@ -254,7 +254,7 @@ class _Export:
             road_map=self._map,
             progress=progress,
         )
-        with closing(frames):  # type: ignore[type-var]
+        with closing(frames):
             for frame in frames:
                 yield frame.time, frame.scene, list(self._messages.of(frame.samples.values()))
 
@@ -311,7 +311,8 @@ class _Export:
     def _write_markers(self, description: SceneDescription, time: int) -> None:
         found = described_instances(description, marks=False)
         turns, sizes = _quaternions_of(found.rotations), 2.0 * found.half_extents.astype(np.float64)
-        markers, lights = [], []
+        markers: list[Any] = []
+        lights: list[Any] = []
         for row, id in enumerate(found.ids.tolist()):
             life, lamps = description.lives[id], int(found.lamps[row])
             is_light = life.kind == "traffic_light"
@@ -476,7 +477,8 @@ def _quaternions_of(turned: NDArray[np.float32]) -> Floats:
     for axis, (a, b) in enumerate(((2, 1), (0, 2), (1, 0))):
         products[:, axis, 3] = products[:, 3, axis] = (m[:, a, b] - m[:, b, a]) / 4
     found: Floats = products[np.arange(len(m)), squares.argmax(axis=1)]
-    return found / np.sqrt((found**2).sum(axis=1))[:, None]
+    found /= np.sqrt((found**2).sum(axis=1))[:, None]
+    return found
 
 
 def _name(id: str) -> str:
