@@ -67,6 +67,18 @@ def test_other_blueprints_keep_their_models(folder):
     assert look_of("vehicle.tesla.model_3", ActorKind.VEHICLE, {}).model != ours.model
 
 
+def test_a_model_without_size_and_a_file_with_control_characters_are_refused_in_one_line(tmp_path):
+    path = tmp_path / "vehicle.a\x1b[31m\n.glb"
+    path.write_bytes(boxes(({}, (1, 2, 3), (1, 2, 3))))
+    with pytest.raises(RecapError, match="the model has no size") as raised:
+        use_models(tmp_path)
+    assert str(raised.value).isprintable()
+    path.write_bytes(glb({"extensionsRequired": ["\x1b[31m"]}))
+    with pytest.raises(RecapError, match="requires the extension") as raised:
+        use_models(tmp_path)
+    assert str(raised.value).isprintable()
+
+
 def test_the_same_files_are_read_once(folder):
     use_models(folder)
     count = len(MODELS)

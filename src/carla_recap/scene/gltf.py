@@ -91,7 +91,7 @@ class _Document:
         """Yield the triangles of each node and material."""
         nodes = self._json.get("nodes", [])
         scenes = self._json.get("scenes", [])
-        roots = scenes[self._json.get("scene", 0)].get("nodes", []) if scenes else range(len(nodes))
+        roots = _at(scenes, self._json.get("scene", 0)).get("nodes", []) if scenes else range(len(nodes))
         waiting: list[tuple[int, Floats, Floats | None]] = [(root, np.eye(4), None) for root in reversed(roots)]
         seen = set()
         while waiting:
@@ -99,13 +99,13 @@ class _Document:
             if number in seen:
                 raise InvalidGltf(f"has node {number} twice in its scene")
             seen.add(number)
-            node = nodes[number]
+            node = _at(nodes, number)
             matrix = above @ _matrix(node)
             if pivot is None and str(node.get("name", "")).lower().startswith(_STEERED):
                 pivot = matrix[:3, 3]
             waiting += [(child, matrix, pivot) for child in reversed(node.get("children", []))]
             if "mesh" in node:
-                for primitive in self._json["meshes"][node["mesh"]]["primitives"]:
+                for primitive in _at(self._json["meshes"], node["mesh"])["primitives"]:
                     if primitive.get("mode", _TRIANGLES) >= _TRIANGLES:  # not points and lines
                         part = self._part(primitive, matrix, pivot)
                         yield part
@@ -146,7 +146,7 @@ class _Document:
         )
 
     def _material(self, primitive: dict[str, Any]) -> dict[str, Any]:
-        found: dict[str, Any] = self._json["materials"][primitive["material"]] if "material" in primitive else {}
+        found: dict[str, Any] = _at(self._json["materials"], primitive["material"]) if "material" in primitive else {}
         return found
 
     def _corners(self, primitive: dict[str, Any], positions: int) -> NDArray[np.int64]:
@@ -171,12 +171,12 @@ class _Document:
 
     def _accessor(self, number: int, kind: str = "VEC3") -> NDArray[Any]:
         """Return the values of an accessor, (count, components), as a view of the file."""
-        accessor = self._json["accessors"][number]
+        accessor = _at(self._json["accessors"], number)
         if accessor["type"] != kind:
             raise InvalidGltf(f"has {accessor['type']} in accessor {number}, where {kind} was expected")
         if "sparse" in accessor or "bufferView" not in accessor:
             raise InvalidGltf(f"has no plain values in accessor {number}: sparse and compressed ones are not supported")
-        view = self._json["bufferViews"][accessor["bufferView"]]
+        view = _at(self._json["bufferViews"], accessor["bufferView"])
         if view.get("buffer", 0) != 0 or "uri" in self._json["buffers"][0]:
             raise InvalidGltf("has a buffer outside of the file: export it as a single .glb")
         dtype, width = np.dtype(_TYPES[accessor["componentType"]]), _COMPONENTS[kind]
@@ -213,6 +213,17 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], memoryview]:
     if not isinstance(document, dict):
         raise InvalidGltf("is not valid glTF 2.0: its JSON is no object")
     return document, chunks.get(_BINARY, memoryview(b""))
+
+
+def _at(values: Sequence[Any], number: int) -> Any:
+    """Return one of the values of a list in a document.
+
+    Raises:
+        IndexError: There is none of this number, which may be negative.
+    """
+    if number < 0:
+        raise IndexError(number)
+    return values[number]
 
 
 def _rear(part: Part) -> Part:

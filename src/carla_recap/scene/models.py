@@ -21,6 +21,7 @@ from carla_recap.scene.gltf import MOST_BYTES, MOST_TRIANGLES, InvalidGltf, Part
 from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.scene.mesh import Mesh
 from carla_recap.util.resources import viewer_folder
+from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -131,7 +132,7 @@ def use_models(directory: Path | str | None) -> None:
         try:
             state = path.stat()
         except OSError as error:
-            raise RecapError(f"{path}: the model cannot be read: {error.strerror}") from None
+            raise RecapError(f"{visible(str(path))}: the model cannot be read: {error.strerror}") from None
         key = path.resolve(), state.st_mtime_ns, state.st_size
         if key not in _added:
             _added[key] = MODELS.append(load_model(path))
@@ -159,7 +160,7 @@ def _own_files(directory: Path) -> list[Path]:
         raise RecapError(f"{directory}: no models are in this folder: files such as vehicle.tesla.model3.glb were expected")
     for path in files:
         if not path.name.startswith(_BLUEPRINTS):
-            raise RecapError(f"{path}: the name of a blueprint was expected, such as vehicle.tesla.model3.glb")
+            raise RecapError(f"{visible(str(path))}: the name of a blueprint was expected, such as vehicle.tesla.model3.glb")
     return files
 
 
@@ -175,10 +176,15 @@ def load_model(path: Path) -> Model:
         parts = [part for part in read_glb(path.read_bytes()) if len(part.triangles)]
         if not parts:
             raise InvalidGltf("has no triangles")
+        if np.ptp(np.concatenate([part.positions for part in parts]), axis=0).max() < 2 * _LEAST:
+            raise InvalidGltf("has no size: all its vertices are in one place")
     except (InvalidGltf, OSError) as error:
-        raise RecapError(f"{path}: the model {error if isinstance(error, InvalidGltf) else error.strerror}") from None
+        what = visible(str(error)) if isinstance(error, InvalidGltf) else error.strerror
+        raise RecapError(f"{visible(str(path))}: the model {what}") from None
     if any(part.textured for part in parts):
-        warnings.warn(f"{path}: the textures are not shown: surfaces have their base colour", RecapWarning, stacklevel=2)
+        warnings.warn(
+            f"{visible(str(path))}: the textures are not shown: surfaces have their base colour", RecapWarning, stacklevel=2
+        )
     return _model(path.stem.replace("_", " "), parts)
 
 
