@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import pickle
 import re
 import warnings
@@ -198,6 +199,9 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
         SensorRig.load(tmp_path / "none.json")
     with pytest.raises(RecapError, match="cannot be read: Is a directory"):
         SensorRig.load(tmp_path)
+    os.mkfifo(tmp_path / "rig.json")
+    with pytest.raises(RecapError, match=r"rig\.json: is not a regular file"):
+        SensorRig.load(tmp_path / "rig.json")
 
 
 KEYS = st.text(max_size=5) | st.sampled_from(["type", "id", *"xyz", "yaw", "fov", "width", "channels", "exposure_mode"])

@@ -146,6 +146,8 @@ class SensorRig:
             RecapError: The file cannot be read, or is no rig; the message names the sensor and the key.
         """
         try:
+            if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
+                raise RecapError(f"{path}: is not a regular file; a rig was expected")
             with Path(path).open("rb") as file:
                 content = file.read(_LARGEST_FILE + 1)
         except (OSError, ValueError) as error:
