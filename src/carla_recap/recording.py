@@ -124,9 +124,11 @@ class Recording:
         return f"Recording({self.location!r})"
 
     def _repr_html_(self) -> str:
+        from html import escape
+
         from carla_recap.queries.output.html import recording_html
 
-        return repr(self) if self._closed else recording_html(self.reader)
+        return escape(repr(self)) if self._closed else recording_html(self.reader)
 
     @property
     def path(self) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from html import escape
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -55,11 +56,12 @@ def test_all_points_are_inside(shown):
 
 def test_names_are_escaped_and_a_recording_without_movement_has_no_drawing(tmp_path):
     path = tmp_path / "a<b>.mcap"
-    with create_recording(path, map_name="<i>Town") as recorder:
+    with create_recording(path, map_name="<i>Town\x1b[31m") as recorder:
         recorder.add_frame(0.0)
     with open_recording(path) as recording:
         html = recording._repr_html_()
     assert "a&lt;b&gt;.mcap" in html
     assert "&lt;i&gt;Town" in html
     assert "<svg" not in html
-    assert recording._repr_html_() == repr(recording)
+    assert "\x1b" not in html
+    assert recording._repr_html_() == escape(repr(recording))

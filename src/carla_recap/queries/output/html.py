@@ -15,6 +15,7 @@ from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.output.text import text
 from carla_recap.queries.summary import summary
+from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -42,7 +43,8 @@ def recording_html(reader: Reader) -> str:
     """
     options = IncidentOptions()
     words = "".join(text(summary(reader, options)))
-    return f"<pre>{escape(reader.location)}\n{escape(words)}</pre>{_drawing(reader, incidents(reader, options))}"
+    lines = "\n".join(visible(line) for line in [reader.location, *words.split("\n")])
+    return f"<pre>{escape(lines)}</pre>{_drawing(reader, incidents(reader, options))}"
 
 
 def _drawing(reader: Reader, found: Iterable[Incident]) -> str:
@@ -64,7 +66,7 @@ def _drawing(reader: Reader, found: Iterable[Incident]) -> str:
     )
     dots = "".join(
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{_DOT}" fill="{KINDS[incident.kind].light}">'
-        f"<title>{incident.start:.1f} s: {escape(incident.text)}</title></circle>"
+        f"<title>{incident.start:.1f} s: {escape(visible(incident.text))}</title></circle>"
         for incident in found
         for x, y in [(scale * (np.array((incident.x, -incident.y)) - low)).tolist()]
         if np.isfinite((x, y)).all()
