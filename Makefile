@@ -5,7 +5,7 @@ protoc = $(python) -m grpc_tools.protoc --proto_path=proto $(wildcard proto/carl
 generated := src/carla_recap/v1
 demo_extras := sim,video,foxglove
 
-.PHONY: help venv test lint types proto check-proto models wheel check docs bench performance soak search demo clean
+.PHONY: help venv test lint types proto check-proto models wheel check nuscenes docs bench performance soak search demo clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -40,6 +40,8 @@ wheel: venv ## Build the wheel and try it in an empty environment
 	PYTHON=$(python) tools/check-wheel
 
 check: lint types check-proto wheel ## Everything but the tests
+
+nuscenes: build/nuscenes/stamp ## Install nuscenes-devkit, which reads datasets in tests, into build/nuscenes
 
 docs: venv ## Build the documentation as a site, in build/site, and check its links
 	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet
@@ -80,6 +82,13 @@ endef
 .venv/demo-stamp: pyproject.toml
 	@echo 'Installing carla-recap with the simulator and videos into .venv: about 115 MB to download.'
 	$(call install,$(demo_extras))
+
+# It needs an older numpy than the rest.
+build/nuscenes/stamp:
+	@echo 'Installing nuscenes-devkit into build/nuscenes: about 560 MB.'
+	$(PYTHON) -m venv --clear build/nuscenes
+	build/nuscenes/bin/python -m pip install --quiet 'nuscenes-devkit>=1.2,<2'
+	@touch $@
 
 $(node_modules): tests/node/package-lock.json
 	@if command -v npm >/dev/null; \

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
@@ -13,21 +14,33 @@ from click.testing import CliRunner
 from carla_recap import MissingExtra, RecapError, export, open_recording
 from carla_recap.cli import cli
 from carla_recap.exports import FORMATS, ExportFormat, find_format
+from tests.rendering.test_renderer import create
 from tests.waiting import PATIENCE
 
 ROOT = Path(__file__).parents[1]
 CROSSING = ROOT / "samples" / "crossing.log"
-PACKAGES = {"rerun": "rerun", "foxglove": "foxglove_schemas_protobuf", "arrow": "pyarrow", "osi": "betterosi"}
+PACKAGES = {
+    "rerun": "rerun",
+    "foxglove": "foxglove_schemas_protobuf",
+    "arrow": "pyarrow",
+    "osi": "betterosi",
+    "cameras": "PIL",
+}
+RIG = ROOT / "samples" / "rigs" / "front_camera.json"
 
 every_format = pytest.mark.parametrize("form", FORMATS.values(), ids=FORMATS)
 
 
 @every_format
+@pytest.mark.filterwarnings("ignore:.*the map Crossing is not found")
 def test_a_recording_is_exported(tmp_path: Path, form: ExportFormat) -> None:
     destination = tmp_path / f"out{form.suffix}"
     if form.extra:
         pytest.importorskip(PACKAGES[form.extra], reason=f"the extra {form.extra} is not installed")
-    part = {"start": 20, "duration": 1} if "start" in form.options else {}
+    part: dict[str, Any] = {"start": 20, "duration": 1} if "start" in form.options else {}
+    if form.combine:
+        create(None).close()  # skips where there is no driver
+        part |= {"rig": RIG, "actor": 100, "rate": 10, "quality": "low"}
     with open_recording(CROSSING) as recording:
         done = export(recording, destination, to=form.name, **part)
         with pytest.raises(RecapError, match=r"exists already|is not empty"):
@@ -38,7 +51,7 @@ def test_a_recording_is_exported(tmp_path: Path, form: ExportFormat) -> None:
     if done.files is None:
         assert destination.stat().st_size > 0
     else:
-        assert sorted(done.files) == sorted(destination.iterdir())
+        assert sorted(done.files) == sorted(path for path in destination.rglob("*") if path.is_file())
 
 
 @every_format
@@ -63,13 +76,14 @@ def test_another_format_is_an_error() -> None:
 
 @pytest.mark.parametrize("form", [form for form in FORMATS.values() if form.extra], ids=lambda form: form.name)
 def test_a_missing_extra_is_named(tmp_path: Path, form: ExportFormat) -> None:
+    options = {"rig": str(RIG), "actor": 100} if form.combine else {}
     code = f"""
 import sys
 sys.modules[{PACKAGES[form.extra]!r}] = None
 import carla_recap
 with carla_recap.open_recording({str(CROSSING)!r}) as recording:
     try:
-        carla_recap.export(recording, {str(tmp_path / f"out{form.suffix}")!r}, to={form.name!r})
+        carla_recap.export(recording, {str(tmp_path / f"out{form.suffix}")!r}, to={form.name!r}, **{options})
     except carla_recap.MissingExtra as error:
         print(error)
 """

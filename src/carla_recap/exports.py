@@ -8,11 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.formats.sources import split_time
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
+    from carla_recap.files.datasets import DatasetPart
     from carla_recap.recording import Recording
+    from carla_recap.replay import Played
 
     Progress = Callable[[Iterable[Any], Any], Iterable[Any]]
 
@@ -28,6 +31,8 @@ class ExportFormat(NamedTuple):
             options of its own; and returns the number of scenes and seconds, or the files that it has written into a folder.
         extra: The extra that it needs; empty for none.
         hints: A function that returns lines about how to use what was written, of the options that the other one got.
+        combine: The function that puts a dataset together of parts, as `module:name`; the other one writes the part of a
+            recording into a folder. Empty for formats that have a file or a folder for each recording.
     """
 
     name: str
@@ -36,6 +41,7 @@ class ExportFormat(NamedTuple):
     function: str
     extra: str = ""
     hints: str = ""
+    combine: str = ""
 
     @property
     def options(self) -> set[str]:
@@ -45,7 +51,7 @@ class ExportFormat(NamedTuple):
             for name, each in inspect.signature(_load(self.function)).parameters.items()
             if each.kind is each.KEYWORD_ONLY
         }
-        return {"road_map" if name == "opendrive" else name for name in names} - {"force", "progress"}
+        return {"road_map" if name == "opendrive" else name for name in names} - {"force", "progress", "name"}
 
 
 FORMATS: Final[Mapping[str, ExportFormat]] = {
@@ -70,6 +76,14 @@ FORMATS: Final[Mapping[str, ExportFormat]] = {
             "the trajectories of vehicles and walkers as OpenSCENARIO",
             "files.openscenario:export_openscenario",
             hints="files.openscenario:map_hint",
+        ),
+        *(
+            ExportFormat(name, "", text, f"files.{name}:write_{name}", "cameras", combine=f"files.{name}:combine_{name}")
+            for name, text in {
+                "kitti": "a dataset: images, points and labels as KITTI has them",
+                "coco": "a dataset: images with boxes and masks as COCO has them",
+                "nuscenes": "a dataset: images, points and boxes as nuScenes has them",
+            }.items()
         ),
     )
 }
@@ -130,7 +144,7 @@ def export(
     progress: Progress | None = None,
     **options: Any,
 ) -> Exported:
-    """Write a recording in another format: for Rerun, Foxglove and other programs.
+    """Write a recording in another format: for Rerun, Foxglove and other programs, or as a dataset.
 
     Args:
         recording: The recording.
@@ -147,6 +161,66 @@ def export(
         FormatError: The recording is damaged.
     """
     form = find_format(destination, to)
+    about = {"road_map": road_map, "progress": progress, **options}
+    if form.combine:
+        from carla_recap.files.datasets import DatasetPart, dataset_folder
+        from carla_recap.util.files import files_below
+
+        with dataset_folder(destination, force=force) as (folder, part):
+            name = Path(split_time(recording.location)[0]).stem
+            written = write_part(recording, part, to=form.name, name=name, **about)
+            combine_parts([DatasetPart(name, part)], folder, to=form.name)
+            files = [path.relative_to(folder) for path in files_below(folder) if part not in path.parents]
+        return Exported(written.frames, written.seconds, tuple(Path(destination) / path for path in files))
+    written, given = _write(form, recording, destination, {"force": force}, **about)
+    hints = tuple(_load(form.hints)(**given)) if form.hints else ()
+    if isinstance(written, list):
+        extent = recording.info
+        return Exported(extent.frames, extent.duration, tuple(written), hints)
+    return Exported(written.frames, written.seconds, None, hints)
+
+
+def write_part(recording: Recording, folder: Path, *, to: str, name: str, **options: Any) -> Played:
+    """Write the part of a dataset that is of a recording.
+
+    Args:
+        recording: The recording.
+        folder: The folder of the part, which is there and empty.
+        to: The name of the format.
+        name: The name of the recording in the dataset.
+        options: Those of `export`.
+
+    Raises:
+        MissingExtra: See `export`.
+        RecapError: See `export`.
+        FormatError: The recording is damaged.
+    """
+    written: Played = _write(FORMATS[to], recording, folder, {"name": name}, **options)[0]
+    return written
+
+
+def combine_parts(parts: Sequence[DatasetPart], folder: Path, *, to: str) -> None:
+    """Put a dataset together.
+
+    Args:
+        parts: The parts, whose files are moved.
+        folder: The folder of the dataset.
+        to: The name of the format.
+    """
+    _load(FORMATS[to].combine)(parts, folder)
+
+
+def _write(
+    form: ExportFormat,
+    recording: Recording,
+    destination: Path | str,
+    fixed: Mapping[str, Any],
+    *,
+    road_map: Path | str | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> tuple[Any, dict[str, Any]]:
+    """Return what the function of a format returns, and the options that it got."""
     write, accepted = _load(form.function), form.options
     given = set(options) | ({"road_map"} if road_map is not None else set())
     for name in sorted(given - accepted):
@@ -154,14 +228,9 @@ def export(
     if "road_map" in accepted:
         options |= _map_for(write, recording, road_map, options)
     try:
-        written = write(recording, destination, force=force, progress=progress, **options)
+        return write(recording, destination, progress=progress, **fixed, **options), options
     except MissingExtra as error:
         raise MissingExtra(f"an export to {form.name}", form.extra or error.extra) from None
-    hints = tuple(_load(form.hints)(**options)) if form.hints else ()
-    if isinstance(written, list):
-        about = recording.info
-        return Exported(about.frames, about.duration, tuple(written), hints)
-    return Exported(written.frames, written.seconds, None, hints)
 
 
 def _map_for(

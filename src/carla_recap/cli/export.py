@@ -14,7 +14,7 @@ from click.core import ParameterSource
 from carla_recap.cli import options
 from carla_recap.cli.output import counted, note, wants_json, wrote
 from carla_recap.cli.writing import WriteRequest, writes
-from carla_recap.exports import FORMATS, find_format
+from carla_recap.exports import FORMATS, find_format, write_part
 from carla_recap.exports import export as write_export
 from carla_recap.fleet.outcomes import WrittenFile
 from carla_recap.util.text import number
@@ -22,12 +22,14 @@ from carla_recap.util.text import number
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from carla_recap.exports import ExportFormat
     from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.replay.follow import Follow
     from carla_recap.show.clips import IncidentClip
     from carla_recap.show.rerun.blueprint import View
     from carla_recap.show.video.cameras import VideoView
 
+_OF_DATASETS = ("split",)  # options of all datasets that are not those of a part
 _window = options.together(options.follow, options.start, options.duration, options.road_map)
 
 
@@ -40,7 +42,7 @@ _LIST = "\n".join(f"    {form.name:9} {form.suffix or 'folder':7} {form.text}" f
     \b
 {_LIST}
 
-    SRC#t=12.1 means from 5 s before that moment to 5 s after it. Many recordings go to a folder.
+    SRC#t=12.1 means from 5 s before that moment to 5 s after it. Many recordings go to a folder; of a dataset, together.
     """
 )
 @writes
@@ -50,11 +52,14 @@ _LIST = "\n".join(f"    {form.name:9} {form.suffix or 'folder':7} {form.text}" f
 @options.shown_kinds
 @options.models
 @click.option("--cameras", type=click.Path(), metavar="DIR", help="Write a small .rbl for each actor, to follow it (Rerun).")
-@click.option("--rig", type=click.Path(), metavar="FILE", help="Sensors, as JSON, that the export has besides (rosbag2).")
-@click.option(
-    "--actor", type=options.FOLLOW, default="hero", metavar="ID|hero", help="The actor that carries them (rosbag2)."
-)
-def export(request: WriteRequest, to: str | None, kinds: frozenset[str] | Literal["all"], **shown: Any) -> None:
+@options.dataset
+def export(
+    request: WriteRequest,
+    to: str | None,
+    kinds: frozenset[str] | Literal["all"],
+    split: dict[str, float] | None,
+    **shown: Any,
+) -> None:
     """Write recordings in other formats."""
     shown["incidents"] = options.shown_incidents(kinds)
     context = click.get_current_context()
@@ -65,8 +70,12 @@ def export(request: WriteRequest, to: str | None, kinds: frozenset[str] | Litera
     for param in context.command.params:
         name = "incidents" if param.name == "kinds" else param.name
         is_given = context.get_parameter_source(str(param.name)) is ParameterSource.COMMANDLINE
-        if is_given and name in shown and name not in form.options:
+        is_known = name in form.options or (form.combine and name in _OF_DATASETS)
+        if is_given and (name in shown or name in _OF_DATASETS) and not is_known:
             raise click.UsageError(f"{param.opts[0]} does not go with --to {form.name}.", context)
+    if form.combine:
+        _export_dataset(request, form, split, shown)
+        return
     write = partial(_export, form.name, shown)
     if not is_many:
         request.write_one(write)
@@ -74,6 +83,32 @@ def export(request: WriteRequest, to: str | None, kinds: frozenset[str] | Litera
         raise click.UsageError("--cameras goes with one recording.", context)
     else:
         request.write_many(write, form.suffix, "exporting")
+
+
+def _export_dataset(
+    request: WriteRequest, form: ExportFormat, split: dict[str, float] | None, shown: dict[str, Any]
+) -> None:
+    from carla_recap.files.datasets import rig_of
+
+    context = click.get_current_context()
+    if request.newer:
+        raise click.UsageError(f"--newer does not go with --to {form.name}, which is one folder.", context)
+    if shown["rig"] is None:
+        raise click.UsageError(f"--to {form.name} needs --rig RIG.json.", context)
+    shown["rig"] = rig_of(shown["rig"], shown["camera"])
+    request.write_dataset(partial(_export_part, form.name, shown), form, split)
+
+
+def _export_part(to: str, shown: dict[str, Any], source: str, folder: Path, name: str) -> WrittenFile:
+    from carla_recap.cli.progress import watch_scenes
+    from carla_recap.recording import open_recording
+
+    source, start, duration = options.timed(source, shown["start"], shown["duration"])
+    shown = shown | {"start": start, "duration": duration}
+    given = {key: value for key, value in shown.items() if key in FORMATS[to].options and value is not None}
+    with open_recording(source) as recording:
+        done = write_part(recording, folder, to=to, name=name, progress=watch_scenes("sensing"), **given)
+    return WrittenFile(frames=done.frames, seconds=done.seconds)
 
 
 def _export(name: str, shown: dict[str, Any], source: str, destination: str, force: bool) -> WrittenFile:

@@ -175,6 +175,29 @@ class _Size(click.ParamType[Any]):
         return int(match[1]), int(match[2])
 
 
+class _Split(click.ParamType[Any]):
+    """Names of splits with their shares."""
+
+    name = "split"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        from carla_recap.errors import RecapError
+        from carla_recap.fleet.datasets import splits_of
+
+        if not isinstance(value, str):
+            return value
+        pairs = [part.partition("=") for part in value.split(",")]
+        try:
+            shares = {name.strip(): float(share) for name, _, share in pairs}
+        except ValueError:
+            self.fail(f"{value!r} are no shares; some such as train=0.8,val=0.2 were expected.", param, ctx)
+        try:
+            splits_of((), shares)
+        except RecapError as error:
+            self.fail(f"{error}.", param, ctx)
+        return shares
+
+
 def _ask_json(context: click.Context, _: click.Parameter, value: bool) -> None:
     if value:
         ask_json(context)
@@ -365,6 +388,20 @@ def together(*decorators: Callable[[Command], Command]) -> Callable[[Command], C
 
     return decorate
 
+
+dataset = together(
+    click.option("--rig", type=click.Path(), metavar="FILE", help="Sensors, as JSON: of a dataset, or of rosbag2 besides."),
+    click.option("--actor", type=FOLLOW, default="hero", metavar="ID|hero", help="What carries them; else the hero."),
+    click.option("--rate", type=POSITIVE, metavar="HZ", help="The moments per second; 10, of nuScenes 2."),
+    click.option("--camera", metavar="ID", help="The camera of KITTI; else the first one of the rig."),
+    click.option("--quality", type=click.Choice(["low", "epic"]), default="epic", help="Of its images; else epic."),
+    click.option(
+        "--split",
+        type=_Split(),
+        metavar="NAME=SHARE,...",
+        help="Such as train=0.8,val=0.2; else all are in train.",
+    ),
+)
 
 foxglove = together(
     click.option("--foxglove", is_flag=True, help="Let Foxglove connect to a WebSocket instead of opening Rerun's viewer."),

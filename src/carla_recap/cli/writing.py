@@ -13,13 +13,19 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import Messages, client_of, is_one, watched
-from carla_recap.cli.output import BAD_INPUT, not_written, note, wrote
+from carla_recap.cli.output import BAD_INPUT, counted, not_written, note, wrote
+from carla_recap.util.files import size_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Generator, Iterable, Mapping
 
+    from distributed import Client
+
+    from carla_recap.exports import ExportFormat
+    from carla_recap.fleet.datasets import WritePart
     from carla_recap.fleet.destinations import Write
-    from carla_recap.fleet.outcomes import WrittenFile
+    from carla_recap.fleet.outcomes import Outcome, WrittenFile
+    from carla_recap.fleet.sources import SourceFile
 
 _options = options.together(
     click.argument("sources", type=click.Path(allow_dash=True), metavar="SOURCE...", nargs=-1),
@@ -111,18 +117,69 @@ class WriteRequest:
         """
         from carla_recap.fleet.destinations import DestinationFolder, write_files
         from carla_recap.scene.models import models_directory
-        from carla_recap.util.signals import unwind_on_termination
 
         models = models_directory()
         write = write if models is None else partial(_with_models, models, write)
         folder = DestinationFolder(self.destination, suffix, force=self.force, newer=self.newer)
+
+        def outcomes(found: Iterable[SourceFile], client: Client | None) -> Generator[Outcome[WrittenFile]]:
+            return write_files(write, found, folder, jobs=self.jobs, client=client)
+
+        self._run(outcomes, title, folder.skipped, _say)
+
+    def write_dataset(self, write: WritePart, form: ExportFormat, split: Mapping[str, float] | None) -> None:
+        """Write a dataset of all recordings, and say so; end the program with exit code 2 if one fails.
+
+        Args:
+            write: The function that writes the part of one: that of a module, or a partial of one.
+            form: The format.
+            split: The shares of the splits; None: all recordings are in one.
+        """
+        from carla_recap.fleet.datasets import write_dataset
+        from carla_recap.scene.models import models_directory
+
+        models = models_directory()
+        write = write if models is None else partial(_with_models, models, write)
+        parts: list[WrittenFile] = []
+
+        def outcomes(found: Iterable[SourceFile], client: Client | None) -> Generator[Outcome[WrittenFile]]:
+            return write_dataset(
+                write, found, self.destination, form, split=split, force=self.force, jobs=self.jobs, client=client
+            )
+
+        def say() -> None:
+            frames, seconds = sum(part.frames or 0 for part in parts), sum(part.seconds or 0.0 for part in parts)
+            about = counted(len(parts), "recording")
+            wrote(self.destination, about, frames=frames, seconds=seconds, size=size_of(self.destination))
+
+        self._run(outcomes, "sensing", [], parts.append, say)
+
+    def _run(
+        self,
+        write: Callable[[Iterable[SourceFile], Client | None], Generator[Outcome[WrittenFile]]],
+        title: str,
+        skipped: list[str],
+        take: Callable[[WrittenFile], object],
+        end: Callable[[], object] = lambda: None,
+    ) -> None:
+        """Go through the recordings, and say what fails; end the program with exit code 2 if one does.
+
+        Args:
+            write: Yields what is written of the recordings.
+            title: What is done, for the progress bar.
+            skipped: The files that are skipped, which grow meanwhile.
+            take: Is called with what is written.
+            end: Is called when all is written.
+        """
+        from carla_recap.util.signals import unwind_on_termination
+
         found, bar = watched(self.sources, title)
         messages, written, failed, hints = Messages(bar), 0, list[dict[str, str]](), dict[str, None]()
         with ExitStack() as stack:
             stack.enter_context(unwind_on_termination())
             client = stack.enter_context(closing(client_of(self.dask))) if self.dask else None
             stack.enter_context(bar)
-            outcomes = stack.enter_context(closing(write_files(write, found, folder, jobs=self.jobs, client=client)))
+            outcomes = stack.enter_context(closing(write(found, client)))
             for outcome in outcomes:
                 messages.add(outcome.source.location, outcome.warnings, outcome.error)
                 if outcome.value is None:
@@ -131,24 +188,25 @@ class WriteRequest:
                     written += 1
                     hints |= dict.fromkeys(outcome.value.hints)
                     with bar.aside():
-                        _say(outcome.value)
+                        take(outcome.value)
                 bar.advance()
         messages.end()
+        end()
         for hint in hints:
             note(hint)
-        note(f"recordings: {written} done, {len(folder.skipped)} skipped, {len(failed)} failed")
-        not_written("skipped", list(folder.skipped))
+        note(f"recordings: {written} done, {len(skipped)} skipped, {len(failed)} failed")
+        not_written("skipped", list(skipped))
         not_written("failed", failed)
         if failed:
             sys.exit(BAD_INPUT)
 
 
-def _with_models(directory: Path, write: Write, source: str, destination: str, force: bool) -> WrittenFile:
+def _with_models(directory: Path, write: Callable[..., WrittenFile], *arguments: Any) -> WrittenFile:
     """Write a file in another process, with the user's own models there, too."""
     from carla_recap.scene.models import use_models
 
     use_models(directory)
-    return write(source, destination, force)
+    return write(*arguments)
 
 
 def _say(written: WrittenFile) -> None:

@@ -305,6 +305,11 @@ def size_of(path: Path | str) -> int | None:
         return None
 
 
+def files_below(folder: Path) -> list[Path]:
+    """Return the files in a folder and below it, in order."""
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
 def copy_files(source: Path, folder: Path) -> None:
     """Copy the files of a folder, without its subfolders."""
     from shutil import copyfile

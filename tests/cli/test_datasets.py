@@ -1,0 +1,117 @@
+"""Datasets of many recordings, in worker processes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from typing import TYPE_CHECKING
+
+import pytest
+
+import carla_recap
+from carla_recap.errors import RecapError
+from carla_recap.fleet.datasets import splits_of
+from carla_recap.model.records import ActorKind, Spawn
+from tests.cli.command import error, run
+from tests.rendering.test_renderer import create
+from tests.sensors.test_sensing import drive
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+SHORT = ("--rate", "20", "--quality", "low")
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    """Return a folder with a recording, the same in a folder below, and one without a hero."""
+    create(None).close()  # skips where there is no driver
+    folder = tmp_path / "runs"
+    (folder / "deep").mkdir(parents=True)
+    drive(folder / "a.mcap", 2)
+    shutil.copy(folder / "a.mcap", folder / "deep" / "a.mcap")
+    with carla_recap.create_recording(folder / "without.mcap", map_name="Brickfield", date=0) as recorder:
+        recorder.add_frame(0.0, spawned=[Spawn(1, ActorKind.VEHICLE, type_id="vehicle.audi.tt")])
+    camera = {"type": "sensor.camera.rgb", "id": "front", "x": 2, "y": 0, "z": 1.5, "width": 200, "height": 150, "fov": 90}
+    (tmp_path / "rig.json").write_text(json.dumps([camera]))
+    return folder
+
+
+def test_recordings_become_one_dataset_but_for_those_that_fail(runs: Path) -> None:
+    out = runs.parent / "out"
+    options = ("--to", "kitti", "--rig", runs.parent / "rig.json", "--split", "train=0.5,val=0.5", "--jobs", "2", *SHORT)
+    done = run("export", runs, out, *options)
+    assert done.returncode == 2
+    lines = done.stderr.decode().splitlines()
+    assert [line for line in lines if "without.mcap" in line and "hero" in line] != []
+    assert any(line.startswith(f"wrote {out}: 4 frames") and "2 recordings" in line for line in lines)
+    assert lines[-1] == "recordings: 2 done, 0 skipped, 1 failed"
+    rows = list(csv.DictReader((out / "recordings.csv").read_text().splitlines()))
+    assert [(row["frame"], row["recording"]) for row in rows] == [
+        ("000000", "a"),
+        ("000001", "a"),
+        ("000002", "deep/a"),
+        ("000003", "deep/a"),
+    ]
+    sets = {path.stem: path.read_text().split() for path in (out / "ImageSets").iterdir()}
+    assert sorted(sets) == ["train", "val"]
+    assert sorted(sets["train"] + sets["val"]) == [row["frame"] for row in rows]
+    assert {row["frame"] for row in rows if row["split"] == "val"} == set(sets["val"])
+    assert sorted(path.name for path in out.iterdir()) == ["ImageSets", "recordings.csv", "training"]
+    assert len(list((out / "training" / "image_2").iterdir())) == 4
+    assert [path.name for path in runs.parent.iterdir() if "partial" in path.name] == []
+    assert "is not empty" in error("export", runs, out, *options)
+
+
+@pytest.mark.parametrize("to", ["coco", "nuscenes"])
+def test_ids_of_recordings_do_not_meet(runs: Path, to: str) -> None:
+    out, sources = runs.parent / "out", (runs / "a.mcap", runs / "deep")
+    done = run("export", *sources, out, "--to", to, "--rig", runs.parent / "rig.json", "--jobs", "1", *SHORT)
+    assert done.returncode == 2  # both have the name a
+    assert f"{runs}/deep/a.mcap: has the same name as {runs}/a.mcap" in done.stderr.decode()
+    done = run("export", f"{runs}/**/a.mcap", runs.parent / "both", "--to", to, "--rig", runs.parent / "rig.json", *SHORT)
+    assert done.returncode == 0, done.stderr
+    files = [*(runs.parent / "both").glob("annotations/*.json"), *(runs.parent / "both").glob("v1.0-carla/sample*.json")]
+    for path in files:
+        table = json.loads(path.read_text())
+        for rows in [table["images"], table["annotations"]] if to == "coco" else [table]:
+            ids = [row["id" if to == "coco" else "token"] for row in rows]
+            assert len(ids) == len(set(ids)) > 3
+    assert len(files) == (1 if to == "coco" else 3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--to", "kitti"), "--to kitti needs --rig RIG.json."),
+        (("--to", "kitti", "--rig", "missing.json"), "missing.json: cannot be read"),
+        (
+            ("--to", "kitti", "--rig", "rig.json", "--camera", "x"),
+            "rig.json: has no RGB camera 'x'; one of front was expected",
+        ),
+        (("--to", "coco", "--rig", "rig.json", "--camera", "x"), "--camera does not go with --to coco."),
+        (("--to", "coco", "--rig", "rig.json", "--split", "best=1"), "split 'best': is unknown; one of train, val, test"),
+        (("--to", "coco", "--rig", "rig.json", "--split", "train=0.5"), "the shares of the splits add up to 0.5; 1 was"),
+        (("--to", "coco", "--rig", "rig.json", "--split", "train"), "are no shares; some such as train=0.8,val=0.2"),
+        (("--to", "coco", "--rig", "rig.json", "--newer"), "--newer does not go with --to coco"),
+        (("--to", "parquet", "--split", "train=1"), "--split does not go with --to parquet."),
+        (("--to", "coco", "--rig", "rig.json", "--start", "2"), "no recording could be"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+def test_invalid_arguments(runs: Path, arguments: tuple[str, ...], message: str) -> None:
+    done = run("export", "runs/a.mcap", "out", *arguments, cwd=runs.parent)
+    assert done.returncode == 2
+    assert message in done.stderr.decode()
+    assert sorted(path.name for path in runs.parent.iterdir()) == ["rig.json", "runs"]
+
+
+def test_splits_depend_on_names_alone() -> None:
+    names = [f"run{number}" for number in range(20)]
+    splits = splits_of(names, {"train": 0.7, "val": 0.2, "test": 0.1})
+    assert splits == splits_of(reversed(names), {"train": 0.7, "val": 0.2, "test": 0.1})
+    assert sorted(splits) == sorted(names)
+    assert [list(splits.values()).count(name) for name in ("train", "val", "test")] == [14, 4, 2]
+    with pytest.raises(RecapError, match=r"split 'val': a share of -1; one from 0 to 1 was expected"):
+        splits_of(names, {"train": 2 - 1, "val": -1})

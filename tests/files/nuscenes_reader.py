@@ -1,0 +1,59 @@
+"""Prints what nuscenes-devkit reads of a dataset, as JSON; run in an environment that has it."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+from nuscenes.nuscenes import NuScenes
+from nuscenes.utils.data_classes import LidarPointCloud, RadarPointCloud
+from nuscenes.utils.geometry_utils import points_in_box, view_points
+from nuscenes.utils.splits import get_scenes_of_custom_split
+
+
+def main(folder: str, version: str, camera: str, lidar: str, radar: str) -> None:
+    reader = NuScenes(version=version, dataroot=folder, verbose=False)
+    samples = []
+    for sample in reader.sample:
+        path, boxes, matrix = reader.get_sample_data(sample["data"][camera])
+        points, boxes_of_lidar, _ = reader.get_sample_data(sample["data"][lidar])
+        cloud = LidarPointCloud.from_file(points)
+        echoes = RadarPointCloud.from_file(reader.get_sample_data_path(sample["data"][radar]))
+        found = {}
+        for box, same in zip(boxes, boxes_of_lidar, strict=True):
+            corners = view_points(box.corners(), matrix, normalize=True)[:2]
+            hit = cloud.points[:3, points_in_box(same, cloud.points[:3], 1.02)]
+            row = reader.get("sample_annotation", box.token)
+            found[box.token] = {
+                "category": box.name,
+                "center": box.center.tolist(),
+                "low": corners.min(axis=1).tolist(),
+                "high": corners.max(axis=1).tolist(),
+                "nearest": float(hit[0].min()) if hit.shape[1] else None,
+                "center_of_lidar": same.center.tolist(),
+                "size": box.wlh.tolist(),
+                "points": row["num_lidar_pts"],
+                "echoes": row["num_radar_pts"],
+                "visibility": row["visibility_token"],
+                "speed": np.linalg.norm(reader.box_velocity(box.token)).item(),
+            }
+        samples.append({"image": path, "boxes": list(found.values()), "echoes": echoes.points.shape[1]})
+    scenes = {split: get_scenes_of_custom_split(split, reader) for split in ("train", "val", "test")}
+    chains = []
+    for scene in reader.scene:
+        token, count = scene["first_sample_token"], 0
+        while token:
+            last, token, count = token, reader.get("sample", token)["next"], count + 1
+        chains.append([scene["name"], count == scene["nbr_samples"] and last == scene["last_sample_token"]])
+    instances = []
+    for instance in reader.instance:
+        token, count = instance["first_annotation_token"], 0
+        while token:
+            token, count = reader.get("sample_annotation", token)["next"], count + 1
+        instances.append(count <= instance["nbr_annotations"] and count > 0)
+    print(json.dumps({"samples": samples, "scenes": scenes, "chains": chains, "instances": instances}))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
