@@ -25,6 +25,7 @@ PACKAGES = {
     "arrow": "pyarrow",
     "osi": "betterosi",
     "cameras": "PIL",
+    "ros": "rosbags",
 }
 RIG = ROOT / "samples" / "rigs" / "front_camera.json"
 

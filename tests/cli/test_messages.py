@@ -26,7 +26,7 @@ from tests.waiting import PATIENCE
 
 CRASH = CROSSING.with_name("crash.mcap")
 WRITING = ("capture", "clip", "clips", "convert", "export", "import", "index", "record", "recover", "replay", "report")
-WRITING += ("snapshot", "video")
+WRITING += ("sense", "snapshot", "video")
 ASKING = ("actors", "blocked", "check", "collisions", "diff", "doctor", "incidents", "info", "measures", "sql", "summary")
 
 

@@ -165,7 +165,7 @@ class _Instance:
 
 
 @dataclass
-class _Moment:
+class _Keyframe:
     """A sample that waits for the next one, whose tokens it has."""
 
     index: int
@@ -199,14 +199,14 @@ class _SceneWriter:
         self._tables = tables
         self._scene = _token("scene", name)
         self._instances: dict[str, _Instance] = {}
-        self._waiting: _Moment | None = None
+        self._waiting: _Keyframe | None = None
 
     def add(self, frame: LabelledFrame) -> None:
         """Write a moment."""
         if not self.times:
             self._add_sensors(frame)
         self.times.append(frame.time)
-        moment = _Moment(frame.index, round((self._recording.header.date + frame.time) * 1e6))
+        moment = _Keyframe(frame.index, round((self._recording.header.date + frame.time) * 1e6))
         points = [world_points(frame.samples[spec.id]) for spec in self._sensors if spec.kind == "lidar"]
         detections = [_radar_points(frame.samples[spec.id]) for spec in self._sensors if spec.kind == "radar"]
         for spec in self._sensors:
@@ -272,7 +272,7 @@ class _SceneWriter:
                 camera_intrinsic=matrix,
             )
 
-    def _add_data(self, sample: Sample, frame: LabelledFrame, moment: _Moment) -> None:
+    def _add_data(self, sample: Sample, frame: LabelledFrame, moment: _Keyframe) -> None:
         """Write the file of a sample, and begin its row."""
         spec = sample.spec
         height = width = 0
@@ -309,7 +309,7 @@ class _SceneWriter:
         }
 
     def _annotation(
-        self, actor: LabelledActor, frame: LabelledFrame, moment: _Moment, visibility: float, hits: int, echoes: int
+        self, actor: LabelledActor, frame: LabelledFrame, moment: _Keyframe, visibility: float, hits: int, echoes: int
     ) -> dict[str, Any]:
         """Return the row of a road user at a moment, but for the next one."""
         instance = _token("instance", self._name, actor.id, frame.type_of(actor.id))
@@ -334,7 +334,7 @@ class _SceneWriter:
             "num_radar_pts": echoes,
         }
 
-    def _release(self, following: _Moment | None) -> None:
+    def _release(self, following: _Keyframe | None) -> None:
         """Write the moment that waits, now that the next one is known."""
         moment = self._waiting
         if moment is None:
