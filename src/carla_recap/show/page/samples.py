@@ -279,7 +279,7 @@ class Sampler:
         self._columns = np.array([self._index_of(description.lives[id], look) for id, look in actors], np.intp)
 
     def _index_of(self, actor: ActorLife, look: Look) -> int:
-        """Return the index of an actor; one without a spawn is the same while its id belongs to nobody else."""
+        """Return the index of an actor; one without a spawn is the same while no other actor has its id."""
         id, key = actor.id, (actor.id, actor.spawned_at)
         index = self._index.get(id) if not actor.type_id else None
         if index is None:
