@@ -10,7 +10,7 @@ import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmarks import core, exports, fleet, measures, page, remote, rendering, roads, sensors, server, simulator
+from benchmarks import core, exports, fleet, measures, page, remote, rendering, roads, sense, server, simulator
 from benchmarks.hour import FRAMES, cached
 from benchmarks.measuring import Subject, in_new_process, measure
 from benchmarks.results import RESULTS, Result, current_conditions, load, save
@@ -29,7 +29,7 @@ ROWS = (
     *remote.ROWS,
     *exports.ROWS,
     *rendering.ROWS,
-    *sensors.ROWS,
+    *sense.ROWS,
     *simulator.ROWS,
     *server.ROWS,
     *roads.ROWS,

@@ -128,7 +128,7 @@ def test_videos_are_passed_on_as_they_are(tmp_path):
 
 
 def test_without_the_extra_the_sensors_are_left_out_with_a_warning(sensed_recording, tmp_path, monkeypatch):
-    for name in ("carla_recap.show.rerun.sensors", "carla_recap.sensors.decoding", "carla_recap.sensors.messages"):
+    for name in ("carla_recap.show.rerun.sensor_writer", "carla_recap.sensors.decoding", "carla_recap.sensors.messages"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, "foxglove_schemas_protobuf.CameraCalibration_pb2", None)
     warned = pytest.warns(RecapWarning, match=r"its sensors are left out: .*foxglove")

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from carla_recap.capture.observer import Observation
-    from carla_recap.capture.sensors import RigSensors, SampleRecorder, Sensors
+    from carla_recap.capture.rig import RigSensors, Sensors
+    from carla_recap.capture.sample_recorder import SampleRecorder
     from carla_recap.formats.base import Writer
     from carla_recap.model.actors import ActorName
 
@@ -123,13 +124,13 @@ def capture(
 
 
 def _rig_sensors(observer: Observer, sensors: Sensors, actor: ActorName) -> RigSensors:
-    from carla_recap.capture.sensors import RigSensors
+    from carla_recap.capture.rig import RigSensors
 
     return RigSensors(observer, sensors, actor)
 
 
 def _sample_recorder(observer: Observer, sensors: RigSensors, writer: Writer, header: Header) -> SampleRecorder:
-    from carla_recap.capture.sensors import SampleRecorder
+    from carla_recap.capture.sample_recorder import SampleRecorder
     from carla_recap.formats.mcap.writer import McapWriter
 
     assert isinstance(writer, McapWriter)

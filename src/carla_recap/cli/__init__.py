@@ -30,7 +30,7 @@ _COMMANDS: Final = {
     "queries": ("info", "summary", "collisions", "blocked", "actors", "incidents", "measures"),
     "editing": ("convert", "recover", "clip", "import"),
     "export": ("export", "clips", "view", "snapshot", "video", "report"),
-    "sensors": ("sense",),
+    "sense": ("sense",),
     "sim": ("record", "replay"),
     "server": ("serve",),
     "capture": ("capture", "watch"),

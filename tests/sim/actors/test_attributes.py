@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from carla_recap.sim.actors.attributes import ATTRIBUTE_TYPES, attribute_type, is_restricted
 from carla_recap.sim.actors.blueprints import standard_library
-from carla_recap.sim.actors.sensors import SENSORS
+from carla_recap.sim.actors.sensor_blueprints import SENSORS
 
 if TYPE_CHECKING:
     from carla_recap.sim.actors.blueprints import Blueprint

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.ahead import StopPoints
     from carla_recap.scene.description import SceneDescription
     from carla_recap.show.rerun.blueprint import View
-    from carla_recap.show.rerun.sensors import SensorWriter
+    from carla_recap.show.rerun.sensor_writer import SensorWriter
 
 MOST_CAMERAS: Final = 500
 """The number of actors that get a camera, the first ones."""
@@ -278,7 +278,7 @@ def _sensor_writer(stream: Stream, player: Player) -> SensorWriter | None:
     if not sensors(reader):
         return None
     try:
-        from carla_recap.show.rerun.sensors import SensorWriter
+        from carla_recap.show.rerun.sensor_writer import SensorWriter
     except MissingExtra as error:
         warnings.warn(f"{reader.location}: its sensors are left out: {error}", RecapWarning, stacklevel=3)
         return None

@@ -16,7 +16,7 @@ from carla_recap.scene.captions import shown_options
 from carla_recap.sensors.viewing import CameraChoice
 from carla_recap.show.video.encoding import LONGEST, check_video, create_video
 from carla_recap.show.video.film import RATE, Film, followed_of, opened_renderer, recorded_size, submit
-from carla_recap.show.video.sensors import CameraGrid, camera_pictures
+from carla_recap.show.video.grid import CameraGrid, camera_pictures
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from carla_recap.model.blueprints import blueprint_rows
 from carla_recap.model.motion import GRAVITY
 from carla_recap.model.records import ActorKind
-from carla_recap.sim.actors.sensors import SENSORS
+from carla_recap.sim.actors.sensor_blueprints import SENSORS
 from carla_recap.sim.errors import SpawnError
 from carla_recap.sim.geometry import Box, Location, Vector
 from carla_recap.sim.physics.physics_control import Gear, PhysicsControl, WheelPhysics

@@ -10,7 +10,7 @@ import numpy as np
 
 from carla_recap.sim.actors.events import Collision
 from carla_recap.sim.actors.moving import Vehicle, Walker
-from carla_recap.sim.actors.sensors import COLLISION_SENSOR
+from carla_recap.sim.actors.sensor_blueprints import COLLISION_SENSOR
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.physics.walkers import FALL
 
