@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from carla_recap import RecapError, RecapWarning, Recovery, convert, open_recording, recover
+from carla_recap.formats import create_writer
 from carla_recap.formats.mcap.schema import MAGIC
 from carla_recap.model.frame import Header
 from tests import strategies
@@ -338,10 +339,27 @@ def test_a_recovery_of_a_file_without_an_end_says_so():
     assert str(Recovery(5, 0, 0, 1.5, False)).endswith("; unfinished or damaged at its end")
 
 
-def test_the_error_about_an_unfinished_recording_contains_the_path_of_its_partial_file(tmp_path):
-    partial = tmp_path / ".k.mcap.0123abcd.partial"
-    partial.write_bytes(b"")
-    told = f"was never finished; what was written of it until then is in {partial}"
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+@pytest.mark.parametrize("is_there", [False, True], ids=["missing", "without frames"])
+def test_of_an_unfinished_recording_the_partial_file_is_recovered(driven, tmp_path, suffix, is_there):
+    path, partial = tmp_path / f"k{suffix}", tmp_path / f".k{suffix}.0123abcd.partial"
+    convert(driven, tmp_path / f"whole{suffix}")
+    data = (tmp_path / f"whole{suffix}").read_bytes()
+    partial.write_bytes(data[: len(data) // 2])
+    if is_there:
+        create_writer(path, Header("Town01", 0)).close()
+    told = f"{path}: was never finished; what was written of it until then is in {partial}, which is recovered"
+    with pytest.warns(RecapWarning) as warned:
+        assert recover(path, tmp_path / "saved.log").frames > 100
+    assert told in {str(warning.message) for warning in warned}
+    assert partial.exists()
+
+
+def test_which_of_several_partial_files_is_recovered_is_for_the_caller_to_say(tmp_path):
+    partials = [tmp_path / f".k.mcap.{number}.partial" for number in (1, 2)]
+    for partial in partials:
+        partial.touch()
+    told = f"k.mcap: was never finished; what was written of it until then is in {partials[0]} and {partials[1]}"
     with pytest.raises(RecapError, match=re.escape(told)):
         recover(tmp_path / "k.mcap", tmp_path / "b.mcap")
 

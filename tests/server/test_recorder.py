@@ -3,6 +3,7 @@ from __future__ import annotations
 import asyncio
 import gzip
 import re
+import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -25,6 +26,7 @@ from carla_recap.sim.geometry import Transform
 from tests.samples import CARLA_LOGS
 from tests.server.inside import Inside
 from tests.server.test_actors import ticks as run_ticks
+from tests.sim.recording.test_recorder import disk_of, run_until_it_fails
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -253,6 +255,30 @@ def test_a_damaged_recording_is_an_error_that_tells_where(client: carla.Client, 
         client.show_recorder_file_info("damaged.log", True)
     with pytest.raises(RuntimeError, match=r"damaged\.log: byte \d+: "):
         client.replay_file("damaged.log", 0.0, 0.0, 0)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of other processes are Linux's")
+def test_a_recording_that_a_full_disk_has_ended_is_an_error_that_tells_where_it_is(tmp_path: Path) -> None:
+    inside = Inside()
+    path = inside.call("start_recorder", str(tmp_path / "full.mcap"), True)
+    disk_is_full = r"full\.mcap: cannot be written: File too large; what was recorded until then is in (.*\.partial)"
+    with disk_of(inside.world, 3000), pytest.warns(RecapWarning, match=f"the recording has ended: .*{disk_is_full}"):
+        run_until_it_fails(inside.world)
+    inside.call("stop_recorder")
+    for name, arguments in (
+        ("show_recorder_file_info", (False,)),
+        ("show_recorder_collisions", (97, 97)),
+        ("show_recorder_actors_blocked", (1.0, 100.0)),
+        ("replay_file", (0.0, 0.0, 0)),
+    ):
+        with pytest.raises(RecapError, match=f"the recording has ended early: .*{disk_is_full}") as failure:
+            inside.call(name, path, *arguments)
+    (partial_file,) = tmp_path.iterdir()
+    assert str(partial_file) in str(failure.value)
+    inside.call("start_recorder", path, False)
+    inside.world.tick()
+    inside.call("stop_recorder")
+    assert "Frames: 1\n" in inside.call("show_recorder_file_info", path, False)
 
 
 def test_an_answer_that_is_too_long_is_none(recordings: Path, monkeypatch: pytest.MonkeyPatch) -> None:

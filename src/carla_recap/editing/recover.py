@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import warnings
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from carla_recap.editing.convert import TopicCopy, check_destination
 from carla_recap.errors import FormatError, RecapError, RecapWarning
-from carla_recap.formats import create_writer, read_start
+from carla_recap.formats import create_writer, read_start, unfinished
 from carla_recap.formats.carla_log import LogReader, is_log
 from carla_recap.formats.log_scan import PACKETS_LIMIT
 from carla_recap.formats.sources import LocalSource, is_remote, path_of
@@ -81,7 +80,8 @@ def recover(
     """Write the intact frames of a recording to a new one, and in an .mcap its intact further topics, such as of sensors.
 
     Args:
-        source: The damaged file, MCAP or log; or its URL, which is copied to a temporary file.
+        source: The damaged file, MCAP or log; or its URL, which is copied to a temporary file. If it is missing or has no
+            frames, the partial file beside it, which a writer has left, is taken.
         destination: The file to write; the suffix says the format.
         force: Overwrite an existing file.
         progress: As in `convert`.
@@ -91,17 +91,13 @@ def recover(
         RecapError: Nothing can be saved, or the destination cannot be written.
 
     Warns:
-        RecapWarning: Further topics are left out of a .log.
+        RecapWarning: Further topics are left out of a .log, or a partial file is taken.
     """
     check_destination(source, destination, force=force)
-    left = [] if is_remote(source) else partials(path_of(source))
-    if left and not os.path.lexists(path_of(source)):
-        raise _unfinished(source, left)
-    reader, finished, lost_bytes, headless = _open(source, left)
+    source = _written(source)
+    reader, finished, lost_bytes, headless = _open(source)
     frames, last, duration, lost_packets, without_events = 0, -1, 0.0, 0, not finished
     try:
-        if left and next(reader.frames(), None) is None:
-            raise _unfinished(source, left)
         with create_writer(destination, reader.header, force=force, format=format) as writer:
             copy = TopicCopy(reader, writer)
             stream: Iterable[Batch] = map(Batch.of, reader.frames())
@@ -156,10 +152,31 @@ def finish_partial(
     return RecapError(f"{error}; the recording ends at {saved.duration:g} s")
 
 
-def _unfinished(source: Path | str, left: list[Path]) -> RecapError:
-    """Return the error about a recording that was never finished, with the paths of its partial files."""
-    paths = " and ".join(map(str, left))
-    return RecapError(f"{source}: was never finished; what was written of it until then is in {paths}")
+def _written(source: Path | str) -> Path | str:
+    """Return the file with the frames of a recording: itself, or the partial file beside it.
+
+    Raises:
+        RecapError: There are several partial files.
+
+    Warns:
+        RecapWarning: It is the partial file.
+    """
+    left = [] if is_remote(source) else partials(path_of(source))
+    if not left or _has_frames(source):
+        return source
+    error = unfinished(source, left)
+    if len(left) > 1:
+        raise error
+    warnings.warn(f"{error}, which is recovered", RecapWarning, stacklevel=3)
+    return left[0]
+
+
+def _has_frames(source: Path | str) -> bool:
+    with suppress(RecapError):
+        reader, *_ = _open(source)
+        with closing(reader):
+            return next(reader.frames(), None) is not None
+    return False
 
 
 def _is_sound(packet: Packet) -> bool:
@@ -184,7 +201,7 @@ def _stated_frames(reader: Reader) -> int:
     return int(getattr(reader, "metadata", {}).get("frames", 0))
 
 
-def _open(source: Path | str, left: list[Path]) -> tuple[Reader, bool, int, bool]:
+def _open(source: Path | str) -> tuple[Reader, bool, int, bool]:
     """Return a reader of the intact parts, whether the file has an end, its lost bytes, and whether its header is lost."""
     file = None
     if is_remote(source):
@@ -195,21 +212,19 @@ def _open(source: Path | str, left: list[Path]) -> tuple[Reader, bool, int, bool
         return LogReader(source, lenient=True, file=file), True, 0, False
     raw = LocalSource(source, file)
     try:
-        return _open_mcap(raw, left)
+        return _open_mcap(raw)
     except BaseException:
         raw.close()
         raise
 
 
-def _open_mcap(raw: LocalSource, left: list[Path]) -> tuple[Reader, bool, int, bool]:
+def _open_mcap(raw: LocalSource) -> tuple[Reader, bool, int, bool]:
     from carla_recap.formats.mcap.reader import McapReader
     from carla_recap.formats.mcap.recovery import guess_header, recover_summary
     from carla_recap.formats.mcap.schema import HEADER_METADATA
 
     summary, damage = recover_summary(raw)
     source = raw.location
-    if not summary.chunks and left:
-        raise _unfinished(source, left)
     if not summary.chunks:
         raise RecapError(f"{source}: nothing can be saved: it is no CARLA log, and no whole chunk of an MCAP file was found")
     if not any(name.startswith("carla_recap.v1.") for name in summary.schemas.values()):

@@ -74,6 +74,12 @@ def _identity(path: Path | str) -> int | None:
     return status.st_ino if status.st_size <= _SMALL else None
 
 
+def unfinished(location: Path | str, partials: list[Path]) -> RecapError:
+    """Return the error about a recording that was never finished, with the paths of its partial files."""
+    paths = " and ".join(map(str, partials))
+    return RecapError(f"{location}: was never finished; what was written of it until then is in {paths}")
+
+
 def _sizes(paths: list[Path]) -> list[int]:
     """Return the sizes of those of some files that exist."""
     sizes = []
@@ -147,7 +153,10 @@ def read_start(location: Path | str) -> bytes:
     except IsADirectoryError:
         raise RecapError(f"{location}: is a folder; a recording was expected, a .log or .mcap file") from None
     except OSError as error:
-        raise RecapError(f"{location}: {error.strerror}") from None
+        from carla_recap.util.files import partials
+
+        left = partials(path) if isinstance(error, FileNotFoundError) else []
+        raise unfinished(location, left) if left else RecapError(f"{location}: {error.strerror}") from None
     except ValueError as error:
         raise RecapError(f"{location!r}: {error}") from None
 

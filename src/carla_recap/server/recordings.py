@@ -77,7 +77,7 @@ class Recordings:
         """Return the path of a recording, whose suffix may be missing, whether or not it exists.
 
         Raises:
-            CallError: It must not be read, or cannot be.
+            CallError: It must not be read, or cannot be; or it has ended early, and lies elsewhere.
         """
         _expect_name(name)
         try:
@@ -87,6 +87,11 @@ class Recordings:
         except ValueError:  # as of the root, or the working directory
             raise _no_name(name) from None
         self._check(name, path)
+        if not path.is_file():
+            destination = path if path.suffix else path.with_name(path.name + ".mcap")
+            failure = self._world.recorder.failures.get(destination)
+            if failure is not None:
+                raise CallError(f"the recording has ended early: {failure}")
         return path
 
     def find_complete(self, name: str) -> Path:

@@ -1,4 +1,7 @@
-"""Checks of values from outside: recordings and the physics engine cannot handle all of them."""
+"""Checks of values from outside: recordings and the physics engine cannot handle all of them.
+
+Each takes the name of what it checks, and optionally its owner (`of`), for the error text alone.
+"""
 
 from __future__ import annotations
 
@@ -23,28 +26,31 @@ MAX_TICK: Final = 10.0  # s
 MAX_TEXT: Final = 1000  # bytes of the value of an attribute
 
 
-def expect_finite(what: str, *values: float) -> None:
+def expect_finite(what: str, *values: float, of: object = None) -> None:
     """Make sure that numbers are finite.
 
     Args:
         what: The name of the numbers in the error text.
         *values: The numbers.
+        of: Their owner, for the error text.
 
     Raises:
         SimError: One of them is infinite or NaN.
     """
     if not all(map(isfinite, values)):
-        raise SimError(f"{what}: finite numbers were expected, found {', '.join(f'{value:g}' for value in values)}")
+        raise SimError(
+            f"{_named(what, of)}: finite numbers were expected, found {', '.join(f'{value:g}' for value in values)}"
+        )
 
 
-def expect_between(what: str, value: int, least: int, most: int) -> None:
+def expect_between(what: str, value: int, least: int, most: int, *, of: object = None) -> None:
     """Make sure that a number is within bounds, both included.
 
     Raises:
         SimError: It is out of bounds.
     """
     if not least <= value <= most:
-        raise SimError(f"{what}: {least} to {most} was expected, found {value}")
+        raise SimError(f"{_named(what, of)}: {least} to {most} was expected, found {value}")
 
 
 def expect_count(what: str, value: int) -> None:
@@ -67,51 +73,51 @@ def expect_seconds(what: str, value: float, most: float = MAX_TICK) -> None:
         raise SimError(f"{what} of {value:g} s: expected more than 0 s, and at most {most:g} s")
 
 
-def expect_place(what: str, location: Location) -> None:
+def expect_place(what: str, location: Location, *, of: object = None) -> None:
     """Make sure that the coordinates of a location are within bounds.
 
     Raises:
         SimError: It is too far away.
     """
-    _expect_at_most(what, "m", _MAX_COORDINATE, location.x, location.y, location.z)
+    _expect_at_most(what, of, "m", _MAX_COORDINATE, location.x, location.y, location.z)
 
 
-def expect_transform(what: str, transform: Transform) -> None:
+def expect_transform(what: str, transform: Transform, *, of: object = None) -> None:
     """Make sure that the numbers of a transform are within bounds.
 
     Raises:
         SimError: The location is too far away, or an angle too large.
     """
     rotation = transform.rotation
-    expect_place(what, transform.location)
-    _expect_at_most(what, "degrees", _MAX_ANGLE, rotation.pitch, rotation.yaw, rotation.roll)
+    expect_place(what, transform.location, of=of)
+    _expect_at_most(what, of, "degrees", _MAX_ANGLE, rotation.pitch, rotation.yaw, rotation.roll)
 
 
-def expect_velocity(what: str, velocity: Vector) -> None:
+def expect_velocity(what: str, velocity: Vector, *, of: object = None) -> None:
     """Make sure that a velocity in m/s is within bounds.
 
     Raises:
         SimError: It is too high.
     """
-    _expect_at_most(what, "m/s", _MAX_SPEED, velocity.x, velocity.y, velocity.z)
+    _expect_at_most(what, of, "m/s", _MAX_SPEED, velocity.x, velocity.y, velocity.z)
 
 
-def expect_push(what: str, impulse: Vector, mass: float) -> None:
+def expect_push(what: str, impulse: Vector, mass: float, *, of: object = None) -> None:
     """Make sure that the velocity to which an impulse in N s accelerates a mass in kg is within bounds.
 
     Raises:
         SimError: It is too high.
     """
-    _expect_at_most(what, "m/s of change", _MAX_SPEED, impulse.x / mass, impulse.y / mass, impulse.z / mass)
+    _expect_at_most(what, of, "m/s", _MAX_SPEED, impulse.x / mass, impulse.y / mass, impulse.z / mass)
 
 
-def expect_turning(what: str, velocity: Vector) -> None:
+def expect_turning(what: str, velocity: Vector, *, of: object = None) -> None:
     """Make sure that an angular velocity in degrees/s is within bounds.
 
     Raises:
         SimError: It is too high.
     """
-    _expect_at_most(what, "degrees/s", _MAX_ANGULAR_SPEED, velocity.x, velocity.y, velocity.z)
+    _expect_at_most(what, of, "degrees/s", _MAX_ANGULAR_SPEED, velocity.x, velocity.y, velocity.z)
 
 
 def expect_numbers(what: str, record: Any) -> None:
@@ -120,10 +126,10 @@ def expect_numbers(what: str, record: Any) -> None:
     Raises:
         SimError: One is too large.
     """
-    _expect_at_most(what, "in its numbers", LARGEST, *_numbers(record))
+    _expect_at_most(what, None, "in its numbers", LARGEST, *_numbers(record))
 
 
-def expect_text(what: str, value: str) -> None:
+def expect_text(what: str, value: str, *, of: object = None) -> None:
     """Make sure that a recording can contain the value of an attribute.
 
     Raises:
@@ -134,13 +140,17 @@ def expect_text(what: str, value: str) -> None:
             return
     except UnicodeEncodeError:
         pass
-    raise SimError(f"{what}: at most {MAX_TEXT} bytes of UTF-8 were expected")
+    raise SimError(f"{_named(what, of)}: at most {MAX_TEXT} bytes of UTF-8 were expected")
 
 
-def _expect_at_most(what: str, unit: str, most: float, *values: float) -> None:
+def _named(what: str, of: object) -> str:
+    return what if of is None else f"{what} of {of if isinstance(of, str) else repr(of)}"
+
+
+def _expect_at_most(what: str, of: object, unit: str, most: float, *values: float) -> None:
     for value in values:
         if not -most <= value <= most:
-            raise SimError(f"{what}: at most {most:.10g} {unit} was expected, found {value:g}")
+            raise SimError(f"{_named(what, of)}: at most {most:.10g} {unit} was expected, found {value:g}")
 
 
 def _numbers(value: Any) -> Iterator[float]:

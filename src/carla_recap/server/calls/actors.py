@@ -90,7 +90,7 @@ def set_actor_target_velocity(client: Client, id: int, velocity: Vector) -> None
 def set_actor_target_angular_velocity(client: Client, id: int, velocity: Vector) -> None:
     """Set the angular velocity of a vehicle, in degrees/s about z; a walker turns as it walks."""
     mover = expect(client, id, MovingActor)
-    expect_turning(f"the angular velocity of {mover!r}", velocity)
+    expect_turning("the angular velocity", velocity, of=mover)
     if isinstance(mover, Vehicle):
         rows, row = mover.rows, mover.row
         rows.turning[row] = radians(velocity.z)
@@ -101,7 +101,7 @@ def set_actor_target_angular_velocity(client: Client, id: int, velocity: Vector)
 def enable_actor_constant_velocity(client: Client, id: int, velocity: Vector) -> None:
     """Hold the velocity of a vehicle constant, in its own axes and m/s."""
     vehicle = expect(client, id, Vehicle)
-    expect_velocity(f"the velocity of {vehicle!r}", velocity)
+    expect_velocity("the velocity", velocity, of=vehicle)
     client.host.constant_velocity.hold(vehicle, velocity)
 
 
@@ -254,7 +254,7 @@ def _movable(client: Client, id: int) -> Actor:
 def _apply_impulse(mover: MovingActor, impulse: Vector) -> None:
     """Change the velocity of an actor by an impulse, in N s."""
     mass = mover.rows.mass[mover.row].item()
-    expect_push(f"an impulse on {mover!r}", impulse, mass)
+    expect_push("the change of velocity", impulse, mass, of=mover)
     if isinstance(mover, Vehicle):
         mover.add_impulse(impulse)
     else:
@@ -266,13 +266,13 @@ def _apply_angular_impulse(mover: MovingActor, impulse: float) -> None:
     """Change the angular velocity of a vehicle by an angular impulse, in kg m² degrees/s."""
     if isinstance(mover, Vehicle):
         change = impulse / mover.rows.moment[mover.row].item()
-        expect_turning(f"the angular velocity of {mover!r}", Vector(z=change))
+        expect_turning("the angular velocity", Vector(z=change), of=mover)
         mover.rows.turning[mover.row] += radians(change)
 
 
 def _angular_impulse(mover: MovingActor, location: Location, impulse: Vector) -> float:
     """Return the angular impulse about z of an impulse at a location, in kg m² degrees/s."""
-    expect_place(f"the location of an impulse on {mover!r}", location)
+    expect_place("the location of an impulse", location, of=mover)
     centre = mover.transform.location
     return degrees((location.x - centre.x) * impulse.y - (location.y - centre.y) * impulse.x)
 

@@ -55,7 +55,11 @@ def get_episode_settings(client: Client) -> EpisodeSettings:
 
 @call
 def set_episode_settings(client: Client, settings: EpisodeSettings) -> int | Awaitable[int]:
-    """Apply settings; return the frame that the client waits for and signals to its traffic managers."""
+    """Apply settings, except `max_substeps` and `max_substep_delta_time`; return the frame that the client waits for.
+
+    A tick has as many steps as its length and the speeds of vehicles demand. The client signals the frame to its traffic
+    managers.
+    """
     host = client.host
 
     def apply() -> int:

@@ -196,7 +196,7 @@ def set_walker_state(client: Client, id: int, transform: Transform, speed: float
     A walker without physics does not move by itself; its speed is only reported.
     """
     walker = expect(client, id, Walker)
-    expect_velocity(f"the speed of {walker!r}", Vector(speed))
+    expect_velocity("the speed", Vector(speed), of=walker)
     transform.location.z += walker.box.extent.z  # the client sends the location of its feet
     walker.transform = transform
     ahead = transform.forward()

@@ -127,7 +127,7 @@ class Actor:
     @transform.setter
     def transform(self, value: Transform) -> None:
         self.check()
-        expect_transform(f"the transform of {self!r}", value)
+        expect_transform("the transform", value, of=self)
         self._transform = value.copy()
 
     @property
@@ -186,7 +186,7 @@ class Prop(Actor):
     @transform.setter
     def transform(self, value: Transform) -> None:
         self.check()
-        expect_transform(f"the transform of {self!r}", value)
+        expect_transform("the transform", value, of=self)
         self._transform = value.copy()
         if self.body is not None:
             x, y = value.location.x, value.location.y

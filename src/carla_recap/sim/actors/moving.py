@@ -112,7 +112,7 @@ class MovingActor(Actor):
 
     @transform.setter
     def transform(self, value: Transform) -> None:
-        expect_transform(f"the transform of {self!r}", value)
+        expect_transform("the transform", value, of=self)
         if self.parent is not None:
             self._transform = value.copy()
             return self.follow_parent(self.parent)
@@ -155,7 +155,7 @@ class MovingActor(Actor):
 
     def set_target_velocity(self, velocity: Vector) -> None:
         """Set its velocity in m/s, from which physics continues."""
-        expect_velocity(f"the velocity of {self!r}", velocity)
+        expect_velocity("the velocity", velocity, of=self)
         self.rows.set_velocity(self.row, velocity.x, velocity.y, velocity.z)
 
     def follow_parent(self, parent: Actor) -> None:
@@ -217,9 +217,9 @@ class Vehicle(MovingActor):
         Raises:
             SimError: A number is not finite, or there is no such gear.
         """
-        expect_finite(f"the control of {self!r}", control.throttle, control.steer, control.brake)
+        expect_finite("the control", control.throttle, control.steer, control.brake, of=self)
         if control.manual_gear_shift:
-            expect_between(f"the gear of {self!r}", control.gear, -1, self.gears)
+            expect_between("the gear", control.gear, -1, self.gears, of=self)
         rows, row = self.rows, self.row
         rows.throttle[row] = min(max(control.throttle, 0.0), 1.0)
         rows.steer[row] = min(max(control.steer, -1.0), 1.0)
@@ -238,7 +238,7 @@ class Vehicle(MovingActor):
 
     @light_state.setter
     def light_state(self, bits: int) -> None:
-        expect_between(f"the lights of {self!r}", bits, 0, _LIGHT_BITS)
+        expect_between("the lights", bits, 0, _LIGHT_BITS, of=self)
         self.rows.light_state[self.row] = bits
 
     @property
@@ -283,7 +283,7 @@ class Vehicle(MovingActor):
     def add_impulse(self, impulse: Vector) -> None:
         """Apply an impulse in N s, in the axes of the world."""
         rows, row = self.rows, self.row
-        expect_push(f"an impulse on {self!r}", impulse, rows.mass[row].item())
+        expect_push("the change of velocity", impulse, rows.mass[row].item(), of=self)
         change = np.zeros((len(rows), 2))
         change[row] = np.array((impulse.x, impulse.y)) / rows.mass[row]
         rows.add_velocities(change)
@@ -293,7 +293,7 @@ class Vehicle(MovingActor):
         rows, row = self.rows, self.row
         seconds = self.context.settings.fixed_delta_seconds or self.context.clock.delta
         impulse = Vector(force.x * seconds, force.y * seconds, force.z * seconds)
-        expect_push(f"a force on {self!r}", impulse, rows.mass[row].item())
+        expect_push("the change of velocity", impulse, rows.mass[row].item(), of=self)
         rows.force[row] += (force.x, force.y)
 
     def set_door(self, door: int, open: bool) -> None:
@@ -328,8 +328,8 @@ class Walker(MovingActor):
     def apply_control(self, control: WalkerControl) -> None:
         """Let it walk in a direction; its destination is cleared."""
         direction = control.direction
-        expect_velocity(f"the direction of {self!r}", direction)
-        expect_velocity(f"the speed of {self!r}", Vector(control.speed))
+        expect_velocity("the direction", direction, of=self)
+        expect_velocity("the speed", Vector(control.speed), of=self)
         rows, row = self.rows, self.row
         self.context.traffic.pedestrians.clear_destination(self.id)
         length = direction.length()
@@ -349,7 +349,7 @@ class Walker(MovingActor):
         if place is None:
             self.context.traffic.pedestrians.clear_destination(self.id)
         else:
-            expect_place(f"the destination of {self!r}", place)
+            expect_place("the destination", place, of=self)
             self.context.traffic.pedestrians.set_destination(self, place)
 
     @property

@@ -166,9 +166,9 @@ class ActorRegistry:
     ) -> Actor:
         """Spawn an actor, even where others are; see `World.place`."""
         blueprint = self._blueprint(blueprint, attributes)
-        expect_transform(f"the transform of {blueprint.id}", transform)
+        expect_transform("the transform", transform, of=blueprint.id)
         for key, value in attributes.items():
-            expect_text(f"{key} of {blueprint.id}", value)
+            expect_text(key, value, of=blueprint.id)
         if parent is not None:
             parent.check()
         make = _CLASSES.get(blueprint.kind, Prop) if blueprint.id != blueprints.FRICTION_TRIGGER else FrictionTrigger
@@ -209,7 +209,7 @@ class ActorRegistry:
 
     def _occupants(self, blueprint: Blueprint, transform: Transform) -> Iterator[Actor]:
         """Find the actors that the box of a blueprint would overlap."""
-        expect_transform(f"the transform of {blueprint.id}", transform)
+        expect_transform("the transform", transform, of=blueprint.id)
         if blueprint.box.extent.length() == 0:
             return
         location, yaw = transform.location, np.radians(transform.rotation.yaw).item()

@@ -84,12 +84,14 @@ class WorldRecorder:
 
     Attributes:
         error: The error that ended the latest recording early; None without one.
+        failures: The errors of recordings that have ended early, by the absolute paths of their destinations.
         frames: The number of frames of the latest recording.
         duration: The time from its first frame to its last one, in s.
     """
 
     def __init__(self, world: RecordedWorld, folder: Path | str | None = None) -> None:
         self.error: RecapError | None = None
+        self.failures: dict[Path, RecapError] = {}
         self.frames = 0
         self.duration = 0.0
         self._world = world
@@ -171,6 +173,7 @@ class WorldRecorder:
             # A recording that is never stopped is completed with the recorder or the interpreter.
             self._finish = weakref.finalize(self, self._writer.close)
             self.frames, self.duration = 0, 0.0
+            self.failures.pop(path.absolute(), None)
             if now:
                 self._write(self._writer, sampler, sampler.sample_now())
             return path
@@ -181,9 +184,10 @@ class WorldRecorder:
             if self._writer is None or self._finish is None:
                 return
             self._finish()
-            self.error = self._writer.error
+            self.error, path = self._writer.error, self._writer.path.absolute()
             self._writer = self._sampler = self._finish = None
         if self.error is not None:
+            self.failures[path] = self.error
             warnings.warn(f"the recording has ended: {self.error}", RecapWarning, stacklevel=2)
 
     def __call__(self) -> None:

@@ -60,7 +60,8 @@ class WriterProcess:
         header: The header of the recording.
         force: Replace a file at the destination at the end; else that file stays, and the recording lies beside it.
         format: The suffix of the format; None for that of the destination.
-        visible: Put a recording without frames at the destination at once.
+        visible: Put a recording without frames at the destination at once; it is removed again if the recording fails, and
+            nothing of it can be put in its place.
         spare: A process from `start_process` to use, which saves the start of an interpreter.
 
     Attributes:
@@ -85,6 +86,7 @@ class WriterProcess:
     ) -> None:
         self.path = path
         self.error: RecapError | None = None
+        self._placeholder: int | None = None  # the inode of the recording without frames
         self._batch: SnapshotBatch | None = None
         self._queue: Queue[SnapshotBatch | None] = Queue(QUEUE)
         self._thread = Thread(target=self._run, name="carla-recap-recorder", daemon=True)
@@ -93,6 +95,7 @@ class WriterProcess:
         try:
             self._wait_until_ready()
             self._command("begin", path, header, force, format, visible)
+            self._placeholder = path.stat().st_ino if visible else None
             self._thread.start()
         except _CommandFailed as error:
             self._end()
@@ -131,8 +134,15 @@ class WriterProcess:
         except Exception as error:
             self.error = RecapError(f"{self.path}: has ended early: {type(error).__name__}: {error}")
         self._end()  # which completes the recording if it is not complete yet
+        if self.error is not None:
+            self._remove_placeholder()
         while batch is not None:  # nothing that is put into the queue may wait for ever
             batch = self._queue.get()
+
+    def _remove_placeholder(self) -> None:
+        with suppress(OSError):
+            if self.path.stat().st_ino == self._placeholder:
+                self.path.unlink()
 
     def _command(self, name: str, *arguments: Any) -> None:
         """Send a command, and wait for its answer.
