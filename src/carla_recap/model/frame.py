@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Literal, overload
 
 import numpy as np
@@ -13,7 +13,7 @@ from carla_recap.model.layout import Buffer, PayloadError, Records, pack, unpack
 from carla_recap.model.records import FRAME_END, ORDER, UE4, UE5, Bones, Physics, RecordType, Spawn, Table, WheelSet
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -34,6 +34,7 @@ class Header:
         wide: Whether lengths are in double precision, as UE5 builds (0.10) write them.
         shifted: Whether doors, wheels and bikers have the packet ids 21, 22, 23, as some development builds write them.
         raw: CARLA's header as read, where it differs from what the fields above would be written as.
+        parameters: What the simulation was run with, such as its seed, as texts; only MCAP files can hold them.
     """
 
     map_name: str
@@ -42,6 +43,7 @@ class Header:
     wide: bool = False
     shifted: bool = False
     raw: bytes | None = None
+    parameters: Mapping[str, str] = field(default_factory=dict, hash=False)
 
     @property
     def table(self) -> Table:

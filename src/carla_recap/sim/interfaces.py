@@ -68,7 +68,13 @@ class ActorView(Protocol):
 
 
 class RecordedWorld(ActorView, Protocol):
-    """What the recorder asks of a world."""
+    """What the recorder asks of a world.
+
+    Attributes:
+        parameters: What recordings say that the world is run with, as texts.
+    """
+
+    parameters: Mapping[str, str]
 
     @property
     def date(self) -> int:

@@ -56,6 +56,7 @@ class World:
         date: The date of recordings in Unix seconds; by default SOURCE_DATE_EPOCH, else the current time.
         recordings: The folder of recordings whose names are no paths; see `recorder.recordings_folder`.
         maps: The folder of the maps that are loaded by name; by default that of CARLA_RECAP_MAPS.
+        parameters: What the world is run with, such as a speed that is varied, for its recordings as MCAP.
 
     Attributes:
         blueprints: The blueprint library.
@@ -66,6 +67,7 @@ class World:
         listeners: What is called at the end of each tick.
         recordings: The folder of recordings, if one was given.
         maps: The folder of maps, if one was given.
+        parameters: What recordings as MCAP say that the world is run with, as texts.
 
     Raises:
         SimError: The seed is negative, or the length of a tick out of range.
@@ -81,6 +83,7 @@ class World:
         date: int | None = None,
         recordings: Path | str | None = None,
         maps: Path | str | None = None,
+        parameters: Mapping[str, object] | None = None,
     ) -> None:
         if seed < 0:
             raise SimError(f"seed: 0 or a larger whole number was expected, found {seed}")
@@ -92,6 +95,7 @@ class World:
         self.listeners: list[Callable[[], None]] = []
         self.recordings = recordings
         self.maps = maps
+        self.parameters: Mapping[str, str] = {name: str(value) for name, value in (parameters or {}).items()}
         self._recorder: WorldRecorder | None = None
         self._replayer: Replayer | None = None
         self.episode = 0

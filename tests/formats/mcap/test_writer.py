@@ -9,8 +9,9 @@ from itertools import pairwise
 
 import pytest
 from mcap import records
+from mcap.reader import make_reader
 
-from carla_recap import RecapError, RecordError, convert, open_recording, recover
+from carla_recap import RecapError, RecordError, clip, convert, open_recording, recover
 from carla_recap.formats import create_writer
 from carla_recap.formats.mcap.recovery import recover_summary
 from carla_recap.formats.mcap.writer import CHUNK_SECONDS, CHUNK_SIZE, FRAME_SIZE
@@ -329,3 +330,27 @@ def test_a_live_file_can_be_recovered_while_it_is_written(tmp_path):
     assert not recovery.finished
     assert recovery.duration > 12 - 2 * CHUNK_SECONDS
     assert images(tmp_path / "saved.mcap") == images(tmp_path / "live.mcap")[: recovery.frames]
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_parameters_are_metadata_and_are_kept_by_copies(tmp_path, live):
+    header = Header("Town01", DATE, parameters={"seed": "7", "weather": "Großer Regen, 90 %"})
+    with create_writer(tmp_path / "a.mcap", header, live=live) as writer:
+        for frame in drive(1):
+            writer.write(frame)
+    with (tmp_path / "a.mcap").open("rb") as file:
+        found = [record for record in make_reader(file).iter_metadata() if record.name == "carla_recap.parameters"]
+    assert found[0].metadata.items() >= header.parameters.items()
+    convert(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    clip(tmp_path / "a.mcap", tmp_path / "c.mcap", start=0.5)
+    recover(tmp_path / "a.mcap", tmp_path / "d.mcap")
+    for name in "abcd":
+        with open_recording(tmp_path / f"{name}.mcap") as recording:
+            assert recording.header.parameters == header.parameters
+
+
+@pytest.mark.parametrize("parameters", [{"checksum": "1"}, {"text": "x" * 300_000}])
+def test_parameters_that_cannot_be_recorded_are_an_error(tmp_path, parameters):
+    with pytest.raises(RecordError, match="parameter"):
+        create_writer(tmp_path / "a.mcap", Header("Town01", DATE, parameters=parameters))
+    assert names_in(tmp_path) == []

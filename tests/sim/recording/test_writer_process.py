@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 import carla_recap
-from carla_recap.errors import RecapError
+from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats.mcap.container import ChunkedFile
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.model.frame import Header
+from carla_recap.sim import World
+from carla_recap.sim.errors import DestinationError
 from carla_recap.sim.recording.sampler import WorldSampler
 from carla_recap.sim.recording.writer_process import Commands, serve
-from tests.sim.flat import flat_world
+from tests.sim.flat import flat_town, flat_world
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -177,3 +179,29 @@ def test_what_appeared_meanwhile_stays_if_it_must_even_where_there_are_no_links(
     assert path.read_text() == "mine"
     (partial,) = set(tmp_path.iterdir()) - {path}
     assert frames(partial) == 20
+
+
+def test_a_world_that_writes_by_itself_records_the_same_bytes(tmp_path: Path) -> None:
+    for name, in_process in (("a", False), ("b", True)):
+        with World(flat_town(), seed=3, date=0, parameters={"speed": 8}) as world:
+            world.recorder.start(tmp_path / f"{name}.mcap", True, in_process=in_process)
+            world.run(3)
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    with carla_recap.open_recording(tmp_path / "b.mcap") as recording:
+        assert recording.header.parameters == {"speed": "8"}
+
+
+def test_a_world_that_writes_by_itself_goes_on_when_the_disk_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    broken_after(monkeypatch, 1, for_good=False)
+    world = flat_world()
+    world.recorder.start(tmp_path / "a.mcap", in_process=True)
+    with pytest.warns(RecapWarning, match="the recording has ended"):
+        world.run(20)
+    assert "no space" in str(world.recorder.error).lower()
+    assert frames(tmp_path / "a.mcap") < 400
+    world.close()
+
+
+def test_a_world_that_writes_by_itself_needs_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(DestinationError, match="cannot be written"):
+        flat_world().recorder.start(tmp_path / "gone" / "a.mcap", in_process=True)

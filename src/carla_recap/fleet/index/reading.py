@@ -108,6 +108,7 @@ def _content(recording: Recording, measured: bool, road_map: str | None) -> tupl
         "roads_known": roads is not None,
         "actors": len(found),
         "heroes": sum(actor.is_hero for actor in found),
+        "parameters": list(recording.header.parameters.items()),
     }
     return fields, children
 

@@ -43,6 +43,7 @@ class RecordingRow:
         roads_known: Whether its map was found then, so that its rules of the road were judged, too.
         actors: The number of actors.
         heroes: The number of heroes.
+        parameters: What the simulation was run with; see `Header.parameters`.
     """
 
     size: int | None
@@ -60,6 +61,7 @@ class RecordingRow:
     roads_known: bool | None = None
     actors: int | None = None
     heroes: int | None = None
+    parameters: dict[str, str] | None = None
 
     @property
     def lacks_roads(self) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
+from dataclasses import replace
 from functools import cached_property, partial
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -26,6 +27,7 @@ from carla_recap.formats.mcap.schema import (
     EXPORT_METADATA,
     EXTENT_METADATA,
     HEADER_METADATA,
+    PARAMETERS_METADATA,
     RECORD,
     STATIONARY,
     TAIL_MESSAGE,
@@ -273,9 +275,10 @@ class McapReader(Reader):
         if metadata is None:
             raise NotARecording(self.location, f"holds no recording (MCAP metadata {HEADER_METADATA!r} is missing)")
         try:
-            return parse_header(metadata)
+            header = parse_header(metadata)
         except (KeyError, ValueError) as error:
             raise FormatError(self.location, None, f"broken MCAP metadata {HEADER_METADATA!r}: {error}") from None
+        return replace(header, parameters=self._read_metadata(PARAMETERS_METADATA) or {})
 
     def _read_extent(self) -> Extent | None:
         metadata = self._read_metadata(EXTENT_METADATA)

@@ -26,6 +26,7 @@ from carla_recap.formats.mcap.schema import (
     HEADER_METADATA,
     MAGIC,
     MESSAGE,
+    PARAMETERS_METADATA,
     RECORD,
     SECOND,
     U64,
@@ -211,7 +212,7 @@ class _Scan:
             self.summary.add(opcode, memoryview(content), at + RECORD.size)
             return
         name, values = parse_metadata(content)
-        if name in (HEADER_METADATA, EXTENT_METADATA):
+        if name in (HEADER_METADATA, EXTENT_METADATA, PARAMETERS_METADATA):
             unchecked(values)
         self.summary.metadata[name] = at
 

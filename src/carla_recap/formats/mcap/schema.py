@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -108,11 +108,14 @@ EMPTY, FILLED, RAW = 0, 1, 2
 
 HEADER_METADATA: Final = "carla_recap.header"
 EXTENT_METADATA: Final = "carla_recap.extent"
+PARAMETERS_METADATA: Final = "carla_recap.parameters"
 EXPORT_METADATA: Final = "carla_recap.export"
 """What a file has that shows a recording, but is none."""
 EVENTS_AT: Final = "events_at"
 """In the extent's metadata: the offset from which on all chunks of events come; missing where they are among the others."""
 CHECKSUM: Final = "checksum"
+PARAMETERS_LIMIT: Final = 256 << 10
+"""The most bytes of all parameters."""
 
 
 @dataclass(frozen=True)
@@ -220,13 +223,33 @@ def header_metadata(header: Header) -> dict[str, str]:
 
     raw = pack_header(header)  # and the check that it can be written
     plain = {
-        "map": header.map_name.encode("utf-8", "surrogateescape").decode("utf-8", "replace"),
+        "map": _unicode(header.map_name),
         "date": str(header.date),
         "version": str(header.version),
         "double_precision": str(int(header.wide)),
         "shifted_packet_ids": str(int(header.shifted)),
     }
-    return plain if header == parse_header(plain) else plain | {"carla_header": raw.hex()}
+    is_plain = replace(header, parameters={}) == parse_header(plain)
+    return plain if is_plain else plain | {"carla_header": raw.hex()}
+
+
+def parameters_metadata(header: Header) -> dict[str, str]:
+    """Return the parameters of a header as MCAP metadata.
+
+    Raises:
+        RecordError: They are too long, or one has a name that has another meaning there.
+    """
+    if CHECKSUM in header.parameters:
+        raise RecordError(f"a parameter {CHECKSUM!r} cannot be recorded; another name was expected")
+    values = {_unicode(name): _unicode(value) for name, value in header.parameters.items()}
+    size = sum(len(text.encode()) for pair in values.items() for text in pair)
+    if size > PARAMETERS_LIMIT:
+        raise RecordError(f"parameters of {size:,} bytes; at most {PARAMETERS_LIMIT:,} can be recorded")
+    return values
+
+
+def _unicode(text: str) -> str:
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
 
 
 def parse_header(metadata: dict[str, str]) -> Header:

@@ -30,6 +30,7 @@ from carla_recap.formats.mcap.schema import (
     MESSAGE,
     MESSAGE_DTYPE,
     MESSAGE_FIELDS,
+    PARAMETERS_METADATA,
     RAW,
     RAW_TOPIC,
     SECOND,
@@ -38,6 +39,7 @@ from carla_recap.formats.mcap.schema import (
     channel_specs,
     checked,
     header_metadata,
+    parameters_metadata,
 )
 from carla_recap.model.actors import HERO
 from carla_recap.model.batch import ConstantColumn
@@ -93,7 +95,9 @@ class McapWriter(ChunkedFile):
     """
 
     def __init__(self, path: Path | str, header: Header, *, live: bool = False, force: bool = True) -> None:
-        self._header_metadata = checked(header_metadata(header))
+        self._header_metadata = {HEADER_METADATA: checked(header_metadata(header))}
+        if header.parameters:
+            self._header_metadata[PARAMETERS_METADATA] = checked(parameters_metadata(header))
         specs = channel_specs(header.table)
         topics = [Topic(spec.topic, spec.message, partial(_schema, spec.module, spec.message)) for spec in specs]
         super().__init__(path, topics, level=LEVEL, live=live, force=force)
@@ -338,7 +342,8 @@ class McapWriter(ChunkedFile):
 
     def _write_header(self) -> None:
         self._write_start()
-        self._write_metadata(HEADER_METADATA, self._header_metadata)
+        for name, values in self._header_metadata.items():
+            self._write_metadata(name, values)
         if self._live:
             self._sync()
 
@@ -362,7 +367,8 @@ class McapWriter(ChunkedFile):
         self._write_chunks(0)
         events_at = self._write_held()
         # Again, so that a reader that has the end of the file needs nothing from its start.
-        self._write_metadata(HEADER_METADATA, self._header_metadata)
+        for name, values in self._header_metadata.items():
+            self._write_metadata(name, values)
         self._write_metadata(EXTENT_METADATA, checked(self._extent_metadata(events_at)))
         super()._finish()
 

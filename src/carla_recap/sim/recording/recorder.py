@@ -17,7 +17,7 @@ from carla_recap.formats import SUFFIXES
 from carla_recap.model.frame import Header
 from carla_recap.sim.errors import DestinationError
 from carla_recap.sim.recording.sampler import WorldSampler
-from carla_recap.sim.recording.writer_process import WriterProcess, discard_process, start_process
+from carla_recap.sim.recording.writer_process import InProcessWriter, WriterProcess, discard_process, start_process
 
 if TYPE_CHECKING:
     import subprocess
@@ -97,7 +97,7 @@ class WorldRecorder:
         self._world = world
         self._folder = folder
         self._sampler: WorldSampler | None = None
-        self._writer: WriterProcess | None = None
+        self._writer: WriterProcess | InProcessWriter | None = None
         self._finish: weakref.finalize[[], WorldRecorder] | None = None
         self._spare: weakref.finalize[[subprocess.Popen[bytes]], WorldRecorder] | None = None
         self._lock = RLock()  # a recording may be stopped by several threads
@@ -137,6 +137,7 @@ class WorldRecorder:
         force: bool = True,
         visible: bool = False,
         now: bool = False,
+        in_process: bool = False,
     ) -> Path:
         """Begin a recording; one that is running is completed first.
 
@@ -149,8 +150,9 @@ class WorldRecorder:
             force: Overwrite an older recording; else one that exists at the start is an error, and one that exists at the
                 end stays: the new recording lies beside it then, and a warning contains its path.
             visible: Put a recording without frames under the name at once; else the name appears with the complete one.
-
             now: Record the world as it is as the first frame; else the first frame is the end of the next tick.
+            in_process: Write in this process, which saves the start of another one, for many short recordings; see
+                `InProcessWriter`.
 
         Returns:
             The path of the complete recording.
@@ -164,11 +166,14 @@ class WorldRecorder:
             self.stop()
             self.error = None
             path = self._destination(name, force=force)
-            header = Header(self._world.town.name, self._world.date)
+            header = Header(self._world.town.name, self._world.date, parameters=self._world.parameters)
             sampler = WorldSampler(self._world, additional_data=additional_data)
             format = path.suffix.lower() if path.suffix.lower() in SUFFIXES else _LOG
-            spare = self._take_spare()
-            self._writer = WriterProcess(path, header, force=force, format=format, visible=visible, spare=spare)
+            if in_process:
+                self._writer = InProcessWriter(path, header, force=force, format=format, visible=visible)
+            else:
+                spare = self._take_spare()
+                self._writer = WriterProcess(path, header, force=force, format=format, visible=visible, spare=spare)
             self._sampler = sampler
             # A recording that is never stopped is completed with the recorder or the interpreter.
             self._finish = weakref.finalize(self, self._writer.close)
@@ -200,7 +205,7 @@ class WorldRecorder:
                 return
             self._write(self._writer, self._sampler, self._sampler.sample(self._world.delta))
 
-    def _write(self, writer: WriterProcess, sampler: WorldSampler, batch: SnapshotBatch) -> None:
+    def _write(self, writer: WriterProcess | InProcessWriter, sampler: WorldSampler, batch: SnapshotBatch) -> None:
         writer.write(batch)
         self.frames, self.duration = sampler.count, sampler.elapsed
 
