@@ -228,11 +228,9 @@ def test_a_recording_is_compared_with_its_baseline(tmp_path):
     )
 
 
-def test_a_baseline_can_be_a_file(tmp_path):
+def test_a_baseline_can_be_a_file():
     found = verdict("crash.mcap", f"same_as = {{ baseline = '{SAMPLES / 'crash.mcap'}' }}")
     assert found.status == "pass"
-    found = verdict("crash.mcap", f"same_as = {{ baseline = '{tmp_path / 'absent.mcap'}' }}")
-    assert found.status == "error"
 
 
 def test_a_failure_has_the_time_the_actors_and_all_offences():
@@ -312,19 +310,25 @@ def test_the_description_is_the_authors_or_that_of_the_condition():
     [
         ("", "has no rules; a table of the form [rules.NAME] was expected"),
         ("[rules]", "has no rules; a table of the form [rules.NAME] was expected"),
-        ("[rule.a]", "'rule': is unknown; did you mean rules?"),
-        ("[limits.a]", "'limits': is unknown; tables of the form [rules.NAME] were expected"),
+        ("[rule.a]", "unknown table 'rule'; did you mean rules?"),
+        ("[limits.a]", "unknown table 'limits'; the table is rules"),
         ("rules = 3", "has no rules; a table of the form [rules.NAME] was expected"),
         ("[rules.a", "Expected ']'"),
         ("[rules.a]\nframes = { min = 1 }\n[rules.a]\nframes = { min = 1 }", "Cannot declare ('rules', 'a') twice"),
-        ("[rules]\na = 1", "rule 'a': 1; a table was expected, as [rules.NAME]"),
+        ("[rules]\na = 1", "rule 'a': 1; a table, as [rules.NAME], was expected"),
         ("[rules.a]", "rule 'a': has no condition; one of collisions, "),
         ("[rules.a]\ncolisions = { max = 0 }", "rule 'a': unknown condition 'colisions'; did you mean collisions?"),
         ("[rules.a]\nframes = { min = 1 }\nmap = 'x'", "rule 'a': has the conditions frames and map; one of "),
         ("[rules.a]\ndescription = 1\nmap = 'x'", "rule 'a': description: 1; a text was expected"),
-        ("[rules.a]\ncollisions = 0", "rule 'a': collisions: 0; a table was expected, such as { max = 0 }"),
+        (
+            "[rules.a]\ncollisions = 0",
+            "rule 'a': collisions: 0; a table of the keys of, with, at_fault, min, max was expected",
+        ),
         ("[rules.a]\ncollisions = {}", "rule 'a': collisions: has no bound; min or max was expected"),
-        ("[rules.a]\ncollisions = { maximum = 0 }", "rule 'a': collisions: unknown field 'maximum'; "),
+        (
+            "[rules.a]\ncollisions = { maximum = 0 }",
+            "rule 'a': collisions: unknown key 'maximum'; did you mean max? The keys are of, with, at_fault, min, max",
+        ),
         ("[rules.a]\ncollisions = { max = -1 }", "collisions.max: -1; a whole number of 0 or more was expected"),
         ("[rules.a]\ncollisions = { max = true }", "collisions.max: True; a whole number of 0 or more was expected"),
         ("[rules.a]\ncollisions = { max = 0.5 }", "collisions.max: 0.5; a whole number of 0 or more was expected"),
@@ -333,25 +337,25 @@ def test_the_description_is_the_authors_or_that_of_the_condition():
             "collisions.of: 'heros'; hero, vehicle, walker, any, role:NAME or ",
         ),
         ("[rules.a]\ncollisions = { max = 0, of = ['hero'] }", "collisions.of: ['hero']; hero, vehicle, "),
-        ("[rules.a]\nincidents = { max = 0 }", "incidents.kind: is missing; one or a list of collision, red light, "),
+        ("[rules.a]\nincidents = { max = 0 }", "incidents.kind: is missing; one or a list of collision, red-light, "),
         ("[rules.a]\nincidents = { max = 0, kind = 'crash' }", "incidents.kind: 'crash'; one or a list of collision, "),
         ("[rules.a]\nincidents = { max = 0, kind = [] }", "incidents.kind: []; one or a list of collision, "),
         (
             "[rules.a]\nblocked = { of = 'hero' }",
-            'blocked.max: is missing; the longest valid stop, such as "60 s", was expected',
+            'blocked.max: is missing; a number in s, or a text such as "1.5 s" with one of the units s, ',
         ),
         ("[rules.a]\nblocked = { max = '60 m' }", "blocked.max: '60 m'; a number in s, or a text such as \"1.5 s\""),
         ("[rules.a]\nblocked = { max = nan }", "blocked.max: nan; a number in s, or"),
         ("[rules.a]\nduration = { min = 1e999 }", "duration.min: inf; a number in s, or"),
         (f"[rules.a]\nduration = {{ min = 1{'0' * 400} }}", "duration.min: "),
-        ("[rules.a]\nduration = { min = 5, max = 4 }", "duration.min: 5; no more than max was expected"),
-        ("[rules.a]\nmap = ''", "rule 'a'.map: ''; the name of a map or a list of names was expected"),
-        ("[rules.a]\nspeed = { min = 3 }", "speed.min: 3; max (since the greatest value is measured) was expected"),
-        ("[rules.a]\ngap = { max = '1 m' }", "gap.max: '1 m'; min (since the least value is measured) was expected"),
+        ("[rules.a]\nduration = { min = 5, max = 4 }", "duration.min: 5 s; no more than max was expected"),
+        ("[rules.a]\nmap = ''", "rule 'a': map: ''; the name of a map or a list of names was expected"),
+        ("[rules.a]\nspeed = { min = 3 }", "speed: unknown key 'min'; the keys are of, max"),
+        ("[rules.a]\ngap = { max = '1 m' }", "gap: unknown key 'max'; the keys are of, min"),
         ("[rules.a]\nspeed = { max = '3 m' }", "speed.max: '3 m'; a number in m/s, or a text such as \"1.5 m/s\""),
         ("[rules.a]\nsame_as = { tolerance = 1 }", "same_as.baseline: is missing; the path of a recording, or of a folder "),
         ("[rules.a]\nsame_as = { baseline = ['a'] }", "same_as.baseline: ['a']; the path of a recording, or of a folder "),
-        ("[rules.a]\nsame_as = { baseline = 'a', tolerance = -1 }", "same_as.tolerance: -1; a distance of 0 or more"),
+        ("[rules.a]\nsame_as = { baseline = 'http://a', tolerance = -1 }", "same_as.tolerance: -1; a distance of 0 or more"),
         ('[rules.""]\nmap = "x"', "rule '': a name was expected"),
         ("a = " + "[" * 100_000, ""),
     ],
@@ -403,9 +407,9 @@ def test_all_faults_of_a_file_are_said():
         parse_rules(dedent(text), "rules.toml")
     assert [fault.removeprefix("rules.toml: ")[:42] for fault in caught.value.faults] == [
         "rule 'a': collisions.max: -1; a whole numb",
-        "rule 'a': collisions: unknown field 'off';",
+        "rule 'a': collisions: unknown key 'off'; d",
         "rule 'b': unknown condition 'colisions'; d",
-        "rule 'c': duration.min: '1 min'; no more t",
+        "rule 'c': duration.min: 1 min; no more tha",
         "rule 'e': has no condition; one of collisi",
     ]
     assert str(caught.value).splitlines() == list(caught.value.faults)
@@ -418,7 +422,7 @@ def test_an_unknown_condition_hides_no_other_fault_of_its_rule():
     assert [fault.removeprefix("rules.toml: rule 'a': ")[:24] for fault in caught.value.faults] == [
         "unknown condition 'foo';",
         "deceleration.max: '2 par",
-        "deceleration.min: 3; max",
+        "deceleration: unknown ke",
         "frames.min: -1; a whole ",
     ]
 
@@ -524,5 +528,5 @@ def test_baselines_that_are_missing_are_faults_of_the_file(tmp_path):
     )
     with pytest.raises(RulesError) as caught:
         load_rules(path)
-    expected = "a recording, or a folder of recordings, was expected"
+    expected = "the path of a recording, or of a folder of recordings, was expected"
     assert caught.value.faults == (f"{path}: rule 'a': same_as.baseline: there is no {tmp_path / 'absent'}; {expected}",)

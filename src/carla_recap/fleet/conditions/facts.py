@@ -1,0 +1,194 @@
+"""What conditions ask of a recording, and what they find in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+
+from carla_recap.errors import RecapError
+from carla_recap.fleet.conditions.values import ANY, OBJECT
+from carla_recap.model.actors import HERO, ROAD_USERS, ActorLives
+from carla_recap.model.presence import RoadHeights
+from carla_recap.queries.actors import actors, never_there
+from carla_recap.queries.blocked import blocked
+from carla_recap.queries.incidents import IncidentOptions, incidents
+from carla_recap.queries.kinds import KINDS
+from carla_recap.queries.measures import MEASURES, measures
+from carla_recap.queries.roads import roads_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from carla_recap.fleet.conditions.values import Selector
+    from carla_recap.model.stationary import BlockedRow
+    from carla_recap.queries.incidents import Incident
+    from carla_recap.queries.measures import MeasureRow
+    from carla_recap.recording import Recording
+    from carla_recap.roads.network import RoadNetwork
+
+T = TypeVar("T")
+
+
+class Offence(NamedTuple):
+    """An event that a condition forbids.
+
+    Attributes:
+        text: What happens: a sentence without its full stop.
+        time: When, in elapsed seconds; None if it has no time.
+        actors: The ids of the actors.
+    """
+
+    text: str
+    time: float | None = None
+    actors: tuple[int, ...] = ()
+
+
+class Finding(NamedTuple):
+    """What a condition has found in a recording.
+
+    Attributes:
+        passes: Whether the recording meets the condition.
+        message: What was found, in one line.
+        offences: The events that it forbids, the first or the worst one first.
+    """
+
+    passes: bool
+    message: str
+    offences: tuple[Offence, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Needs:
+    """What a condition asks of a recording, so that the answers for all conditions are found at once.
+
+    Attributes:
+        incidents: The kinds of incidents.
+        stop_time: The duration above which stops are asked for, in s; None: stops are not.
+        extremes: Of which actors the extreme value of which measure.
+    """
+
+    incidents: frozenset[str] = frozenset()
+    stop_time: float | None = None
+    extremes: tuple[tuple[str, Selector], ...] = ()
+
+    @property
+    def roads(self) -> bool:
+        """Whether the roads of the map are needed."""
+        return any(KINDS[kind].needs_roads for kind in self.incidents) or any(
+            MEASURES[measure].needs_roads for measure, _ in self.extremes
+        )
+
+
+class Condition(Protocol):
+    """What a rule demands."""
+
+    def needs(self) -> Needs:
+        """Return what the condition asks of a recording."""
+        ...
+
+    def text(self) -> str:
+        """Return the condition in words."""
+        ...
+
+    def judge(self, facts: Facts) -> Finding:
+        """Return what a recording has of it.
+
+        Raises:
+            RecapError: The recording is damaged.
+        """
+        ...
+
+
+class Facts:
+    """What the conditions of some rules ask of a recording; each question is asked once, and only if a rule needs it.
+
+    Args:
+        recording: The recording.
+        needs: What all conditions that will be judged ask.
+        road_map: The map, or the folder of maps; None: the usual folders.
+    """
+
+    def __init__(self, recording: Recording, needs: Iterable[Needs], road_map: str | None = None) -> None:
+        self.recording = recording
+        self._road_map = road_map
+        self._needs = list(needs)
+        self._answers: dict[str, Any] = {}
+
+    @property
+    def actors(self) -> ActorLives:
+        """All actors."""
+        return self._once("actors", lambda: ActorLives(actors(self.recording.reader)))
+
+    @property
+    def never_there(self) -> set[int]:
+        """The ids of the vehicles and walkers that are at no time near the roads."""
+        return self._once("never there", lambda: never_there(self.recording.reader, list(self.actors)))
+
+    @property
+    def incidents(self) -> Sequence[Incident]:
+        """The incidents of all kinds that conditions are about, in order of time."""
+
+        def ask() -> Sequence[Incident]:
+            wanted = frozenset(kind for each in self._needs for kind in each.incidents)
+            of_road = {kind for kind in wanted if KINDS[kind].needs_roads}
+            roads = self._roads if of_road else None
+            kinds = wanted if roads is not None else wanted - of_road
+            return incidents(self.recording.reader, IncidentOptions(kinds=kinds, roads=roads)) if kinds else []
+
+        return self._once("incidents", ask)
+
+    @property
+    def stops(self) -> Sequence[BlockedRow]:
+        """The stops that any condition forbids, the longest first; none of actors that are not there."""
+
+        def ask() -> Sequence[BlockedRow]:
+            shortest = min(each.stop_time for each in self._needs if each.stop_time is not None)
+            found, heights = blocked(self.recording.reader, shortest), RoadHeights(list(self.actors))
+            return [row for row in found if not heights.is_away(row.id, (row.x, row.y, row.z))]
+
+        return self._once("stops", ask)
+
+    @property
+    def measures(self) -> Sequence[MeasureRow]:
+        """The extreme values of the measures of all actors that conditions are about."""
+
+        def ask() -> Sequence[MeasureRow]:
+            wanted = [pair for each in self._needs for pair in each.extremes]
+            movers = [actor for actor in self.actors if actor.kind in ROAD_USERS]
+            ids = {actor.id for actor in movers if any(of.matches(actor) for _, of in wanted)}
+            roads = self._roads if any(MEASURES[measure].needs_roads for measure, _ in wanted) else None
+            return measures(self.recording.reader, ids, roads=roads) if ids else []
+
+        return self._once("measures", ask)
+
+    @property
+    def _roads(self) -> RoadNetwork | None:
+        """The roads of the map; None if the map is not found."""
+        return self._once("roads", lambda: roads_of(self.recording.reader, self._road_map))
+
+    def check_roads(self) -> None:
+        """Check that the map is found.
+
+        Raises:
+            RecapError: It is not, or is damaged.
+        """
+        if self._roads is None:
+            roads_of(self.recording.reader, self._road_map, needed=True)
+
+    def absent(self, selector: Selector) -> str:
+        """Return a remark if a recording has no such actors, else an empty text."""
+        if selector.text in (ANY, OBJECT) or any(selector.matches(actor) for actor in self.actors):
+            return ""
+        return f" ({selector} is not in the recording)" if selector.text == HERO else f" (it has no {selector.text})"
+
+    def _once(self, question: str, ask: Callable[[], T]) -> T:
+        """Return the answer to a question, or raise its error again."""
+        if question not in self._answers:
+            try:
+                self._answers[question] = ask()
+            except RecapError as error:
+                self._answers[question] = error
+        answer: T | RecapError = self._answers[question]
+        if isinstance(answer, RecapError):
+            raise answer
+        return answer

@@ -1,0 +1,182 @@
+"""Reads a file of rules by tables of keys, with the types of their values, and collects all faults."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any, Final
+
+from carla_recap.util.text import visible
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+LARGEST_COUNT: Final = 1 << 63
+"""The largest number of things."""
+
+SHOWN: Final = 60
+"""The characters of a wrong value in an error."""
+
+
+class UnexpectedValue(Exception):
+    """A value is wrong; the message says what was expected, and is empty if the fault is known already."""
+
+
+class UnexpectedKeys(Exception):
+    """Keys are wrong together.
+
+    Args:
+        fault: What is wrong.
+        key: The key that is to blame; empty if it is none alone.
+    """
+
+    def __init__(self, fault: str, key: str = "") -> None:
+        super().__init__(fault)
+        self.key = key
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Reads values of a file of rules, and collects the faults.
+
+    Attributes:
+        prefix: The file, and what is read in it, for faults.
+        faults: The faults.
+        folder: The folder that paths are relative to.
+    """
+
+    prefix: str
+    faults: list[str] = field(default_factory=list)
+    folder: str = ""
+
+    def of(self, prefix: str) -> Reading:
+        """Return what reads a part, with its prefix in faults."""
+        return Reading(prefix, self.faults, self.folder)
+
+    def refuse(self, value: Any, expected: str) -> None:
+        """Add the fault of a value."""
+        self.faults.append(f"{self.prefix}: {shown(value)}; {expected} was expected")
+
+    def value(self, type: ValueType, value: Any, name: str = "") -> Any:
+        """Return a value as its type reads it; None, and a fault, if it is wrong, or missing (None)."""
+        place = f"{self.prefix}.{name}" if name else self.prefix
+        try:
+            if value is None:
+                raise UnexpectedValue(type.expected)
+            return type.read(value, self.of(place))
+        except UnexpectedValue as error:
+            if str(error):
+                self.of(place).refuse(value, str(error))
+            return None
+
+    def table(self, parts: Sequence[Key | KeyGroup], table: Mapping[str, Any], *, plain: str = "", others: str = "") -> Any:
+        """Return the values of a table by the fields that they are for; None, and faults, if any is wrong.
+
+        Args:
+            parts: The keys, and groups of keys.
+            table: The table.
+            plain: The key whose value was given in place of a table, for faults.
+            others: The field that gets the keys that are in no part; empty: these are faults.
+        """
+        count = len(self.faults)
+        keys = keys_of(parts)
+        found: dict[str, Any] = {}
+        for key in keys:
+            if key.name in table or key.required:
+                found[key.name] = self.value(key.type, table.get(key.name), "" if key.name == plain else key.name)
+            else:
+                found[key.name] = key.default
+        more = {name: value for name, value in table.items() if name not in found}
+        if not others:
+            names = [key.name for key in keys]
+            self.faults.extend(f"{self.prefix}: unknown key {shown(name)}; {hint(name, names, 'keys')}" for name in more)
+        if len(self.faults) > count:
+            return None
+        values = {others: more} if others else {}
+        for part in parts:
+            if isinstance(part, Key):
+                values[part.field] = found[part.name]
+                continue
+            try:
+                values[part.field] = part.make(self, **{key.field: found[key.name] for key in part.keys})
+            except UnexpectedKeys as error:
+                self.faults.append(f"{self.prefix}{'.' if error.key else ''}{error.key}: {error}")
+        return None if len(self.faults) > count else values
+
+
+@dataclass(frozen=True)
+class ValueType:
+    """A type of values.
+
+    Attributes:
+        name: What such a value is, as in docs/ci.md.
+        expected: The same for errors, with all that is needed to write one.
+        read: Returns what a value of a file means.
+    """
+
+    name: str
+    expected: str
+    read: Callable[[Any, Reading], Any]
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a condition or a place.
+
+    Attributes:
+        name: The name in the file.
+        type: The type of its values.
+        text: What it says, as in docs/ci.md.
+        field: The field of what is made of it; by default of the same name.
+        default: The value without it.
+        required: Whether it has to be given.
+    """
+
+    name: str
+    type: ValueType
+    text: str
+    field: str = ""
+    default: Any = None
+    required: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "field", self.field or self.name)
+
+
+@dataclass(frozen=True)
+class KeyGroup:
+    """Keys that mean something together, such as the bounds of a number.
+
+    Attributes:
+        field: The field of what they are for.
+        keys: The keys.
+        make: Returns what they mean, from their values by field.
+        title: What stands for the keys in the tables of docs/ci.md; empty: the keys themselves.
+    """
+
+    field: str
+    keys: tuple[Key, ...]
+    make: Callable[..., Any]
+    title: str = ""
+
+
+def keys_of(parts: Iterable[Key | KeyGroup]) -> list[Key]:
+    """Return all keys, those of groups included."""
+    return [key for part in parts for key in ((part,) if isinstance(part, Key) else part.keys)]
+
+
+def hint(name: str, known: Sequence[str], what: str) -> str:
+    """Return what may be meant by an unknown name, and all names that there are."""
+    near = get_close_matches(name[:SHOWN], known, 1)
+    every = f"{what} are {', '.join(known)}" if len(known) > 1 else f"{what.removesuffix('s')} is {known[0]}"
+    return f"did you mean {near[0]}? The {every}" if near else f"the {every}"
+
+
+def shown(value: Any) -> str:
+    """Return a value of a file for an error."""
+    if value is None:
+        return "is missing"
+    if type(value) is int and abs(value) > LARGEST_COUNT:
+        return "a number of many digits"
+    text = repr(value[:SHOWN] if isinstance(value, (str, list)) else value) if not isinstance(value, dict) else "a table"
+    return visible(text if len(text) <= 2 * SHOWN else f"{text[:SHOWN]}…")

@@ -1,0 +1,164 @@
+"""The table of conditions: a row for each, which the reader of rules, errors and documentation use."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+from carla_recap.fleet.conditions.counts import ActorCount, IncidentCount, LongestStop, MapName, SameAs, Size
+from carla_recap.fleet.conditions.keys import (
+    ACTORS_OR_OBJECT,
+    BASELINE,
+    COUNT,
+    FLAG,
+    LENGTH,
+    OF,
+    TIME,
+    bounds,
+    quantity,
+    texts,
+)
+from carla_recap.fleet.conditions.measures import MeasureBounds
+from carla_recap.fleet.conditions.reading import Key, keys_of
+from carla_recap.fleet.conditions.values import Quantity, Selector
+from carla_recap.queries.kinds import KINDS, kind_named
+from carla_recap.queries.measures import MEASURES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from carla_recap.fleet.conditions.facts import Condition
+    from carla_recap.fleet.conditions.reading import KeyGroup, Reading
+    from carla_recap.queries.measures import Measure
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConditionKind:
+    """A row of the table.
+
+    Attributes:
+        name: The name in a file of rules.
+        text: When the condition is met, as in docs/ci.md.
+        parts: The keys, and groups of keys.
+        make: Returns the condition, from the values of the parts by field.
+        plain: The key whose value can be given in place of a table; empty: a table is needed.
+    """
+
+    name: str
+    text: str
+    parts: tuple[Key | KeyGroup, ...]
+    make: Callable[..., Condition]
+    plain: str = ""
+
+    def read(self, value: Any, reading: Reading) -> Condition | None:
+        """Return the condition that a value of a file is; None, and faults, if it is wrong."""
+        if isinstance(value, dict):
+            values = reading.table(self.parts, value)
+        elif self.plain:
+            values = reading.table(self.parts, {self.plain: value}, plain=self.plain)
+        else:
+            reading.refuse(value, f"a table of the keys {', '.join(key.name for key in keys_of(self.parts))}")
+            return None
+        return None if values is None else self.make(**values)
+
+
+def _measure(measure: Measure) -> ConditionKind:
+    name = "min" if measure.extreme == "least" else "max"
+    return ConditionKind(
+        name=measure.name,
+        text=f"the {measure.extreme} value of the [measure](measures.md#definitions) is within the bound",
+        parts=(OF, bounds(quantity(measure.unit), name)),
+        make=partial(MeasureBounds, measure=measure.name),
+    )
+
+
+def _named(kinds: Iterable[ConditionKind]) -> Mapping[str, ConditionKind]:
+    return {kind.name: kind for kind in kinds}
+
+
+CONDITIONS: Final = _named(
+    (
+        ConditionKind(
+            name="collisions",
+            text="the number of collisions is within the bounds; one contact of two actors is one collision",
+            parts=(
+                OF,
+                Key("with", ACTORS_OR_OBJECT, "the actors on the other side", field="other", default=Selector()),
+                Key("at_fault", FLAG, "only those count that the actors of `of` have [caused](#fault)", default=False),
+                bounds(COUNT),
+            ),
+            make=partial(IncidentCount, kinds=("collision",)),
+        ),
+        ConditionKind(
+            name="incidents",
+            text="the number of incidents of the kinds is within the bounds",
+            parts=(
+                Key(
+                    "kind",
+                    texts(
+                        "kind, or list of kinds",
+                        f"one or a list of {', '.join(kind.option for kind in KINDS.values())}",
+                        lambda text: kind_named(text).name,
+                    ),
+                    "the [kinds](incidents.md#what-an-incident-is), such as `near-miss`",
+                    field="kinds",
+                    required=True,
+                ),
+                OF,
+                bounds(COUNT),
+            ),
+            make=partial(IncidentCount, other=Selector()),
+        ),
+        ConditionKind(
+            name="blocked",
+            text="no vehicle or walker stands still for more than `max`",
+            parts=(OF, Key("max", TIME, "the longest valid stop", field="longest", required=True)),
+            make=LongestStop,
+        ),
+        ConditionKind(
+            name="duration",
+            text="the recording is that long",
+            parts=(bounds(TIME),),
+            make=partial(Size, unit="s"),
+        ),
+        ConditionKind(
+            name="frames",
+            text="the recording has that many frames",
+            parts=(bounds(COUNT),),
+            make=partial(Size, unit="frames"),
+        ),
+        ConditionKind(
+            name="actors",
+            text="there are that many actors",
+            parts=(OF, bounds(COUNT)),
+            make=ActorCount,
+        ),
+        ConditionKind(
+            name="map",
+            text="the recording is of that map, or of one of a list; `Town01_Opt` is the same map as `Town01`",
+            parts=(
+                Key(
+                    "name",
+                    texts("name, or list of names", "the name of a map or a list of names"),
+                    "the map",
+                    field="names",
+                    required=True,
+                ),
+            ),
+            make=MapName,
+            plain="name",
+        ),
+        ConditionKind(
+            name="same_as",
+            text="`carla-recap diff` finds no difference beyond the tolerance; see [compare two recordings](diff.md)",
+            parts=(
+                Key("baseline", BASELINE, "the recording to compare with, or the folder of it", required=True),
+                Key("tolerance", LENGTH, "the distance that counts as equal", default=Quantity(0.0, "m")),
+            ),
+            make=SameAs,
+        ),
+        *map(_measure, MEASURES.values()),
+    )
+)
+"""The conditions by name."""
