@@ -76,6 +76,27 @@ assert ticks == sorted(ticks)
 world.apply_settings(carla.WorldSettings())
 print("done")
 """
+MOVE = """
+import re
+world.apply_settings(synchronous)
+manage(1)
+moved = re.sub(r'(<geometry [^>]*x=")([^"]*)', lambda found: found[1] + str(float(found[2]) + 300), world.get_map().to_opendrive())
+world = client.generate_opendrive_world(moved, carla.OpendriveGenerationParameters(), False)
+world.tick()
+manager, vehicles = manage(5)
+roads = world.get_map()
+aside, driven = 0.0, 0.0
+for _ in range(200):
+    world.tick()
+    for vehicle in vehicles:
+        place = vehicle.get_location()
+        lane = roads.get_waypoint(place)
+        driven += vehicle.get_velocity().length() * 0.05
+        if not lane.is_junction:
+            aside = max(aside, place.distance_2d(lane.transform.location))
+print(json.dumps({"aside": aside, "driven": driven, "east": roads.get_spawn_points()[0].location.x}))
+world.apply_settings(carla.WorldSettings())
+"""
 LIVE = """
 world.apply_settings(carla.WorldSettings())
 manage(5, False)
@@ -118,6 +139,15 @@ def test_episodes_begin_while_it_lives(client: carla.Client, port: int, mode: st
     else:
         script = RELOAD
     assert "done" in run(script, port, mode, count)
+
+
+def test_the_manager_drives_on_the_map_that_its_client_loads(client: carla.Client, port: int) -> None:
+    first = client.load_world("Brickfield").get_map().get_spawn_points()[0].location.x
+    result = json.loads(run(MOVE, port))
+    client.load_world("Brickfield")
+    assert result["east"] == pytest.approx(first + 300)
+    assert result["driven"] > 100
+    assert result["aside"] < 1.0
 
 
 def test_another_client_begins_episodes_while_it_lives(client: carla.Client, port: int) -> None:

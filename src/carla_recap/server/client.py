@@ -42,6 +42,14 @@ class Client:
         """The address of the client's machine."""
         return self._connection.address
 
+    @property
+    def known_episode(self) -> int:
+        """The number of the episode that the client learns of; while its traffic manager pauses, of the one before.
+
+        The first snapshot then tells the client of a new episode, which makes it reset its traffic manager.
+        """
+        return self.host.episode - (self.pause is not None)
+
     def in_background(self, work: Awaitable[None]) -> None:
         """Run something after the current call; it is cancelled when the client leaves."""
         self._connection.in_background(work)

@@ -33,9 +33,9 @@ def version(client: Client) -> str:
 
 @call
 def get_episode_info(client: Client) -> EpisodeInfo:
-    """Return the episode, and a stream of snapshots for this client alone."""
+    """Return the episode, and a stream of snapshots for this client alone; see `Client.known_episode`."""
     client.host.prepare_snapshot(client)
-    return EpisodeInfo(client.host.episode, Token(client.host.streams.token(client.stream)))
+    return EpisodeInfo(client.known_episode, Token(client.host.streams.token(client.stream)))
 
 
 @call
