@@ -80,7 +80,8 @@ MOVE = """
 import re
 world.apply_settings(synchronous)
 manage(1)
-moved = re.sub(r'(<geometry [^>]*x=")([^"]*)', lambda found: found[1] + str(float(found[2]) + 300), world.get_map().to_opendrive())
+east = lambda x: x[1] + str(float(x[2]) + 300)
+moved = re.sub(r'(<geometry [^>]*x=")([^"]*)', east, world.get_map().to_opendrive())
 world = client.generate_opendrive_world(moved, carla.OpendriveGenerationParameters(), False)
 world.tick()
 manager, vehicles = manage(5)
