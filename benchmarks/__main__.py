@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from benchmarks import core, exports, fleet, measures, page, remote, rendering, roads, sense, server, simulator
 from benchmarks.hour import FRAMES, cached
-from benchmarks.measuring import Subject, in_new_process, measure
+from benchmarks.measuring import Missing, Subject, in_new_process, measure
 from benchmarks.results import RESULTS, Result, current_conditions, load, save
 
 if TYPE_CHECKING:
@@ -83,6 +83,9 @@ def measure_rows(rows: Iterable[Row], subject: Subject, stored: Path | None = No
         begin = time.monotonic()
         try:
             lines = in_new_process(measure, row, subject)
+        except Missing as missing:
+            print_cells(row.__name__, f"left out: {missing} is not installed")
+            continue
         except Exception:
             print_cells(row.__name__, "failed")
             traceback.print_exc()

@@ -7,7 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from benchmarks.hour import DIRECTORY
-from benchmarks.measuring import COMMAND, Line, Subject, best, medians, run
+from benchmarks.measuring import COMMAND, Line, Missing, Subject, best, medians, run
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -87,6 +87,8 @@ def video(subject: Subject) -> Iterator[Line]:
 
 
 def page(subject: Subject) -> Iterator[Line]:
+    if shutil.which("chromedriver") is None:
+        raise Missing("chromedriver")
     mcap = subject.mcap
     clip, file = DIRECTORY / "minute.mcap", DIRECTORY / "page.html"
     run(COMMAND, "clip", "--force", mcap, clip, "--start", str(subject.seconds / 2), "--duration", str(MINUTE))

@@ -43,6 +43,10 @@ class Line:
     ok: bool
 
 
+class Missing(Exception):
+    """A program that a row needs is not installed; the message is its name."""
+
+
 @dataclass(frozen=True)
 class Subject:
     """The measured recordings: the synthetic hour, or a shorter one, and a recording of CARLA if there is one."""

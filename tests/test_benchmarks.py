@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import page
-from benchmarks.measuring import Line, Subject
+from benchmarks.measuring import Line, Missing, Subject
 from benchmarks.results import Conditions, Result, load, save
 from tests.waiting import PATIENCE
 
@@ -130,6 +130,19 @@ def failing(subject):
 
 def missing(subject):
     return iter(())
+
+
+def without_a_program(subject):
+    raise Missing("chromedriver")
+
+
+def test_a_row_whose_program_is_not_installed_names_it(capsys):
+    from benchmarks.__main__ import measure_rows
+
+    assert not measure_rows([without_a_program], Subject(7))
+    printed = capsys.readouterr()
+    assert "chromedriver is not installed" in printed.out
+    assert "Traceback" not in printed.err
 
 
 def test_a_row_that_fails_or_is_left_out_keeps_the_results_that_are_stored(rows, tmp_path, monkeypatch, capsys):

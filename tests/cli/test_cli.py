@@ -247,6 +247,15 @@ def test_options_choose_the_form_on_a_terminal(form):
         assert shown == text_of(collisions, CROSSING, compat=form == "--compat")
 
 
+@pytest.mark.parametrize(
+    "command",
+    [["sql", "index", "select 1", "--json", "--csv"], ["collisions", CROSSING, "--json", "--text"]],
+    ids=["sql", "collisions"],
+)
+def test_two_forms_contradict_each_other(command):
+    assert error(*command).startswith(f"{command[-2]} and {command[-1]}: one of them was expected. ")
+
+
 @pytest.mark.parametrize("command", [["info", "--all"], ["collisions"], ["blocked"], ["actors"]], ids=" ".join)
 def test_a_table_cannot_control_a_terminal(evil, command):
     code, shown, errors = on_terminal(command[0], evil, *command[1:])

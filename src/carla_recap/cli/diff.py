@@ -39,7 +39,7 @@ DIFFERENT: Final = 1
 @options.road_map
 @options.force
 @options.json
-@click.option("--text", "form", flag_value="text", help="Print text, as in a pipe.")
+@options.form("text", "Print text, as in a pipe.")
 def diff(
     first: str,
     second: str,

@@ -113,7 +113,7 @@ def index(
 @click.argument("index_file", type=click.Path(), metavar="INDEX")
 @click.argument("query")
 @options.json
-@click.option("--csv", "form", flag_value="csv", help="Print CSV, as in a pipe.")
+@options.form("csv", "Print CSV, as in a pipe.")
 def sql(index_file: str, query: str, form: Form | None) -> NoReturn:
     """Answer QUERY, in SQL, from the tables of INDEX.
 

@@ -13,8 +13,10 @@ import click
 from carla_recap.cli.output import ask_json
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
     from pathlib import Path
+
+    from click.core import ParameterSource
 
     from carla_recap.formats.base import Reader
     from carla_recap.formats.sources import TimeFragment
@@ -103,6 +105,26 @@ class _Kinds(click.ParamType[Any]):
             return kinds_named(value.split(","))
         except RecapError as error:
             self.fail(f"{error}, and all.", param, ctx)
+
+
+class _FormOption(click.Option):
+    """An option for the form of an answer; two of them contradict each other."""
+
+    def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
+        parser.add_option(obj=self, opts=self.opts, dest=self.name, action="append_const", const=self.flag_value)
+
+    def consume_value(self, ctx: click.Context, opts: Mapping[str, Any]) -> tuple[Any, ParameterSource]:
+        value, source = super().consume_value(ctx, opts)
+        if not isinstance(value, list):
+            return value, source
+        if len(forms := dict.fromkeys(value)) > 1:
+            raise click.UsageError(f"{' and '.join(f'--{form}' for form in forms)}: one of them was expected.", ctx)
+        return value[0], source
+
+
+def form(name: str, help: str) -> Callable[[Command], Command]:
+    """Return the option for a form of the answer, such as json."""
+    return click.option(f"--{name}", "form", cls=_FormOption, flag_value=name, help=help)
 
 
 class _KindsOption(click.Option):
@@ -223,8 +245,8 @@ source = click.argument("source", type=click.Path(), metavar="SRC")
 destination = click.argument("destination", type=click.Path(), metavar="DST")
 folder = click.argument("folder", type=click.Path(), metavar="DIR")
 force = click.option("--force", is_flag=True, help="Overwrite what exists.")
-json = click.option("--json", "form", flag_value="json", help="Print JSON.")
-csv = click.option("--csv", "form", flag_value="csv", help="Print CSV.")
+json = form("json", "Print JSON.")
+csv = form("csv", "Print CSV.")
 written = click.option(
     "--json",
     is_flag=True,
@@ -232,7 +254,7 @@ written = click.option(
     callback=_ask_json,
     help="Print what was written as JSON.",
 )
-text = click.option("--text", "form", flag_value="text", help="Print CARLA's text, as in a pipe.")
+text = form("text", "Print CARLA's text, as in a pipe.")
 compat = click.option(
     "--compat",
     is_flag=True,
