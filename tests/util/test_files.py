@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import textwrap
 from typing import TYPE_CHECKING
 
 import pytest
@@ -77,6 +80,23 @@ def test_a_folder_that_exists_keeps_its_other_files(tmp_path: Path) -> None:
             (folder / name).write_text("new")
     texts = {name: (tmp_path / "old" / name).read_text() for name in ("a", "b", "sub/c", "sub/d")}
     assert texts == {"a": "new", "b": "old", "sub/c": "old", "sub/d": "new"}
+
+
+def test_a_new_folder_removes_what_a_killed_process_has_left(tmp_path: Path) -> None:
+    script = """
+        import os, sys
+        from carla_recap.util.files import new_folder
+        with new_folder(sys.argv[1]) as folder:
+            (folder / "a").touch()
+            os.kill(os.getpid(), 9)
+    """
+    subprocess.run([sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "new")], check=False)
+    (left,) = partials(tmp_path / "new")
+    with new_folder(tmp_path / "new") as running, new_folder(tmp_path / "new") as folder:
+        assert sorted(partials(tmp_path / "new")) == sorted([running, folder])
+        (folder / "b").touch()
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["b"]
+    assert not left.exists()
 
 
 def test_errors_within_a_new_folder_name_the_destination(tmp_path: Path) -> None:

@@ -258,7 +258,8 @@ def check_folder(folder: Path | str, *, force: bool) -> None:
 def new_folder(folder: Path | str) -> Iterator[Path]:
     """Yield a folder beside the destination, which is moved there at the end.
 
-    If the destination exists, its files of the same names are replaced, and all others stay.
+    If the destination exists, its files of the same names are replaced, and all others stay. What processes that were
+    killed have left beside it is removed.
 
     Raises:
         RecapError: The destination cannot be written to. Errors of the block name the destination, too.
@@ -267,8 +268,17 @@ def new_folder(folder: Path | str) -> Iterator[Path]:
 
     folder = Path(folder)
     partial = _partial_path(folder.absolute())
+    lock = None
     try:
-        partial.mkdir(parents=True)
+        partial.parent.mkdir(parents=True, exist_ok=True)
+        for other in partials(folder.absolute()):
+            if other.is_dir() and (abandoned := _locked(other)) is not None:
+                rmtree(other, ignore_errors=True)
+                os.close(abandoned)
+        unlocked = partial.with_suffix(".new")
+        unlocked.mkdir()
+        lock = _locked(unlocked)
+        unlocked.rename(partial)
         yield partial
         if folder.exists():
             _merge(partial, folder)
@@ -282,6 +292,23 @@ def new_folder(folder: Path | str) -> Iterator[Path]:
         raise RecapError(f"{folder}: cannot be written: {error.strerror or error}") from None
     finally:
         rmtree(partial, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
+
+
+def _locked(folder: Path) -> int | None:
+    """Return the descriptor of a folder that is now locked until it is closed; None if a process has locked it."""
+    try:
+        from fcntl import LOCK_EX, LOCK_NB, flock
+    except ImportError:  # on Windows
+        return None
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        flock(descriptor, LOCK_EX | LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        return None
+    return descriptor
 
 
 def _merge(source: Path, folder: Path) -> None:
