@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from carla_recap.sim.actors.registry import TickEvents
     from carla_recap.sim.errors import DeadActor, SimError, SpawnError
     from carla_recap.sim.geometry import Box, Location, Rotation, Transform, Vector
-    from carla_recap.sim.interfaces import Controller
     from carla_recap.sim.physics.physics_control import Gear, PhysicsControl, WheelPhysics
     from carla_recap.sim.settings import Settings
     from carla_recap.sim.town.town import Town, load_town
+    from carla_recap.sim.traffic.controllers import Controller
     from carla_recap.sim.weather import PRESETS, Weather
     from carla_recap.sim.world import World
 
@@ -71,10 +71,10 @@ __getattr__, __dir__ = lazily(
         "actors.registry": ("TickEvents",),
         "errors": ("DeadActor", "SimError", "SpawnError"),
         "geometry": ("Box", "Location", "Rotation", "Transform", "Vector"),
-        "interfaces": ("Controller",),
         "physics.physics_control": ("Gear", "PhysicsControl", "WheelPhysics"),
         "settings": ("Settings",),
         "town.town": ("Town", "load_town"),
+        "traffic.controllers": ("Controller",),
         "weather": ("PRESETS", "Weather"),
         "world": ("World",),
     },

@@ -33,13 +33,13 @@ if TYPE_CHECKING:
     from carla_recap.sim.actors.lights import Signals, TrafficLight
     from carla_recap.sim.actors.registry import TickEvents
     from carla_recap.sim.geometry import Transform
-    from carla_recap.sim.interfaces import Controller
     from carla_recap.sim.physics.plane import Plane
     from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.sim.physics.walkers import Walkers
     from carla_recap.sim.recording.recorder import WorldRecorder
     from carla_recap.sim.replaying.replayer import Replay, Replayer
     from carla_recap.sim.traffic.autopilot import Autopilot
+    from carla_recap.sim.traffic.controllers import Controller
     from carla_recap.sim.traffic.pedestrians import PedestrianNavigation
 
 _DELTA: Final = 0.05  # s: the default length of a tick

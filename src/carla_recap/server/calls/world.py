@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.sim.interfaces import ActorView
+    from carla_recap.sim.world import World
 
     Floats = NDArray[np.float64]
 
@@ -146,7 +146,7 @@ def get_imui_gravity(client: Client) -> float:
     return GRAVITY
 
 
-def _signs(world: ActorView, label: int) -> list[Sign]:
+def _signs(world: World, label: int) -> list[Sign]:
     """Return the lights and signs of a semantic class, or all."""
     signs = [actor for actor in world.actors.values() if isinstance(actor, Sign)]
     return [sign for sign in signs if label in (_ANY, actor_records.tag(sign))]
@@ -165,7 +165,7 @@ def _sign_name(sign: Sign) -> str:
     return f"{sign.type_id}_{sign.signal.opendrive_id}"
 
 
-def _ray(world: ActorView, start: Location, end: Location) -> list[LabelledPoint]:
+def _ray(world: World, start: Location, end: Location) -> list[LabelledPoint]:
     """Return where a ray passes through vehicles, walkers, props and the ground, the nearest first."""
     origin, goal = np.array((start.x, start.y, start.z)), np.array((end.x, end.y, end.z))
     reach = float(np.linalg.norm(goal - origin))
@@ -176,14 +176,14 @@ def _ray(world: ActorView, start: Location, end: Location) -> list[LabelledPoint
     return [_point(origin + distance * direction, label) for distance, label in sorted(hits)]
 
 
-def _actor_hits(world: ActorView, origin: Floats, direction: Floats, reach: float) -> Iterator[tuple[float, int]]:
+def _actor_hits(world: World, origin: Floats, direction: Floats, reach: float) -> Iterator[tuple[float, int]]:
     actors = solid_actors(world.actors.values())
     hits = ActorBoxes(actors).pierce(origin, direction[None], reach)
     for box, distance in zip(hits.box.tolist(), hits.distance.tolist(), strict=True):
         yield distance, actor_records.tag(actors[box])
 
 
-def _ground_hits(world: ActorView, origin: Floats, direction: Floats, reach: float) -> Iterator[tuple[float, int]]:
+def _ground_hits(world: World, origin: Floats, direction: Floats, reach: float) -> Iterator[tuple[float, int]]:
     """Yield where a ray enters the ground, if it does."""
     samples = np.linspace(0.0, reach, min(max(int(reach / _STRIDE), 1), _MOST_SAMPLES) + 1)
     x, y, z = (origin + samples[:, None] * direction).T
@@ -196,7 +196,7 @@ def _ground_hits(world: ActorView, origin: Floats, direction: Floats, reach: flo
         yield float(distance), _ground_label(world, origin + distance * direction)
 
 
-def _ground_label(world: ActorView, point: Floats) -> int:
+def _ground_label(world: World, point: Floats) -> int:
     """Return the semantic class of the ground at a point."""
     town = world.town
     x, y = point[:1], point[1:2]

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.geometry import Transform
-    from carla_recap.sim.interfaces import SnapshotWorld
     from carla_recap.sim.physics.moving_bodies import MovingBodies
     from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.sim.town.town import Town
+    from carla_recap.sim.world import World
 
 _WORLD: Final = 17
 # sensor type, frame, elapsed seconds, transform
@@ -101,7 +101,7 @@ class SnapshotEncoder:
         world: The world.
     """
 
-    def __init__(self, world: SnapshotWorld) -> None:
+    def __init__(self, world: World) -> None:
         self._world = world
         self._rules = Rules(world.town)
         self._light_ids = np.array([*(light.id for light in world.traffic_lights), 0])  # row NO_LIGHT is the last

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,55 +13,19 @@ from carla_recap.sim.physics.plane import PROP
 from carla_recap.sim.validation import expect_transform
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     import pymunk
 
     from carla_recap.model.records import ActorKind
-    from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
-    from carla_recap.sim.actors.events import Collision
-    from carla_recap.sim.clock import Clock
+    from carla_recap.sim.actors.blueprints import Blueprint
+    from carla_recap.sim.actors.registry import ActorRegistry
     from carla_recap.sim.geometry import Box
-    from carla_recap.sim.physics.plane import Plane
-    from carla_recap.sim.settings import Settings
-    from carla_recap.sim.town.town import Town
-
-
-class ActorContext(Protocol):
-    """What an actor asks of the episode that it belongs to.
-
-    Attributes:
-        town: The town.
-        clock: The simulated time.
-        settings: The settings of the simulation.
-        blueprints: The blueprint library.
-        plane: The bodies of all actors.
-        actors: All actors by id.
-    """
-
-    town: Town
-    clock: Clock
-    settings: Settings
-    blueprints: BlueprintLibrary
-    plane: Plane
-    actors: Mapping[int, Actor]
-
-    @property
-    def collisions(self) -> Sequence[Collision]:
-        """The collisions of the latest tick."""
-
-    def owner(self, body: int) -> Actor | None:
-        """Return the actor that a body of the plane belongs to; None for a barrier."""
-
-    def destroy(self, actor: Actor) -> bool:
-        """Destroy an actor and what is attached to it; return False if it had been destroyed before."""
 
 
 class Actor:
     """Something in a world. `World.spawn` makes them.
 
     Attributes:
-        context: The episode that it belongs to.
+        context: The actors of the episode that it belongs to.
         id: Its number, never reused.
         blueprint: The blueprint that it was made from.
         attributes: Its attributes, as text.
@@ -72,7 +36,7 @@ class Actor:
 
     def __init__(
         self,
-        context: ActorContext,
+        context: ActorRegistry,
         id: int,
         blueprint: Blueprint,
         transform: Transform,

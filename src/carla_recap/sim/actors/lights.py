@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.sim.actors.actor import Actor, ActorContext
+from carla_recap.sim.actors.actor import Actor
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.town.junctions import SignalKind
 from carla_recap.sim.validation import LARGEST, expect_between
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from carla_recap.sim.actors.blueprints import Blueprint
+    from carla_recap.sim.actors.registry import ActorRegistry
     from carla_recap.sim.town.junctions import Signal
     from carla_recap.sim.town.town import Town
 
@@ -155,21 +156,6 @@ class Signals:
         return np.array([rows + [len(self)] * (most - len(rows)) for rows in governing], np.int64).reshape(-1, most)
 
 
-class SignalContext(ActorContext, Protocol):
-    """What a traffic light asks of the episode that it belongs to.
-
-    Attributes:
-        signals: All traffic lights, as arrays.
-        traffic_lights: All traffic lights; light i is row i of `signals`.
-    """
-
-    signals: Signals
-    traffic_lights: list[TrafficLight]
-
-    def report_light_times(self, light: TrafficLight) -> None:
-        """Add changed times of a light to the events of the tick."""
-
-
 class Sign(Actor):
     """A stop, yield or speed-limit sign.
 
@@ -177,7 +163,7 @@ class Sign(Actor):
         signal: The signal of the town that it stands for.
     """
 
-    def __init__(self, context: ActorContext, id: int, blueprint: Blueprint, signal: Signal) -> None:
+    def __init__(self, context: ActorRegistry, id: int, blueprint: Blueprint, signal: Signal) -> None:
         place = signal.transform.copy()
         place.rotation.yaw = (place.rotation.yaw + _ACROSS + 180) % 360 - 180
         super().__init__(context, id, blueprint, place)
@@ -191,9 +177,7 @@ class TrafficLight(Sign):
         row: The row of `World.signals` that has its numbers.
     """
 
-    context: SignalContext
-
-    def __init__(self, context: SignalContext, id: int, blueprint: Blueprint, signal: Signal, row: int) -> None:
+    def __init__(self, context: ActorRegistry, id: int, blueprint: Blueprint, signal: Signal, row: int) -> None:
         super().__init__(context, id, blueprint, signal)
         self.row = row
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.sim.actors.actor import Actor, ActorContext, attached_transform
+from carla_recap.sim.actors.actor import Actor, attached_transform
 from carla_recap.sim.actors.control import VehicleControl, WalkerControl
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.physics.physics_control import expect_physics
@@ -31,54 +31,9 @@ ALL_DOORS = 6
 _LIGHT_BITS: Final = 0xFFFFFFFF
 
 
-class WalkerDestinations(Protocol):
-    """The destinations of walkers that find their way by themselves, by actor id."""
-
-    def destination(self, walker: int) -> Location | None:
-        """Return the destination of a walker; None if it has none."""
-
-    def set_destination(self, walker: Walker, place: Location) -> None:
-        """Let a walker find its way to a place, and then on to others."""
-
-    def clear_destination(self, walker: int) -> None:
-        """Leave a walker to its control."""
-
-
-class TrafficControllers(Protocol):
-    """What moves vehicles and walkers by itself, made when first used."""
-
-    def start_autopilot(self) -> None:
-        """Make sure that there is an autopilot, for the vehicles that have it switched on."""
-
-    @property
-    def pedestrians(self) -> WalkerDestinations:
-        """The navigation of the walkers that have destinations."""
-
-
-class MovingContext(ActorContext, Protocol):
-    """What a vehicle or walker asks of the episode that it belongs to.
-
-    Attributes:
-        vehicles: All vehicles, as arrays.
-        walkers: All walkers, as arrays.
-        traffic: The autopilot and the pedestrian navigation.
-    """
-
-    vehicles: Vehicles
-    walkers: Walkers
-    traffic: TrafficControllers
-
-    def report_physics_control(self, vehicle: Vehicle) -> None:
-        """Add a changed physics control to the events of the tick."""
-
-    def report_door(self, vehicle: Vehicle, door: int, open: bool) -> None:
-        """Add a door that was opened or closed to the events of the tick."""
-
-
 class MovingActor(Actor):
     """An actor whose numbers are a row of a struct of arrays."""
 
-    context: MovingContext
     _group = VEHICLE
 
     @property

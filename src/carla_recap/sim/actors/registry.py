@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
     from carla_recap.sim.actors.events import Collision
     from carla_recap.sim.actors.ids import ActorIds
-    from carla_recap.sim.actors.moving import TrafficControllers
     from carla_recap.sim.clock import Clock
     from carla_recap.sim.geometry import Location
     from carla_recap.sim.settings import Settings
     from carla_recap.sim.town.junctions import Signal
     from carla_recap.sim.town.town import Town
+    from carla_recap.sim.traffic.controllers import Traffic
 
 _WALKER_MASS: Final = 75.0  # kg
 _WALKER_RADIUS: Final = 0.25  # m, of the shoulders
@@ -102,7 +102,7 @@ class ActorRegistry:
         ids: The ids of the world's actors, also of those of earlier episodes.
     """
 
-    traffic: TrafficControllers
+    traffic: Traffic
 
     def __init__(self, town: Town, clock: Clock, settings: Settings, library: BlueprintLibrary, ids: ActorIds) -> None:
         self.town = town

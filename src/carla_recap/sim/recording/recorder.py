@@ -22,8 +22,8 @@ from carla_recap.sim.recording.writer_process import InProcessWriter, WriterProc
 if TYPE_CHECKING:
     import subprocess
 
-    from carla_recap.sim.interfaces import RecordedWorld
     from carla_recap.sim.recording.snapshots import SnapshotBatch
+    from carla_recap.sim.world import World
 
 FOLDER: Final = "CARLA_RECAP_RECORDINGS"
 """The environment variable that contains the folder of recordings."""
@@ -89,7 +89,7 @@ class WorldRecorder:
         duration: The time from its first frame to its last one, in s.
     """
 
-    def __init__(self, world: RecordedWorld, folder: Path | str | None = None) -> None:
+    def __init__(self, world: World, folder: Path | str | None = None) -> None:
         self.error: RecapError | None = None
         self.failures: dict[Path, RecapError] = {}
         self.frames = 0

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
     from carla_recap.sim.actors.actor import Actor
-    from carla_recap.sim.interfaces import RecordedWorld
     from carla_recap.sim.recording.snapshots import Columns
     from carla_recap.sim.weather import Weather
+    from carla_recap.sim.world import World
 
     RecordsByType = dict[str, list[Any]]
 
@@ -57,7 +57,7 @@ class WorldSampler:
         RecapError: An actor has data that no record can hold.
     """
 
-    def __init__(self, world: RecordedWorld, *, additional_data: bool) -> None:
+    def __init__(self, world: World, *, additional_data: bool) -> None:
         self._world = world
         self._additional = additional_data
         self.count = 0

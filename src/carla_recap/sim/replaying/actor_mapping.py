@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from carla_recap.model.actors import ActorLife
     from carla_recap.replay import Scene
     from carla_recap.sim.actors.actor import Actor
-    from carla_recap.sim.interfaces import ReplayWorld
+    from carla_recap.sim.world import World
 
 _NEAR: Final = 15.0  # m: the greatest distance between a recorded light or sign and the town's
 _SPECTATOR: Final = "spectator"
@@ -49,9 +49,7 @@ class ActorMapping:
         changes: The number of times that a replayed actor came or went.
     """
 
-    def __init__(
-        self, world: ReplayWorld, *, replay_sensors: bool, earlier: Mapping[int, Actor] = MappingProxyType({})
-    ) -> None:
+    def __init__(self, world: World, *, replay_sensors: bool, earlier: Mapping[int, Actor] = MappingProxyType({})) -> None:
         self._world = world
         self._earlier = earlier
         self._replay_sensors = replay_sensors

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from carla_recap.model.actors import ActorLife
     from carla_recap.replay import Collided, Scene
     from carla_recap.sim.actors.actor import Actor
-    from carla_recap.sim.interfaces import ReplayWorld
     from carla_recap.sim.replaying.actor_mapping import ActorMapping
     from carla_recap.sim.replaying.kinematic import KinematicReplay
+    from carla_recap.sim.world import World
 
     Floats = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class CollisionReplay:
         kinematic: What moves them.
     """
 
-    def __init__(self, world: ReplayWorld, mapping: ActorMapping, kinematic: KinematicReplay) -> None:
+    def __init__(self, world: World, mapping: ActorMapping, kinematic: KinematicReplay) -> None:
         self._world = world
         self._mapping = mapping
         self._kinematic = kinematic

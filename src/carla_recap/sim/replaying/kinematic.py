@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.replay import Scene
-    from carla_recap.sim.interfaces import ReplayWorld
     from carla_recap.sim.physics.moving_bodies import MovingBodies
     from carla_recap.sim.replaying.actor_mapping import ActorMapping
+    from carla_recap.sim.world import World
 
     Floats = NDArray[np.float64]
     Ids = NDArray[np.int64]
@@ -91,7 +91,7 @@ class KinematicReplay:
         mapping: The replayed actors.
     """
 
-    def __init__(self, world: ReplayWorld, mapping: ActorMapping) -> None:
+    def __init__(self, world: World, mapping: ActorMapping) -> None:
         self._world = world
         self._mapping = mapping
         self._lights = np.array([light.id for light in world.traffic_lights], np.int64)

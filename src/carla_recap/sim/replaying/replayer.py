@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.replay import Follow, Scene
     from carla_recap.sim.actors.actor import Actor
-    from carla_recap.sim.interfaces import ReplayWorld
     from carla_recap.sim.town.town import Town
+    from carla_recap.sim.world import World
 
 
 CHASE: Final = Transform(Location(-CHASE_BACK / CM_PER_M, 0.0, CHASE_UP / CM_PER_M), Rotation(pitch=CHASE_PITCH))
@@ -91,7 +91,7 @@ class Replayer:
         error: The error that ended the latest replay early; None without one.
     """
 
-    def __init__(self, world: ReplayWorld) -> None:
+    def __init__(self, world: World) -> None:
         self.ignore_hero = False
         self.ignore_spectator = True
         self.error: RecapError | None = None

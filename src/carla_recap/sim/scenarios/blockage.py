@@ -13,7 +13,7 @@ from carla_recap.sim.scenarios.places import spawn_on_lane, straight_section
 
 if TYPE_CHECKING:
     from carla_recap.sim.actors.moving import Vehicle
-    from carla_recap.sim.interfaces import ScenarioWorld
+    from carla_recap.sim.world import World
 
 VAN: Final = "vehicle.mercedes.sprinter"
 QUEUE: Final = ("vehicle.tesla.model3", "vehicle.audi.a2", "vehicle.mini.cooper_s")
@@ -55,7 +55,7 @@ class Blockage:
         SpawnError: The place of a vehicle is occupied.
     """
 
-    def __init__(self, world: ScenarioWorld) -> None:
+    def __init__(self, world: World) -> None:
         self._world = world
         lane, begin = straight_section(world.town, len(QUEUE) * _SPACING + _RUN, single=True)
         van = spawn_on_lane(world, VAN, lane, begin + len(QUEUE) * _SPACING, "broken down")

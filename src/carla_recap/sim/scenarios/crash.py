@@ -13,7 +13,7 @@ from carla_recap.sim.scenarios.places import MARGIN, point_on_lane, spawn_on_lan
 
 if TYPE_CHECKING:
     from carla_recap.sim.actors.moving import Vehicle
-    from carla_recap.sim.interfaces import ScenarioWorld
+    from carla_recap.sim.world import World
 
 HERO: Final = "vehicle.tesla.model3"
 VAN: Final = "vehicle.mercedes.sprinter"
@@ -60,7 +60,7 @@ class Crash:
         SpawnError: The place of an actor is occupied.
     """
 
-    def __init__(self, world: ScenarioWorld) -> None:
+    def __init__(self, world: World) -> None:
         self._world = world
         lane, begin = straight_section(world.town, _TO_WALKER + _TO_VAN)
         hero = spawn_on_lane(world, HERO, lane, begin, "hero")

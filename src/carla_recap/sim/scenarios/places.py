@@ -12,9 +12,9 @@ from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform
 
 if TYPE_CHECKING:
-    from carla_recap.sim.interfaces import ScenarioWorld
     from carla_recap.sim.town.lanes import Lane
     from carla_recap.sim.town.town import Town
+    from carla_recap.sim.world import World
 
 MARGIN: Final = 8.0  # m of lane before the first vehicle, and behind the last one
 _STRAIGHT: Final = math.radians(0.1)  # between two points of a lane
@@ -63,7 +63,7 @@ def point_on_lane(lane: Lane, s: float) -> tuple[Location, float]:
     return Location(x, y, z), float(np.interp(s, lane.s, lane.heading))
 
 
-def spawn_on_lane(world: ScenarioWorld, blueprint: str, lane: Lane, s: float, role_name: str = "") -> Vehicle:
+def spawn_on_lane(world: World, blueprint: str, lane: Lane, s: float, role_name: str = "") -> Vehicle:
     """Spawn a vehicle that stands on a lane, at a distance along it in m.
 
     Raises:

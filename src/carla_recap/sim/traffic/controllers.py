@@ -1,17 +1,23 @@
-"""The controllers of an episode's traffic: the autopilot and the pedestrian navigation, each made when first used."""
+"""Controllers, and those of an episode's traffic: the autopilot and the pedestrian navigation, made when first used."""
 
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     import numpy as np
 
     from carla_recap.sim.actors.registry import ActorRegistry
-    from carla_recap.sim.interfaces import Controller
     from carla_recap.sim.traffic.autopilot import Autopilot
     from carla_recap.sim.traffic.pedestrians import PedestrianNavigation
+
+
+class Controller(Protocol):
+    """Something that acts at the beginning of each tick."""
+
+    def step(self, delta: float) -> None:
+        """Act at the beginning of a tick of a length in s."""
 
 
 class Traffic:

@@ -15,7 +15,7 @@ from carla_recap.sim.validation import expect_count
 if TYPE_CHECKING:
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.geometry import Location
-    from carla_recap.sim.interfaces import ScenarioWorld
+    from carla_recap.sim.world import World
 
 _log: Final = logging.getLogger("carla_recap.traffic")
 _TRIES: Final = 20  # places that are tried for a walker
@@ -24,7 +24,7 @@ _DRAWS: Final = 10_000  # random places on sidewalks that are tried to find one 
 
 
 def populate(
-    world: ScenarioWorld, vehicles: int, walkers: int, *, hero: bool = False, around: Location | None = None
+    world: World, vehicles: int, walkers: int, *, hero: bool = False, around: Location | None = None
 ) -> list[Actor]:
     """Spawn vehicles on autopilot and walkers with destinations at random places.
 
@@ -55,7 +55,7 @@ def _is_near(place: Location, around: Location | None) -> bool:
     return around is None or around.distance(place) <= _REACH
 
 
-def _random_sidewalk_place(world: ScenarioWorld, around: Location | None) -> Location:
+def _random_sidewalk_place(world: World, around: Location | None) -> Location:
     """Return a random place on a sidewalk, near a location if one is given.
 
     Raises:
@@ -67,7 +67,7 @@ def _random_sidewalk_place(world: ScenarioWorld, around: Location | None) -> Loc
     raise SimError(f"{world.town.name} has no sidewalk within {_REACH:g} m of {around}")
 
 
-def _vehicles(world: ScenarioWorld, count: int, around: Location | None, *, hero: bool) -> list[Vehicle]:
+def _vehicles(world: World, count: int, around: Location | None, *, hero: bool) -> list[Vehicle]:
     models = world.blueprints.traffic(ActorKind.VEHICLE)
     if count and not world.town.spawn_points:
         raise SimError(f"{world.town.name} has no place for a vehicle: no lanes for cars that lead anywhere")
@@ -89,7 +89,7 @@ def _vehicles(world: ScenarioWorld, count: int, around: Location | None, *, hero
     return found
 
 
-def _walkers(world: ScenarioWorld, count: int, around: Location | None) -> list[Walker]:
+def _walkers(world: World, count: int, around: Location | None) -> list[Walker]:
     models = world.blueprints.traffic(ActorKind.WALKER)
     found: list[Walker] = []
     if count and not len(world.town.walks.nodes):
