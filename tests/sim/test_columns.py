@@ -1,16 +1,15 @@
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from carla_recap.sim.columns import StructOfArrays
+from carla_recap.sim.columns import StructOfArrays, column
 
 
 class Table(StructOfArrays):
-    COLUMNS: ClassVar[dict[str, Any]] = {"id": np.int64(0), "place": np.zeros(2)}
-    id: Any
-    place: Any
+    id: Any = column(np.int64(0))
+    place: Any = column(np.zeros(2))
 
 
 def test_rows_are_added_and_removed() -> None:

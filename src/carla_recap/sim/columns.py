@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -12,15 +12,28 @@ if TYPE_CHECKING:
 _LEAST: Final = 8  # rows for which there is room at least
 
 
+class _Column(NamedTuple):
+    value: Any
+
+
+def column(value: Any) -> Any:
+    """Declare a column, as in `speed: Floats = column(0.0)`, by its value in a new row."""
+    return _Column(value)
+
+
 class StructOfArrays:
     """A table with an array for each column, which allows to compute all rows at once.
 
-    A subclass lists its columns in `COLUMNS`, each with its value in a new row; the arrays are attributes of these names.
+    A subclass declares its columns by `column`, each with its value in a new row; the arrays are attributes of these names.
     They are replaced, not changed in place, when a row is added or removed. Room is kept for further rows, so that adding
     many copies each row a few times only.
     """
 
     COLUMNS: ClassVar[dict[str, Any]] = {}
+    """The columns, with their values in a new row."""
+
+    def __init_subclass__(cls) -> None:
+        cls.COLUMNS = cls.COLUMNS | {name: each.value for name, each in vars(cls).items() if isinstance(each, _Column)}
 
     def __init__(self) -> None:
         self.count = 0

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carla_recap.errors import MissingExtra
 from carla_recap.model.motion import GRAVITY
-from carla_recap.sim.columns import StructOfArrays
+from carla_recap.sim.columns import StructOfArrays, column
 
 try:
     import pymunk
@@ -32,58 +32,40 @@ class MovingBodies(StructOfArrays):
     Attributes:
         actors: The vehicles or walkers, in the order of spawning; physics uses their `id` alone.
         bodies: Their bodies in the plane.
-        id: The ids of the actors.
-        body_id: The ids of the bodies.
-        position: The positions in m, (n, 3).
-        rotation: Pitch, yaw and roll in degrees, (n, 3).
-        velocity: The velocities in m/s, (n, 3).
-        angular_velocity: The rates of turn in degrees/s about x, y and z, (n, 3).
-        acceleration: The accelerations in m/s², (n, 3).
-        half_length: Half of the length of the box in m.
-        half_width: Half of the width of the box in m.
-        bottom: The height of the bottom of the box above the origin, in m.
-        top: The height of the top of the box above the origin, in m.
-        mass: The masses in kg.
-        simulated: Whether forces move it; else it stays where it is placed.
-        unsettled: Whether it was placed or falls, and is not on the ground yet.
-        weightless: Whether there is no gravity for it: it keeps its height.
-        carried: Whether it is attached to another actor and moves with it.
     """
 
-    COLUMNS: ClassVar[dict[str, Any]] = {
-        "id": np.int64(0),
-        "body_id": np.uintp(0),
-        "position": np.zeros(3),
-        "rotation": np.zeros(3),
-        "velocity": np.zeros(3),
-        "angular_velocity": np.zeros(3),
-        "acceleration": np.zeros(3),
-        "half_length": 0.0,
-        "half_width": 0.0,
-        "bottom": 0.0,
-        "top": 0.0,
-        "mass": 1.0,
-        "simulated": True,
-        "unsettled": True,
-        "weightless": False,
-        "carried": False,
-    }
-    id: NDArray[np.int64]
-    body_id: NDArray[np.uintp]
-    position: Floats
-    rotation: Floats
-    velocity: Floats
-    angular_velocity: Floats
-    acceleration: Floats
-    half_length: Floats
-    half_width: Floats
-    bottom: Floats
-    top: Floats
-    mass: Floats
-    simulated: NDArray[np.bool_]
-    unsettled: NDArray[np.bool_]
-    weightless: NDArray[np.bool_]
-    carried: NDArray[np.bool_]
+    id: NDArray[np.int64] = column(np.int64(0))
+    """The ids of the actors."""
+    body_id: NDArray[np.uintp] = column(np.uintp(0))
+    """The ids of the bodies."""
+    position: Floats = column(np.zeros(3))
+    """The positions in m, (n, 3)."""
+    rotation: Floats = column(np.zeros(3))
+    """Pitch, yaw and roll in degrees, (n, 3)."""
+    velocity: Floats = column(np.zeros(3))
+    """The velocities in m/s, (n, 3)."""
+    angular_velocity: Floats = column(np.zeros(3))
+    """The rates of turn in degrees/s about x, y and z, (n, 3)."""
+    acceleration: Floats = column(np.zeros(3))
+    """The accelerations in m/s², (n, 3)."""
+    half_length: Floats = column(0.0)
+    """Half of the length of the box in m."""
+    half_width: Floats = column(0.0)
+    """Half of the width of the box in m."""
+    bottom: Floats = column(0.0)
+    """The height of the bottom of the box above the origin, in m."""
+    top: Floats = column(0.0)
+    """The height of the top of the box above the origin, in m."""
+    mass: Floats = column(1.0)
+    """The masses in kg."""
+    simulated: NDArray[np.bool_] = column(True)
+    """Whether forces move it; else it stays where it is placed."""
+    unsettled: NDArray[np.bool_] = column(True)
+    """Whether it was placed or falls, and is not on the ground yet."""
+    weightless: NDArray[np.bool_] = column(False)
+    """Whether there is no gravity for it: it keeps its height."""
+    carried: NDArray[np.bool_] = column(False)
+    """Whether it is attached to another actor and moves with it."""
 
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__()

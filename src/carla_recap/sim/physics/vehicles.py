@@ -8,11 +8,12 @@ speed; at low speed it becomes the motion of rolling wheels: the radius of a tur
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from carla_recap.model.motion import GRAVITY
+from carla_recap.sim.columns import column
 from carla_recap.sim.physics import drivetrain
 from carla_recap.sim.physics.drivetrain import SPEEDS
 from carla_recap.sim.physics.moving_bodies import MovingBodies
@@ -44,108 +45,76 @@ _LEAST: Final = np.array([[0.0], [-1.0], [0.0]])  # of throttle, steering and br
 
 
 class Vehicles(MovingBodies):
-    """The vehicles; row i of each array belongs to `actors[i]`.
+    """The vehicles; row i of each array belongs to `actors[i]`."""
 
-    Attributes:
-        throttle: The throttle, 0 to 1.
-        steer: The steering, -1 (left) to 1 (right), relative to `steer_limit`.
-        brake: The brake, 0 to 1.
-        hand_brake: Whether the hand brake is drawn, which locks the rear wheels.
-        reverse: Whether the throttle drives backwards.
-        gear: The gear as reported: from 1, 0 neutral, -1 reverse.
-        manual: Whether `gear` is part of the control; else the gearbox is automatic.
-        light_state: CARLA's light bits.
-        autopilot: Whether the autopilot drives.
-        sticky: Whether a control holds until the next one; else it holds for a tick.
-        controlled: Whether a control was applied since the latest tick.
-        speed: The speed forward in m/s; negative backwards.
-        sideways: The speed to the right, in m/s.
-        turning: The yaw rate in rad/s, positive to the right.
-        steer_angle: The angle of the front wheels in radians, positive to the right.
-        steer_limit: The angle of the front wheels at full steering and the present speed, in radians.
-        awake: Whether it moves, or is about to.
-        force: The external force of the next tick, in N, (n, 2).
-        wheelbase: The distance between the axles in m.
-        front: The distance from its origin to the front axle in m.
-        rear: The distance from its origin to the rear axle in m.
-        full_lock: The greatest angle of the front wheels, in radians.
-        traction: The greatest force of the driven wheels, in N.
-        front_grip: The greatest force of the front tyres, in N.
-        rear_grip: The greatest force of the rear tyres, in N.
-        softness: The softness of the tyres in m/N: slip angle per lateral force, times the rolling speed.
-    """
-
-    COLUMNS: ClassVar[dict[str, Any]] = {
-        **MovingBodies.COLUMNS,
-        "throttle": 0.0,
-        "steer": 0.0,
-        "brake": 0.0,
-        "hand_brake": False,
-        "reverse": False,
-        "gear": np.int64(1),
-        "manual": False,
-        "light_state": np.uint32(0),
-        "autopilot": False,
-        "sticky": True,
-        "controlled": False,
-        "speed": 0.0,
-        "sideways": 0.0,
-        "turning": 0.0,
-        "steer_angle": 0.0,
-        "steer_limit": 1.0,
-        "awake": False,
-        "force": np.zeros(2),
-        "wheelbase": 1.0,
-        "front": 0.5,
-        "rear": 0.5,
-        "moment": 1.0,
-        "traction": 0.0,
-        "front_grip": 0.0,
-        "rear_grip": 0.0,
-        "softness": 1.0,
-        "air": 0.0,
-        "front_brake": 0.0,
-        "rear_brake": 0.0,
-        "full_lock": 1.0,
-        "forces": np.zeros((drivetrain.GEARS, len(_TABLE))),
-        "best_force": _TABLE,
-        "usual_gear": _TABLE.astype(np.int64),
-        "lock_share": _TABLE,
-    }
-    throttle: Floats
-    steer: Floats
-    brake: Floats
-    hand_brake: Flags
-    reverse: Flags
-    gear: NDArray[np.int64]
-    manual: Flags
-    light_state: NDArray[np.uint32]
-    autopilot: Flags
-    sticky: Flags
-    controlled: Flags
-    speed: Floats
-    sideways: Floats
-    turning: Floats
-    steer_angle: Floats
-    steer_limit: Floats
-    awake: Flags
-    force: Floats
-    wheelbase: Floats
-    front: Floats
-    rear: Floats
-    moment: Floats
-    traction: Floats
-    front_grip: Floats
-    rear_grip: Floats
-    softness: Floats
-    air: Floats
-    front_brake: Floats
-    rear_brake: Floats
-    full_lock: Floats
-    forces: Floats
-    best_force: Floats
-    usual_gear: NDArray[np.int64]
-    lock_share: Floats
+    throttle: Floats = column(0.0)
+    """The throttle, 0 to 1."""
+    steer: Floats = column(0.0)
+    """The steering, -1 (left) to 1 (right), relative to `steer_limit`."""
+    brake: Floats = column(0.0)
+    """The brake, 0 to 1."""
+    hand_brake: Flags = column(False)
+    """Whether the hand brake is drawn, which locks the rear wheels."""
+    reverse: Flags = column(False)
+    """Whether the throttle drives backwards."""
+    gear: NDArray[np.int64] = column(np.int64(1))
+    """The gear as reported: from 1, 0 neutral, -1 reverse."""
+    manual: Flags = column(False)
+    """Whether `gear` is part of the control; else the gearbox is automatic."""
+    light_state: NDArray[np.uint32] = column(np.uint32(0))
+    """CARLA's light bits."""
+    autopilot: Flags = column(False)
+    """Whether the autopilot drives."""
+    sticky: Flags = column(True)
+    """Whether a control holds until the next one; else it holds for a tick."""
+    controlled: Flags = column(False)
+    """Whether a control was applied since the latest tick."""
+    speed: Floats = column(0.0)
+    """The speed forward in m/s; negative backwards."""
+    sideways: Floats = column(0.0)
+    """The speed to the right, in m/s."""
+    turning: Floats = column(0.0)
+    """The yaw rate in rad/s, positive to the right."""
+    steer_angle: Floats = column(0.0)
+    """The angle of the front wheels in radians, positive to the right."""
+    steer_limit: Floats = column(1.0)
+    """The angle of the front wheels at full steering and the present speed, in radians."""
+    awake: Flags = column(False)
+    """Whether it moves, or is about to."""
+    force: Floats = column(np.zeros(2))
+    """The external force of the next tick, in N, (n, 2)."""
+    wheelbase: Floats = column(1.0)
+    """The distance between the axles in m."""
+    front: Floats = column(0.5)
+    """The distance from its origin to the front axle in m."""
+    rear: Floats = column(0.5)
+    """The distance from its origin to the rear axle in m."""
+    moment: Floats = column(1.0)
+    """The moment of inertia in kg m²."""
+    traction: Floats = column(0.0)
+    """The greatest force of the driven wheels, in N."""
+    front_grip: Floats = column(0.0)
+    """The greatest force of the front tyres, in N."""
+    rear_grip: Floats = column(0.0)
+    """The greatest force of the rear tyres, in N."""
+    softness: Floats = column(1.0)
+    """The softness of the tyres in m/N: slip angle per lateral force, times the rolling speed."""
+    air: Floats = column(0.0)
+    """The drag of the air: the force in N at 1 m/s."""
+    front_brake: Floats = column(0.0)
+    """The greatest force of the front brakes, in N."""
+    rear_brake: Floats = column(0.0)
+    """The greatest force of the rear brakes, in N."""
+    full_lock: Floats = column(1.0)
+    """The greatest angle of the front wheels, in radians."""
+    forces: Floats = column(np.zeros((drivetrain.GEARS, len(_TABLE))))
+    """The greatest force of the engine by gear and speed, in N, (n, gears, speeds); see `drivetrain`."""
+    best_force: Floats = column(_TABLE)
+    """The greatest of them by speed, in N, (n, speeds)."""
+    usual_gear: NDArray[np.int64] = column(_TABLE.astype(np.int64))
+    """The gear of moderate driving by speed, (n, speeds)."""
+    lock_share: Floats = column(_TABLE)
+    """The share of the full lock that steering reaches, by speed, (n, speeds)."""
 
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__(plane, height)
@@ -200,8 +169,8 @@ class Vehicles(MovingBodies):
     def _release_controls(self) -> None:
         """Reset the controls that held for the latest tick alone."""
         released = ~self.sticky & ~self.controlled
-        for column in (self.throttle, self.steer, self.brake, self.hand_brake, self.reverse, self.manual):
-            column[released] = 0
+        for values in (self.throttle, self.steer, self.brake, self.hand_brake, self.reverse, self.manual):
+            values[released] = 0
         self.controlled[:] = False
 
     def add_velocities(self, change: Floats) -> None:
@@ -215,8 +184,8 @@ class Vehicles(MovingBodies):
         """See `MovingBodies.write_velocities`."""
         _advance(self, seconds)
         in_motion = self._in_motion()
-        for column in (self.speed, self.sideways, self.turning):
-            column[self.awake & ~in_motion] = 0
+        for values in (self.speed, self.sideways, self.turning):
+            values[self.awake & ~in_motion] = 0
         yaw = np.radians(self.rotation[:, 1]) + self.turning * seconds / 2
         cos, sin = np.cos(yaw), np.sin(yaw)
         x, y = cos * self.speed - sin * self.sideways, sin * self.speed + cos * self.sideways

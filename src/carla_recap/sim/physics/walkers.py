@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.sim.columns import column
 from carla_recap.sim.physics.moving_bodies import MovingBodies
 from carla_recap.sim.physics.plane import WALKER
 
@@ -23,32 +24,20 @@ FALL: Final = 1.5  # m/s: a push that changes the velocity by more throws a walk
 
 
 class Walkers(MovingBodies):
-    """The walkers; row i of each array belongs to `actors[i]`.
+    """The walkers; row i of each array belongs to `actors[i]`."""
 
-    Attributes:
-        direction: The direction of the control, of length 1, (n, 3).
-        speed: The speed of the control in m/s.
-        jump: The jump flag of the control.
-        fallen: Whether a vehicle has thrown it down; it does not get up.
-        half_height: The height of its origin above the ground, in m: half of the box's, or of its depth where it lies.
-        slide: The velocity of its body, in m/s, (n, 2).
-    """
-
-    COLUMNS: ClassVar[dict[str, Any]] = {
-        **MovingBodies.COLUMNS,
-        "direction": np.array((1.0, 0.0, 0.0)),
-        "speed": 0.0,
-        "jump": False,
-        "fallen": False,
-        "half_height": 0.9,
-        "slide": np.zeros(2),
-    }
-    direction: Floats
-    speed: Floats
-    jump: NDArray[np.bool_]
-    fallen: NDArray[np.bool_]
-    half_height: Floats
-    slide: Floats
+    direction: Floats = column(np.array((1.0, 0.0, 0.0)))
+    """The direction of the control, of length 1, (n, 3)."""
+    speed: Floats = column(0.0)
+    """The speed of the control in m/s."""
+    jump: NDArray[np.bool_] = column(False)
+    """The jump flag of the control."""
+    fallen: NDArray[np.bool_] = column(False)
+    """Whether a vehicle has thrown it down; it does not get up."""
+    half_height: Floats = column(0.9)
+    """The height of its origin above the ground, in m: half of the box's, or of its depth where it lies."""
+    slide: Floats = column(np.zeros(2))
+    """The velocity of its body, in m/s, (n, 2)."""
 
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__(plane, height)

@@ -6,11 +6,11 @@ towards a desired speed, and keeps a gap that grows with the own speed, and with
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.sim.columns import StructOfArrays
+from carla_recap.sim.columns import StructOfArrays, column
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -74,73 +74,48 @@ class DrivenVehicles(NamedTuple):
 
 
 class Drivers(StructOfArrays):
-    """The drivers, one for each vehicle that the autopilot drives; positions are along its route, in m.
+    """The drivers, one for each vehicle that the autopilot drives; positions are along its route, in m."""
 
-    Attributes:
-        id: The id of the vehicle.
-        speed_factor: The share of the speed limit that the driver drives.
-        headway: The time gap that the driver keeps, in s.
-        max_acceleration: The greatest acceleration of the driver, in m/s².
-        comfort: The geometric mean of that and of the driver's comfortable braking, in m/s².
-        acceleration: The acceleration that was last asked of the vehicle, in m/s².
-        standing_time: How long the vehicle has been standing, in s.
-        off_road: Whether no lane is near enough to drive on.
-        returning: Whether the vehicle has to return to the road.
-        lateral_offset: The offset of the vehicle to the right of the lane's centre, in m.
-        transition_start: The position at which the transition to the lane's centre begins.
-        transition_length: The length of that transition.
-        transition_offset: The lateral offset at its start, in m.
-        transition_slope: The slope at its start, see `lane_changes.lateral_offset`.
-        stop_line: The position of the next stop line; infinity if there is none.
-        signal: The index of the signal in force there, or `NONE`.
-        must_stop: Whether there is a stop sign at which the vehicle has not stopped yet.
-        has_reservation: Whether the vehicle may pass the stop line.
-        waiting_since: The time at which it first asked for that, in s; infinity if it has not.
-        junction_end: The position that the rear end must pass to leave the junction; infinity outside of junctions.
-    """
-
-    COLUMNS: ClassVar[dict[str, Any]] = {
-        "id": np.int64(0),
-        "speed_factor": 1.0,
-        "headway": 1.5,
-        "max_acceleration": 2.0,
-        "comfort": 2.0,
-        "acceleration": 0.0,
-        "standing_time": 0.0,
-        "off_road": False,
-        "returning": False,
-        "lateral_offset": 0.0,
-        "transition_start": 0.0,
-        "transition_length": 1.0,
-        "transition_offset": 0.0,
-        "transition_slope": 0.0,
-        "stop_line": np.inf,
-        "signal": np.int64(NONE),
-        "must_stop": False,
-        "has_reservation": False,
-        "waiting_since": np.inf,
-        "junction_end": np.inf,
-    }
-    id: Integers
-    speed_factor: Floats
-    headway: Floats
-    max_acceleration: Floats
-    comfort: Floats
-    acceleration: Floats
-    standing_time: Floats
-    off_road: Flags
-    returning: Flags
-    lateral_offset: Floats
-    transition_start: Floats
-    transition_length: Floats
-    transition_offset: Floats
-    transition_slope: Floats
-    stop_line: Floats
-    signal: Integers
-    must_stop: Flags
-    has_reservation: Flags
-    waiting_since: Floats
-    junction_end: Floats
+    id: Integers = column(np.int64(0))
+    """The id of the vehicle."""
+    speed_factor: Floats = column(1.0)
+    """The share of the speed limit that the driver drives."""
+    headway: Floats = column(1.5)
+    """The time gap that the driver keeps, in s."""
+    max_acceleration: Floats = column(2.0)
+    """The greatest acceleration of the driver, in m/s²."""
+    comfort: Floats = column(2.0)
+    """The geometric mean of that and of the driver's comfortable braking, in m/s²."""
+    acceleration: Floats = column(0.0)
+    """The acceleration that was last asked of the vehicle, in m/s²."""
+    standing_time: Floats = column(0.0)
+    """How long the vehicle has been standing, in s."""
+    off_road: Flags = column(False)
+    """Whether no lane is near enough to drive on."""
+    returning: Flags = column(False)
+    """Whether the vehicle has to return to the road."""
+    lateral_offset: Floats = column(0.0)
+    """The offset of the vehicle to the right of the lane's centre, in m."""
+    transition_start: Floats = column(0.0)
+    """The position at which the transition to the lane's centre begins."""
+    transition_length: Floats = column(1.0)
+    """The length of that transition."""
+    transition_offset: Floats = column(0.0)
+    """The lateral offset at its start, in m."""
+    transition_slope: Floats = column(0.0)
+    """The slope at its start, see `lane_changes.lateral_offset`."""
+    stop_line: Floats = column(np.inf)
+    """The position of the next stop line; infinity if there is none."""
+    signal: Integers = column(np.int64(NONE))
+    """The index of the signal in force there, or `NONE`."""
+    must_stop: Flags = column(False)
+    """Whether there is a stop sign at which the vehicle has not stopped yet."""
+    has_reservation: Flags = column(False)
+    """Whether the vehicle may pass the stop line."""
+    waiting_since: Floats = column(np.inf)
+    """The time at which it first asked for that, in s; infinity if it has not."""
+    junction_end: Floats = column(np.inf)
+    """The position that the rear end must pass to leave the junction; infinity outside of junctions."""
 
     def add(self, id: int, random: np.random.Generator) -> None:
         """Add a driver of random characteristics for a vehicle."""
