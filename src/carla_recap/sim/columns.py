@@ -17,7 +17,7 @@ class _Column(NamedTuple):
 
 
 def column(value: Any) -> Any:
-    """Declare a column, as in `speed: Floats = column(0.0)`, by its value in a new row."""
+    """Declare a column of a `StructOfArrays` by its value in a new row, such as 0.0 for floats."""
     return _Column(value)
 
 
