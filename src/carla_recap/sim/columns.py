@@ -12,13 +12,13 @@ if TYPE_CHECKING:
 _LEAST: Final = 8  # rows for which there is room at least
 
 
-class _Column(NamedTuple):
+class _DeclaredColumn(NamedTuple):
     value: Any
 
 
 def column(value: Any) -> Any:
     """Declare a column of a `StructOfArrays` by its value in a new row, such as 0.0 for floats."""
-    return _Column(value)
+    return _DeclaredColumn(value)
 
 
 class StructOfArrays:
@@ -33,7 +33,9 @@ class StructOfArrays:
     """The columns, with their values in a new row."""
 
     def __init_subclass__(cls) -> None:
-        cls.COLUMNS = cls.COLUMNS | {name: each.value for name, each in vars(cls).items() if isinstance(each, _Column)}
+        cls.COLUMNS = cls.COLUMNS | {
+            name: each.value for name, each in vars(cls).items() if isinstance(each, _DeclaredColumn)
+        }
 
     def __init__(self) -> None:
         self.count = 0
