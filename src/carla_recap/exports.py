@@ -30,7 +30,8 @@ class ExportFormat(NamedTuple):
         function: The function that writes it, as `module:name`: it takes a recording, a destination, `force`, `progress` and
             options of its own; and returns the number of scenes and seconds, or the files that it has written into a folder.
         extra: The extra that it needs; empty for none.
-        hints: A function that returns lines about how to use what was written, of the options that the other one got.
+        hints: A function that returns lines about how to use what was written, of the destination and the options that
+            the other one got.
         combine: The function that puts a dataset together of parts, as `module:name`; the other one writes the part of a
             recording into a folder. Empty for formats that have a file or a folder for each recording.
     """
@@ -173,7 +174,7 @@ def export(
             files = [path.relative_to(folder) for path in files_below(folder) if part not in path.parents]
         return Exported(written.frames, written.seconds, tuple(Path(destination) / path for path in files))
     written, given = _write(form, recording, destination, {"force": force}, **about)
-    hints = tuple(_load(form.hints)(**given)) if form.hints else ()
+    hints = tuple(_load(form.hints)(destination, **given)) if form.hints else ()
     if isinstance(written, list):
         extent = recording.info
         return Exported(extent.frames, extent.duration, tuple(written), hints)

@@ -51,6 +51,7 @@ SENSORS = [
     },
     {"type": "sensor.other.radar", "id": "radar", "x": 2.4, "y": 0.0, "z": 1.0},
     {"type": "sensor.other.gnss", "id": "gnss"},
+    {"type": "sensor.other.imu", "id": "imu"},
 ]
 SENSED = 11.0, 12.5
 """The elapsed seconds between which the recording of `sensed_recording` has data of sensors."""

@@ -9,6 +9,8 @@ pytest.importorskip("foxglove_schemas_protobuf", reason="the extra `foxglove` is
 from mcap.reader import make_reader
 
 from carla_recap import export, open_recording
+from carla_recap.show.foxglove.layouts import hints_of, layout_files, layout_hints
+from tests.sensed import CRASH
 
 
 def test_data_of_sensors_are_kept(sensed_recording, tmp_path):
@@ -24,3 +26,23 @@ def test_data_of_sensors_are_kept(sensed_recording, tmp_path):
     assert len(images) > 5
     assert kept == [(data, "foxglove.CompressedImage") for data in images]
     assert {topic for topic, *_ in found} >= {*topics, "/scene/vehicles"}
+
+
+def test_layouts_beside_the_export_show_the_sensors(sensed_recording, tmp_path):
+    with open_recording(sensed_recording) as recording:
+        done = export(recording, tmp_path / "out.mcap", start=11.5, duration=0.2)
+    names = "out.foxglove.json", "out.lichtblick.json"
+    assert [hint.rpartition(": ")[2] for hint in done.hints] == [str(tmp_path / name) for name in names]
+    for name in names:
+        text = (tmp_path / name).read_text()
+        assert all(
+            f'"{topic}"' in text for topic in ("/sensors/front/image", "/sensors/ids/instance", "/sensors/lidar/points")
+        )
+    assert layout_hints(tmp_path / "out.mcap") == list(done.hints)
+
+
+def test_without_sensors_the_layouts_are_those_of_all_exports(tmp_path):
+    with open_recording(CRASH) as recording:
+        done = export(recording, tmp_path / "out.mcap", duration=0.2)
+    assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
+    assert list(done.hints) == hints_of(layout_files())

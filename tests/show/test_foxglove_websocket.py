@@ -62,6 +62,10 @@ STILL: Final = {
 class Viewer:
     """A client, as Foxglove is one: it has subscribed to all topics.
 
+    Args:
+        address: What it connects to.
+        further: The number of topics beside those of scenes.
+
     Attributes:
         info: What the server says of itself.
         channels: What it offers, by topic.
@@ -70,7 +74,7 @@ class Viewer:
         time: The time in ns by which it shows messages.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, further: int = 0) -> None:
         self._loop = asyncio.new_event_loop()
         self.messages: list[tuple[str, int, bytes]] = []
         self.states: list[State] = []
@@ -79,7 +83,7 @@ class Viewer:
         options = {"subprotocols": ["foxglove.sdk.v1"], "max_message_size": 1 << 28}
         self._socket = self._run(lambda: websocket_connect(address, **options))
         self.info = json.loads(self._run(self._socket.read_message))
-        while len(self.channels) < len(TOPICS):
+        while len(self.channels) < len(TOPICS) + further:
             for channel in json.loads(self._run(self._socket.read_message)).get("channels", []):
                 self.channels[channel["topic"]] = channel
         self._topics = dict(enumerate(self.channels))
@@ -140,8 +144,8 @@ class Viewer:
 
 
 @contextmanager
-def connected(address: str) -> Iterator[Viewer]:
-    viewer = Viewer(address)
+def connected(address: str, further: int = 0) -> Iterator[Viewer]:
+    viewer = Viewer(address, further)
     try:
         yield viewer
     finally:
@@ -399,6 +403,88 @@ def test_the_missing_extra_is_named(package: str) -> None:
     assert done.stderr == f"carla-recap: {MissingExtra('carla-recap view', 'foxglove-live')}\n"
 
 
+# --- sensors -------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def sensor_topics(sensed_recording: Path) -> list[str]:
+    with open_recording(sensed_recording) as recording:
+        return [name for name in recording.reader.further_topics() if name not in {topic.name for topic in TOPICS}]
+
+
+@pytest.fixture(scope="module")
+def served_sensors(sensed_recording: Path) -> Iterator[str]:
+    """The address of a recording with sensors that is served."""
+    with viewing(sensed_recording) as (address, _):
+        yield address
+
+
+def recorded(path: Path, topics: list[str], start: int, stop: int) -> dict[str, list[tuple[int, bytes]]]:
+    """Return the messages of a file from one time up to another, by topic."""
+    found: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in topics}
+    with path.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages(topics, starting_at=start, ending_before=stop):
+            found[channel.topic].append((message.log_time, message.data))
+    return found
+
+
+@pytest.mark.parametrize("seconds", [11.72, 12.4])
+def test_the_latest_data_of_each_sensor_are_those_of_the_moment_that_is_sought(
+    served_sensors: str, sensed_recording: Path, sensor_topics: list[str], seconds: float
+) -> None:
+    with connected(served_sensors, len(sensor_topics)) as viewer:
+        at = start_of(viewer) + round(seconds * SECOND)
+        expected = {topic: found[-1] for topic, found in recorded(sensed_recording, sensor_topics, 0, at + 1).items()}
+        viewer.control(PAUSE, seek=at)
+        viewer.receive(lambda: set(expected) <= {topic for topic, time, _ in viewer.messages if time > at - SECOND // 7})
+        viewer.receive(lambda: viewer.time == at)
+        assert {topic: (time, data) for topic, time, data in viewer.messages if topic in expected} == expected
+
+
+def test_all_data_of_sensors_come_while_it_plays(
+    served_sensors: str, sensed_recording: Path, sensor_topics: list[str]
+) -> None:
+    with connected(served_sensors, len(sensor_topics)) as viewer:
+        start, stop = (start_of(viewer) + round(seconds * SECOND) for seconds in (11.72, 12.32))
+        viewer.control(PLAY, seek=start)
+        viewer.receive(lambda: viewer.time > stop)
+        played: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in sensor_topics}
+        for topic, time, data in viewer.messages:
+            if topic in played and start < time < stop:
+                played[topic].append((time, data))
+        assert played == recorded(sensed_recording, sensor_topics, start + 1, stop)
+        assert {viewer.channels[topic]["schemaName"] for topic in sensor_topics} >= {
+            "foxglove.CompressedImage",
+            "foxglove.CameraCalibration",
+            "foxglove.PointCloud",
+            "foxglove.FrameTransforms",
+            "foxglove.LocationFix",
+            "foxglove.RawImage",
+            "carla_recap.v1.ImuReading",
+        }
+        image = decoded(viewer, "/sensors/front/image", played["/sensors/front/image"][0][1])
+        assert (image.format, image.frame_id) == ("jpeg", "front")
+
+
+def test_data_of_sensors_are_fewer_while_it_plays_faster(served_sensors: str, sensor_topics: list[str]) -> None:
+    with connected(served_sensors, len(sensor_topics)) as viewer:
+        start, stop = (start_of(viewer) + round(seconds * SECOND) for seconds in (11.1, 12.1))
+        viewer.control(PLAY, 4.0, seek=start)
+        viewer.receive(lambda: viewer.time > stop)
+        images = {time for topic, time, _ in viewer.messages if topic == "/sensors/front/image" and start < time < stop}
+        assert 4 <= len(images) <= 5  # of 20, and one that was there before
+
+
+def test_a_part_of_a_recording_begins_with_the_data_before_it(sensed_recording: Path, sensor_topics: list[str]) -> None:
+    with (
+        viewing(sensed_recording, "--start", "11.72", "--duration", "0.5") as (address, _),
+        connected(address, len(sensor_topics)) as viewer,
+    ):
+        found = viewer.latest(*sensor_topics)
+        expected = recorded(sensed_recording, sensor_topics, 0, start_of(viewer) + 1)
+        assert {topic: found[topic] for topic in sensor_topics} == {topic: each[-1][1] for topic, each in expected.items()}
+
+
 # --- the timeline ------------------------------------------------------------------------------------------------
 
 
@@ -417,6 +503,14 @@ def test_a_timeline_begins_paused_and_ends_once() -> None:
     assert [timeline.end(), timeline.end()] == [True, False]
     assert timeline.advance(1.0) == (12 * SECOND, False)
     assert not timeline.is_playing
+
+
+def test_the_time_before_a_moment_is_sought_does_not_count() -> None:
+    timeline = Timeline(0, 10 * SECOND)
+    assert timeline.advance(0.0) == (0, True)
+    timeline.request(request(play=True, seek=5 * SECOND))
+    assert timeline.advance(0.25) == (5 * SECOND, True)
+    assert timeline.advance(0.25) == (5.25 * SECOND, False)
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, float("nan"), float("inf")])

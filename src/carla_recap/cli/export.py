@@ -234,7 +234,7 @@ def view(
             from carla_recap.show.foxglove import layout_hints
             from carla_recap.show.foxglove.websocket import serve_recording
 
-            shown["ready"] = partial(_announce, hints=layout_hints())
+            shown["ready"] = partial(_announce, hints=layout_hints(recording.location))
             serve_recording(recording, road_map=roads, progress=watch_scenes("searching"), port=port, **shown)
 
 
@@ -390,6 +390,11 @@ def _video(
     show_default=True,
     help="Of incidents: drawn from above, or rendered from behind.",
 )
+@click.option(
+    "--camera",
+    metavar="ID",
+    help="The camera whose recorded images are beside the map; by default, the one that looks ahead.",
+)
 @click.option("--viewer", is_flag=True, help="Add Rerun's viewer, in 3D, to a folder; it needs --serve or another server.")
 @click.option("--serve", is_flag=True, help="Serve the folder to a browser on this machine, until Ctrl-C.")
 @click.option("--port", type=click.IntRange(0, 65535), metavar="N", help="The port to serve at; else any free one.")
@@ -464,9 +469,11 @@ def _report(
             force=force,
             **shown,
         )
-    notes, facts = (counted(written.incidents, "incident"),), {"incidents": written.incidents}
+    notes, facts = [counted(written.incidents, "incident")], {"incidents": written.incidents, "images": written.images}
+    if written.images:
+        notes.append(counted(written.images, "image"))
     path = "index.html" if Path(destination).is_dir() else ""
-    return WrittenFile(notes, size=written.size, facts=facts, path=path)
+    return WrittenFile(tuple(notes), size=written.size, facts=facts, path=path)
 
 
 def _announce(address: str, hints: Iterable[str] = ()) -> None:

@@ -98,7 +98,7 @@ def export_openscenario(
     return Played(frames, player.stop - player.start)
 
 
-def map_hint(opendrive: Path | None = None, **_: object) -> list[str]:
+def map_hint(_destination: Path | str, opendrive: Path | None = None, **_: object) -> list[str]:
     """Return what belongs beside a scenario, as a line if the map is known."""
     return [] if opendrive is None else [f"the map that belongs beside it: {opendrive}"]
 

@@ -214,6 +214,19 @@ class Reader(Protocol):
             raise RecapError(f"{self.location}: has no further topic {topic!r:.200}; only MCAP files have some")
         return iter(())
 
+    def latest_messages(self, topics: Collection[str], elapsed: float) -> list[TopicMessage]:
+        """Return the latest message of each of some further topics at a time, in order of time.
+
+        Args:
+            topics: The names of the topics.
+            elapsed: The time in seconds; messages count up to `SAME_TIME` after it.
+
+        Raises:
+            RecapError: There is no such topic.
+            FormatError: The file contradicts its format.
+        """
+        return list(self.further_messages(topics, elapsed, elapsed))
+
     def check_open(self) -> None:
         """Check that it is not closed.
 

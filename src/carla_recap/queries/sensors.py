@@ -79,6 +79,16 @@ def sensor_messages(source: Reader, id: str, start: float, stop: float) -> Itera
     raise RecapError(f"{source.location}: has no data of a sensor {id!r:.200}; it has those of {has:.500}")
 
 
+def kind_of(topic: str) -> str:
+    """Return what the messages of a sensor's topic are: the last part of its name."""
+    return topic.rpartition("/")[2]
+
+
+def has_images(sensor: RecordedSensor) -> bool:
+    """Return whether a recording has the RGB images of a sensor, as JPEGs or as a video."""
+    return any(kind_of(topic) in ("image", "video") for topic in sensor.topics)
+
+
 def _sensor(id: str, spec: dict[str, Any], topics: list[FurtherTopic]) -> RecordedSensor:
     names, count = [topic.topic.name for topic in topics], sum(topic.count for topic in topics)
     first = min((topic.first for topic in topics if topic.first is not None), default=None)

@@ -13,7 +13,7 @@ import numpy as np
 
 from carla_recap.errors import FormatError, MissingExtra, RecapError
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.queries.sensors import RecordedSensor, sensors
+from carla_recap.queries.sensors import RecordedSensor, kind_of, sensors
 
 try:
     from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -142,16 +142,6 @@ class SensorDecoder:
             raise FormatError(self._reader.location, None, text) from None
 
 
-def kind_of(topic: str) -> str:
-    """Return what the messages of a sensor's topic are: the last part of its name."""
-    return topic.rpartition("/")[2]
-
-
-def has_images(sensor: RecordedSensor) -> bool:
-    """Return whether a recording has the RGB images of a sensor, as JPEGs or as a video."""
-    return any(kind_of(topic) in ("image", "video") for topic in sensor.topics)
-
-
 def _image(data: bytes) -> EncodedImage:
     message = CompressedImage.FromString(data)
     if message.format not in _STILL:
@@ -234,6 +224,9 @@ class StoredImages:
         start: The first elapsed time that is asked for, in s.
         stop: The last one.
 
+    Attributes:
+        time: The elapsed time of the image that `at` has returned last, in s; None before the first one.
+
     Raises:
         RecapError: There are no images of such a sensor.
         MissingExtra: An optional dependency is not installed.
@@ -252,6 +245,12 @@ class StoredImages:
         self._video = _Video() if kind_of(names[0]) == "video" else None
         self._latest: TopicMessage | None = None
         self._image: Image | None = None
+        self.time: float | None = None
+
+    @property
+    def next_time(self) -> float | None:
+        """The elapsed time of the image after the one that `at` has returned last, in s; None if there is none."""
+        return None if self._next is None else self._next.elapsed
 
     def at(self, time: float) -> Image | None:
         """Return the latest image at a time; times have to ascend.
@@ -284,7 +283,7 @@ class StoredImages:
             text = f"an image of {message.topic:.200} at {message.elapsed:g} s: {' '.join(str(error).split()):.200}"
             raise FormatError(self._location, None, text) from None
         if image is not None:
-            self._image = image
+            self._image, self.time = image, message.elapsed
 
 
 def _picture(data: bytes) -> Image:

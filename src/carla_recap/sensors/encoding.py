@@ -1,4 +1,4 @@
-"""Images as bytes: JPEG, PNG, H.264, and depth as whole millimetres."""
+"""Images as bytes: JPEG, WebP, PNG, H.264, and depth as whole millimetres."""
 
 from __future__ import annotations
 
@@ -59,6 +59,21 @@ def jpeg(image: Image, quality: int = QUALITY) -> bytes:
     height, width = image.shape[:2]
     file = BytesIO()
     pillow.frombuffer("RGB", (width, height), bgrx(image), "raw", "BGRX", 0, 1).save(file, "JPEG", quality=quality)
+    return file.getvalue()
+
+
+def webp(image: Image, quality: int) -> bytes:
+    """Return an image as WebP, which takes half of the bytes of a JPEG, and ten times as long.
+
+    Args:
+        image: The image: red, green, blue, (height, width, 3) of uint8.
+        quality: The quality, from 1 to 100.
+
+    Raises:
+        MissingExtra: Pillow is not installed.
+    """
+    file = BytesIO()
+    _pillow().fromarray(np.ascontiguousarray(image)).save(file, "WEBP", quality=quality)
     return file.getvalue()
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from carla_recap.errors import RecapError
-from carla_recap.queries.sensors import sensors
+from carla_recap.queries.sensors import has_images, sensors
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.replay import Player
 from carla_recap.sensors.rig import SensorRig
@@ -66,7 +66,7 @@ class CameraChoice:
             for sensor in sensors(recording.reader):
                 if sensor.type == _RGB:
                     specs |= {spec.id: spec for spec in SensorRig.of([{**sensor.spec, "id": sensor.id}])}
-                    if any(topic.endswith(("/image", "/video")) for topic in sensor.topics):
+                    if has_images(sensor):
                         self._stored.add(sensor.id)
         else:
             specs = {spec.id: spec for spec in rig if spec.image is ImageKind.RGB}

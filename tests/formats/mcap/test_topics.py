@@ -248,6 +248,44 @@ def test_a_part_reads_the_chunks_of_its_time_alone(tmp_path):
         assert recording.reader.bytes_read - before < FURTHER_CHUNK_SIZE + 10_000
 
 
+def test_the_latest_messages_are_those_of_a_moment(tmp_path):
+    with open_recording(sensed(tmp_path / "run.mcap")) as recording:
+        reader, names = recording.reader, ["/sensors/front/image", "/sensors/imu/imu", "/note"]
+        latest = reader.latest_messages(names, 5.07)
+        assert {name: (elapsed, data) for name, elapsed, data in latest} == {
+            "/sensors/front/image": (5.0, noise(20_000, 100)),
+            "/sensors/imu/imu": (pytest.approx(5.05), b"{}"),
+            "/note": (1.0, b'"late"'),
+        }
+        assert all(a.elapsed <= b.elapsed for a, b in pairwise(latest))
+        assert {message.topic for message in reader.latest_messages(names, 0.5)} == {*names} - {"/note"}
+        assert reader.latest_messages(names, -1.0) == []
+        assert [message.elapsed for message in reader.latest_messages(names[:1], 1e6)] == [pytest.approx(9.9)]
+        with pytest.raises(RecapError, match="has no further topic '/none'"):
+            reader.latest_messages(["/none"], 1.0)
+
+
+def test_the_latest_messages_are_found_where_others_came_late(tmp_path):
+    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
+        writer.add_topic(plain("/a"))
+        for time in [0.0, 40.0, 80.0, 10.0, 50.0, 20.0]:
+            writer.write_message("/a", time, f"{time}".encode())
+    with open_recording(tmp_path / "run.mcap") as recording:
+        for moment, data in [(5.0, b"0.0"), (15.0, b"10.0"), (45.0, b"40.0"), (79.0, b"50.0"), (81.0, b"80.0")]:
+            assert [message.data for message in recording.reader.latest_messages(["/a"], moment)] == [data]
+
+
+def test_the_latest_messages_are_read_of_few_chunks(tmp_path):
+    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
+        writer.add_topic(camera())
+        for number in range(100):
+            writer.write_message("/sensors/front/image", number / 10, noise(300_000, number))
+    with open_recording(tmp_path / "run.mcap") as recording:
+        before = recording.reader.bytes_read
+        assert len(recording.reader.latest_messages(["/sensors/front/image"], 5.0)) == 1
+        assert recording.reader.bytes_read - before < FURTHER_CHUNK_SIZE + 10_000
+
+
 def test_messages_that_came_late_are_put_in_order(tmp_path):
     times = [0.0, 40.0, 80.0, 10.0, 50.0, 20.0]
     with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
@@ -269,8 +307,11 @@ def test_an_unknown_topic_is_an_error_with_those_that_there_are(tmp_path, small)
     with open_recording(small) as recording:
         assert recording.reader.further_topics() == {}
         assert not list(recording.reader.further_messages())
+        assert recording.reader.latest_messages([], 1.0) == []
         with pytest.raises(RecapError, match="only MCAP files have some"):
             list(recording.reader.messages("/none"))
+        with pytest.raises(RecapError, match="only MCAP files have some"):
+            recording.reader.latest_messages(["/none"], 1.0)
 
 
 def test_mcaps_own_reader_reads_all_messages(tmp_path):

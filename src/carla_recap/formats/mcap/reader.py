@@ -222,6 +222,11 @@ class McapReader(Reader):
         self._source.check_open()
         return self._further.messages(topics, start, stop, in_order=in_order)
 
+    def latest_messages(self, topics: Collection[str], elapsed: float) -> list[TopicMessage]:
+        """Return the latest message of each of some further topics; see `Reader.latest_messages`."""
+        self._source.check_open()
+        return self._further.latest(topics, elapsed)
+
     @cached_property
     def _further(self) -> FurtherTopics:
         from carla_recap.formats.mcap.topics import FurtherTopics

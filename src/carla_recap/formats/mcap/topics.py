@@ -9,7 +9,7 @@ import math
 import struct
 from collections import Counter
 from functools import cached_property, partial
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -122,13 +122,49 @@ class FurtherTopics:
             RecapError: There is no such topic.
             FormatError: The file is damaged, or made to cost memory or time.
         """
-        names = self._channels.keys() if topics is None else topics
-        for name in names:
+        channels = self._channels_of(self._channels.keys() if topics is None else topics)
+        return self._read(channels, start - SAME_TIME, stop - SAME_TIME, in_order=in_order)
+
+    def latest(self, topics: Collection[str], elapsed: float) -> list[TopicMessage]:
+        """Return the latest message of each topic; see `Reader.latest_messages`.
+
+        Chunks are read from the latest one back, until those before have nothing later.
+
+        Raises:
+            RecapError: There is no such topic.
+            FormatError: The file is damaged, or made to cost memory or time.
+        """
+        channels = self._channels_of(topics)
+        end = self._clock.at(elapsed + SAME_TIME)
+        found: dict[str, tuple[int, bytes]] = {}
+        chunks = [chunk for chunk in self._chunks(channels) if end is None or chunk.start < end]
+        for chunk in sorted(chunks, key=attrgetter("end"), reverse=True):
+            wanted = {id for id, name in channels.items() if name not in found or found[name][0] < chunk.end}
+            if chunk.channels and wanted.isdisjoint(chunk.channels):
+                continue
+            (data,) = self._opened([chunk])
+            later: dict[str, _Message] = {}
+            for message in self._messages_in(chunk, data, wanted, None, end):
+                name = channels[message.channel]
+                if name not in later or message.time >= later[name].time:
+                    later[name] = message
+            for name, (time, _, content) in later.items():
+                if name not in found or time > found[name][0]:
+                    found[name] = time, bytes(content)
+        ordered = sorted(found.items(), key=lambda item: item[1][0])
+        return [TopicMessage(name, self._clock.elapsed(time), content) for name, (time, content) in ordered]
+
+    def _channels_of(self, topics: Collection[str]) -> dict[int, str]:
+        """Return the channels of some topics, and the topic of each.
+
+        Raises:
+            RecapError: There is no such topic.
+        """
+        for name in topics:
             if name not in self._channels:
                 has = first_of(sorted(self._channels))
                 raise RecapError(f"{self._source.location}: has no further topic {name!r:.200}; it has {has:.500}")
-        channels = {channel.id: name for name in names for channel in self._channels[name]}
-        return self._read(channels, start - SAME_TIME, stop - SAME_TIME, in_order=in_order)
+        return {channel.id: name for name in topics for channel in self._channels[name]}
 
     def _read(self, channels: dict[int, str], start: float, stop: float, *, in_order: bool) -> Iterator[TopicMessage]:
         first, last = self._clock.at(start), self._clock.at(stop)

@@ -24,7 +24,7 @@ from carla_recap.editing.convert import check_destination
 from carla_recap.formats.mcap.schema import LogClock
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay import Played, Player
-from carla_recap.show.foxglove.layouts import layout_files, layout_hints
+from carla_recap.show.foxglove.layouts import has_panels, layout_files, layout_hints, write_layouts
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
@@ -56,7 +56,8 @@ def export_foxglove(
 
     Args:
         source: The recording.
-        destination: The file; it appears when it is complete.
+        destination: The file; it appears when it is complete. Of a recording with images or points of sensors, layouts that
+            show them are written beside it.
         follow: The actor that the layouts follow: an id or "hero"; None: see `carla_recap.replay.choose_followed`.
         start: The beginning, in elapsed seconds; negative: in seconds before the end.
         duration: The number of seconds to export; 0: all of the rest.
@@ -89,7 +90,9 @@ def export_foxglove(
             file.write_further(topic, clock.at(elapsed) or 0, data)
         file.end_chunk()  # the times of what follows begin again
         file.write(messages.incidents())
-        return messages.played
+    if has_panels(further):
+        write_layouts(destination, further)
+    return messages.played
 
 
 def _description(reader: Reader, player: Player) -> dict[str, str]:

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from carla_recap.queries.sensors import ROOT, kind_of
 from carla_recap.util.files import WholeFile
 from carla_recap.util.resources import viewer_folder
 
@@ -32,9 +33,10 @@ def layout_files() -> dict[str, Path]:
     return {viewer: folder / f"carla-recap{suffix}" for viewer, suffix in _SUFFIXES.items()}
 
 
-def layout_hints(**_: object) -> list[str]:
-    """Return where the layouts are, a line for each viewer."""
-    return hints_of(layout_files())
+def layout_hints(path: Path | str, **_: object) -> list[str]:
+    """Return where the layouts of a file are, a line for each viewer: those beside it, or else those of all exports."""
+    beside = sensor_layout_files(path)
+    return hints_of(beside if all(each.is_file() for each in beside.values()) else layout_files())
 
 
 def hints_of(layouts: Mapping[str, Path]) -> list[str]:
@@ -46,6 +48,11 @@ def sensor_layout_files(destination: Path | str) -> dict[str, Path]:
     """Return where the layouts of a recording with sensors are, by the viewers that import them."""
     path = Path(destination)
     return {viewer: path.with_name(path.stem + suffix) for viewer, suffix in _SUFFIXES.items()}
+
+
+def has_panels(topics: Iterable[Topic]) -> bool:
+    """Return whether layouts show some of the topics of sensors: their images or points."""
+    return any(topic.name.startswith(ROOT) and kind_of(topic.name) in (*_IMAGES, *_COLORS) for topic in topics)
 
 
 def write_layouts(destination: Path | str, topics: Iterable[Topic]) -> dict[str, Path]:
@@ -61,9 +68,9 @@ def write_layouts(destination: Path | str, topics: Iterable[Topic]) -> dict[str,
     Raises:
         RecapError: They cannot be written.
     """
-    names = [topic.name for topic in topics]
-    images = [name for name in names if name.rpartition("/")[2] in _IMAGES][:_MOST]
-    clouds = [name for name in names if name.rpartition("/")[2] in _COLORS]
+    names = [topic.name for topic in topics if topic.name.startswith(ROOT)]
+    images = [name for name in names if kind_of(name) in _IMAGES][:_MOST]
+    clouds = [name for name in names if kind_of(name) in _COLORS]
     makers: dict[str, Callable[[Layout, list[str], list[str]], Layout]] = {_FOXGLOVE: _foxglove, _LICHTBLICK: _lichtblick}
     files = sensor_layout_files(destination)
     for viewer, path in layout_files().items():
@@ -158,7 +165,7 @@ def _clouds(names: list[str]) -> Layout:
     return {
         name: {
             "visible": True,
-            "colorField": _COLORS[name.rpartition("/")[2]],
+            "colorField": _COLORS[kind_of(name)],
             "colorMode": "colormap",
             "colorMap": "turbo",
             "pointSize": 2,

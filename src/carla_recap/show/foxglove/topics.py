@@ -73,9 +73,10 @@ TOPICS: Final = [Topic(name, type.DESCRIPTOR.full_name, partial(schema_of, type)
 
 RATE: Final = 20.0
 """The number of scenes shown per second, at most."""
+SLACK: Final = 0.9
+"""The part of the time between two shown scenes after which the next one is shown: frames do not come quite evenly."""
 
 _TOGETHER: Final = 128  # scenes whose messages are made at once
-_SLACK: Final = 0.9  # frames do not come quite evenly
 _LEVELS: Final = {Level.DEBUG: Log.DEBUG, Level.INFO: Log.INFO, Level.WARNING: Log.WARNING, Level.ERROR: Log.ERROR}
 
 
@@ -203,7 +204,7 @@ class SceneMessages:
         for row, time in enumerate(batch.time.tolist()):
             self._shown = not time < self._due or (not row and bool(batch.events))
             if self._shown:
-                self._due = time + _SLACK / self.rate
+                self._due = time + SLACK / self.rate
                 rows.append(row)
         return np.array(rows, np.intp)
 

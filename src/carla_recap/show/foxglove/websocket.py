@@ -10,6 +10,7 @@ import logging
 import math
 from bisect import bisect_left
 from heapq import merge
+from itertools import chain
 from threading import Event, Lock, Thread
 from time import monotonic
 from typing import TYPE_CHECKING, Final, Self
@@ -18,6 +19,7 @@ import numpy as np
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.formats.mcap.schema import SECOND, LogClock
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.rendering.town import town_of_map
 from carla_recap.replay import Player
 from carla_recap.replay.follow import HERO
@@ -26,16 +28,17 @@ from carla_recap.scene.ahead import stop_points
 from carla_recap.scene.captions import PlayedIncidents
 from carla_recap.scene.follow import LiveFollow
 from carla_recap.show.foxglove.messages import timestamps
-from carla_recap.show.foxglove.topics import LOG, RATE, TOPICS, SceneMessages, incident_messages
+from carla_recap.show.foxglove.topics import LOG, RATE, SLACK, TOPICS, SceneMessages, incident_messages, passed_topics
 from carla_recap.show.foxglove.town import MAP, map_message, town_around
 from carla_recap.util.signals import unwind_on_termination
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
     from types import TracebackType
 
     from foxglove.websocket import ChannelView, Client, PlaybackControlRequest, PlaybackState
 
+    from carla_recap.formats.base import Topic
     from carla_recap.model.frame import Frame, Header
     from carla_recap.recording import Recording
     from carla_recap.replay import Follow
@@ -80,13 +83,14 @@ class FoxgloveServer:
         name: What viewers call the connection.
         port: The port; 0: any free one.
         timeline: The timeline by which viewers play a recording; None: what is sent is live.
+        further: The topics beside those of scenes, such as those of sensors.
 
     Raises:
         RecapError: The port is in use.
         MissingExtra: Foxglove's SDK is not installed.
     """
 
-    def __init__(self, name: str, port: int = PORT, timeline: Timeline | None = None) -> None:
+    def __init__(self, name: str, port: int = PORT, timeline: Timeline | None = None, further: Sequence[Topic] = ()) -> None:
         check_sdk()
         import foxglove
         from foxglove.websocket import Capability, ServerListener
@@ -119,7 +123,7 @@ class FoxgloveServer:
                 message_encoding="protobuf",
                 context=self._context,
             )
-            for topic in TOPICS
+            for topic in (*TOPICS, *further)
         }
 
     def __enter__(self) -> Self:
@@ -226,9 +230,9 @@ class Timeline:
             return self._state(did_seek=seek is not None, request=request.request_id)
 
     def advance(self, seconds: float) -> tuple[int, bool]:
-        """Let real time pass; return the moment, and whether it was sought since the last call."""
+        """Let real time pass; return the moment, and whether it was sought since the last call, when time does not pass."""
         with self._lock:
-            if self._playing:
+            if self._playing and not self._sought:
                 self._now = min(self._now + seconds * self._speed * SECOND, self.stop)
             sought, self._sought = self._sought, False
             return int(self._now), sought
@@ -321,8 +325,9 @@ def serve_recording(
     check_sdk()
     played = _PlayedRecording(source, follow, start, duration, road_map, progress)
     timeline = Timeline(*played.span)
+    name = source.reader.path.name
     try:
-        with unwind_on_termination(), FoxgloveServer(source.reader.path.name, port, timeline) as server:
+        with unwind_on_termination(), FoxgloveServer(name, port, timeline, played.further) as server:
             ready(server.address)
             _play(played, timeline, server)
     except (KeyboardInterrupt, BrokenPipeError):  # the latter: the output of `ready` is closed
@@ -333,10 +338,10 @@ def _play(played: _PlayedRecording, timeline: Timeline, server: FoxgloveServer) 
     """Send the messages of a recording by a timeline, for ever."""
     messages: Iterator[Sent] = iter(())
     waiting: Sent | None = None
-    before = monotonic()
+    before, has_played = monotonic(), False
     while True:
         now = monotonic()
-        moment, sought = timeline.advance(min(now - before, _LONGEST))
+        moment, sought = timeline.advance(min(now - before, _LONGEST) if has_played else 0.0)
         before = now
         if sought:
             messages = played.messages(moment, lambda: RATE / max(timeline.speed, 1.0))
@@ -355,7 +360,8 @@ def _play(played: _PlayedRecording, timeline: Timeline, server: FoxgloveServer) 
             server.show(timeline.state())
         elif sought or timeline.is_playing:
             server.show_time(moment)
-        server.wait(_STEP if timeline.is_playing else _PAUSE)
+        has_played = timeline.is_playing
+        server.wait(_STEP if has_played else _PAUSE)
 
 
 class _PlayedRecording:
@@ -363,6 +369,7 @@ class _PlayedRecording:
 
     Attributes:
         span: Its first and its last moment, in ns since 1970.
+        further: Its topics beside those of scenes, such as those of sensors.
     """
 
     def __init__(
@@ -379,25 +386,41 @@ class _PlayedRecording:
         self._start, self._stop, self._followed = player.start, player.stop, player.followed
         town = town_around(road_map, player, source)
         self._stops = stop_points(source.reader)
-        clock = LogClock(source.reader.header)
-        first, last, self._zero = clock.at(player.start), clock.at(player.stop), clock.at(0.0)
-        if first is None or last is None or self._zero is None:
+        self._clock = clock = LogClock(source.reader.header)
+        first, last = clock.at(player.start), clock.at(player.stop)
+        if first is None or last is None:
             raise RecapError(f"{source.location}: its times cannot be shown; they end at {player.stop:g} s")
         self.span = first, last
+        self.further = passed_topics(source.reader)
         self._map = map_message(town, timestamps(np.array([first], np.uint64))[0])
         roads = road_network_of_map(road_map) if town is not None else None
         self._incidents = self._find_incidents(player, clock, roads, progress)
 
     def messages(self, moment: int, rate: Callable[[], float]) -> Iterator[Sent]:
-        """Yield the messages from some time before a moment on, in the order of time.
+        """Yield the messages from some time before a moment on, in the order of time; of sensors, the latest ones then, too.
 
         Args:
             moment: The moment, in ns since 1970.
             rate: Returns how many scenes are shown in a second of the recording.
         """
-        begin = max((moment - (self._zero or 0)) / SECOND - _LEAD, self._start)
+        elapsed = self._clock.elapsed(moment)
+        begin = max(elapsed - _LEAD, self._start)
         first = bisect_left(self._incidents, moment, key=lambda sent: sent[0])
-        return merge(self._scenes(begin, rate), self._incidents[first:], key=lambda sent: sent[0])
+        parts = self._scenes(begin, rate), self._further(elapsed, rate), self._incidents[first:]
+        return merge(*parts, key=lambda sent: sent[0])
+
+    def _further(self, begin: float, rate: Callable[[], float]) -> Iterator[Sent]:
+        """Yield the further messages: the latest ones at a time, then those that follow, fewer while it plays faster."""
+        reader, names = self._source.reader, [topic.name for topic in self.further]
+        if not names:
+            return
+        due: dict[str, float] = {}
+        latest = reader.latest_messages(names, begin)
+        for topic, elapsed, data in chain(latest, reader.further_messages(names, begin, self._stop + 2 * SAME_TIME)):
+            time, shown = self._clock.at(elapsed), rate()
+            if time is not None and (shown >= RATE or elapsed >= due.get(topic, -math.inf)):
+                due[topic] = elapsed + SLACK / shown
+                yield time, topic, data
 
     def _scenes(self, begin: float, rate: Callable[[], float]) -> Iterator[Sent]:
         player = Player(self._source, start=begin, duration=max(self._stop - begin, 0.0))

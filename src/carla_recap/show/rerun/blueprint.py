@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 
 from carla_recap.model.actors import ActorLife
 from carla_recap.model.records import CM
-from carla_recap.queries.sensors import sensors
+from carla_recap.queries.sensors import kind_of, sensors
 from carla_recap.replay import Player, camera
 from carla_recap.replay.recorded_map import first_locations
 from carla_recap.scene import style
@@ -66,7 +66,7 @@ def image_views(sensors: Iterable[RecordedSensor]) -> list[rrb.Spatial2DView]:
 
 def _image_paths(sensors: Iterable[RecordedSensor]) -> list[tuple[str, str]]:
     """Return the paths of images, and their kinds."""
-    kinds = ((sensor.id, topic.rpartition("/")[2]) for sensor in sensors for topic in sensor.topics)
+    kinds = ((sensor.id, kind_of(topic)) for sensor in sensors for topic in sensor.topics)
     return [(entities.sensor(id, kind), kind) for id, kind in kinds if kind in _IMAGES]
 
 

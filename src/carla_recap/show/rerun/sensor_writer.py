@@ -9,8 +9,9 @@ import numpy as np
 import rerun as rr
 
 from carla_recap.model.frame import SAME_TIME
+from carla_recap.queries.sensors import kind_of
 from carla_recap.scene.materials import TAG_COLORS, Tag
-from carla_recap.sensors.decoding import H264, Calibration, EncodedImage, SensorDecoder, kind_of
+from carla_recap.sensors.decoding import H264, Calibration, EncodedImage, SensorDecoder
 from carla_recap.sensors.encoding import jpeg, png
 from carla_recap.sensors.rig import MOST_SENSORS
 from carla_recap.show.rerun import entities
