@@ -16,12 +16,17 @@ function numbers(bytes, [offset, count, planes, unit, order]) {
   return unit === 1 ? values : Float64Array.from(values, (value) => value * unit);
 }
 
+/** Return the bytes of a text in base64. */
+function bytesOf(text) {
+  const raw = atob(text);
+  const bytes = new Uint8Array(raw.length);
+  for (let i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
+  return bytes;
+}
+
 /** Return the value in a compressed text, with its columns as typed arrays. */
 async function unpack(text) {
-  const raw = atob(text);
-  const packed = new Uint8Array(raw.length);
-  for (let i = 0; i < raw.length; i++) packed[i] = raw.charCodeAt(i);
-  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
   const content = await new Response(stream).arrayBuffer();
   const length = new DataView(content).getUint32(0, true);
   const head = new TextDecoder().decode(new Uint8Array(content, 4, length));

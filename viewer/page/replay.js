@@ -10,7 +10,7 @@ const CLOSE_VIEW = 56; // m, the width of the view
 const NARROW = window.matchMedia("(max-width: 700px)");
 
 class Replay {
-  constructor(recordings, ground) {
+  constructor(recordings, ground, images) {
     this.recordings = recordings;
     [this.recording] = recordings;
     this.tracks = this.recording.tracks;
@@ -26,6 +26,7 @@ class Replay {
     this.transport = new Transport(this.clock, this.length, this.incidents, (i) => this.open(i));
     this.plots = new Plots(recordings, this.length, (time) => this.clock.seek(time));
     this.space = new Space(this.recording.report, () => this.changed());
+    this.images = new CameraImages(images, recordings, () => this.changed());
     this.jumps = -1;
     this.last = 0; // ms
     this.stale = true;
@@ -314,6 +315,7 @@ class Replay {
       p: () => this.step(-1),
       f: () => this.fit(),
       h: () => this.toggle("heading"),
+      i: () => this.images.toggle(),
       l: () => this.toggle("labels"),
       t: () => this.toggle("trails"),
       g: () => this.togglePlots(),
@@ -374,6 +376,7 @@ class Replay {
     if (this.space.isOpen) this.space.show(this.clock.time, this.followedActor());
     else for (const stage of this.active) stage.draw(this.clock.time);
     this.plots.draw(this.clock.time, this.followed);
+    this.images.show(this.clock.time);
     this.transport.showTime();
     this.showFollowed();
     this.showCaption();
@@ -501,7 +504,7 @@ function dateText(date) {
 let replay = null; // until the data are unpacked
 
 Promise.all([unpack(GROUND), ...RECORDINGS.map(unpack)]).then(([ground, ...data]) => {
-  replay = new Replay(data.map((each, index) => new Recorded(index, REPORTS[index], each)), ground);
+  replay = new Replay(data.map((each, index) => new Recorded(index, REPORTS[index], each)), ground, IMAGES);
   replay.stale = false;
   replay.start();
   replay.draw(performance.now());

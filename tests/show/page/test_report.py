@@ -45,7 +45,7 @@ def test_the_incidents_are_those_of_the_query(crossing_page: Path) -> None:
 def test_the_summary_of_the_call(tmp_path: Path) -> None:
     with open_recording(CROSSING) as recording:
         written = write_report(recording, tmp_path / "page", WITHOUT_ROADS, pictures="none")
-    assert written._replace(size=0) == (tmp_path / "page", 4, True, 53.0, 0)
+    assert written._replace(size=0) == (tmp_path / "page", 4, True, 53.0, 0, 0)
     assert written.size == sum(file.stat().st_size for file in (tmp_path / "page").rglob("*") if file.is_file())
     assert not data(tmp_path / "page", "report")["drawn"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import warnings
 from collections import Counter
 from dataclasses import replace
 from html import escape
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 from urllib.request import ProxyHandler, build_opener
 
-from carla_recap.errors import RecapError
+from carla_recap.errors import FormatError, MissingExtra, RecapError, RecapWarning
 from carla_recap.model.actors import ROAD_USERS
 from carla_recap.queries.incidents import Incident, IncidentOptions, incidents, with_roads
 from carla_recap.queries.kinds import KINDS
@@ -22,6 +23,7 @@ from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.style import LIGHTS, OTHER, STYLES
 from carla_recap.show.page import script
 from carla_recap.show.page.base_map import base_map
+from carla_recap.show.page.images import PageImages, camera_of, page_images
 from carla_recap.show.page.samples import measure, sample
 from carla_recap.show.page.script import Packer, data_address, single_page
 from carla_recap.util.files import WholeFile, check_folder, check_path, copy_files, new_folder
@@ -60,6 +62,7 @@ class Report(NamedTuple):
         incidents: The number of incidents in the list.
         whole: Whether it replays the whole recording, not only the time around incidents.
         seconds: The length of the replay in seconds.
+        images: The number of images of cameras.
         size: The size of all files in bytes.
     """
 
@@ -67,6 +70,7 @@ class Report(NamedTuple):
     incidents: int
     whole: bool
     seconds: float
+    images: int
     size: int
 
     def _repr_html_(self) -> str:
@@ -99,13 +103,20 @@ class _Reported:
         recording: The recording.
         options: Which incidents to list.
         around: The seconds before and after an incident in the replay of a long recording.
+        camera: The camera whose images are shown; None: the one that looks ahead, if there is one.
         progress: Gets the scenes and their player, and yields the scenes.
     """
 
     def __init__(
-        self, recording: Recording, options: IncidentOptions, around: tuple[float, float], progress: Progress | None
+        self,
+        recording: Recording,
+        options: IncidentOptions,
+        around: tuple[float, float],
+        camera: str | None,
+        progress: Progress | None,
     ) -> None:
         self.recording = recording
+        shown = camera_of(recording, camera)
         self.followed = Player(recording).followed
         found = incidents(recording.reader, options)
         self.incidents = found[:LISTED]
@@ -116,6 +127,19 @@ class _Reported:
         self.replay, self.whole = sample(recording, list(self.chosen.values()), *around, progress)
         self.measured = measure(recording, self._plotted(), self.replay.times)
         self.pictures: dict[int, bytes] = {}
+        self.images: PageImages | None = None
+        if shown is not None:
+            try:
+                self.images = page_images(recording, shown, self.replay.spans)
+            except (FormatError, MissingExtra) as error:
+                if camera is not None:
+                    raise
+                warnings.warn(f"the page has no images of the camera {shown}: {error}", RecapWarning, stacklevel=4)
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """The number of incidents and that of images of a camera."""
+        return len(self.incidents), len(self.images.images) if self.images else 0
 
     def _plotted(self) -> list[int]:
         """Return the actors whose acceleration and gap are plotted: the followed one, heroes, and those of incidents."""
@@ -159,6 +183,7 @@ def write_report(
     road_map: RoadMap | None = None,
     town: TownMesh | None = None,
     pictures: Pictures = "drawn",
+    camera: str | None = None,
     viewer: bool = False,
     force: bool = False,
     progress: Progress | None = None,
@@ -180,14 +205,20 @@ def write_report(
         town: Their surfaces, if they are made already.
         pictures: "drawn": a drawing of each incident, from above; "rendered": a view from behind the first actor, which
             takes the extra `cameras`; or "none".
+        camera: The camera of each recording whose stored images are shown beside the map; None: the one that looks ahead
+            the most, where a recording has images. They take the extras `foxglove` and `video`.
         viewer: Add Rerun's viewer, to see the scene in 3D; it needs the extra `rerun`, and a server for the page.
         force: Write into a folder that is not empty, or over a file.
         progress: Gets the scenes and their player, and yields the scenes; once for each recording.
 
     Raises:
         RecapError: A recording is damaged or empty, the two are of different maps, the folder is not empty, the file exists,
-            the viewer is wanted in a single file or a comparison, or nothing can be rendered here.
-        MissingExtra: `pictures` or `viewer` need an extra that is not installed.
+            the viewer is wanted in a single file or a comparison, there are no images of the camera, or nothing can be
+            rendered here.
+        MissingExtra: `pictures`, `camera` or `viewer` need an extra that is not installed.
+
+    Warns:
+        RecapWarning: Images that were not asked for cannot be shown.
     """
     if not (before >= 0 and after >= 0):
         raise RecapError(f"{before:g} s before and {after:g} s after incidents cannot be shown; 0 or more were expected")
@@ -203,7 +234,7 @@ def write_report(
     options = with_roads(recordings[0].reader, options)  # of both, since they are of one map
     if town is None:
         town = load_town_of(recordings[0], options.road_map) if road_map is None else town_of_map(road_map)
-    reported = [_Reported(recording, options, (before, after), progress) for recording in recordings]
+    reported = [_Reported(recording, options, (before, after), camera, progress) for recording in recordings]
     if viewer and not reported[0].whole:
         raise RecapError(f"{recordings[0].location}: is too long for the viewer in a page; clips of its incidents are not")
     for each in reported if pictures == "rendered" else ():
@@ -218,6 +249,7 @@ def write_report(
     data = {
         "data/kinds.js": script.script("KINDS", script.kind_data()),
         "data/ground.js": script.script("GROUND", ground),
+        "data/images.js": script.script("IMAGES", [each.images and script.image_data(each.images) for each in reported]),
         "data/recordings.js": script.script("RECORDINGS", [_packed(each) for each in reported]),
     }
     if single:
@@ -238,7 +270,8 @@ def write_report(
                 (room / name).write_text(text, "ascii")
             size = sum(file.stat().st_size for file in room.rglob("*") if file.is_file())
     seconds = max(sum(stop - start for start, stop in each.replay.spans) for each in reported)
-    return Report(path, sum(len(each.incidents) for each in reported), all(each.whole for each in reported), seconds, size)
+    found, images = (sum(counts) for counts in zip(*(each.counts for each in reported), strict=True))
+    return Report(path, found, all(each.whole for each in reported), seconds, images, size)
 
 
 def _check_destination(path: Path, *, single: bool, force: bool) -> None:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.style import Color
     from carla_recap.show.page.base_map import BaseMap
+    from carla_recap.show.page.images import PageImages
     from carla_recap.show.page.samples import MeasuredActor, SampledActor, SampledReplay
 
 LEVEL: Final = 6  # of compression
@@ -248,6 +249,17 @@ def _lines(lines: Sequence[NDArray[np.float64]], packer: Packer) -> dict[str, An
         "x": packer.column(x, MAP_UNIT),
         "y": packer.column(y, MAP_UNIT),
         "lengths": packer.column([len(line) for line in lines]),
+    }
+
+
+def image_data(images: PageImages) -> dict[str, Any]:
+    """Return the images of a camera, as base64."""
+    return {
+        "camera": shortened(images.camera),
+        "size": images.size,
+        "longest": number(images.longest),
+        "times": [number(time) for time in images.times],
+        "images": [base64.b64encode(image).decode() for image in images.images],
     }
 
 
