@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 from weakref import WeakKeyDictionary
 
+import numpy as np
+
 from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.geometry import Location, Transform, Vector
-from carla_recap.sim.physics.drivetrain import SPEEDS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
 
 _RESPONSE: Final = 0.3  # s: the time constant of the speed
 _MOST: Final = 8.0  # m/s²: the default limit
-_RESISTANCE: Final = 0.013 * 9.81  # m/s², of rolling tyres
-_COASTING: Final = 0.5 + _RESISTANCE  # m/s²: the deceleration without throttle
 _HALT: Final = 0.1  # m/s: below it, a vehicle that is to stand is braked
 _log: Final = logging.getLogger(__name__)
 
@@ -105,7 +104,7 @@ class AckermannController:
 def _control(vehicle: Vehicle, state: _AckermannState, delta: float) -> VehicleControl:
     """Return the control that gives a vehicle the desired acceleration."""
     rows, row, wanted = vehicle.rows, vehicle.row, state.control
-    speed, mass = rows.speed[row].item(), rows.mass[row].item()
+    speed = rows.speed[row].item()
     most = wanted.acceleration or _MOST
     acceleration = _limited((wanted.speed - speed) / _RESPONSE, 0.0, abs(most))
     state.acceleration = _limited(acceleration, state.acceleration, abs(wanted.jerk) * delta or float("inf"))
@@ -116,15 +115,8 @@ def _control(vehicle: Vehicle, state: _AckermannState, delta: float) -> VehicleC
     forward = -state.acceleration if backwards else state.acceleration  # in the desired direction
     if wanted.speed == 0 and abs(speed) < _HALT:
         return VehicleControl(steer=steer, brake=1.0)
-    air = rows.air[row].item() * speed * speed / mass
-    if forward > -_COASTING - air:
-        column = min(int(abs(speed) / SPEEDS[1]), len(SPEEDS) - 1)
-        force = (rows.forces[row, -1, column] if backwards else rows.best_force[row, column]).item()
-        throttle = max(forward + _RESISTANCE + air, 0.0) * mass / force if force else 0.0
-        return VehicleControl(throttle, steer, reverse=backwards)
-    brakes = (rows.front_brake[row] + rows.rear_brake[row]).item() / mass
-    brake = (-forward - _COASTING - air) / brakes if brakes else 0.0
-    return VehicleControl(steer=steer, brake=brake, reverse=backwards)
+    throttle, brake = rows.pedals(np.array([row]), np.array([forward]), backwards)
+    return VehicleControl(throttle.item(), steer, brake.item(), reverse=backwards)
 
 
 def _limited(value: float, around: float, most: float) -> float:

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 _STILL: Final = 0.02  # m/s and rad/s: slower vehicles stand
 _ROLLING: Final = 0.013  # rolling resistance of car tyres on asphalt, as a share of the weight
 _ENGINE_BRAKE: Final = 0.5  # m/s², without throttle
+_COASTING: Final = -0.4  # m/s², besides resistance: pedals brake only for a stronger deceleration
 _STEER_RATE: Final = 2.5  # full locks per second, as fast as CARLA's steering input rises
 _LEAST_GRIP: Final = 0.4  # the share of the grip that brakes with anti-lock leave for steering
 _SIDEWAYS: Final = 1.5  # of the grip ahead: CARLA's traffic manager enters bends of 8 m at 11 m/s, and stays in its lane
@@ -149,6 +150,26 @@ class Vehicles(MovingBodies):
         self.reverse[rows] = reverse
         self.manual[rows] = False
         self.controlled[rows] = True
+
+    def pedals(self, rows: Integers, acceleration: Floats, backwards: Flags | bool = False) -> tuple[Floats, Floats]:
+        """Return throttle and brake, 0 to 1 each, for accelerations of vehicles; one of the two is 0.
+
+        Args:
+            rows: Their rows, (n,).
+            acceleration: The accelerations in the direction of the gear, in m/s², (n,).
+            backwards: Whether that is backwards, (n,).
+        """
+        speed, mass = np.maximum(np.where(backwards, -self.speed[rows], self.speed[rows]), 0), self.mass[rows]
+        column = np.minimum((speed / SPEEDS[1]).astype(np.int64), len(SPEEDS) - 1)
+        resistance = self.air[rows] * speed * speed + mass * (GRAVITY * _ROLLING)
+        coasting = mass * _COASTING - resistance
+        force = mass * acceleration
+        best = np.maximum(np.where(backwards, self.forces[rows, -1, column], self.best_force[rows, column]), 1.0)
+        throttle = np.clip((force + resistance) / best, 0, 1)
+        brakes = np.maximum(self.front_brake[rows] + self.rear_brake[rows], 1.0)
+        brake = np.clip((coasting - force) / brakes, 0, 1)
+        slowing = acceleration < 0
+        return np.where(slowing, np.where(force > coasting, throttle, 0), throttle), np.where(slowing, brake, 0)
 
     def _moment(self, row: int) -> float:
         return float(self.moment[row])

@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.motion import GRAVITY
 from carla_recap.scene.lamps import BRAKE, BRAKING, LEFT_BLINKER, RIGHT_BLINKER
-from carla_recap.sim.physics.drivetrain import SPEEDS
 from carla_recap.sim.traffic.autopilot.lane_changes import shift_poses, transition_progress
 
 if TYPE_CHECKING:
@@ -19,7 +17,6 @@ if TYPE_CHECKING:
     from carla_recap.sim.traffic.autopilot.routes import LaneNetwork, Routes
 
     Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
 
 _OWN_LIGHTS: Final = np.uint32(BRAKE | RIGHT_BLINKER | LEFT_BLINKER)
 _INDICATION: Final = 30.0  # m before a turn
@@ -30,8 +27,6 @@ _RELEASE: Final = -1.0  # m/s²: from harder braking, drivers release the brake 
 _STANDING: Final = 0.15  # m/s
 _START: Final = 0.25  # m/s²: standing vehicles start for no smaller desired acceleration
 _HOLD: Final = 0.4  # brake of standing vehicles
-_ROLLING_RESISTANCE: Final = 0.013  # share of the weight
-_COASTING: Final = -0.4  # m/s²: about what a vehicle slows down by without any pedal
 _PREVIEW: Final = 0.12  # s: the delay of the front wheels
 _CROSS_TRACK_GAIN: Final = 1.5  # 1/s
 _SOFTENING: Final = 1.0  # m/s: keeps the steering calm at low speed
@@ -53,7 +48,7 @@ def set_pedals(cars: DrivenVehicles, drivers: Drivers, vehicles: Vehicles, desir
     least = drivers.acceleration - _BRAKE_JERK * delta
     most = np.maximum(drivers.acceleration, _RELEASE) + _JERK * delta
     drivers.acceleration = np.minimum(np.maximum(desired, least), most)
-    throttle, brake = _pedals(vehicles, cars.rows, drivers.acceleration)
+    throttle, brake = vehicles.pedals(cars.rows, drivers.acceleration)
     standing = cars.speed < _STANDING
     drivers.standing_time = np.where(standing, drivers.standing_time + delta, 0.0)
     held = standing & (desired < _START)
@@ -62,21 +57,6 @@ def set_pedals(cars: DrivenVehicles, drivers: Drivers, vehicles: Vehicles, desir
     vehicles.brake[cars.rows] = brake
     for flag in (vehicles.hand_brake, vehicles.reverse, vehicles.manual):
         flag[cars.rows] = False
-
-
-def _pedals(vehicles: Vehicles, rows: Integers, acceleration: Floats) -> tuple[Floats, Floats]:
-    """Return throttle and brake, from 0 to 1 each, for accelerations in m/s²; one of the two is 0."""
-    speed, mass = np.maximum(vehicles.speed[rows], 0), vehicles.mass[rows]
-    column = np.minimum((speed / SPEEDS[1]).astype(np.int64), len(SPEEDS) - 1)
-    resistance = vehicles.air[rows] * speed * speed + mass * (GRAVITY * _ROLLING_RESISTANCE)
-    coasting = mass * _COASTING - resistance
-    force = mass * acceleration
-    best = np.maximum(vehicles.best_force[rows, column], 1.0)
-    throttle = np.clip((force + resistance) / best, 0, 1)
-    brakes = np.maximum(vehicles.front_brake[rows] + vehicles.rear_brake[rows], 1.0)
-    brake = np.clip((coasting - force) / brakes, 0, 1)
-    slowing = acceleration < 0
-    return np.where(slowing, np.where(force > coasting, throttle, 0), throttle), np.where(slowing, brake, 0)
 
 
 def set_steering(cars: DrivenVehicles, drivers: Drivers, routes: Routes, network: LaneNetwork, vehicles: Vehicles) -> None:
