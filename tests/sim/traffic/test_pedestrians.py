@@ -12,7 +12,7 @@ from carla_recap.sim.actors.lights import GREEN, RED
 from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Vector
-from carla_recap.sim.town.paths import Paths
+from carla_recap.sim.town.graph import Paths
 from carla_recap.sim.town.sidewalks import WalkwayGraph
 from tests.sim.flat import at, flat_world, light
 
@@ -36,7 +36,7 @@ def walker(world: World, x: float, y: float) -> Walker:
 
 
 def test_the_shortest_path_is_found() -> None:
-    paths = Paths(graph())
+    paths = Paths(graph().nodes, graph().edges)
     assert paths.find(0, 3) == [0, 1, 2, 3]
     assert paths.find(2, 2) == [2]
     assert paths.find(0, 4) == []

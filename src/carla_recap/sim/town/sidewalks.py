@@ -11,6 +11,7 @@ import numpy as np
 
 from carla_recap.roads.barriers import SIDEWALK, Ground, left_handed
 from carla_recap.roads.lanes import NO_JUNCTION
+from carla_recap.sim.town.graph import components
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -228,7 +229,11 @@ def _stripe(start: Floats, stop: Floats, before: float = 0.0, after: float = 0.0
 def _connect(walks: Walks, road: Ground) -> None:
     """Connect the components by crossings between their nearest nodes; remove components that are too far away."""
     places = np.array(walks.nodes).reshape(-1, 3)
-    apart = _components(len(places), list(walks.edges))
+    beside: list[list[int]] = [[] for _ in places]
+    for one, other in walks.edges:
+        beside[one].append(other)
+        beside[other].append(one)
+    apart = components(beside)
     if not apart:
         return
     whole, *apart = sorted(apart, key=len, reverse=True)[:_MOST_PARTS]
@@ -255,26 +260,6 @@ def _nearest(places: Floats, whole: list[int], part: list[int]) -> tuple[float, 
         nearest = int(distances.argmin())
         best = min(best, (float(distances[nearest]), whole[nearest], number))
     return best
-
-
-def _components(count: int, edges: list[tuple[int, int]]) -> list[list[int]]:
-    """Return the connected components."""
-    beside = defaultdict(list)
-    for one, other in edges:
-        beside[one].append(other)
-        beside[other].append(one)
-    components, seen = [], set()
-    for start in range(count):
-        if start in seen:
-            continue
-        seen.add(start)
-        component = [start]
-        for node in component:  # grows
-            new = [other for other in beside[node] if other not in seen]
-            seen.update(new)
-            component += new
-        components.append(component)
-    return components
 
 
 def _keep(walks: Walks, kept: list[int]) -> None:

@@ -17,6 +17,7 @@ from carla_recap.roads.find import described_folder, find_map, plain_name
 from carla_recap.roads.lanes import TownRoads
 from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.sim.geometry import Location, Rotation, Transform
+from carla_recap.sim.town.graph import largest_strong_component
 from carla_recap.sim.town.junctions import make_junctions, make_signals
 from carla_recap.sim.town.lanes import LaneIndex, make_lanes, with_limits
 from carla_recap.sim.town.sidewalks import make_walks
@@ -161,45 +162,8 @@ def make_town(text: str, path: Path) -> Town:
 
 
 def main_lanes(lanes: Sequence[Lane]) -> list[int]:
-    """Return the indices of the lanes of the largest strong component (Kosaraju): each of them leads to all others."""
-    order = _postorder([lane.successors for lane in lanes], range(len(lanes)))
-    components = []
-    left = set(order)
-    before = [lane.predecessors for lane in lanes]
-    for start in reversed(order):
-        if start in left:
-            component = _reached(before, start, left)
-            components.append(sorted(component))
-    return max(components, key=len)
-
-
-def _postorder(following: Sequence[tuple[int, ...]], starts: range) -> list[int]:
-    order, seen = [], set()
-    for start in starts:
-        stack = [(start, iter(following[start]))] if start not in seen else []
-        seen.add(start)
-        while stack:
-            node, rest = stack[-1]
-            unseen = next((other for other in rest if other not in seen), None)
-            if unseen is None:
-                order.append(node)
-                stack.pop()
-            else:
-                seen.add(unseen)
-                stack.append((unseen, iter(following[unseen])))
-    return order
-
-
-def _reached(following: Sequence[tuple[int, ...]], start: int, left: set[int]) -> list[int]:
-    """Return the nodes that can be reached within a set, and remove them from it."""
-    left.discard(start)
-    reached = [start]
-    for node in reached:  # grows
-        for other in following[node]:
-            if other in left:
-                left.discard(other)
-                reached.append(other)
-    return reached
+    """Return the indices of the largest set of lanes of which each leads to all others."""
+    return largest_strong_component([lane.successors for lane in lanes], [lane.predecessors for lane in lanes])
 
 
 _towns: Final[dict[tuple[str, str], Town]] = {}

@@ -12,7 +12,7 @@ import numpy as np
 from carla_recap.sim.actors.lights import OFF, RED
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location
-from carla_recap.sim.town.paths import Paths
+from carla_recap.sim.town.graph import Paths
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -74,7 +74,7 @@ class PedestrianNavigation:
         self._random = random
         self._town = registry.town
         self._graph = self._town.walks
-        self._paths = Paths(self._graph)
+        self._paths = Paths(self._graph.nodes, self._graph.edges)
         edges = zip(self._graph.edges.tolist(), self._graph.crossing, strict=True)
         self._crossings = {frozenset(edge) for edge, is_crossing in edges if is_crossing}
         self._lanes: dict[tuple[Waypoint, Waypoint], Integers] = {}
