@@ -16,18 +16,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet.conditions.facts import Facts, Offence
+from carla_recap.fleet.conditions.keys import PLACE
+from carla_recap.fleet.conditions.places import NamedPlace
 from carla_recap.fleet.conditions.reading import Reading, hint, shown
 from carla_recap.fleet.conditions.table import CONDITIONS
+from carla_recap.queries.kinds import KINDS
+from carla_recap.tables.trajectories import Axes
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from carla_recap.fleet.conditions.facts import Condition
+    from carla_recap.fleet.conditions.places import Place
     from carla_recap.recording import Recording
 
 Status = Literal["pass", "fail", "error"]
@@ -35,7 +40,7 @@ Status = Literal["pass", "fail", "error"]
 _LARGEST: Final = 1 << 16  # bytes of a file of rules: long keys take quadratic time
 _MOST_DOTS: Final = 256  # dots in a line of it: a key of many names takes quadratic memory
 _MOST_FAULTS: Final = 100  # faults that are listed
-_TABLES: Final = ("rules",)
+_KEYS: Final = ("axes", "places", "rules")
 _LISTED: Final = 20  # offences that a verdict lists
 _TOLD: Final = re.compile(r" at \d+\.\d\d s\b")
 """The time in the text of an offence, such as that of the least time to collision; the message then has no other one."""
@@ -159,24 +164,29 @@ def parse_rules(text: str, path: Path | str) -> RuleSet:
         fault = f"{path}: has a number of thousands of digits; quantities and numbers of things were expected"
         raise RulesError([fault]) from None
     reading = Reading(str(path), folder=os.path.dirname(path))  # noqa: PTH120
-    unknown = [key for key in document if key not in _TABLES]
-    reading.faults.extend(f"{path}: unknown table {shown(key)}; {hint(key, _TABLES, 'tables')}" for key in unknown)
+    unknown = [key for key in document if key not in _KEYS]
+    reading.faults.extend(f"{path}: unknown key {shown(key)}; {hint(key, _KEYS, 'keys')}" for key in unknown)
+    reading = _with_places(reading, document.get("axes", reading.axes), document.get("places", {}))
     found = document.get("rules")
     if isinstance(found, dict) and found:
         return _rules(found, reading)
     raise RulesError(reading.faults or [f"{path}: has no rules; a table of the form [rules.NAME] was expected"])
 
 
-def make_rules(**conditions: Any) -> RuleSet:
+def make_rules(*, axes: Axes = "right-handed", places: Mapping[str, Any] | None = None, **conditions: Any) -> RuleSet:
     """Return rules from Python: a rule for each condition, with its name.
 
     Args:
+        axes: The axes of places, as in a file.
+        places: The places that have a name, as in a file.
         conditions: The conditions as in a file, such as `collisions={"of": "hero", "max": 0}`.
 
     Raises:
         RulesError: A condition is wrong.
     """
-    rules = _rules({name: {name: value} for name, value in conditions.items()}, Reading("rules"))
+    rules = _rules(
+        {name: {name: value} for name, value in conditions.items()}, _with_places(Reading("rules"), axes, places or {})
+    )
     return replace(rules, path="")
 
 
@@ -226,6 +236,29 @@ def _judged(rule: Rule, facts: Facts) -> Verdict:
         is_told = time is None or _TOLD.search(offences[0].text)
         message += f": {offences[0].text}" + ("" if is_told else f" at {time:.2f} s")
     return Verdict(rule.name, "fail", visible(message), time, actors, tuple(map(visible, details)))
+
+
+def _with_places(reading: Reading, axes: Any, places: Any) -> Reading:
+    """Return what reads rules with axes and with places that have names; add their faults."""
+    path = reading.prefix
+    if axes not in get_args(Axes):
+        reading.of(f"{path}: axes").refuse(axes, f"one of {', '.join(get_args(Axes))}")
+    else:
+        reading = replace(reading, axes=axes)
+    if not isinstance(places, dict):
+        reading.of(f"{path}: places").refuse(places, "tables of the form [places.NAME]")
+        return reading
+    found: dict[str, Place | None] = {}
+    for name, table in places.items():
+        of_it = reading.of(f"{path}: place {shown(name)}")
+        if not name.strip() or name in KINDS or any(name == kind.option for kind in KINDS.values()):
+            of_it.refuse(name, "a name that is no kind of incidents")
+        elif not isinstance(table, dict):
+            of_it.refuse(table, "a table, as [places.NAME],")
+        else:
+            place = of_it.value(PLACE, table)
+            found[name] = None if place is None else NamedPlace(name, place)
+    return replace(reading, places=found)
 
 
 def _rules(tables: Mapping[str, Any], reading: Reading) -> RuleSet:

@@ -9,6 +9,8 @@ import numpy as np
 from carla_recap.model.records import CM
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from numpy.typing import NDArray
 
     Booleans = NDArray[np.bool_]
@@ -60,6 +62,19 @@ def neighbours(joined: Booleans) -> tuple[Indices, Indices]:
     """
     frame = np.arange(len(joined) + 1)
     return frame - np.append(False, joined), frame + np.append(joined, False)
+
+
+def runs(flags: Booleans, joined: Booleans) -> Iterator[tuple[int, int]]:
+    """Yield the first and the last of consecutive frames that are flagged.
+
+    Args:
+        flags: Whether each frame is flagged, (frames,).
+        joined: Whether each frame and the next one belong together, (frames - 1,).
+    """
+    goes_on = flags[1:] & flags[:-1] & joined
+    first = flags & ~np.append(False, goes_on)[: len(flags)]
+    last = flags & ~np.append(goes_on, False)[: len(flags)]
+    yield from zip(np.flatnonzero(first).tolist(), np.flatnonzero(last).tolist(), strict=True)
 
 
 def slope(time: Floats, values: Floats, half_window: float, *, joined: Booleans | None = None, most: int = 32) -> Floats:

@@ -18,13 +18,16 @@ WITHOUT_ROADS: Final = f"rules of the road are left out; {WHERE_MAPS}"
 """What follows from an unknown map, and what to do, for warnings."""
 
 
-def roads_of(source: Reader, road_map: str | None = None, *, needed: bool = False) -> RoadNetwork | None:
+def roads_of(
+    source: Reader, road_map: str | None = None, *, needed: bool = False, lane_types: frozenset[str] | None = None
+) -> RoadNetwork | None:
     """Return the roads of a recording's map; None if its file is unknown.
 
     Args:
         source: The recording.
         road_map: The map, or the folder to look in; None: the usual folders.
         needed: Whether an unknown map is an error.
+        lane_types: The types of lanes; see `load_road_network`.
 
     Raises:
         RecapError: The map is needed and unknown, the given folder does not have it, or the map is damaged.
@@ -33,8 +36,8 @@ def roads_of(source: Reader, road_map: str | None = None, *, needed: bool = Fals
 
     name = source.header.map_name
     if road_map is not None and not Path(road_map).is_dir():
-        return load_road_network(road_map)
-    found = find_road_network(name, road_map)
+        return load_road_network(road_map, lane_types)
+    found = find_road_network(name, road_map, lane_types)
     if found is None and (needed or road_map is not None):
         if road_map is None:
             raise RecapError(f"{source.location}: {_unknown(name)}, but its roads are needed; {WHERE_MAPS}")

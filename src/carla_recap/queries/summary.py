@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from carla_recap.model.actors import ROAD_USERS, heroes_of
-from carla_recap.model.motion import possible_step
 from carla_recap.queries import Answer
 from carla_recap.queries.actors import actors
 from carla_recap.queries.incidents import IncidentOptions, incidents
@@ -108,15 +107,11 @@ def _hero(source: Reader, life: ActorLife) -> HeroSummary | None:
     path = trajectories(source, {life.id}).get(life.id)
     if path is None:
         return None
-    xyz = np.stack((path.x, path.y, path.z))
-    rows = np.flatnonzero((path.time >= life.spawned_at) & (path.time <= life.end) & np.isfinite(xyz).all(axis=0))
-    if not len(rows):
+    path = path.during(life.spawned_at, life.end)
+    if not len(path):
         return None
-    time, speed, recorded = path.time[rows], path.speed[rows], path.velocity_recorded[rows]
-    known = np.where(recorded, speed, np.nan)
-    steps = np.linalg.norm(np.diff(xyz[:, rows]), axis=0)
-    is_step = steps <= possible_step(np.diff(time), np.fmax(known[1:], known[:-1]))
-    beside_jump = ~(np.append(True, is_step) & np.append(is_step, True))
-    speeds = speed[np.isfinite(speed) & (recorded | ~beside_jump)]
-    distance, top_speed = steps[is_step].sum().item(), speeds.max(initial=0.0).item()
-    return HeroSummary(life.id, life.type_id, (time[-1] - time[0]).item(), distance, top_speed)
+    steps, speed = path.steps, path.speed
+    beside_jump = ~(np.append(True, ~np.isnan(steps)) & np.append(~np.isnan(steps), True))
+    speeds = speed[np.isfinite(speed) & (path.velocity_recorded | ~beside_jump)]
+    distance, top_speed = np.nansum(steps).item(), speeds.max(initial=0.0).item()
+    return HeroSummary(life.id, life.type_id, (path.time[-1] - path.time[0]).item(), distance, top_speed)

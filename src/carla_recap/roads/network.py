@@ -5,7 +5,7 @@ Units are m, m/s and radians; axes are right-handed: x forward, y left, z up.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final
@@ -34,6 +34,9 @@ LANE_KINDS: Final = {
     **dict.fromkeys(("special1", "special2", "special3"), SHOULDER),
 }
 """The kind of a paved lane by its type in OpenDRIVE."""
+
+UNPAVED: Final = ("none", "sidewalk", "walking", "median", "curb", "rail", "shared", "sliplane")
+"""The other types of lanes in OpenDRIVE."""
 
 LIGHT, STOP, YIELD = range(3)
 """The kinds of signals that stop lines belong to."""
@@ -160,6 +163,14 @@ class RoadNetwork:
     def on_road(self, points: Floats) -> Flags:
         """Return whether points, (n, 2) or (n, 3), are on paved lanes or in junctions."""
         return np.asarray(self._near.find(np.asarray(points, np.float64), None)["outside"] <= 0)
+
+    def only(self, lanes: Flags) -> RoadNetwork:
+        """Return the network without the pieces of other lanes, where `LanePositions.outside` is in relation to these alone.
+
+        Args:
+            lanes: Whether each lane is kept, (lanes,).
+        """
+        return replace(self, pieces=self.pieces[lanes[self.pieces["lane"]]])
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in ("_near", "_far")}

@@ -51,27 +51,36 @@ _MOST_CELLS_OF_ALL: Final = 3_000_000  # of all junctions, about
 _MOST_GAPS: Final = 200_000  # pieces that fill gaps, of all junctions
 
 
-def load_road_network(path: Path | str) -> RoadNetwork:
+def load_road_network(path: Path | str, lane_types: frozenset[str] | None = None) -> RoadNetwork:
     """Return the road network of an OpenDRIVE file.
 
     Args:
         path: The file, such as `Town01.xodr`.
+        lane_types: The OpenDRIVE types of the lanes that it has, lower-case; None: those that are paved, and what the lanes
+            of junctions enclose.
 
     Raises:
         RecapError: The file cannot be read, or is no OpenDRIVE map with lanes for cars.
     """
     path = Path(path)
-    return _network(_Source(path.stem, content_digest(path), path))
+    return _network(_Source(path.stem, content_digest(path), path, lane_types=lane_types))
 
 
-def find_road_network(map_name: str, folder: Path | str | None = None) -> RoadNetwork | None:
+def find_road_network(
+    map_name: str, folder: Path | str | None = None, lane_types: frozenset[str] | None = None
+) -> RoadNetwork | None:
     """Return the road network of the map of a recording, or None if its file is unknown; see `find_map`.
+
+    Args:
+        map_name: The name of the map.
+        folder: The folder of maps.
+        lane_types: See `load_road_network`.
 
     Raises:
         RecapError: The file cannot be read, or is no OpenDRIVE map with lanes for cars.
     """
     path = find_map(map_name, folder)
-    return None if path is None else load_road_network(path)
+    return None if path is None else load_road_network(path, lane_types)
 
 
 def road_network_of(opendrive: str, name: str = "") -> RoadNetwork:
@@ -84,7 +93,9 @@ def road_network_of(opendrive: str, name: str = "") -> RoadNetwork:
     Raises:
         FormatError: It is no OpenDRIVE map with lanes for cars.
     """
-    return _network(_Source(name, sha256(opendrive.encode("utf-8", "replace")).digest(), Path(name or "map"), opendrive))
+    return _network(
+        _Source(name, sha256(opendrive.encode("utf-8", "replace")).digest(), Path(name or "map"), text=opendrive)
+    )
 
 
 def road_network_of_map(road_map: RoadMap | None) -> RoadNetwork | None:
@@ -103,6 +114,7 @@ class _Source:
     name: str
     digest: bytes
     path: Path = field(compare=False)
+    lane_types: frozenset[str] | None = None
     text: str | None = field(default=None, compare=False)
 
 
@@ -110,25 +122,32 @@ class _Source:
 def _network(source: _Source) -> RoadNetwork:
     path = source.path
     with expecting_map(path):
-        network = build_network(read_parts(path) if source.text is None else source.text, source.name)
-    if not np.isin(network.lanes["kind"], (roads.DRIVING, roads.BOTH_WAYS)).any():
+        network = build_network(read_parts(path) if source.text is None else source.text, source.name, source.lane_types)
+    if source.lane_types is None and not np.isin(network.lanes["kind"], (roads.DRIVING, roads.BOTH_WAYS)).any():
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")
     return network
 
 
-def build_network(text: str | Iterable[str], name: str = "") -> RoadNetwork:
+def build_network(text: str | Iterable[str], name: str = "", lane_types: frozenset[str] | None = None) -> RoadNetwork:
     """Return the road network of the text of an OpenDRIVE file, or of its parts, made in this process.
+
+    Args:
+        text: The text.
+        name: The name of the map.
+        lane_types: See `load_road_network`.
 
     Raises:
         ValueError: It is no OpenDRIVE file.
     """
     with np.errstate(all="ignore"):
         found = read_opendrive(text).roads
-        maker = _LaneMaker(found)
+        maker = _LaneMaker(found, lane_types)
         lanes, pieces = maker.tables()
         signals, lines, ids = signal_tables(found)
         junctions = tuple(maker.junctions)
         network = RoadNetwork(name, lanes, pieces, signals, lines, tuple(road.id for road in found), junctions, ids)
+        if lane_types is not None:
+            return network
         lanes, pieces = _gaps(network)
     return RoadNetwork(name, lanes, pieces, signals, lines, network.road_ids, junctions, ids)
 
@@ -140,7 +159,10 @@ class _LaneMaker:
         junctions: The index of each junction by its id.
     """
 
-    def __init__(self, found: Sequence[Road]) -> None:
+    def __init__(self, found: Sequence[Road], lane_types: frozenset[str] | None = None) -> None:
+        self._kinds = (
+            LANE_KINDS if lane_types is None else {each: LANE_KINDS.get(each, roads.SHOULDER) for each in lane_types}
+        )
         self.junctions: dict[str, int] = {}
         for road in found:
             if road.in_junction:
@@ -165,7 +187,7 @@ class _LaneMaker:
     def _add(self, part: SparseSection, signs: Sequence[_LimitSign]) -> None:
         number, road, section, stations = part
         lanes = section.lanes
-        if not any(lane.kind in LANE_KINDS for lane in lanes):
+        if not any(lane.kind in self._kinds for lane in lanes):
             return
         start, end = section.start, section.end - BEFORE_END
         changes = [*(station for station, _ in road.limits), *(sign.station for sign in signs)]
@@ -176,15 +198,15 @@ class _LaneMaker:
         middles, halves = (points[:-1] + points[1:]) / 2, (offsets[:-1] - offsets[1:]) / 2
         position = road.sections.index(section)
         for side, reverse in ((slice(None, len(section.left)), True), (slice(len(section.left), None), False)):
-            paved = np.array([lane.kind in LANE_KINDS for lane in lanes[side]], np.bool_)
+            paved = np.array([lane.kind in self._kinds for lane in lanes[side]], np.bool_)
             if not paved.any():
                 continue
             pieces = _pieces(middles[side][paved], lefts, halves[side][paved], reverse=reverse)
-            for row, lane in zip(pieces, (lane for lane in lanes[side] if lane.kind in LANE_KINDS), strict=True):
+            for row, lane in zip(pieces, (lane for lane in lanes[side] if lane.kind in self._kinds), strict=True):
                 limits = _limits(road, section, lane, signs, (stations[1:] + stations[:-1]) / 2)
                 row["limit"] = limits[::-1] if reverse else limits
                 row["lane"] = len(self._lanes)
-                self._lanes.append((number, position, lane.id, LANE_KINDS[lane.kind], junction))
+                self._lanes.append((number, position, lane.id, self._kinds[lane.kind], junction))
             self._pieces.append(pieces.ravel())
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, get_args
 
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.motion import neighbours
+from carla_recap.model.motion import neighbours, possible_step
 from carla_recap.model.records import CM
 from carla_recap.tables import Columns, Tabular
 from carla_recap.tables.display import Preview, first_and_last
@@ -87,6 +87,23 @@ class Trajectory(Columns):
     def speed(self) -> NDArray[np.float64]:
         """The speed in m/s, (n,)."""
         return np.sqrt(self.vx**2 + self.vy**2 + self.vz**2)
+
+    @property
+    def steps(self) -> NDArray[np.float64]:
+        """The distance from each position to the next one in m, (n - 1,); NaN for a jump."""
+        distance = np.sqrt(np.diff(self.x) ** 2 + np.diff(self.y) ** 2 + np.diff(self.z) ** 2)
+        known = np.where(self.velocity_recorded, self.speed, np.nan)
+        jumps = distance > possible_step(np.diff(self.time), np.fmax(known[1:], known[:-1]))
+        return np.where(jumps, np.nan, distance)
+
+    def during(self, start: float, stop: float) -> Trajectory:
+        """Return the part between two times in elapsed seconds, without positions that are not finite."""
+        finite = np.isfinite(self.x) & np.isfinite(self.y) & np.isfinite(self.z)
+        return self.at((self.time >= start) & (self.time <= stop) & finite)
+
+    def at(self, rows: NDArray[np.bool_]) -> Trajectory:
+        """Return the part that is flagged, (n,)."""
+        return replace(self, **{field.name: getattr(self, field.name)[rows] for field in fields(self)[1:]})
 
 
 class Trajectories(dict[int, Trajectory], Tabular):

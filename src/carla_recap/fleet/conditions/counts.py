@@ -6,8 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from carla_recap.errors import RecapError
 from carla_recap.fleet.conditions.facts import Finding, Needs, Offence
+from carla_recap.fleet.conditions.scope import WHOLE
 from carla_recap.fleet.conditions.values import ANY, OBJECT, listed
 from carla_recap.formats import SUFFIXES
 from carla_recap.model.actors import ROAD_USERS
@@ -19,7 +22,9 @@ from carla_recap.util.text import number, readable
 
 if TYPE_CHECKING:
     from carla_recap.fleet.conditions.facts import Facts
+    from carla_recap.fleet.conditions.scope import Scope
     from carla_recap.fleet.conditions.values import Bounds, Quantity, Selector
+    from carla_recap.model.actors import ActorLife
     from carla_recap.queries.incidents import Incident
 
 
@@ -33,6 +38,7 @@ class IncidentCount:
         other: The actors of which another one takes part, in a collision.
         bounds: The valid numbers.
         at_fault: Whether only collisions count that the first actors have caused; see `Contact.is_caused_by`.
+        scope: When and where incidents count, by their start and the actors of `of`.
     """
 
     kinds: tuple[str, ...]
@@ -40,10 +46,13 @@ class IncidentCount:
     other: Selector
     bounds: Bounds
     at_fault: bool = False
+    scope: Scope = WHOLE
 
     def needs(self) -> Needs:
         """See `Condition.needs`."""
-        return Needs(incidents=frozenset(self.kinds))
+        places = self.scope.places
+        kinds = frozenset(self.kinds) | self.scope.kinds
+        return Needs(incidents=kinds, positions=(self.of,) if places else (), places=places)
 
     def text(self) -> str:
         """See `Condition.text`."""
@@ -63,12 +72,14 @@ class IncidentCount:
 
     def _sides(self) -> str:
         of = f" caused by {self.of}" if self.at_fault and self.of.text != ANY else self.of.behind
-        return of if self.other.text == ANY else f"{of} with {self.other}"
+        return f"{of if self.other.text == ANY else f'{of} with {self.other}'}{self.scope}"
 
     def _counts(self, incident: Incident, facts: Facts) -> bool:
         involved = [facts.actors.at(id, incident.start) for id in incident.actors]
         chosen = [
-            self.of.matches(actor) and not (self.at_fault and incident.contact and not incident.contact.is_caused_by(id))
+            self.of.matches(actor)
+            and not (self.at_fault and incident.contact and not incident.contact.is_caused_by(id))
+            and self._is_within(actor, incident.start, facts)
             for id, actor in zip(incident.actors, involved, strict=True)
         ]
         if self.other.text == OBJECT:
@@ -77,6 +88,12 @@ class IncidentCount:
             return any(chosen)
         others = reversed(involved)
         return len(involved) == 2 and any(one and self.other.matches(two) for one, two in zip(chosen, others, strict=True))
+
+    def _is_within(self, actor: ActorLife | None, time: float, facts: Facts) -> bool:
+        """Return whether a time of an actor is within the scope; that of an unknown one only if there is none."""
+        if actor is None or self.scope.is_whole:
+            return self.scope.is_whole
+        return bool(self.scope.has(actor, np.array([time]), facts)[0])
 
 
 @dataclass(frozen=True, slots=True)

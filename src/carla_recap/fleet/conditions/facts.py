@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
+
+import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet.conditions.values import ANY, OBJECT
 from carla_recap.model.actors import HERO, ROAD_USERS, ActorLives
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.presence import RoadHeights
 from carla_recap.queries.actors import actors, never_there
 from carla_recap.queries.blocked import blocked
@@ -15,18 +19,31 @@ from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures import MEASURES, measures
 from carla_recap.queries.roads import roads_of
+from carla_recap.tables.trajectories import Trajectory, trajectories
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Hashable, Iterable, Sequence
 
+    from numpy.typing import NDArray
+
+    from carla_recap.fleet.conditions.places import Place
     from carla_recap.fleet.conditions.values import Selector
+    from carla_recap.model.actors import ActorLife
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.incidents import Incident
     from carla_recap.queries.measures import MeasureRow
     from carla_recap.recording import Recording
     from carla_recap.roads.network import RoadNetwork
+    from carla_recap.tables.trajectories import Trajectories
+
+    Booleans = NDArray[np.bool_]
+    Floats = NDArray[np.float64]
+    Occasion = str | Place
 
 T = TypeVar("T")
+
+_APART: Final = 0.5  # m between positions
+_MOST_BETWEEN: Final = 64  # positions from one frame to the next
 
 
 class Offence(NamedTuple):
@@ -57,6 +74,20 @@ class Finding(NamedTuple):
     offences: tuple[Offence, ...] = ()
 
 
+class Positions(NamedTuple):
+    """Where an actor is over time, in each frame and in between, at most 0.5 m apart except where it jumps.
+
+    Attributes:
+        time: Elapsed seconds, ascending, (n,).
+        points: x, y, z in m, right-handed, (n, 3).
+        distance: The distance driven so far, in m; jumps do not count, (n,).
+    """
+
+    time: Floats
+    points: Floats
+    distance: Floats
+
+
 @dataclass(frozen=True, kw_only=True)
 class Needs:
     """What a condition asks of a recording, so that the answers for all conditions are found at once.
@@ -65,17 +96,23 @@ class Needs:
         incidents: The kinds of incidents.
         stop_time: The duration above which stops are asked for, in s; None: stops are not.
         extremes: Of which actors the extreme value of which measure.
+        positions: Of which actors the positions.
+        places: The places that these are related to.
     """
 
     incidents: frozenset[str] = frozenset()
     stop_time: float | None = None
     extremes: tuple[tuple[str, Selector], ...] = ()
+    positions: tuple[Selector, ...] = ()
+    places: tuple[Place, ...] = ()
 
     @property
     def roads(self) -> bool:
         """Whether the roads of the map are needed."""
-        return any(KINDS[kind].needs_roads for kind in self.incidents) or any(
-            MEASURES[measure].needs_roads for measure, _ in self.extremes
+        return (
+            any(KINDS[kind].needs_roads for kind in self.incidents)
+            or any(MEASURES[measure].needs_roads for measure, _ in self.extremes)
+            or any(place.needs_roads for place in self.places)
         )
 
 
@@ -112,7 +149,7 @@ class Facts:
         self.recording = recording
         self._road_map = road_map
         self._needs = list(needs)
-        self._answers: dict[str, Any] = {}
+        self._answers: dict[Hashable, Any] = {}
 
     @property
     def actors(self) -> ActorLives:
@@ -166,6 +203,78 @@ class Facts:
         """The roads of the map; None if the map is not found."""
         return self._once("roads", lambda: roads_of(self.recording.reader, self._road_map))
 
+    def subjects(self, of: Selector) -> list[ActorLife]:
+        """Return the actors that are chosen and have positions; any: vehicles and walkers; none that are never there."""
+        chosen = [life for life in self.actors if of.matches_user(life)]
+        if any(life.kind in ROAD_USERS for life in chosen):
+            chosen = [life for life in chosen if life.id not in self.never_there]
+        return [life for life in chosen if len(self.positions(life).time)]
+
+    def positions(self, life: ActorLife) -> Positions:
+        """Return the positions of an actor."""
+        return self._once(("positions", id(life)), lambda: self._positions(life))
+
+    def outside(self, place: Place, life: ActorLife) -> Floats:
+        """Return how far the positions of an actor are outside a place, in m."""
+        return self._once(("outside", place, id(life)), lambda: place.outside(self.positions(life).points, self.roads_with))
+
+    def first(self, occasion: Occasion, life: ActorLife) -> float:
+        """Return the first time at which an actor is in a place, or takes part in an incident of a kind; inf if never."""
+        if isinstance(occasion, str):
+            found = (each.start for each in self.incidents if each.kind == occasion and life.id in each.actors)
+            return next((time for time in found if life.spawned_at <= time <= life.end), math.inf)
+        within = np.flatnonzero(self.outside(occasion, life) <= 0)
+        return float(self.positions(life).time[within[0]]) if len(within) else math.inf
+
+    def is_in(self, place: Place, life: ActorLife, time: Floats) -> Booleans:
+        """Return whether an actor is in a place at some times; not where its position is unknown."""
+        known, within = self.positions(life).time, self.outside(place, life) <= 0
+        if not len(known):
+            return np.zeros(len(time), np.bool_)
+        before = np.searchsorted(known, time + SAME_TIME, "right") - 1
+        return np.asarray(within[np.maximum(before, 0)] & (before >= 0) & (time <= known[-1] + SAME_TIME))
+
+    def roads_with(self, lane_types: frozenset[str] | None) -> RoadNetwork:
+        """Return the roads of the map with some types of lanes; None: all that are paved.
+
+        Raises:
+            RecapError: The map is not found, or is damaged.
+        """
+
+        def ask() -> RoadNetwork:
+            found = roads_of(self.recording.reader, self._road_map, needed=True, lane_types=lane_types)
+            assert found is not None
+            return found
+
+        return self._once(("roads with", lane_types), ask)
+
+    def _positions(self, life: ActorLife) -> Positions:
+        trajectory = self._trajectories.get(life.id, Trajectory.empty(life.id)).during(life.spawned_at, life.end)
+        if len(trajectory):
+            latest = np.maximum.accumulate(trajectory.time)
+            trajectory = trajectory.at(np.append(True, trajectory.time[1:] > latest[:-1]))
+        points = np.stack((trajectory.x, trajectory.y, trajectory.z), axis=1)
+        if len(points) < 2:
+            return Positions(trajectory.time, points, np.zeros(len(points)))
+        steps = trajectory.steps
+        counts = np.clip(np.ceil(np.nan_to_num(steps) / _APART), 1, _MOST_BETWEEN).astype(np.int64)
+        row = np.repeat(np.arange(len(steps)), counts)
+        share = (np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)) / counts[row]
+        values = np.column_stack((trajectory.time, points, np.append(0.0, np.cumsum(np.nan_to_num(steps)))))
+        dense = np.concatenate((values[row] + share[:, None] * (values[row + 1] - values[row]), values[-1:]))
+        return Positions(dense[:, 0], dense[:, 1:4], dense[:, 4])
+
+    @property
+    def _trajectories(self) -> Trajectories:
+        """The trajectories of all actors whose positions conditions are about."""
+
+        def ask() -> Trajectories:
+            wanted = [of for each in self._needs for of in each.positions]
+            ids = {life.id for life in self.actors if any(of.matches_user(life) for of in wanted)}
+            return trajectories(self.recording.reader, ids)
+
+        return self._once("trajectories", ask)
+
     def check_roads(self) -> None:
         """Check that the map is found.
 
@@ -181,7 +290,7 @@ class Facts:
             return ""
         return f" ({selector} is not in the recording)" if selector.text == HERO else f" (it has no {selector.text})"
 
-    def _once(self, question: str, ask: Callable[[], T]) -> T:
+    def _once(self, question: Hashable, ask: Callable[[], T]) -> T:
         """Return the answer to a question, or raise its error again."""
         if question not in self._answers:
             try:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import RecapError
+from carla_recap.fleet.conditions.places import LANE_TYPES, Circle, Lanes, Polygon
 from carla_recap.fleet.conditions.reading import (
     LARGEST_COUNT,
     SHOWN,
@@ -18,12 +19,15 @@ from carla_recap.fleet.conditions.reading import (
     UnexpectedValue,
     ValueType,
 )
+from carla_recap.fleet.conditions.scope import Scope
 from carla_recap.fleet.conditions.values import ANY, OBJECT, ROLE, UNITS, Bounds, Quantity, Selector
 from carla_recap.model.actors import HERO
+from carla_recap.queries.kinds import KINDS, kind_named
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from carla_recap.fleet.conditions.places import Place
     from carla_recap.fleet.conditions.reading import Reading
 
 _QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
@@ -150,3 +154,199 @@ def _baseline(value: Any, reading: Reading) -> str:
 
 
 BASELINE: Final = ValueType("path", "the path of a recording, or of a folder of recordings,", _baseline)
+
+
+# --- places --------------------------------------------------------------------------------------------------------------
+
+_MOST_CORNERS: Final = 1000
+_FARTHEST: Final = 1e7  # m
+
+
+def _corners(value: Any, reading: Reading) -> tuple[tuple[float, float], ...]:
+    points = value if isinstance(value, list) else []
+    if not 3 <= len(points) <= _MOST_CORNERS or not all(map(_is_point, points)):
+        raise UnexpectedValue(CORNERS.expected)
+    sign = _sign(reading)
+    return tuple((float(x), sign * y) for x, y in (points[:-1] if points[0] == points[-1] else points))
+
+
+def _is_point(value: Any) -> bool:
+    return (
+        isinstance(value, list) and len(value) == 2 and all(type(x) in (int, float) and abs(x) <= _FARTHEST for x in value)
+    )
+
+
+def _sign(reading: Reading) -> float:
+    """Return the factor of y in a file of rules that makes it right-handed."""
+    return 1.0 if reading.axes == "right-handed" else -1.0
+
+
+COORDINATE: Final = quantity("m")
+CORNERS: Final = ValueType("list of points", f"a list of 3 to {_MOST_CORNERS} points [x, y] in m", _corners)
+
+
+def _lane_type(text: str) -> str:
+    if text.lower() not in LANE_TYPES:
+        raise RecapError(text)
+    return text.lower()
+
+
+def _id(value: Any, reading: Reading) -> tuple[str, ...]:
+    values = value if isinstance(value, list) else [value]
+    if not values or not all(type(each) is int or (isinstance(each, str) and each) for each in values):
+        raise UnexpectedValue(ID.expected)
+    return tuple(dict.fromkeys(map(str, values)))
+
+
+ID: Final = ValueType("id, or list of ids", "an id in the map, or a list of ids,", _id)
+
+
+def _named_place(value: Any, reading: Reading) -> Place:
+    if not isinstance(value, str) or value not in reading.places:
+        known = f"one of {', '.join(reading.places)}" if reading.places else "the name of a table [places.NAME]"
+        raise UnexpectedValue(known)
+    place = reading.places[value]
+    if place is None:
+        raise UnexpectedValue
+    return place
+
+
+def _place(
+    reading: Reading,
+    named: Place | None = None,
+    x: Quantity | None = None,
+    y: Quantity | None = None,
+    z: Quantity | None = None,
+    within: Quantity | None = None,
+    polygon: tuple[tuple[float, float], ...] | None = None,
+    lanes: tuple[str, ...] = (),
+    road: tuple[str, ...] = (),
+    junction: tuple[str, ...] = (),
+) -> Place:
+    is_circle = any(each is not None for each in (x, y, z, within))
+    is_lanes = bool(lanes or road or junction)
+    if (named is not None) + is_circle + (polygon is not None) + is_lanes != 1:
+        ways = "place, or x, y and within, or polygon, or lanes, road and junction"
+        raise UnexpectedKeys(
+            f"has {'several places' if is_circle or is_lanes or named or polygon else 'no place'}; {ways} was expected"
+        )
+    if named is not None:
+        return named
+    if polygon is not None:
+        found = Polygon(polygon)
+        if (sides := found.crossing()) is not None:
+            raise UnexpectedKeys(
+                f"sides {sides[0]} and {sides[1]} cross; a polygon that does not cross itself was expected", "polygon"
+            )
+        if not found.area > 0:
+            raise UnexpectedKeys("has no area; a polygon around an area was expected", "polygon")
+        return found
+    if is_lanes:
+        return Lanes(lanes, road, junction)
+    for name, value in (("x", x), ("y", y), ("within", within)):
+        if value is None:
+            raise UnexpectedKeys("is missing; x, y and within make a place", name)
+    assert x is not None
+    assert y is not None
+    assert within is not None
+    written = ", ".join(f"{each.value:.6g}" for each in (x, y, z) if each is not None)
+    return Circle(x.value, _sign(reading) * y.value, None if z is None else z.value, within, f"({written})")
+
+
+PLACE_KEYS: Final = KeyGroup(
+    "place",
+    (
+        Key("place", ValueType("name", "", _named_place), "the name of a place, a table `[places.NAME]`", field="named"),
+        Key("x", COORDINATE, "a point"),
+        Key("y", COORDINATE, "a point"),
+        Key("z", COORDINATE, "the height of the point; without it, heights do not count"),
+        Key("within", quantity("m", 0.0, is_open=True), "the distance from the point within which the place is"),
+        Key("polygon", CORNERS, "the corners as `[x, y]`; the sides must not cross"),
+        Key(
+            "lanes",
+            texts("lane type, or list", f"one or a list of {', '.join(LANE_TYPES)}", _lane_type),
+            "the lanes of a type of OpenDRIVE, such as `sidewalk`; `driving` stands for all lanes for cars",
+            default=(),
+        ),
+        Key("road", ID, "the lanes of a road of the map; all that are paved unless `lanes` says which", default=()),
+        Key("junction", ID, 'those in a junction of the map; `"any"`: in all junctions', default=()),
+    ),
+    _place,
+    title="a [place](#places)",
+)
+
+
+def place_of(value: Any, reading: Reading) -> Place:
+    """Return the place that a name or a table is.
+
+    Raises:
+        UnexpectedValue: It is none.
+    """
+    if not isinstance(value, dict):
+        return _named_place(value, reading)
+    found = reading.table((PLACE_KEYS,), value)
+    if found is None:
+        raise UnexpectedValue
+    place: Place = found["place"]
+    return place
+
+
+PLACE: Final = ValueType("place", "the name of a place, or a table of its keys,", place_of)
+
+
+def _order(value: Any, reading: Reading) -> tuple[Place, ...]:
+    if not isinstance(value, list) or not value:
+        raise UnexpectedValue(PLACES.expected)
+    found = [reading.value(PLACE, each, f"{number}") for number, each in enumerate(value, 1)]
+    if None in found:
+        raise UnexpectedValue
+    return tuple(found)
+
+
+PLACES: Final = ValueType("list of places", "a list of places", _order)
+
+
+# --- scopes --------------------------------------------------------------------------------------------------------------
+
+
+def _interval(value: Any, reading: Reading) -> tuple[Quantity, Quantity]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise UnexpectedValue(INTERVAL.expected)
+    start, stop = (TIME.read(each, reading) for each in value)
+    if start.value > stop.value:
+        raise UnexpectedValue(INTERVAL.expected)
+    return start, stop
+
+
+INTERVAL: Final = ValueType("list of two times", 'two times in their order, such as ["10 s", "20 s"],', _interval)
+
+
+def _occasion(value: Any, reading: Reading) -> str | Place:
+    if isinstance(value, str) and value not in reading.places:
+        try:
+            return kind_named(value).name
+        except RecapError:
+            names = ", ".join((*reading.places, *(kind.option for kind in KINDS.values())))
+            raise UnexpectedValue(f"one of {names}, or a table of the keys of a place,") from None
+    return place_of(value, reading)
+
+
+OCCASION: Final = ValueType("occasion", "a kind of incidents, or a place,", _occasion)
+
+SCOPE: Final = KeyGroup(
+    "scope",
+    (
+        Key("during", INTERVAL, "from when until when, in seconds of the recording"),
+        Key(
+            "after",
+            OCCASION,
+            "the occasion from which on: a kind of incidents or a place, of which the actor's first counts",
+        ),
+        Key("until", OCCASION, "the occasion before which"),
+        Key("where", PLACE, "the place in which the actor has to be"),
+    ),
+    lambda _, **values: Scope(**values),
+    title="a [scope](#scopes)",
+)
+BEFORE: Final = Key("before", TIME, "the latest time, in seconds of the recording")
+TOLERATE: Final = Key("tolerate", TIME, "how long the condition may be broken at a time")

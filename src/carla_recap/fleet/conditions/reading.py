@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Final
 
@@ -10,6 +10,9 @@ from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from carla_recap.fleet.conditions.places import Place
+    from carla_recap.tables.trajectories import Axes
 
 LARGEST_COUNT: Final = 1 << 63
 """The largest number of things."""
@@ -43,15 +46,19 @@ class Reading:
         prefix: The file, and what is read in it, for faults.
         faults: The faults.
         folder: The folder that paths are relative to.
+        axes: The axes of places.
+        places: The places that have a name; None where one is wrong.
     """
 
     prefix: str
     faults: list[str] = field(default_factory=list)
     folder: str = ""
+    axes: Axes = "right-handed"
+    places: Mapping[str, Place | None] = field(default_factory=dict)
 
     def of(self, prefix: str) -> Reading:
         """Return what reads a part, with its prefix in faults."""
-        return Reading(prefix, self.faults, self.folder)
+        return replace(self, prefix=prefix)
 
     def refuse(self, value: Any, expected: str) -> None:
         """Add the fault of a value."""
@@ -78,19 +85,20 @@ class Reading:
             plain: The key whose value was given in place of a table, for faults.
             others: The field that gets the keys that are in no part; empty: these are faults.
         """
-        count = len(self.faults)
-        keys = keys_of(parts)
+        keys, is_wrong = keys_of(parts), False
         found: dict[str, Any] = {}
         for key in keys:
             if key.name in table or key.required:
                 found[key.name] = self.value(key.type, table.get(key.name), "" if key.name == plain else key.name)
+                is_wrong |= found[key.name] is None
             else:
                 found[key.name] = key.default
         more = {name: value for name, value in table.items() if name not in found}
         if not others:
             names = [key.name for key in keys]
             self.faults.extend(f"{self.prefix}: unknown key {shown(name)}; {hint(name, names, 'keys')}" for name in more)
-        if len(self.faults) > count:
+            is_wrong |= bool(more)
+        if is_wrong:
             return None
         values = {others: more} if others else {}
         for part in parts:
@@ -101,7 +109,8 @@ class Reading:
                 values[part.field] = part.make(self, **{key.field: found[key.name] for key in part.keys})
             except UnexpectedKeys as error:
                 self.faults.append(f"{self.prefix}{'.' if error.key else ''}{error.key}: {error}")
-        return None if len(self.faults) > count else values
+                is_wrong = True
+        return None if is_wrong else values
 
 
 @dataclass(frozen=True)

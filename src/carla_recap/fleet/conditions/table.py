@@ -10,16 +10,22 @@ from carla_recap.fleet.conditions.counts import ActorCount, IncidentCount, Longe
 from carla_recap.fleet.conditions.keys import (
     ACTORS_OR_OBJECT,
     BASELINE,
+    BEFORE,
     COUNT,
     FLAG,
     LENGTH,
     OF,
+    PLACE_KEYS,
+    PLACES,
+    SCOPE,
     TIME,
+    TOLERATE,
     bounds,
     quantity,
     texts,
 )
 from carla_recap.fleet.conditions.measures import MeasureBounds
+from carla_recap.fleet.conditions.progress import DistanceDriven, Leaves, Passes, Reaches, Stays
 from carla_recap.fleet.conditions.reading import Key, keys_of
 from carla_recap.fleet.conditions.values import Quantity, Selector
 from carla_recap.queries.kinds import KINDS, kind_named
@@ -87,6 +93,7 @@ CONDITIONS: Final = _named(
                 Key("with", ACTORS_OR_OBJECT, "the actors on the other side", field="other", default=Selector()),
                 Key("at_fault", FLAG, "only those count that the actors of `of` have [caused](#fault)", default=False),
                 bounds(COUNT),
+                SCOPE,
             ),
             make=partial(IncidentCount, kinds=("collision",)),
         ),
@@ -107,6 +114,7 @@ CONDITIONS: Final = _named(
                 ),
                 OF,
                 bounds(COUNT),
+                SCOPE,
             ),
             make=partial(IncidentCount, other=Selector()),
         ),
@@ -115,6 +123,43 @@ CONDITIONS: Final = _named(
             text="no vehicle or walker stands still for more than `max`",
             parts=(OF, Key("max", TIME, "the longest valid stop", field="longest", required=True)),
             make=LongestStop,
+        ),
+        ConditionKind(
+            name="reaches",
+            text="each of the actors comes to the place",
+            parts=(OF, PLACE_KEYS, BEFORE),
+            make=Reaches,
+        ),
+        ConditionKind(
+            name="leaves",
+            text="each of the actors is in the place, and leaves it",
+            parts=(OF, PLACE_KEYS, BEFORE),
+            make=Leaves,
+        ),
+        ConditionKind(
+            name="stays_in",
+            text="the actors are in the place all the time",
+            parts=(OF, PLACE_KEYS, SCOPE, TOLERATE),
+            make=partial(Stays, is_inside=True),
+        ),
+        ConditionKind(
+            name="stays_out_of",
+            text="the actors are at no time in the place",
+            parts=(OF, PLACE_KEYS, SCOPE, TOLERATE),
+            make=partial(Stays, is_inside=False),
+        ),
+        ConditionKind(
+            name="passes",
+            text="each of the actors comes to the places in their order; it may come to others in between",
+            parts=(OF, Key("places", PLACES, "the places", required=True), BEFORE),
+            make=Passes,
+            plain="places",
+        ),
+        ConditionKind(
+            name="distance",
+            text="each of the actors drives that far; jumps do not count",
+            parts=(OF, bounds(LENGTH), SCOPE),
+            make=DistanceDriven,
         ),
         ConditionKind(
             name="duration",

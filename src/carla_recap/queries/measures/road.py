@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.model.blueprints import box_of
-from carla_recap.model.motion import place_in_metres, possible_step
+from carla_recap.model.motion import place_in_metres, possible_step, runs
 from carla_recap.model.presence import RoadHeights
 from carla_recap.queries.measures.table import Extreme
 from carla_recap.queries.measures.traffic_lights import LightHistory
@@ -396,12 +396,8 @@ class _Motion:
         yield from rows[np.diff(self.vehicle[rows], prepend=-1) != 0].tolist()
 
     def runs(self, flags: Flags) -> Iterator[tuple[int, int]]:
-        """Yield the first and the last of consecutive samples of a vehicle that are flagged."""
-        flags = flags & self.is_new
-        goes_on = flags[1:] & flags[:-1] & self.continues[1:]
-        first = flags & ~np.insert(goes_on, 0, False)
-        last = flags & ~np.append(goes_on, False)
-        yield from zip(np.flatnonzero(first).tolist(), np.flatnonzero(last).tolist(), strict=True)
+        """Return the first and the last of consecutive new samples of a vehicle that are flagged."""
+        return runs(flags & self.is_new, self.continues[1:])
 
 
 class _Run(NamedTuple):

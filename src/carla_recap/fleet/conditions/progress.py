@@ -1,0 +1,307 @@
+"""Conditions on where actors drive, how far, and in which order."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from carla_recap.fleet.conditions.facts import Finding, Needs, Offence
+from carla_recap.fleet.conditions.scope import ROUNDING, WHOLE
+from carla_recap.fleet.conditions.values import ANY, ROLE
+from carla_recap.model.actors import HERO
+from carla_recap.model.motion import LONGEST_STEP, runs
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from carla_recap.fleet.conditions.facts import Facts
+    from carla_recap.fleet.conditions.places import Place
+    from carla_recap.fleet.conditions.scope import Scope
+    from carla_recap.fleet.conditions.values import Bounds, Quantity, Selector
+    from carla_recap.model.actors import ActorLife
+
+
+@dataclass(frozen=True, slots=True)
+class Reaches:
+    """That actors come to a place.
+
+    Attributes:
+        of: The actors, each of which has to.
+        place: The place.
+        before: The latest time, in elapsed seconds; None: any.
+    """
+
+    of: Selector
+    place: Place
+    before: Quantity | None = None
+
+    def needs(self) -> Needs:
+        """See `Condition.needs`."""
+        return Needs(positions=(self.of,), places=(self.place,))
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        return f"{_subject(self.of)} to reach {self.place}{_before(self.before)}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        subjects, reached = facts.subjects(self.of), []
+        offences = []
+        for life in subjects:
+            time, outside = facts.positions(life).time, facts.outside(self.place, life)
+            first = facts.first(self.place, life)
+            if _is_before(first, self.before):
+                reached.append(first)
+            elif first < math.inf:
+                offences.append(Offence(f"{life.name} reaches it at {first:.2f} s", first, (life.id,)))
+            else:
+                nearest = int(outside.argmin())
+                near = f"is {outside[nearest]:.2f} m away" if np.isfinite(outside[nearest]) else "is never near it"
+                when = f" at {time[nearest]:.2f} s, when it is nearest" if np.isfinite(outside[nearest]) else ""
+                offences.append(Offence(f"{life.name} {near}{when}", float(time[nearest]), (life.id,)))
+        return _each(
+            self.of, subjects, offences, ("reach", "reaches"), f"{self.place}{_before(self.before)}", facts, reached
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Leaves:
+    """That actors that are in a place leave it.
+
+    Attributes:
+        of: The actors, each of which has to be in it, and to leave it.
+        place: The place.
+        before: The latest time, in elapsed seconds; None: any.
+    """
+
+    of: Selector
+    place: Place
+    before: Quantity | None = None
+
+    def needs(self) -> Needs:
+        """See `Condition.needs`."""
+        return Needs(positions=(self.of,), places=(self.place,))
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        return f"{_subject(self.of)} to leave {self.place}{_before(self.before)}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        subjects, left = facts.subjects(self.of), []
+        offences = []
+        for life in subjects:
+            time, outside = facts.positions(life).time, facts.outside(self.place, life)
+            entered = facts.first(self.place, life)
+            after = np.flatnonzero((time > entered) & (outside > 0))
+            first = float(time[after[0]]) if len(after) else math.inf
+            if _is_before(first, self.before):
+                left.append(first)
+            elif first < math.inf:
+                offences.append(Offence(f"{life.name} leaves it at {first:.2f} s", first, (life.id,)))
+            elif entered < math.inf:
+                offences.append(Offence(f"{life.name} is in it to the end", float(time[-1]), (life.id,)))
+            else:
+                offences.append(Offence(f"{life.name} is never in it", None, (life.id,)))
+        return _each(self.of, subjects, offences, ("leave", "leaves"), f"{self.place}{_before(self.before)}", facts, left)
+
+
+@dataclass(frozen=True, slots=True)
+class Stays:
+    """That actors stay in a place, or out of it.
+
+    Attributes:
+        of: The actors.
+        place: The place.
+        is_inside: Whether they have to stay in it, not out of it.
+        tolerate: How long they may be elsewhere at a time.
+        scope: When and where this is judged.
+    """
+
+    of: Selector
+    place: Place
+    is_inside: bool = True
+    tolerate: Quantity | None = None
+    scope: Scope = WHOLE
+
+    def needs(self) -> Needs:
+        """See `Condition.needs`."""
+        places = (self.place, *self.scope.places)
+        return Needs(positions=(self.of,), places=places, incidents=self.scope.kinds)
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        return f"{_subject(self.of)} to stay {self._within} {self.place}{self.scope}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        subjects, offences = facts.subjects(self.of), []
+        for life in subjects:
+            time, outside = facts.positions(life).time, facts.outside(self.place, life)
+            wrong = ((outside > 0) == self.is_inside) & self.scope.has(life, time, facts)
+            for first, last in runs(wrong, np.diff(time) <= LONGEST_STEP):
+                seconds = float(time[last] - time[first])
+                if self.tolerate is not None and seconds <= self.tolerate.value + ROUNDING:
+                    continue
+                far = float(outside[first : last + 1].max())
+                by = f", by up to {far:.2f} m" if self.is_inside and math.isfinite(far) else ""
+                text = f"{life.name} is {'outside' if self.is_inside else 'in it'} for {seconds:.2f} s{by}"
+                offences.append(Offence(text, float(time[first]), (life.id,)))
+        offences.sort(key=lambda offence: offence.time or 0.0)
+        verbs = f"stay {self._within}", f"stays {self._within}"
+        return _each(self.of, subjects, offences, verbs, f"{self.place}{self.scope}", facts, is_demand=False)
+
+    @property
+    def _within(self) -> str:
+        return "in" if self.is_inside else "out of"
+
+
+@dataclass(frozen=True, slots=True)
+class Passes:
+    """That actors come to places in their order.
+
+    Attributes:
+        of: The actors, each of which has to.
+        places: The places.
+        before: The latest time at the last place, in elapsed seconds; None: any.
+    """
+
+    of: Selector
+    places: tuple[Place, ...]
+    before: Quantity | None = None
+
+    def needs(self) -> Needs:
+        """See `Condition.needs`."""
+        return Needs(positions=(self.of,), places=self.places)
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        return f"{_subject(self.of)} to pass {self._order}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        subjects, passed, offences = facts.subjects(self.of), [], []
+        for life in subjects:
+            time, reached = facts.positions(life).time, -math.inf
+            for number, place in enumerate(self.places):
+                before = reached
+                later = np.flatnonzero((facts.outside(place, life) <= 0) & (time >= before))
+                if not len(later):
+                    then = f" after {self.places[number - 1]}" if number else ""
+                    early = ", but before" if number and facts.first(place, life) < math.inf else ""
+                    when = before if number else None
+                    offences.append(Offence(f"{life.name} does not pass {place}{then}{early}", when, (life.id,)))
+                    break
+                reached = float(time[later[0]])
+            else:
+                if _is_before(reached, self.before):
+                    passed.append(reached)
+                else:
+                    text = f"{life.name} passes {self.places[-1]} at {reached:.2f} s"
+                    offences.append(Offence(text, reached, (life.id,)))
+        return _each(self.of, subjects, offences, ("pass", "passes"), self._order, facts, passed)
+
+    @property
+    def _order(self) -> str:
+        return f"{', then '.join(map(str, self.places))}{_before(self.before)}"
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceDriven:
+    """How far actors drive.
+
+    Attributes:
+        of: The actors.
+        bounds: The valid distances of each, in m.
+        scope: When and where the distance counts.
+    """
+
+    of: Selector
+    bounds: Bounds
+    scope: Scope = WHOLE
+
+    def needs(self) -> Needs:
+        """See `Condition.needs`."""
+        return Needs(positions=(self.of,), places=self.scope.places, incidents=self.scope.kinds)
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        return f"distance{self.of.behind}{self.scope}: {self.bounds}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        subjects, offences, shown = facts.subjects(self.of), [], self.bounds.written.shown
+        driven = []
+        for life in subjects:
+            time, distance = facts.positions(life).time, facts.positions(life).distance
+            counts = self.scope.has(life, time, facts)
+            steps = np.append(0.0, np.where(counts[1:] & counts[:-1], np.diff(distance), 0.0))
+            total = float(steps.sum())
+            driven.append(total)
+            if not self.bounds.contain(total):
+                most = self.bounds.most
+                beyond = np.flatnonzero(np.cumsum(steps) > (math.inf if most is None else most.value))
+                when = time[beyond[0]] if len(beyond) else time[counts][-1] if counts.any() else time[-1]
+                offences.append(Offence(f"{life.name}, {shown(total)}", float(when), (life.id,)))
+        name = f"distance{self.of.behind}{self.scope}"
+        if not subjects:
+            return Finding(self.bounds.least is None, f"no {name} was measured{facts.absent(self.of)}")
+        if offences:
+            return Finding(False, f"the {name} is not {self.bounds}", tuple(offences))
+        return Finding(True, f"the {'least ' if len(driven) > 1 else ''}{name} is {shown(min(driven))}")
+
+
+def _each(
+    of: Selector,
+    subjects: Sequence[ActorLife],
+    offences: Sequence[Offence],
+    verbs: tuple[str, str],
+    what: str,
+    facts: Facts,
+    times: Sequence[float] = (),
+    *,
+    is_demand: bool = True,
+) -> Finding:
+    """Return the finding of a condition that each of some actors has to meet.
+
+    Args:
+        of: The actors.
+        subjects: Those of them that are there.
+        offences: Where they do not meet it.
+        verbs: What they have to do, of several actors and of one.
+        what: To what.
+        facts: The recording.
+        times: When those that meet it do so.
+        is_demand: Whether it is broken if there are no such actors.
+    """
+    plural, singular = verbs
+    if not subjects:
+        return Finding(not is_demand, f"nobody to {plural} {what}{facts.absent(of)}")
+    if len(subjects) == 1:
+        who = str(of) if of.text == HERO or of.text.startswith(ROLE) else subjects[0].name
+        done, failed = f"{who} {singular}", f"{who} does not {plural}"
+    else:
+        several = "vehicles and walkers" if of.text == ANY else "heroes" if of.text == HERO else str(of)
+        done = f"{len(subjects)} {several} {plural}"
+        count = len({offence.actors for offence in offences})
+        failed = f"{count} of {len(subjects)} {several} {'does' if count == 1 else 'do'} not {plural}"
+    if offences:
+        return Finding(False, f"{failed} {what}", tuple(offences))
+    last = f"{', the last' if len(times) > 1 else ''} at {max(times):.2f} s" if times else ""
+    return Finding(True, f"{done} {what}{last}")
+
+
+def _subject(of: Selector) -> str:
+    return "vehicles and walkers" if of.text == ANY else str(of)
+
+
+def _before(limit: Quantity | None) -> str:
+    return "" if limit is None else f" before {limit}"
+
+
+def _is_before(time: float, limit: Quantity | None) -> bool:
+    """Return whether a time is, and is at the latest at a limit, if there is one."""
+    return time < math.inf if limit is None else time <= limit.value + ROUNDING

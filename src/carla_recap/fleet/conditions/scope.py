@@ -1,0 +1,93 @@
+"""Scopes: when and where a condition is judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.queries.kinds import KINDS
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from carla_recap.fleet.conditions.facts import Facts
+    from carla_recap.fleet.conditions.places import Place
+    from carla_recap.fleet.conditions.values import Quantity
+    from carla_recap.model.actors import ActorLife
+
+    Booleans = NDArray[np.bool_]
+    Floats = NDArray[np.float64]
+    Occasion = str | Place
+    """What begins or ends a scope: the first incident of a kind with the actor, or its first time in a place."""
+
+ROUNDING: Final = 1e-6
+"""The time by which times may be rounded, in s."""
+
+
+@dataclass(frozen=True)
+class Scope:
+    """When and where a condition is judged; each attribute that is None does not limit it.
+
+    Attributes:
+        during: From when until when, in elapsed seconds.
+        after: The occasion from which on.
+        until: The occasion before which.
+        where: The place in which the actor has to be.
+    """
+
+    during: tuple[Quantity, Quantity] | None = None
+    after: Occasion | None = None
+    until: Occasion | None = None
+    where: Place | None = None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all of a recording counts."""
+        return self == WHOLE
+
+    @property
+    def kinds(self) -> frozenset[str]:
+        """The kinds of incidents that begin or end it."""
+        return frozenset(each for each in (self.after, self.until) if isinstance(each, str))
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """The places that it depends on."""
+        return tuple(each for each in (self.after, self.until, self.where) if each is not None and not isinstance(each, str))
+
+    def has(self, life: ActorLife, time: Floats, facts: Facts) -> Booleans:
+        """Return which times of an actor are within the scope."""
+        found = np.ones(len(time), np.bool_)
+        if self.during is not None:
+            start, stop = self.during
+            found &= (time >= start.value - ROUNDING) & (time <= stop.value + ROUNDING)
+        if self.after is not None:
+            found &= time >= facts.first(self.after, life) - ROUNDING
+        if self.until is not None:
+            found &= time < facts.first(self.until, life) - ROUNDING
+        if self.where is not None and found.any():
+            found[found] = facts.is_in(self.where, life, time[found])
+        return found
+
+    def __str__(self) -> str:
+        """Return the scope in words, with a space before them."""
+        words = []
+        if self.during is not None:
+            words.append(f"from {self.during[0]} to {self.during[1]}")
+        if self.after is not None:
+            words.append(f"after {_occasion(self.after)}")
+        if self.until is not None:
+            words.append(f"until {_occasion(self.until)}")
+        if self.where is not None:
+            words.append(f"in {self.where}")
+        return "".join(f" {each}" for each in words)
+
+
+WHOLE: Final = Scope()
+"""All of a recording."""
+
+
+def _occasion(occasion: Occasion) -> str:
+    return f"the first {KINDS[occasion].singular}" if isinstance(occasion, str) else f"reaching {occasion}"
