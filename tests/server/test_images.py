@@ -222,6 +222,33 @@ def test_cameras_of_one_pose_are_drawn_together(monkeypatch: pytest.MonkeyPatch)
     asyncio.run(run())
 
 
+@pytest.mark.parametrize(("side", "closed"), [(16, False), (2500, True)])
+def test_what_has_drawn_large_images_is_closed_with_the_last_camera(
+    monkeypatch: pytest.MonkeyPatch, side: int, closed: bool
+) -> None:
+    async def run() -> None:
+        painter = Painter()
+        served = Served(monkeypatch, painter)
+        car = vehicle(served.host)
+        size = {"image_size_x": str(side), "image_size_y": str(side)}
+        for _ in range(2):
+            sensor(served.host, "camera.depth", car, **size)
+        for _ in range(2):
+            await served.tick()
+            await served.settle()
+            assert not painter.closed
+            car.children[0].destroy()
+        await served.tick()
+        images = sensor(served.host, "camera.rgb", car, **SMALL)
+        await served.tick()
+        await served.settle()
+        assert painter.closed == closed
+        assert len(images.take()) == 1
+        served.host.close()
+
+    asyncio.run(run())
+
+
 def test_nothing_is_drawn_without_rendering_and_without_subscribers(monkeypatch: pytest.MonkeyPatch) -> None:
     async def run() -> None:
         painter = Painter()

@@ -93,9 +93,11 @@ class Cameras:
         self._due: dict[int, bytes] = {}
 
     def keep(self, streams: Iterable[int]) -> None:
-        """Forget the cameras of all other streams."""
+        """Forget the cameras of all other streams; with the last one goes the memory that large images take."""
         for stream in self._active.keys() - set(streams):
             del self._active[stream]
+            if not self._active:
+                self._thread.release()
 
     def take(self, stream: int, sensor: Actor, kind: ImageKind, header: bytes, *, is_due: bool, has_events: bool) -> None:
         """Let a camera take an image, if it is due or one could not be drawn in time.

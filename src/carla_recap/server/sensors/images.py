@@ -8,6 +8,7 @@ from collections import Counter
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from queue import SimpleQueue
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
@@ -34,6 +35,7 @@ _TO_END: Final = 5.0  # s
 _POLL: Final = 0.1  # s
 _TRIES: Final = 2  # of drawing an image
 _MOST_FAILURES: Final = 3  # of images of a size in succession
+_LARGE: Final = 4_000_000  # pixels: what has drawn a larger image keeps much memory
 
 
 class ImagesUnavailable(RecapError):
@@ -117,9 +119,6 @@ class _Tick:
     keeps_all: bool
 
 
-_Work = _Tick | tuple["Town", "Future[None]"]
-
-
 class ImageThread:
     """Draws images and sends them, while the world goes on.
 
@@ -133,7 +132,7 @@ class ImageThread:
         self._streams = streams
         self._open = open_source
         self._blank = blank
-        self._work: SimpleQueue[_Work | None] = SimpleQueue()
+        self._work: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._thread: Thread | None = None
         self._town: Town | None = None
         self._source: ImageSource | None = None
@@ -143,6 +142,7 @@ class ImageThread:
         self._pending = 0
         self._waiting: list[asyncio.Future[None]] = []
         self._opened: tuple[Town, Future[None]] | None = None
+        self._largest = 0  # pixels of an image
 
     @property
     def is_busy(self) -> bool:
@@ -153,8 +153,14 @@ class ImageThread:
         """Open the source of the images of a town, if it is not open yet; return when it is."""
         if self._opened is None or self._opened[0] is not town:
             self._opened = town, Future()
-            self._put(self._opened)
+            self._put(partial(self._prepare, *self._opened))
         return self._opened[1]
+
+    def release(self) -> None:
+        """Close what has drawn large images, after those of earlier ticks; it is opened again for the next image."""
+        if self._largest > _LARGE:
+            self._largest, self._opened = 0, None
+            self._put(partial(self._replace, None))
 
     def pending(self) -> list[asyncio.Future[None]]:
         """Return what the next tick waits for, so that images keep up with it."""
@@ -173,8 +179,9 @@ class ImageThread:
             loop: The event loop of the streams.
             keeps_all: Wait for subscribers that are behind, so that they miss no image.
         """
-        if self._put(_Tick(town, views, loop, keeps_all)):
+        if self._put(partial(self._draw_tick, _Tick(town, views, loop, keeps_all))):
             self._pending += 1
+            self._largest = max(self._largest, *(view.scene.camera.width * view.scene.camera.height for view in views))
 
     def close(self) -> None:
         """End the thread, and release what draws."""
@@ -183,8 +190,8 @@ class ImageThread:
         if self._thread is not None:
             self._thread.join(_TO_END)
 
-    def _put(self, work: _Work) -> bool:
-        """Have the thread do something, unless it is closed."""
+    def _put(self, work: Callable[[], None]) -> bool:
+        """Have the thread call something, unless it is closed."""
         if self._is_closed:
             return False
         if self._thread is None:
@@ -195,17 +202,20 @@ class ImageThread:
 
     def _run(self) -> None:
         while (work := self._work.get()) is not None and not self._is_closed:
-            if isinstance(work, _Tick):
-                for view in work.views:
-                    if self._streams.has_subscribers(shot.stream for shot in view.shots):
-                        self._deliver(work, self._frames(work.town, view))
-                with suppress(RuntimeError):  # the loop has ended
-                    work.loop.call_soon_threadsafe(self._done)
-            else:
-                self._source_of(work[0])
-                work[1].set_result(None)
+            work()
         if self._source is not None:
             self._source.close()
+
+    def _prepare(self, town: Town, opened: Future[None]) -> None:
+        self._source_of(town)
+        opened.set_result(None)
+
+    def _draw_tick(self, tick: _Tick) -> None:
+        for view in tick.views:
+            if self._streams.has_subscribers(shot.stream for shot in view.shots):
+                self._deliver(tick, self._frames(tick.town, view))
+        with suppress(RuntimeError):  # the loop has ended
+            tick.loop.call_soon_threadsafe(self._done)
 
     def _frames(self, town: Town, view: View) -> list[tuple[int, bytes]]:
         """Return the frames of a view and their streams."""
