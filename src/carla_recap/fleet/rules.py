@@ -288,8 +288,11 @@ def _rule(name: str, table: Any, reading: Reading) -> Rule | None:
     faults += [f"{prefix}: unknown condition {shown(key)}; {hint(key, list(CONDITIONS), 'conditions')}" for key in unknown]
     known = [key for key in given if key in CONDITIONS]
     if len(known) != 1 and not unknown:
-        some = f"has the conditions {' and '.join(known)}" if known else "has no condition"
-        faults.append(f"{prefix}: {some}; one of {', '.join(CONDITIONS)} was expected")
+        several, none = (
+            f"has the conditions {' and '.join(known)}; one alone",
+            f"has no condition; one of {', '.join(CONDITIONS)}",
+        )
+        faults.append(f"{prefix}: {several if known else none} was expected")
     found = [CONDITIONS[key].read(given[key], reading.of(f"{prefix}: {key}")) for key in known]
     if len(faults) > count or found[0] is None:
         return None
