@@ -212,3 +212,21 @@ def test_controls_are_numbers(inside: Inside, bad: float) -> None:
     inside.host.tick()
     assert math.isfinite(car.transform.location.x)
     car.destroy()
+
+
+def test_vehicles_in_a_lane_are_not_exactly_in_line(world: carla.World) -> None:
+    """CARLA's `BasicAgent` takes an angle of 0 between its direction and a vehicle for one that is not ahead."""
+    model = world.get_blueprint_library().find("vehicle.tesla.model3")
+    for start in world.get_map().get_spawn_points()[:10]:
+        ahead = carla.Transform(start.transform(carla.Location(x=15.0)), start.rotation)
+        first, second = (world.try_spawn_actor(model, place) for place in (start, ahead))
+        if first is None or second is None:
+            continue
+        world.tick()
+        place, forward = first.get_location(), first.get_transform().get_forward_vector()
+        offset = second.get_location() - place
+        aside = abs(forward.x * offset.y - forward.y * offset.x)
+        assert 0 < aside < 0.005
+        assert place.distance_2d(start.location) < 0.0025
+        first.destroy()
+        second.destroy()

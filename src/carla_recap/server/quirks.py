@@ -21,6 +21,9 @@
 | the client resets its traffic manager only when a snapshot has another episode than `get_episode_info` had \
 | on a map that it has loaded, its traffic drives along the lanes of the map before | `client.Client` \
 | `test_the_manager_drives_on_the_map_that_its_client_loads` |
+| CARLA's `BasicAgent` ignores a vehicle or a light exactly ahead, at an angle of 0; CARLA's vehicles, which settle on their \
+springs, are never exactly in line | it drives into a car that stands in its lane | `quirks.slightly_aside` \
+| `test_vehicles_in_a_lane_are_not_exactly_in_line` |
 | the client signals a tick to its traffic manager without holding the manager's lock \
 | client and manager wait for each other for ever | `traffic_manager.cycle.TrafficManagerCycle` \
 | `test_a_tick_passes_once_the_manager_waits_for_it`, `test_a_manager_that_has_missed_a_tick_is_woken` |
@@ -36,6 +39,8 @@ import sys
 import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from carla_recap.sim.geometry import Location, Transform
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -126,6 +131,19 @@ class PendingSubscriptions:
         if stream in self._pending:
             _, subscription = self._pending.pop(stream)
             subscription.set_result(None)
+
+
+# --- vehicles in line ---------------------------------------------------------------------------------------------------
+
+_ASIDE: Final = 0.002  # m
+_GOLDEN: Final = 0.618034  # per m: its products with two places rarely have the same fraction
+
+
+def slightly_aside(transform: Transform) -> Transform:
+    """Return the transform of a vehicle up to 2 mm to the side; how far depends on its place alone."""
+    fraction = (transform.location.x + transform.location.y) * _GOLDEN % 1.0
+    beside = transform.transform(Location(0.0, _ASIDE * (2 * fraction - 1), 0.0))
+    return Transform(beside, transform.rotation)
 
 
 # --- threads that are busy with the episode before ----------------------------------------------------------------------

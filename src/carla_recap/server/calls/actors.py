@@ -6,9 +6,11 @@ from collections.abc import Awaitable
 from math import degrees, radians
 from typing import Any, TypeVar
 
+from carla_recap.model.records import ActorKind
 from carla_recap.server import actor_records
 from carla_recap.server.attributes import check_attributes
 from carla_recap.server.client import Client
+from carla_recap.server.quirks import slightly_aside
 from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import ActorDescription, ActorRecord, BoxStruct
 from carla_recap.sim.actors.actor import Actor, Prop
@@ -209,6 +211,8 @@ def spawn(client: Client, description: ActorDescription, transform: Transform, p
     blueprint = host.world.blueprints.get(description.id)
     attributes = {a.id: a.value for a in description.attributes if a.id in blueprint.attributes}
     check_attributes(blueprint, attributes)
+    if blueprint.kind is ActorKind.VEHICLE and parent is None:
+        transform = slightly_aside(transform)
     actor = host.world.try_spawn(description.id, transform, parent=parent, **attributes)
     if actor is None:
         raise CallError("Spawn failed because of collision at spawn position")
