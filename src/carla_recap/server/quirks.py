@@ -21,8 +21,8 @@
 | the client resets its traffic manager only when a snapshot has another episode than `get_episode_info` had \
 | on a map that it has loaded, its traffic drives along the lanes of the map before | `client.Client` \
 | `test_the_manager_drives_on_the_map_that_its_client_loads` |
-| CARLA's `BasicAgent` ignores a vehicle or a light exactly ahead, at an angle of 0; CARLA's vehicles, which settle on their \
-springs, are never exactly in line | it drives into a car that stands in its lane | `quirks.slightly_aside` \
+| CARLA's `BasicAgent` ignores what is exactly ahead, at an angle of 0; CARLA's vehicles, which settle on their springs, \
+are never exactly in line | it drives into a car that stands in its lane | `quirks.slightly_aside` \
 | `test_vehicles_in_a_lane_are_not_exactly_in_line` |
 | the client signals a tick to its traffic manager without holding the manager's lock \
 | client and manager wait for each other for ever | `traffic_manager.cycle.TrafficManagerCycle` \
