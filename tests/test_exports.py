@@ -39,7 +39,7 @@ def test_a_recording_is_exported(tmp_path: Path, form: ExportFormat) -> None:
     if form.extra:
         pytest.importorskip(PACKAGES[form.extra], reason=f"the extra {form.extra} is not installed")
     part: dict[str, Any] = {"start": 20, "duration": 1} if "start" in form.options else {}
-    if form.combine:
+    if form.dataset:
         create(None).close()  # skips where there is no driver
         part |= {"rig": RIG, "actor": 100, "rate": 10, "quality": "low"}
     with open_recording(CROSSING) as recording:
@@ -77,7 +77,7 @@ def test_another_format_is_an_error() -> None:
 
 @pytest.mark.parametrize("form", [form for form in FORMATS.values() if form.extra], ids=lambda form: form.name)
 def test_a_missing_extra_is_named(tmp_path: Path, form: ExportFormat) -> None:
-    options = {"rig": str(RIG), "actor": 100} if form.combine else {}
+    options = {"rig": str(RIG), "actor": 100} if form.dataset else {}
     code = f"""
 import sys
 sys.modules[{PACKAGES[form.extra]!r}] = None

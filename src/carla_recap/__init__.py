@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from carla_recap.files.osi import export_osi
     from carla_recap.files.parquet import export_parquet
     from carla_recap.files.tracks import export_csv
+    from carla_recap.fleet.datasets import ExportedDataset, export_dataset
     from carla_recap.fleet.engine import map_recordings, open_recordings
     from carla_recap.fleet.index.database import RecordingIndex, open_index
     from carla_recap.fleet.index.writing import IndexSummary, write_index
@@ -61,6 +62,7 @@ if TYPE_CHECKING:
     from carla_recap.replay import Player, Scene
     from carla_recap.roads import RoadMap, load_map
     from carla_recap.scene.models import use_models
+    from carla_recap.sensors.options import SensingOptions
     from carla_recap.sensors.rig import SensorRig, SensorSpec
     from carla_recap.sensors.sensing import Sample, SensedFrame, sense
     from carla_recap.show.clips import clips
@@ -85,6 +87,7 @@ __all__ = [
     "Differences",
     "EventDifference",
     "Exported",
+    "ExportedDataset",
     "FormatError",
     "Frame",
     "Header",
@@ -120,6 +123,7 @@ __all__ = [
     "Sample",
     "Scene",
     "SensedFrame",
+    "SensingOptions",
     "SensorRig",
     "SensorSpec",
     "SourceFile",
@@ -136,6 +140,7 @@ __all__ = [
     "create_writer",
     "export",
     "export_csv",
+    "export_dataset",
     "export_foxglove",
     "export_openscenario",
     "export_osi",
@@ -184,6 +189,7 @@ _get, __dir__ = lazily(
             "RecordError",
         ),
         "scene.models": ("use_models",),
+        "sensors.options": ("SensingOptions",),
         "sensors.rig": ("SensorRig", "SensorSpec"),
         "sensors.sensing": ("Sample", "SensedFrame", "sense"),
         "show.clips": ("clips",),
@@ -194,6 +200,7 @@ _get, __dir__ = lazily(
         "show.video": ("export_video", "picture", "snapshot"),
         "files.parquet": ("export_parquet",),
         "fleet.rules": ("Rule", "RuleSet", "Verdict", "check", "load_rules"),
+        "fleet.datasets": ("ExportedDataset", "export_dataset"),
         "fleet.outcomes": ("Outcome",),
         "fleet.engine": ("map_recordings", "open_recordings"),
         "fleet.sources": ("SourceFile",),

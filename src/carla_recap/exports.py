@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import inspect
+from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.formats.sources import split_time
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping
 
-    from carla_recap.files.datasets import DatasetPart
+    from carla_recap.files.datasets import DatasetWriter
     from carla_recap.recording import Recording
     from carla_recap.replay import Played
 
@@ -32,8 +33,8 @@ class ExportFormat(NamedTuple):
         extra: The extra that it needs; empty for none.
         hints: A function that returns lines about how to use what was written, of the destination and the options that
             the other one got.
-        combine: The function that puts a dataset together of parts, as `module:name`; the other one writes the part of a
-            recording into a folder. Empty for formats that have a file or a folder for each recording.
+        dataset: The class of the dataset, as `module:name`: its function writes the part of a recording into a folder. Empty
+            for formats that have a file or a folder for each recording.
     """
 
     name: str
@@ -42,17 +43,24 @@ class ExportFormat(NamedTuple):
     function: str
     extra: str = ""
     hints: str = ""
-    combine: str = ""
+    dataset: str = ""
 
     @property
     def options(self) -> set[str]:
         """The names of its options; `road_map` if it has roads."""
+        if self.dataset:
+            return self.dataset_class.options()
         names = {
             name
             for name, each in inspect.signature(_load(self.function)).parameters.items()
             if each.kind is each.KEYWORD_ONLY
         }
-        return {"road_map" if name == "opendrive" else name for name in names} - {"force", "progress", "name"}
+        return {"road_map" if name == "opendrive" else name for name in names} - {"force", "progress"}
+
+    @property
+    def dataset_class(self) -> type[DatasetWriter]:
+        """The class of the dataset."""
+        return cast("type[DatasetWriter]", _load(self.dataset))
 
 
 FORMATS: Final[Mapping[str, ExportFormat]] = {
@@ -79,12 +87,12 @@ FORMATS: Final[Mapping[str, ExportFormat]] = {
             hints="files.openscenario:map_hint",
         ),
         *(
-            ExportFormat(name, "", text, f"files.{name}:write_{name}", "cameras", combine=f"files.{name}:combine_{name}")
-            for name, text in {
-                "kitti": "a dataset: images, points and labels as KITTI has them",
-                "coco": "a dataset: images with boxes and masks as COCO has them",
-                "nuscenes": "a dataset: images, points and boxes as nuScenes has them",
-            }.items()
+            ExportFormat(name, "", f"a dataset: {text}", "files.datasets:write_part", "cameras", dataset=dataset)
+            for name, text, dataset in (
+                ("kitti", "images, points and labels as KITTI has them", "files.kitti:KittiWriter"),
+                ("coco", "images with boxes and masks as COCO has them", "files.coco:CocoWriter"),
+                ("nuscenes", "images, points and boxes as nuScenes has them", "files.nuscenes:NuScenesWriter"),
+            )
         ),
     )
 }
@@ -163,14 +171,14 @@ def export(
     """
     form = find_format(destination, to)
     about = {"road_map": road_map, "progress": progress, **options}
-    if form.combine:
+    if form.dataset:
         from carla_recap.files.datasets import DatasetPart, dataset_folder
         from carla_recap.util.files import files_below
 
         with dataset_folder(destination, force=force) as (folder, part):
             name = Path(split_time(recording.location)[0]).stem
             written = write_part(recording, part, to=form.name, name=name, **about)
-            combine_parts([DatasetPart(name, part)], folder, to=form.name)
+            form.dataset_class.combine([DatasetPart(name, part)], folder)
             files = [path.relative_to(folder) for path in files_below(folder) if part not in path.parents]
         return Exported(written.frames, written.seconds, tuple(Path(destination) / path for path in files))
     written, given = _write(form, recording, destination, {"force": force}, **about)
@@ -200,17 +208,6 @@ def write_part(recording: Recording, folder: Path, *, to: str, name: str, **opti
     return written
 
 
-def combine_parts(parts: Sequence[DatasetPart], folder: Path, *, to: str) -> None:
-    """Put a dataset together.
-
-    Args:
-        parts: The parts, whose files are moved.
-        folder: The folder of the dataset.
-        to: The name of the format.
-    """
-    _load(FORMATS[to].combine)(parts, folder)
-
-
 def _write(
     form: ExportFormat,
     recording: Recording,
@@ -226,7 +223,9 @@ def _write(
     given = set(options) | ({"road_map"} if road_map is not None else set())
     for name in sorted(given - accepted):
         raise RecapError(f"{name} does not go with an export to {form.name}")
-    if "road_map" in accepted:
+    if form.dataset:
+        write, options = partial(write, form.dataset_class), options | {"road_map": road_map}
+    elif "road_map" in accepted:
         options |= _map_for(write, recording, road_map, options)
     try:
         return write(recording, destination, progress=progress, **fixed, **options), options

@@ -8,8 +8,9 @@ import sys
 import numpy as np
 from nuscenes.nuscenes import NuScenes
 from nuscenes.utils.data_classes import LidarPointCloud, RadarPointCloud
-from nuscenes.utils.geometry_utils import points_in_box, view_points
+from nuscenes.utils.geometry_utils import points_in_box, transform_matrix, view_points
 from nuscenes.utils.splits import get_scenes_of_custom_split
+from pyquaternion import Quaternion
 
 
 def main(folder: str, version: str, camera: str, lidar: str, radar: str) -> None:
@@ -20,17 +21,18 @@ def main(folder: str, version: str, camera: str, lidar: str, radar: str) -> None
         points, boxes_of_lidar, _ = reader.get_sample_data(sample["data"][lidar])
         cloud = LidarPointCloud.from_file(points)
         echoes = RadarPointCloud.from_file(reader.get_sample_data_path(sample["data"][radar]))
+        to_camera = np.linalg.inv(to_world(reader, sample["data"][camera])) @ to_world(reader, sample["data"][lidar])
         found = {}
         for box, same in zip(boxes, boxes_of_lidar, strict=True):
             corners = view_points(box.corners(), matrix, normalize=True)[:2]
-            hit = cloud.points[:3, points_in_box(same, cloud.points[:3], 1.02)]
+            hit = cloud.points[:3, points_in_box(same, cloud.points[:3], 1.005)]
             row = reader.get("sample_annotation", box.token)
             found[box.token] = {
                 "category": box.name,
                 "center": box.center.tolist(),
                 "low": corners.min(axis=1).tolist(),
                 "high": corners.max(axis=1).tolist(),
-                "nearest": float(hit[0].min()) if hit.shape[1] else None,
+                "hits": (to_camera @ np.vstack((hit, np.ones(hit.shape[1]))))[:3].T.tolist(),
                 "center_of_lidar": same.center.tolist(),
                 "size": box.wlh.tolist(),
                 "points": row["num_lidar_pts"],
@@ -53,6 +55,16 @@ def main(folder: str, version: str, camera: str, lidar: str, radar: str) -> None
             token, count = reader.get("sample_annotation", token)["next"], count + 1
         instances.append(count <= instance["nbr_annotations"] and count > 0)
     print(json.dumps({"samples": samples, "scenes": scenes, "chains": chains, "instances": instances}))
+
+
+def to_world(reader: NuScenes, token: str) -> np.ndarray:
+    """Return the matrix from the axes of a sensor to the world at a sample, as its tables have it."""
+    data = reader.get("sample_data", token)
+    found = np.eye(4)
+    for table in ("ego_pose", "calibrated_sensor"):
+        row = reader.get(table, data[f"{table}_token"])
+        found = found @ transform_matrix(row["translation"], Quaternion(row["rotation"]))
+    return found
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Datasets of a hero with a car ahead and one on each side, read back by the readers that people use."""
+"""Datasets of a hero with a car ahead and one on each side, the left one higher, read back by the usual readers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from carla_recap.files.coco import encoded
 from carla_recap.files.nuscenes import TABLES, VERSION
 from carla_recap.sensors.sensing import sense
 from tests.rendering.test_renderer import create
-from tests.sensors.test_sensing import AHEAD, BOX, CAMERA_HEIGHT, CARS, GAP, LEFT, RIGHT, SPEED, STEP, drive
+from tests.sensors.test_sensing import AHEAD, BOX, CAMERA_HEIGHT, CARS, GAP, LEFT, RAISED, RIGHT, SPEED, STEP, drive
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -46,13 +46,14 @@ TRUTH = SensorRig.of([{"type": "sensor.camera.instance_segmentation", "id": "ids
 RATE = 1 / STEP
 SIDES = {AHEAD: 0, LEFT: -1, RIGHT: 1}  # where in an image a car is: to the right of the middle is positive
 WITHIN = 2.0  # pixels
+MATRIX = np.array(((400.0, 0.0, 400.0), (0.0, 400.0, 300.0), (0.0, 0.0, 1.0)))  # of the camera: from m to pixels
 NEAR = 0.05  # m
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     create(None).close()  # skips where there is no driver
-    return drive(tmp_path_factory.mktemp("datasets") / "cars.mcap")
+    return drive(tmp_path_factory.mktemp("datasets") / "cars.mcap", raised=LEFT)
 
 
 @pytest.fixture(scope="module")
@@ -126,13 +127,15 @@ def test_labels_of_kitti_are_where_pixels_and_points_are(recording: Path, truth:
             assert np.abs(np.array(box) - pixels_of(frame, id)).max() <= WITHIN
             assert (truncated, occluded) == (0, 0)
             assert (length, width, height) == pytest.approx((2 * BOX[3] / 100, 2 * BOX[4] / 100, 2 * BOX[5] / 100), abs=0.01)
-            assert y == pytest.approx(CAMERA_HEIGHT, abs=0.01)  # of the bottom, which is on the ground
+            assert y == pytest.approx(CAMERA_HEIGHT - RAISED * (id == LEFT), abs=0.01)  # of the bottom, downwards
+            assert np.sign(round(x, 1)) == side
             assert rotation == pytest.approx(-math.pi / 2, abs=0.01)  # heading away
             assert alpha == pytest.approx(rotation - math.atan2(x, z), abs=0.011)
             own = camera[
                 (np.abs(camera - (x, y - height / 2, z)) < (width / 2 + 0.02, height / 2 - 0.02, length / 2 + 0.02)).all(1)
             ]
             assert len(own) > 20
+            assert own[:, 1].min() == pytest.approx(y - height, abs=0.4)  # of a roof, whose slope few rays meet
             if id == AHEAD:
                 assert (x, z - length / 2) == pytest.approx((0, gap(index)), abs=NEAR)
                 assert own[:, 2].min() == pytest.approx(gap(index), abs=NEAR)
@@ -186,6 +189,8 @@ def test_boxes_and_masks_of_coco_are_those_of_the_pixels(recording: Path, truth:
             box = np.array((left, top, left + width, top + height))
             assert (box == pixels_of(frame, id)).all()
             assert side_of(box) == SIDES[id]
+        tops = {id: row["bbox"][1] for id, row in annotations.items()}
+        assert tops[LEFT] < tops[RIGHT]  # rows are counted from above
 
 
 @pytest.mark.parametrize("kind", ["bbox", "segm"])
@@ -246,11 +251,17 @@ def test_boxes_of_nuscenes_are_where_pixels_and_points_are(devkit: dict[str, Any
             assert box["size"] == pytest.approx([2 * BOX[4] / 100, 2 * BOX[3] / 100, 2 * BOX[5] / 100])
             assert box["points"] > 20
             assert box["visibility"] == "4"
+            assert box["center"][1] == pytest.approx(CAMERA_HEIGHT - BOX[2] / 100 - RAISED * (id == LEFT), abs=NEAR)
+            hits = np.array(box["hits"])
+            assert np.abs(hits.mean(axis=0) - box["center"]).max() < BOX[3] / 100
+            pixels = hits @ MATRIX.T
+            columns, rows = (pixels[:, :2] / pixels[:, 2:]).astype(int).T
+            assert (frame.samples["ids"].data[rows, columns] == id).mean() > 0.9  # all but some at the edges
         ahead = by_side[0]
         assert np.abs(np.array((*ahead["low"], *ahead["high"])) - pixels_of(frame, AHEAD)).max() <= WITHIN
         assert ahead["center"] == pytest.approx([0, CAMERA_HEIGHT - BOX[2] / 100, gap(index) + BOX[3] / 100], abs=NEAR)
         assert np.hypot(*ahead["center_of_lidar"][:2]) == pytest.approx(gap(index) + BOX[3] / 100, abs=NEAR)
-        assert ahead["nearest"] == pytest.approx(gap(index) * math.cos(math.radians(10)), abs=0.4)
+        assert min(z for _, _, z in ahead["hits"]) == pytest.approx(gap(index), abs=NEAR)
         assert ahead["speed"] == pytest.approx(SPEED, abs=0.01)
         assert by_side[-1]["speed"] == pytest.approx(0, abs=0.01)
         assert sample["echoes"] > 100

@@ -22,6 +22,8 @@ from carla_recap.fleet.cluster import connect
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.sources import SourceFile
 from tests.cli.command import CROSSING, answer, error, run, the_line
+from tests.rendering.test_renderer import create
+from tests.sensors.test_sensing import drive
 from tests.waiting import PATIENCE, time_limit, wait_until
 
 distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
@@ -29,7 +31,7 @@ distributed = pytest.importorskip("distributed", reason="the extra dask is not i
 
 @pytest.fixture(scope="module")
 def cluster():
-    options = {"host": "127.0.0.1", "dashboard_address": None, "silence_logs": 50}
+    options = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, **options) as cluster:
         yield cluster
 
@@ -239,3 +241,19 @@ def test_an_address_without_a_scheduler_is_an_error(monkeypatch):
 
 def test_an_invalid_address_is_an_error():
     assert error("collisions", Path(CROSSING).parent, "--dask", "nonsense://x").startswith("nonsense://x: ")
+
+
+def test_a_cluster_writes_a_dataset(cluster, tmp_path):
+    create(None).close()  # skips where there is no driver
+    (tmp_path / "runs").mkdir()
+    for name in ("a", "b", "c"):
+        drive(tmp_path / "runs" / f"{name}.mcap", 2)
+    camera = {"type": "sensor.camera.rgb", "id": "front", "x": 2, "y": 0, "z": 1.5, "width": 64, "height": 48, "fov": 90}
+    (tmp_path / "rig.json").write_text(json.dumps([camera]))
+    out = tmp_path / "out"
+    options = ("--to", "coco", "--rig", tmp_path / "rig.json", "--rate", 20, "--quality", "low")
+    done = run("export", tmp_path / "runs", out, *options, "--dask", cluster.scheduler_address)
+    assert done.returncode == 0, done.stderr
+    images = json.loads((out / "annotations" / "instances_train.json").read_text())["images"]
+    assert [image["recording"] for image in images] == ["a", "a", "b", "b", "c", "c"]
+    assert all((out / "images" / image["file_name"]).stat().st_size for image in images)

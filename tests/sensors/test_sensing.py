@@ -31,6 +31,8 @@ CARS = {
     LEFT: (1800.0, -700.0),  # cm: to the right is positive
     RIGHT: (1800.0, 500.0),
 }
+RAISED = 1.2  # m
+UP = np.array((0.0, 0.0, 100 * RAISED, 0.0, 0.0, 0.0))
 SPEED = 5.0  # m/s, of the car ahead, away from the hero
 STEP = 0.05  # s
 MIRROR = np.array((1.0, -1.0, 1.0))
@@ -66,12 +68,12 @@ def car_pose(id: int, time: float) -> np.ndarray:
     return attach(HERO_POSE, np.array((forward, right, 0.0, 0.0, 0.0, 0.0)))
 
 
-def drive(path: Path, frames: int = 3, **further: Any) -> Path:
-    """Write a recording of the hero at rest and the cars."""
+def drive(path: Path, frames: int = 3, raised: int | None = None, **further: Any) -> Path:
+    """Write a recording of the hero at rest and the cars, one of which may be raised above the road."""
     with carla_recap.create_recording(path, map_name="Brickfield", date=0) as recorder:
         for frame in range(frames):
             time = frame * STEP
-            poses = {HERO: HERO_POSE, **{id: car_pose(id, time) for id in CARS}}
+            poses = {HERO: HERO_POSE, **{id: car_pose(id, time) + UP * (id == raised) for id in CARS}}
             records: dict[str, Any] = {"transforms": [(id, *pose) for id, pose in poses.items()], **further}
             if not frame:
                 records["spawned"] = [spawn(id, pose) for id, pose in poses.items()]
@@ -328,9 +330,9 @@ def test_a_carrier_that_never_exists(small: Path) -> None:
     with carla_recap.open_recording(small) as recording:
         with pytest.raises(RecapError, match=r"small.log: no actor 12345 to carry the rig"):
             sense(recording, MOTION, actor=12345)
-        for wrong in ({"duration": 0.0}, {"duration": -1.0}, {"rate": 0.0}, {"rate": np.nan}, {"start": 1e6}):
+        for wrong in ({"duration": -1.0}, {"duration": np.nan}, {"rate": 0.0}, {"rate": np.nan}, {"start": 1e6}):
             with pytest.raises(RecapError):
-                sense(recording, MOTION, **wrong)  # type: ignore[arg-type]
+                sense(recording, MOTION, **wrong)
 
 
 def test_a_recording_without_a_hero(tmp_path: Path) -> None:

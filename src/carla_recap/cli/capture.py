@@ -13,6 +13,7 @@ from carla_recap.util.text import first_of
 
 if TYPE_CHECKING:
     from carla_recap.replay.follow import Follow
+    from carla_recap.sensors.rig import SensorRig
     from carla_recap.show.rerun.blueprint import View
 
 _follow = click.option(
@@ -40,16 +41,8 @@ _server = options.together(
     help="Simulated s to record; else until Ctrl-C.",
 )
 @click.option("--additional-data", is_flag=True, help="Record velocities, boxes, physics and times, too.")
-@click.option("--rig", metavar="FILE", help="Spawn the sensors of this JSON file, and record what they send.")
-@click.option("--leaderboard", is_flag=True, help="Give the rig the values that the CARLA Leaderboard fixes.")
-@click.option(
-    "--actor",
-    type=options.FOLLOW,
-    default="hero",
-    show_default=True,
-    metavar="ID|hero",
-    help="The actor that carries the rig.",
-)
+@options.rig("Spawn the sensors of this JSON file, and record what they send.")
+@options.carrier
 @click.option("--sensors", type=click.Choice(["existing"]), help="Record what the sensors send that are there already.")
 @options.force
 @options.written
@@ -59,8 +52,7 @@ def capture(
     port: int,
     duration: float,
     additional_data: bool,
-    rig: str | None,
-    leaderboard: bool,
+    rig: SensorRig | None,
     actor: Follow,
     sensors: Literal["existing"] | None,
     force: bool,
@@ -68,19 +60,16 @@ def capture(
     """Record what a CARLA server does, as one of its clients, to .mcap or .log; with sensors, to .mcap."""
     from carla_recap.capture import capture as run
     from carla_recap.cli.progress import watch_ticks
-    from carla_recap.sensors.rig import SensorRig
 
     if rig is not None and sensors is not None:
         raise click.UsageError("--rig and --sensors exclude each other.", click.get_current_context())
-    if rig is None and leaderboard:
-        raise click.UsageError("--leaderboard goes with --rig.", click.get_current_context())
     captured = run(
         destination,
         host=host,
         port=port,
         duration=duration,
         additional_data=additional_data,
-        sensors=sensors if rig is None else SensorRig.load(rig, leaderboard=leaderboard),
+        sensors=sensors if rig is None else rig,
         actor=actor,
         force=force,
         progress=watch_ticks("capturing", duration),

@@ -52,6 +52,8 @@ _LIST = "\n".join(f"    {form.name:9} {form.suffix or 'folder':7} {form.text}" f
 @options.shown_kinds
 @options.models
 @click.option("--cameras", type=click.Path(), metavar="DIR", help="Write a small .rbl for each actor, to follow it (Rerun).")
+@options.rig("Sensors, as JSON: of a dataset, or of rosbag2 besides.")
+@options.sensing
 @options.dataset
 def export(
     request: WriteRequest,
@@ -70,10 +72,10 @@ def export(
     for param in context.command.params:
         name = "incidents" if param.name == "kinds" else param.name
         is_given = context.get_parameter_source(str(param.name)) is ParameterSource.COMMANDLINE
-        is_known = name in form.options or (form.combine and name in _OF_DATASETS)
+        is_known = name in form.options or (form.dataset and name in _OF_DATASETS)
         if is_given and (name in shown or name in _OF_DATASETS) and not is_known:
             raise click.UsageError(f"{param.opts[0]} does not go with --to {form.name}.", context)
-    if form.combine:
+    if form.dataset:
         _export_dataset(request, form, split, shown)
         return
     write = partial(_export, form.name, shown)
@@ -88,14 +90,12 @@ def export(
 def _export_dataset(
     request: WriteRequest, form: ExportFormat, split: dict[str, float] | None, shown: dict[str, Any]
 ) -> None:
-    from carla_recap.files.datasets import rig_of
-
     context = click.get_current_context()
     if request.newer:
         raise click.UsageError(f"--newer does not go with --to {form.name}, which is one folder.", context)
     if shown["rig"] is None:
         raise click.UsageError(f"--to {form.name} needs --rig RIG.json.", context)
-    shown["rig"] = rig_of(shown["rig"], shown["camera"])
+    form.dataset_class.sensors_of(shown["rig"], shown["camera"])
     request.write_dataset(partial(_export_part, form.name, shown), form, split)
 
 
@@ -302,7 +302,7 @@ def snapshot(
     help="Film by a camera of the recording or of --rig.",
 )
 @click.option("--grid", is_flag=True, help="Film by all cameras of the recording, or of --rig, side by side.")
-@click.option("--rig", "rig_file", type=click.Path(), metavar="FILE", help="Sensors on the hero, or --follow, as JSON.")
+@options.rig("Sensors on the hero, or --follow, as JSON.")
 @_window
 @click.option(
     "--speed", type=options.POSITIVE, default=1, metavar="X", help="2: twice as fast as it happened; 0.25: in slow motion."
@@ -334,13 +334,8 @@ def video(
         if shown["cameras"]:
             raise click.UsageError("--grid shows all cameras; --camera chooses some. One of them was expected.", ctx)
         shown["cameras"] = "all"
-    rig_file = shown.pop("rig_file")
-    if rig_file is not None:
-        if not shown["cameras"]:
-            raise click.UsageError("--rig goes with --camera or --grid.", ctx)
-        from carla_recap.sensors.rig import SensorRig
-
-        shown["rig"] = SensorRig.load(rig_file)
+    if shown["rig"] is not None and not shown["cameras"]:
+        raise click.UsageError("--rig goes with --camera or --grid.", ctx)
     if shown["cameras"] and ctx.get_parameter_source("view") is ParameterSource.COMMANDLINE:
         raise click.UsageError("--view goes without --camera and --grid.", ctx)
     request.write(partial(_video, start, duration, road_map, shown), suffix, "mp4", "filming")

@@ -411,12 +411,55 @@ def together(*decorators: Callable[[Command], Command]) -> Callable[[Command], C
     return decorate
 
 
+def rig(text: str, *, is_required: bool = False) -> Callable[[Command], Command]:
+    """Return what gives a command the options for a rig, which it takes as a `SensorRig`, or as None.
+
+    Args:
+        text: The help of `--rig`.
+        is_required: Whether it must be given.
+    """
+
+    def decorate(command: Command) -> Command:
+        @click.option("--rig", type=click.Path(), required=is_required, metavar="FILE", help=text)
+        @click.option("--leaderboard", is_flag=True, help="Give its sensors the values that the CARLA Leaderboard fixes.")
+        @wraps(command)
+        def with_rig(*arguments: Any, rig: str | None, leaderboard: bool, **given: Any) -> None:
+            from carla_recap.sensors.rig import SensorRig
+
+            if rig is None and leaderboard:
+                raise click.UsageError("--leaderboard goes with --rig.", click.get_current_context())
+            loaded = None if rig is None else SensorRig.load(rig, leaderboard=leaderboard)
+            command(*arguments, rig=loaded, **given)
+
+        return with_rig
+
+    return decorate
+
+
+carrier = click.option(
+    "--actor",
+    type=FOLLOW,
+    default="hero",
+    show_default=True,
+    metavar="ID|hero",
+    help="The actor that carries the rig.",
+)
+sensing = together(
+    carrier,
+    click.option(
+        "--rate", type=POSITIVE, metavar="HZ", help="Moments per second; else each frame, of datasets 10, of nuscenes 2."
+    ),
+    click.option(
+        "--quality",
+        type=click.Choice(["low", "epic"]),
+        default="epic",
+        show_default=True,
+        help="Of RGB images; low ones have neither shadows nor smooth edges, and take less time.",
+    ),
+)
+"""The fields of `SensingOptions` that are not those of other exports, too."""
 dataset = together(
-    click.option("--rig", type=click.Path(), metavar="FILE", help="Sensors, as JSON: of a dataset, or of rosbag2 besides."),
-    click.option("--actor", type=FOLLOW, default="hero", metavar="ID|hero", help="What carries them; else the hero."),
-    click.option("--rate", type=POSITIVE, metavar="HZ", help="The moments per second; 10, of nuScenes 2."),
     click.option("--camera", metavar="ID", help="The camera of KITTI; else the first one of the rig."),
-    click.option("--quality", type=click.Choice(["low", "epic"]), default="epic", help="Of its images; else epic."),
     click.option(
         "--split",
         type=_Split(),

@@ -18,42 +18,19 @@ if TYPE_CHECKING:
 
 @click.command()
 @writes
-@click.option("--rig", "rig_file", type=click.Path(), required=True, metavar="FILE", help="The sensors, as JSON.")
-@click.option("--leaderboard", is_flag=True, help="Give the sensors the values that the CARLA Leaderboard fixes.")
-@click.option(
-    "--actor",
-    type=options.FOLLOW,
-    default="hero",
-    show_default=True,
-    metavar="ID|hero",
-    help="The actor that carries the sensors.",
-)
+@options.rig("The sensors, as JSON.", is_required=True)
 @options.start
 @options.duration
-@click.option(
-    "--rate", type=options.POSITIVE, metavar="N", help="Measure N times per second; else in each frame of the recording."
-)
-@click.option("--video", is_flag=True, help="Write RGB images as H.264, which takes less room, instead of as JPEGs.")
-@click.option(
-    "--quality",
-    type=click.Choice(["low", "epic"]),
-    default="epic",
-    show_default=True,
-    help="Of RGB images; low ones have neither shadows nor smooth edges, and take less time.",
-)
+@options.sensing
 @options.road_map
+@click.option("--video", is_flag=True, help="Write RGB images as H.264, which takes less room, instead of as JPEGs.")
 @options.models
-def sense(
-    request: WriteRequest, rig_file: str, leaderboard: bool, start: float | None, duration: float | None, **given: Any
-) -> None:
+def sense(request: WriteRequest, rig: SensorRig, start: float | None, duration: float | None, **given: Any) -> None:
     """Write recordings with what the sensors of a rig would have measured: .mcap files.
 
     DST is the recording, and has its scene and the data of the sensors for Foxglove, Lichtblick and Rerun; layouts for the
     first two are beside it. SRC#t=12.1 means from 5 s before that moment to 5 s after it. Many recordings go to a folder.
     """
-    from carla_recap.sensors.rig import SensorRig
-
-    rig = SensorRig.load(rig_file, leaderboard=leaderboard)
     write = partial(_sense, rig, start, duration, given)
     request.write(write, None, "mcap", "sensing")
 

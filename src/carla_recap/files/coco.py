@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.files.datasets import PartTables, by_split, cameras_of, labelled_frames, move, played, rig_of
+from carla_recap.files.datasets import DatasetWriter, by_split, move
 from carla_recap.files.labels import CLASSES
-from carla_recap.model.actors import HERO
 from carla_recap.sensors.encoding import jpeg
 
 if TYPE_CHECKING:
@@ -18,13 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.files.datasets import DatasetPart
-    from carla_recap.model.actors import ActorName
-    from carla_recap.recording import Recording
-    from carla_recap.rendering.camera import Quality
-    from carla_recap.replay import Played
-    from carla_recap.replay.player import Progress
-    from carla_recap.sensors.rig import SensorRig
+    from carla_recap.files.datasets import DatasetPart, LabelledFrame, PartToWrite
 
 _IMAGES: Final = "images"
 _ANNOTATIONS: Final = "annotations"
@@ -36,87 +29,65 @@ _FIRST: Final = ord("0")
 _LONGEST: Final = 7  # characters of a number
 
 
-def write_coco(
-    recording: Recording,
-    folder: Path,
-    *,
-    rig: SensorRig | Path | str | None = None,
-    actor: ActorName = HERO,
-    start: float = 0.0,
-    duration: float = 0.0,
-    rate: float = 10.0,
-    opendrive: Path | str | None = None,
-    quality: Quality = "epic",
-    name: str = "",
-    progress: Progress | None = None,
-) -> Played:
-    """Write what the RGB cameras of a rig see of a recording, with boxes and masks, as a part of a dataset.
+class CocoWriter(DatasetWriter):
+    """Writes what RGB cameras see, with boxes and masks."""
 
-    Args:
-        recording: The recording.
-        folder: The folder of the part, which is there.
-        rig: The rig, or its file.
-        actor: The actor that carries the rig: an id or "hero".
-        start: The elapsed seconds to begin at; negative: before the end.
-        duration: The seconds of the recording; 0: all of the rest.
-        rate: The moments per second.
-        opendrive: The map of the town, an OpenDRIVE file.
-        quality: The quality of images: "low" has neither shadows nor smooth edges, "epic" has both.
-        name: The name of the recording in the dataset.
-        progress: Is given the stream of scenes and their player, and passes the scenes on.
+    tables_of_part = (_IMAGES, _ANNOTATIONS)
 
-    Returns:
-        The number of moments, and the seconds that they span.
+    def __init__(self, part: PartToWrite) -> None:
+        super().__init__(part)
+        self._images = self._annotations = 0
+        for spec in part.sensors:
+            (part.folder / _IMAGES / spec.id).mkdir(parents=True)
 
-    Raises:
-        RecapError: See `sense`.
-        MissingExtra: An optional dependency is not installed.
-    """
-    cameras = cameras_of(rig_of(rig))
-    for spec in cameras:
-        (folder / _IMAGES / spec.id).mkdir(parents=True)
-    frames = labelled_frames(
-        recording,
-        cameras,
-        actor=actor,
-        start=start,
-        duration=duration,
-        rate=rate,
-        road_map=opendrive,
-        quality=quality,
-        progress=progress,
-    )
-    times = []
-    images = annotations = 0
-    with PartTables(folder, [_IMAGES, _ANNOTATIONS]) as tables:
-        for frame in frames:
-            times.append(frame.time)
-            for spec in cameras:
-                sample = frame.samples[spec.id]
-                height, width = sample.data.shape[:2]
-                file = f"{spec.id}/{frame.index:06}.jpg"
-                (folder / _IMAGES / file).write_bytes(jpeg(sample.data))
-                images += 1
-                about = {"recording": name, "camera": spec.id, "time": round(frame.time, 6)}
-                tables.add(_IMAGES, id=images, file_name=f"{name}/{file}", width=width, height=height, **about)
-                for label in frame.labels(spec.id):
-                    annotations += 1
-                    left, top = label.corner
-                    rows, columns = label.mask.shape
-                    tables.add(
-                        _ANNOTATIONS,
-                        id=annotations,
-                        image_id=images,
-                        category_id=_NUMBERS[label.actor.label.coco],
-                        bbox=[left, top, columns, rows],
-                        area=label.pixels,
-                        iscrowd=0,
-                        segmentation={"size": [height, width], "counts": encoded(label.mask, label.corner, height, width)},
-                        actor=label.actor.id,
-                        truncation=round(label.truncation, 3),
-                        visibility=round(label.visibility, 3),
-                    )
-    return played(times)
+    def add(self, frame: LabelledFrame) -> None:
+        """Write a moment."""
+        for spec in self._sensors:
+            self._add_image(frame, spec.id)
+
+    def _add_image(self, frame: LabelledFrame, camera: str) -> None:
+        image = frame.samples[camera].data
+        height, width = image.shape[:2]
+        file = f"{camera}/{frame.index:06}.jpg"
+        (self._folder / _IMAGES / file).write_bytes(jpeg(image))
+        self._images += 1
+        about = {"recording": self._name, "camera": camera, "time": round(frame.time, 6)}
+        self._tables.add(_IMAGES, id=self._images, file_name=f"{self._name}/{file}", width=width, height=height, **about)
+        for label in frame.labels(camera):
+            self._annotations += 1
+            left, top = label.corner
+            rows, columns = label.mask.shape
+            self._tables.add(
+                _ANNOTATIONS,
+                id=self._annotations,
+                image_id=self._images,
+                category_id=_NUMBERS[label.actor.label.coco],
+                bbox=[left, top, columns, rows],
+                area=label.pixels,
+                iscrowd=0,
+                segmentation={"size": [height, width], "counts": encoded(label.mask, label.corner, height, width)},
+                actor=label.actor.id,
+                truncation=round(label.truncation, 3),
+                visibility=round(label.visibility, 3),
+            )
+
+    @staticmethod
+    def combine(parts: Sequence[DatasetPart], folder: Path) -> None:
+        """Write a folder of images for each recording and camera, and a file of annotations for each split."""
+        for part in parts:
+            move(part.folder / _IMAGES, folder / _IMAGES / part.name)
+        (folder / _ANNOTATIONS).mkdir()
+        for split, those in by_split(parts).items():
+            with (folder / _ANNOTATIONS / f"instances_{split}.json").open("w", encoding="utf-8") as file:
+                about = {"info": {"description": "recordings of CARLA"}, "licenses": [], "categories": _categories()}
+                file.write(json.dumps(about)[:-1])
+                for table in (_IMAGES, _ANNOTATIONS):
+                    lines = (json.dumps(row, ensure_ascii=False) for row in _numbered(those, table))
+                    file.write(f', "{table}": [')
+                    for number, line in enumerate(lines):
+                        file.write(f"{',' if number else ''}\n{line}")
+                    file.write("\n]")
+                file.write("}\n")
 
 
 def encoded(mask: NDArray[np.bool_], corner: tuple[int, int], height: int, width: int) -> str:
@@ -153,29 +124,6 @@ def _as_text(lengths: NDArray[np.int64]) -> str:
     place = np.arange(_LONGEST)
     characters = bits + _FIRST + np.where(place < needed[:, None] - 1, _MORE, 0)
     return bytes(characters[place < needed[:, None]].astype(np.uint8)).decode("ascii")
-
-
-def combine_coco(parts: Sequence[DatasetPart], folder: Path) -> None:
-    """Put parts together: images in a folder for each recording and camera, and a file of annotations for each split.
-
-    Args:
-        parts: The parts, whose images are moved.
-        folder: The folder of the dataset.
-    """
-    for part in parts:
-        move(part.folder / _IMAGES, folder / _IMAGES / part.name)
-    (folder / _ANNOTATIONS).mkdir()
-    for split, those in by_split(parts).items():
-        with (folder / _ANNOTATIONS / f"instances_{split}.json").open("w", encoding="utf-8") as file:
-            about = {"info": {"description": "recordings of CARLA"}, "licenses": [], "categories": _categories()}
-            file.write(json.dumps(about)[:-1])
-            for table in (_IMAGES, _ANNOTATIONS):
-                lines = (json.dumps(row, ensure_ascii=False) for row in _numbered(those, table))
-                file.write(f', "{table}": [')
-                for number, line in enumerate(lines):
-                    file.write(f"{',' if number else ''}\n{line}")
-                file.write("\n]")
-            file.write("}\n")
 
 
 def _categories() -> list[dict[str, Any]]:

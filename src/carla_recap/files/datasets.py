@@ -6,12 +6,12 @@ The images and points of each recording are written as a part, in a process of i
 from __future__ import annotations
 
 import json
-import math
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from abc import ABC, abstractmethod
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from shutil import rmtree
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 
 import numpy as np
 
@@ -22,27 +22,25 @@ from carla_recap.rendering.camera import ImageKind
 from carla_recap.replay import Played
 from carla_recap.replay.pose import LOCATION, rotations
 from carla_recap.sensors.kinds import SENSOR_TYPES
-from carla_recap.sensors.rig import SensorRig, SensorSpec
-from carla_recap.sensors.sensing import sense
+from carla_recap.sensors.options import SensingOptions
+from carla_recap.sensors.rig import SensorRig, as_rig
+from carla_recap.sensors.sensing import sensed_frames
 from carla_recap.util.files import check_folder, new_folder
 from carla_recap.util.text import first_of, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from carla_recap.files.labels import ImageLabel, LabelledActor
-    from carla_recap.model.actors import ActorName
     from carla_recap.recording import Recording
-    from carla_recap.rendering.camera import Quality
     from carla_recap.replay.player import Progress
+    from carla_recap.sensors.rig import SensorSpec
     from carla_recap.sensors.sensing import Sample, SensedFrame
 
     Floats = NDArray[np.float64]
-    Combine = Callable[[Sequence["DatasetPart"], Path], None]
-    """A function that puts parts together: it gets them and the folder of the dataset."""
 
 TRAIN: Final = "train"
 """The split that recordings are in unless another one is asked for."""
@@ -56,7 +54,6 @@ _MIRROR: Final = np.array((1.0, -1.0, 1.0, 1.0, -1.0, -1.0))  # of poses, from C
 _INSTANCES: Final = ":instances"  # after the id of a camera, that of the camera that tells actors apart; no id of a rig
 _LISTED: Final = 16  # ids that an error lists
 _LIDAR: Final = "lidar"
-_RADAR: Final = "radar"
 
 
 @dataclass(frozen=True)
@@ -142,54 +139,141 @@ class LabelledFrame:
         return image_labels(self.actors, sample.camera, self.samples[camera + _INSTANCES].data)
 
 
-def rig_of(rig: SensorRig | Path | str | None, camera: str | None = None) -> SensorRig:
-    """Return the rig of a dataset.
+@dataclass(frozen=True)
+class PartToWrite:
+    """A part of a dataset that is being written.
+
+    Attributes:
+        recording: The recording.
+        sensors: The sensors that measure.
+        name: The name of the recording in the dataset.
+        folder: The folder of the part.
+        tables: Its tables.
+    """
+
+    recording: Recording
+    sensors: Sequence[SensorSpec]
+    name: str
+    folder: Path
+    tables: PartTables
+
+
+class DatasetWriter(ABC):
+    """Writes the part of a dataset that is of a recording, and puts parts together; a class for each format.
 
     Args:
+        part: The part, whose folder is empty.
+
+    Attributes:
+        rate: The usual moments per second.
+        kinds: The kinds of sensors that the format has besides RGB cameras.
+        has_one: Whether it has one camera and one sensor of each other kind; else all that the rig has.
+        tables_of_part: The names of the tables of a part.
+    """
+
+    rate: ClassVar[float] = 10.0
+    kinds: ClassVar[tuple[str, ...]] = ()
+    has_one: ClassVar[bool] = False
+    tables_of_part: ClassVar[tuple[str, ...]]
+
+    def __init__(self, part: PartToWrite) -> None:
+        self._recording, self._sensors, self._name = part.recording, part.sensors, part.name
+        self._folder, self._tables = part.folder, part.tables
+
+    @classmethod
+    def options(cls) -> set[str]:
+        """Return the names of the options of an export in this format."""
+        return {"rig", *(each.name for each in fields(SensingOptions)), *(("camera",) if cls.has_one else ())}
+
+    @classmethod
+    def sensors_of(cls, rig: SensorRig, camera: str | None = None) -> list[SensorSpec]:
+        """Return the sensors of a rig that the format has.
+
+        Args:
+            rig: The rig.
+            camera: The id of a camera, for formats that have one; None: the first one.
+
+        Raises:
+            RecapError: It has no RGB camera, or not that one.
+        """
+        cameras = [spec for spec in rig if spec.image is ImageKind.RGB]
+        ids = [spec.id for spec in cameras]
+        if not ids:
+            raise RecapError(f"{rig.name}: has no sensor.camera.rgb; one at least was expected")
+        if camera is not None and camera not in ids:
+            expected = f"one of {first_of(ids, _LISTED)} was expected"
+            raise RecapError(f"{rig.name}: has no RGB camera {visible(camera)!r}; {expected}")
+        groups = [
+            [spec for spec in cameras if camera in (None, spec.id)],
+            *([spec for spec in rig if spec.kind == kind] for kind in cls.kinds),
+        ]
+        return [spec for group in groups for spec in (group[:1] if cls.has_one else group)]
+
+    @abstractmethod
+    def add(self, frame: LabelledFrame) -> None:
+        """Write a moment."""
+
+    def finish(self) -> None:
+        """Write what is known only at the end."""
+        return
+
+    @staticmethod
+    @abstractmethod
+    def combine(parts: Sequence[DatasetPart], folder: Path) -> None:
+        """Put parts together.
+
+        Args:
+            parts: The parts, whose files are moved.
+            folder: The folder of the dataset.
+        """
+
+
+def write_part(
+    dataset: type[DatasetWriter],
+    recording: Recording,
+    folder: Path,
+    *,
+    name: str,
+    rig: SensorRig | Path | str | None = None,
+    camera: str | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Played:
+    """Write the part of a dataset that is of a recording: what a rig would have seen, with labels.
+
+    Args:
+        dataset: The class of the format.
+        recording: The recording.
+        folder: The folder of the part, which is there and empty.
+        name: The name of the recording in the dataset.
         rig: The rig, or its file.
-        camera: The id of a camera that it must have.
+        camera: See `DatasetWriter.sensors_of`.
+        progress: Is given the stream of scenes and their player, and passes the scenes on.
+        options: The fields of `SensingOptions`; the rate is that of the format unless it is given.
+
+    Returns:
+        The number of moments, and the seconds that they span.
 
     Raises:
-        RecapError: There is none, or it has no RGB camera, or not that one.
+        RecapError: There is no rig, or it has no such camera; see `sense` for others.
+        MissingExtra: An optional dependency is not installed.
     """
     if rig is None:
         raise RecapError("a dataset needs a rig: --rig RIG.json (in Python, rig=...)")
-    found = rig if isinstance(rig, SensorRig) else SensorRig.load(rig)
-    where = "rig" if isinstance(rig, SensorRig) else str(rig)
-    ids = [spec.id for spec in cameras_of(found)]
-    if not ids:
-        raise RecapError(f"{where}: has no sensor.camera.rgb; one at least was expected")
-    if camera is not None and camera not in ids:
-        raise RecapError(f"{where}: has no RGB camera {visible(camera)!r}; one of {first_of(ids, _LISTED)} was expected")
-    return found
-
-
-def cameras_of(rig: SensorRig) -> list[SensorSpec]:
-    """Return the RGB cameras of a rig."""
-    return [spec for spec in rig if spec.image is ImageKind.RGB]
-
-
-def lidars_of(rig: SensorRig) -> list[SensorSpec]:
-    """Return the lidars of a rig whose points have an intensity."""
-    return [spec for spec in rig if spec.kind == _LIDAR]
-
-
-def radars_of(rig: SensorRig) -> list[SensorSpec]:
-    """Return the radars of a rig."""
-    return [spec for spec in rig if spec.kind == _RADAR]
+    sensors = dataset.sensors_of(as_rig(rig), camera)
+    sensing = SensingOptions(**{"rate": dataset.rate, **options})
+    times: list[float] = []
+    with PartTables(folder, dataset.tables_of_part) as tables:
+        part = dataset(PartToWrite(recording, sensors, name, folder, tables))
+        for frame in labelled_frames(recording, sensors, sensing, progress):
+            part.add(frame)
+            times.append(frame.time)
+        part.finish()
+    return Played(len(times), times[-1] - times[0])
 
 
 def labelled_frames(
-    recording: Recording,
-    sensors: Sequence[SensorSpec],
-    *,
-    actor: ActorName = HERO,
-    start: float = 0.0,
-    duration: float = 0.0,
-    rate: float,
-    road_map: Path | str | None = None,
-    quality: Quality = "epic",
-    progress: Progress | None = None,
+    recording: Recording, sensors: Sequence[SensorSpec], options: SensingOptions, progress: Progress | None = None
 ) -> Iterator[LabelledFrame]:
     """Yield the moments of a recording with labels, at each of which all sensors measure, whatever their `sensor_tick`.
 
@@ -198,40 +282,24 @@ def labelled_frames(
     Args:
         recording: The recording; it must stay open.
         sensors: The sensors.
-        actor: See `sense`.
-        start: See `sense`.
-        duration: The seconds of the recording; 0: all of the rest.
-        rate: The moments per second.
-        road_map: See `sense`.
-        quality: See `sense`.
+        options: Of which part, on which actor; they have a rate.
         progress: See `sense`.
 
     Raises:
         RecapError: See `sense`; or the actor is never there.
     """
-    if not 0 < rate < math.inf:
-        raise RecapError(f"a rate of {rate:g} per second; a number above 0 was expected")
-    rig = SensorRig(tuple(each for spec in sensors for each in _at_rate(spec, rate)))
-    frames = sense(
-        recording,
-        rig,
-        actor=actor,
-        start=start,
-        duration=duration or math.inf,
-        rate=rate,
-        road_map=road_map,
-        quality=quality,
-        progress=progress,
-    )
+    assert options.rate is not None
+    rig = SensorRig(tuple(each for spec in sensors for each in _at_rate(spec, options.rate)))
     count = 0
-    for frame in frames:
-        if frame.samples and not any(spec.id in frame.samples for spec in rig if spec.image is not None):
-            raise RecapError(f"{recording.location}: there are no images to label, since cameras measure nothing")
-        if len(frame.samples) == len(rig):
-            yield LabelledFrame(frame, count)
-            count += 1
+    with closing(sensed_frames(recording, rig, options, progress)) as frames:
+        for frame in frames:
+            if frame.samples and not any(spec.id in frame.samples for spec in rig if spec.image is not None):
+                raise RecapError(f"{recording.location}: there are no images to label, since cameras measure nothing")
+            if len(frame.samples) == len(rig):
+                yield LabelledFrame(frame, count)
+                count += 1
     if not count:
-        name = "the hero" if actor == HERO else f"actor {actor}"
+        name = "the hero" if options.actor == HERO else f"actor {options.actor}"
         raise RecapError(f"{recording.location}: {name} is at no place in this time; there is nothing to label")
 
 
@@ -247,11 +315,6 @@ def _at_rate(spec: SensorSpec, rate: float) -> list[SensorSpec]:
         attributes = {name: found[0].attributes[name] for name in type.attributes}
         found.append(replace(spec, id=spec.id + _INSTANCES, type=type.name, attributes=attributes))
     return found
-
-
-def played(times: Sequence[float]) -> Played:
-    """Return how many moments there are, and the seconds that they span."""
-    return Played(len(times), times[-1] - times[0] if times else 0.0)
 
 
 def mount_of(spec: SensorSpec) -> tuple[Floats, Floats]:

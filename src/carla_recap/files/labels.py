@@ -15,6 +15,7 @@ import numpy as np
 from carla_recap.scene.actors import described_instances
 from carla_recap.scene.materials import Tag
 from carla_recap.scene.models import MODELS
+from carla_recap.sensors.encoding import load_pillow
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -259,7 +260,8 @@ def _fill(actor: LabelledActor, camera: Camera) -> float:
 @lru_cache(maxsize=4096)
 def _fill_of(model: int, azimuth: int, elevation: int) -> float:
     """Return the share of the convex outline of a model that its silhouette fills, from a direction in steps."""
-    from PIL import Image, ImageDraw
+    pillow = load_pillow()
+    from PIL import ImageDraw
 
     around, above = (math.radians(steps * _STEP) for steps in (azimuth, elevation))
     mesh, half = MODELS[model].mesh, np.array(MODELS[model].size) / 2
@@ -268,7 +270,7 @@ def _fill_of(model: int, azimuth: int, elevation: int) -> float:
     points = (mesh.vertices * half) @ np.stack((right, up), axis=1)
     points -= points.min(axis=0)
     points *= _DRAWN / points.max()
-    picture = Image.new("1", (_DRAWN, _DRAWN))
+    picture = pillow.new("1", (_DRAWN, _DRAWN))
     draw = ImageDraw.Draw(picture)
     for corners in points[mesh.triangles].reshape(-1, 6).tolist():
         draw.polygon(corners, fill=1)

@@ -14,23 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.files.datasets import (
-    OPTICAL,
-    SPLITS,
-    PartTables,
-    cameras_of,
-    intrinsics,
-    labelled_frames,
-    lidars_of,
-    mount_of,
-    move,
-    played,
-    radars_of,
-    rig_of,
-    world_points,
-)
+from carla_recap.files.datasets import OPTICAL, SPLITS, DatasetWriter, intrinsics, mount_of, move, world_points
 from carla_recap.files.labels import CLASSES
-from carla_recap.model.actors import HERO
 from carla_recap.replay.pose import LOCATION, rotations
 from carla_recap.sensors.encoding import jpeg, png
 
@@ -40,14 +25,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.files.datasets import DatasetPart, LabelledFrame
+    from carla_recap.files.datasets import DatasetPart, LabelledFrame, PartToWrite
     from carla_recap.files.labels import LabelledActor
-    from carla_recap.model.actors import ActorName
-    from carla_recap.recording import Recording
-    from carla_recap.rendering.camera import Quality
-    from carla_recap.replay import Played
-    from carla_recap.replay.player import Progress
-    from carla_recap.sensors.rig import SensorRig, SensorSpec
     from carla_recap.sensors.sensing import Sample
 
     Floats = NDArray[np.float64]
@@ -88,67 +67,6 @@ _RADAR_POINT: Final = np.dtype(
 _UNAMBIGUOUS: Final = 3  # of `ambig_state`
 
 
-def write_nuscenes(
-    recording: Recording,
-    folder: Path,
-    *,
-    rig: SensorRig | Path | str | None = None,
-    actor: ActorName = HERO,
-    start: float = 0.0,
-    duration: float = 0.0,
-    rate: float = 2.0,
-    opendrive: Path | str | None = None,
-    quality: Quality = "epic",
-    name: str = "",
-    progress: Progress | None = None,
-) -> Played:
-    """Write what the RGB cameras, lidars and radars of a rig see of a recording, with boxes, as a part of a dataset.
-
-    Road users have a box at the moments at which a camera has a pixel or a lidar has a point of them.
-
-    Args:
-        recording: The recording.
-        folder: The folder of the part, which is there.
-        rig: The rig, or its file.
-        actor: The actor that carries the rig: an id or "hero".
-        start: The elapsed seconds to begin at; negative: before the end.
-        duration: The seconds of the recording; 0: all of the rest.
-        rate: The moments per second.
-        opendrive: The map of the town, an OpenDRIVE file.
-        quality: The quality of images: "low" has neither shadows nor smooth edges, "epic" has both.
-        name: The name of the recording in the dataset.
-        progress: Is given the stream of scenes and their player, and passes the scenes on.
-
-    Returns:
-        The number of moments, and the seconds that they span.
-
-    Raises:
-        RecapError: See `sense`.
-        MissingExtra: An optional dependency is not installed.
-    """
-    rig = rig_of(rig)
-    sensors = [*cameras_of(rig), *lidars_of(rig), *radars_of(rig)]
-    for spec in sensors:
-        (folder / _SAMPLES / spec.id).mkdir(parents=True)
-    frames = labelled_frames(
-        recording,
-        sensors,
-        actor=actor,
-        start=start,
-        duration=duration,
-        rate=rate,
-        road_map=opendrive,
-        quality=quality,
-        progress=progress,
-    )
-    with PartTables(folder, TABLES) as tables:
-        writer = _SceneWriter(recording, sensors, name, folder, tables)
-        for frame in frames:
-            writer.add(frame)
-        writer.finish()
-    return played(writer.times)
-
-
 def _token(*parts: object) -> str:
     """Return the token of what is called by some words and numbers."""
     return md5("\n".join(map(str, parts)).encode("utf-8", "surrogateescape"), usedforsecurity=False).hexdigest()
@@ -174,38 +92,30 @@ class _Keyframe:
     data: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
-class _SceneWriter:
-    """Writes the scene of a recording.
+class NuScenesWriter(DatasetWriter):
+    """Writes what RGB cameras, lidars and radars see as a scene.
 
-    Args:
-        recording: The recording.
-        sensors: The sensors.
-        name: The name of the recording.
-        folder: The folder of the part.
-        tables: The tables.
-
-    Attributes:
-        times: The moments so far, in elapsed seconds.
+    Road users have a box at the moments at which a camera has a pixel or a lidar has a point of them.
     """
 
-    def __init__(
-        self, recording: Recording, sensors: Sequence[SensorSpec], name: str, folder: Path, tables: PartTables
-    ) -> None:
-        self.times: list[float] = []
-        self._recording = recording
-        self._sensors = sensors
-        self._name = name
-        self._folder = folder
-        self._tables = tables
-        self._scene = _token("scene", name)
+    rate = 2.0
+    kinds = ("lidar", "radar")
+    tables_of_part = TABLES
+
+    def __init__(self, part: PartToWrite) -> None:
+        super().__init__(part)
+        self._times: list[float] = []
+        self._scene = _token("scene", part.name)
         self._instances: dict[str, _Instance] = {}
         self._waiting: _Keyframe | None = None
+        for spec in part.sensors:
+            (part.folder / _SAMPLES / spec.id).mkdir(parents=True)
 
     def add(self, frame: LabelledFrame) -> None:
         """Write a moment."""
-        if not self.times:
+        if not self._times:
             self._add_sensors(frame)
-        self.times.append(frame.time)
+        self._times.append(frame.time)
         moment = _Keyframe(frame.index, round((self._recording.header.date + frame.time) * 1e6))
         points = [world_points(frame.samples[spec.id]) for spec in self._sensors if spec.kind == "lidar"]
         detections = [_radar_points(frame.samples[spec.id]) for spec in self._sensors if spec.kind == "radar"]
@@ -225,7 +135,7 @@ class _SceneWriter:
         self._waiting = moment
 
     def finish(self) -> None:
-        """Write the last moment, and what is known only now."""
+        """Write the last moment, and what is known only at the end."""
         self._release(None)
         for token, instance in self._instances.items():
             self._tables.add(
@@ -236,7 +146,7 @@ class _SceneWriter:
                 first_annotation_token=instance.first,
                 last_annotation_token=instance.last,
             )
-        header, count = self._recording.header, len(self.times)
+        header, count = self._recording.header, len(self._times)
         log = _token("log", self._name)
         self._tables.add(
             "scene",
@@ -246,10 +156,43 @@ class _SceneWriter:
             first_sample_token=self._sample(0),
             last_sample_token=self._sample(count - 1),
             name=self._name,
-            description=f"{header.map_name}, from {self.times[0]:g} s to {self.times[-1]:g} s",
+            description=f"{header.map_name}, from {self._times[0]:g} s to {self._times[-1]:g} s",
         )
         date = np.datetime64(int(header.date), "s").astype("datetime64[D]")
         self._tables.add("log", token=log, logfile=self._name, vehicle="", date_captured=str(date), location=header.map_name)
+
+    @staticmethod
+    def combine(parts: Sequence[DatasetPart], folder: Path) -> None:
+        """Write the tables with a scene for each recording, whose split is in `splits.json`."""
+        (folder / VERSION).mkdir()
+        for part in parts:
+            for source in sorted((part.folder / _SAMPLES).iterdir()):
+                move(source, folder / _SAMPLES / source.name / part.name)
+        image = f"maps/{_token('map')}.png"
+        (folder / "maps").mkdir()
+        (folder / image).write_bytes(png(np.zeros((_MAP_SIZE, _MAP_SIZE), np.uint8)))
+        logs = [row["token"] for part in parts for row in part.rows("log")]
+        fixed: dict[str, list[dict[str, Any]]] = {
+            "category": [
+                {"token": _token("category", name), "name": name, "description": "", "index": index}
+                for index, name in enumerate(sorted({each.nuscenes for each in CLASSES}), 1)
+            ],
+            "visibility": [
+                {"token": level, "level": f"v{least}-{most}", "description": f"{least} to {most} % are visible"}
+                for level, (least, most) in _LEVELS.items()
+            ],
+            "map": [{"token": _token("map"), "log_tokens": logs, "category": "semantic_prior", "filename": image}],
+        }
+        with ExitStack() as stack:
+            for table in TABLES:
+                rows = fixed[table] if table in fixed else _rows(parts, table)
+                file = stack.enter_context((folder / VERSION / f"{table}.json").open("w", encoding="utf-8"))
+                file.write("[")
+                for number, row in enumerate(rows):
+                    file.write(f"{',' if number else ''}\n{json.dumps(row, ensure_ascii=False)}")
+                file.write("\n]\n")
+        splits = {name: [part.name for part in parts if part.split == name] for name in SPLITS}
+        (folder / VERSION / "splits.json").write_text(json.dumps(splits, ensure_ascii=False, indent=1) + "\n", "utf-8")
 
     def _sample(self, index: int) -> str:
         return _token("sample", self._name, index)
@@ -424,44 +367,6 @@ def _radar_file(sample: Sample) -> bytes:
     )
     # The devkit expects something behind the last point.
     return "".join(f"{line}\n" for line in header).encode("ascii") + points.tobytes() + b"\n"
-
-
-def combine_nuscenes(parts: Sequence[DatasetPart], folder: Path) -> None:
-    """Put parts together: a scene for each recording, whose split is in `splits.json`.
-
-    Args:
-        parts: The parts, whose files are moved.
-        folder: The folder of the dataset.
-    """
-    (folder / VERSION).mkdir()
-    for part in parts:
-        for source in sorted((part.folder / _SAMPLES).iterdir()):
-            move(source, folder / _SAMPLES / source.name / part.name)
-    image = f"maps/{_token('map')}.png"
-    (folder / "maps").mkdir()
-    (folder / image).write_bytes(png(np.zeros((_MAP_SIZE, _MAP_SIZE), np.uint8)))
-    logs = [row["token"] for part in parts for row in part.rows("log")]
-    fixed: dict[str, list[dict[str, Any]]] = {
-        "category": [
-            {"token": _token("category", name), "name": name, "description": "", "index": index}
-            for index, name in enumerate(sorted({each.nuscenes for each in CLASSES}), 1)
-        ],
-        "visibility": [
-            {"token": level, "level": f"v{least}-{most}", "description": f"{least} to {most} % are visible"}
-            for level, (least, most) in _LEVELS.items()
-        ],
-        "map": [{"token": _token("map"), "log_tokens": logs, "category": "semantic_prior", "filename": image}],
-    }
-    with ExitStack() as stack:
-        for table in TABLES:
-            rows = fixed[table] if table in fixed else _rows(parts, table)
-            file = stack.enter_context((folder / VERSION / f"{table}.json").open("w", encoding="utf-8"))
-            file.write("[")
-            for number, row in enumerate(rows):
-                file.write(f"{',' if number else ''}\n{json.dumps(row, ensure_ascii=False)}")
-            file.write("\n]\n")
-    splits = {name: [part.name for part in parts if part.split == name] for name in SPLITS}
-    (folder / VERSION / "splits.json").write_text(json.dumps(splits, ensure_ascii=False, indent=1) + "\n", "utf-8")
 
 
 def _rows(parts: Iterable[DatasetPart], table: str) -> Iterator[dict[str, Any]]:

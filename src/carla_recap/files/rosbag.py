@@ -64,8 +64,9 @@ from google.protobuf.message import DecodeError
 
 from carla_recap.sensors.messages import TRANSFORMS, SensorMessages, frame_rotation
 from carla_recap.sensors.motion import CarrierMotion
-from carla_recap.sensors.rig import SensorRig
-from carla_recap.sensors.sensing import carrier_of, sense
+from carla_recap.sensors.options import SensingOptions
+from carla_recap.sensors.rig import SensorRig, as_rig
+from carla_recap.sensors.sensing import carrier_of, sensed_frames
 from carla_recap.v1.sensors_pb2 import ImuReading, SpeedReading
 
 if TYPE_CHECKING:
@@ -140,12 +141,11 @@ def export_rosbag(
     """
     check_folder(destination, force=force)
     folder = Path(destination).absolute()
-    if isinstance(rig, Path | str):
-        rig = SensorRig.load(rig)
+    found = None if rig is None else as_rig(rig)
     player = Player(source, start=start, duration=duration)
     with new_folder(destination) as partial:
         bag = partial / folder.name
-        export = _Export(source, rig, actor, player, opendrive)
+        export = _Export(source, found, actor, player, opendrive)
         with _writer(bag) as writer:
             played = export.write(writer, progress)
         for file in bag.iterdir():
@@ -243,17 +243,9 @@ class _Export:
             for scene in progress(scenes, self._player) if progress else scenes:
                 yield scene.time, scene, []
             return
-        start, span = self._player.start, self._player.stop - self._player.start
-        duration = span if span > 0 else np.inf
-        frames = sense(
-            self._source,
-            self._rig,
-            actor=self._actor,
-            start=start,
-            duration=duration,
-            road_map=self._map,
-            progress=progress,
-        )
+        start, duration = self._player.start, self._player.stop - self._player.start
+        part = SensingOptions(actor=self._actor, start=start, duration=duration, road_map=self._map)
+        frames = sensed_frames(self._source, self._rig, part, progress)
         with closing(frames):
             for frame in frames:
                 yield frame.time, frame.scene, list(self._messages.of(frame.samples.values()))

@@ -8,13 +8,17 @@ from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from shutil import rmtree
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from carla_recap.errors import RecapError
-from carla_recap.exports import combine_parts
+from carla_recap.exports import FORMATS, write_part
 from carla_recap.files.datasets import SPLITS, TRAIN, DatasetPart, dataset_folder
 from carla_recap.fleet.destinations import DestinationFolder, write_files
-from carla_recap.fleet.engine import processors
+from carla_recap.fleet.engine import as_list, processors
+from carla_recap.fleet.outcomes import WrittenFile
+from carla_recap.fleet.sources import find_sources
+from carla_recap.sensors.options import SensingOptions
+from carla_recap.sensors.rig import as_rig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Mapping
@@ -22,14 +26,95 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from carla_recap.exports import ExportFormat
-    from carla_recap.fleet.outcomes import Outcome, WrittenFile
+    from carla_recap.fleet.engine import Sources
+    from carla_recap.fleet.outcomes import Outcome
     from carla_recap.fleet.sources import SourceFile
+    from carla_recap.sensors.rig import SensorRig
 
     WritePart = Callable[[str, Path, str], WrittenFile]
     """A function that writes the part of a recording: it gets the source, an empty folder and the recording's name."""
 
 _SUFFIX: Final = ".part"  # of the folder of a part
 _EXACT: Final = 1e-6  # by which the sum of shares may differ from 1
+
+
+class ExportedDataset(NamedTuple):
+    """What was written of many recordings.
+
+    Attributes:
+        frames: The number of labelled moments.
+        seconds: The seconds that they span, summed over the recordings.
+        recordings: The recordings that the dataset has, as they are named.
+        failed: The errors of those that it does not have, by recording.
+    """
+
+    frames: int
+    seconds: float
+    recordings: tuple[str, ...]
+    failed: Mapping[str, str]
+
+
+def export_dataset(
+    sources: Sources,
+    folder: Path | str,
+    *,
+    to: str,
+    rig: SensorRig | Path | str,
+    camera: str | None = None,
+    split: Mapping[str, float] | None = None,
+    force: bool = False,
+    jobs: int | None = None,
+    client: Client | None = None,
+    **options: Any,
+) -> ExportedDataset:
+    """Write one dataset of many recordings, as `carla-recap export` does; those that fail are left out.
+
+    A script calls this function below `if __name__ == "__main__":`, since worker processes import it.
+
+    Args:
+        sources: Files, folders, globs and URLs of recordings, or one of them.
+        folder: The folder of the dataset; it appears when it is complete.
+        to: The format: kitti, coco or nuscenes.
+        rig: The sensors, or their file.
+        camera: The id of the camera of KITTI; None: the first one of the rig.
+        split: The shares of train, val and test, which add up to 1; None: all recordings are in train.
+        force: Write into a folder that is not empty, over files of the same names.
+        jobs: The number of worker processes; None: as many as there are processors.
+        client: Dask's client, whose cluster is used instead. Its workers have to see the recordings and the folder.
+        options: The fields of `SensingOptions`, such as `rate` and `quality`.
+
+    Raises:
+        RecapError: There is no such format, rig or camera, the folder cannot be written, or no recording could be sensed.
+        MissingExtra: An optional dependency is not installed.
+    """
+    datasets = [name for name, each in FORMATS.items() if each.dataset]
+    if to not in datasets:
+        raise RecapError(f"{to!r} is no format of datasets; one of {', '.join(datasets)} was expected")
+    given = {"rig": as_rig(rig), **({} if camera is None else {"camera": camera}), **options}
+    FORMATS[to].dataset_class.sensors_of(given["rig"], camera)
+    SensingOptions(**options)
+    write = partial(_export_part, to, given)
+    found = find_sources(as_list(sources), errors="yield")
+    frames, seconds, written, failed = 0, 0.0, [], {}
+    with closing(
+        write_dataset(write, found, folder, FORMATS[to], split=split, force=force, jobs=jobs, client=client)
+    ) as outcomes:
+        for outcome in outcomes:
+            if outcome.value is None:
+                failed[outcome.source.location] = str(outcome.error)
+            else:
+                frames += outcome.value.frames or 0
+                seconds += outcome.value.seconds or 0.0
+                written.append(outcome.source.location)
+    return ExportedDataset(frames, seconds, tuple(written), failed)
+
+
+def _export_part(to: str, options: Mapping[str, Any], source: str, folder: Path, name: str) -> WrittenFile:
+    from carla_recap.recording import open_recording
+
+    with open_recording(source) as recording:
+        done = write_part(recording, folder, to=to, name=name, **options)
+    return WrittenFile(frames=done.frames, seconds=done.seconds)
 
 
 def write_dataset(
@@ -74,7 +159,7 @@ def write_dataset(
                 yield outcome
         if not parts:
             raise RecapError(f"{folder}: is not written, since no recording could be")
-        combine_parts(parts, whole, to=form.name)
+        form.dataset_class.combine(parts, whole)
 
 
 def splits_of(names: Iterable[str], shares: Mapping[str, float]) -> dict[str, str]:

@@ -98,7 +98,7 @@ def open_recordings(sources: Sources, *, errors: Literal["raise", "warn"] = "rai
     """
     from carla_recap.recording import open_recording
 
-    for source in find_sources(_as_list(sources), errors="yield"):
+    for source in find_sources(as_list(sources), errors="yield"):
         try:
             if source.error is not None:
                 raise RecapError(source.error)
@@ -132,11 +132,12 @@ def map_recordings(
     Raises:
         RecapError: The worker processes do not start, or the cluster is gone.
     """
-    found = find_sources(_as_list(sources), errors="yield")
+    found = find_sources(as_list(sources), errors="yield")
     return map_sources(partial(_call, function), found, jobs=jobs, client=client)
 
 
-def _as_list(sources: Sources) -> Iterable[str | Path]:
+def as_list(sources: Sources) -> Iterable[str | Path]:
+    """Return sources as an iterable, which may be one source."""
     return [sources] if isinstance(sources, (str, os.PathLike)) else sources
 
 

@@ -55,7 +55,7 @@ def jpeg(image: Image, quality: int = QUALITY) -> bytes:
     Raises:
         MissingExtra: Pillow is not installed.
     """
-    pillow = _pillow()
+    pillow = load_pillow()
     height, width = image.shape[:2]
     file = BytesIO()
     pillow.frombuffer("RGB", (width, height), bgrx(image), "raw", "BGRX", 0, 1).save(file, "JPEG", quality=quality)
@@ -73,7 +73,7 @@ def webp(image: Image, quality: int) -> bytes:
         MissingExtra: Pillow is not installed.
     """
     file = BytesIO()
-    _pillow().fromarray(np.ascontiguousarray(image)).save(file, "WEBP", quality=quality)
+    load_pillow().fromarray(np.ascontiguousarray(image)).save(file, "WEBP", quality=quality)
     return file.getvalue()
 
 
@@ -87,7 +87,7 @@ def png(image: Image) -> bytes:
         MissingExtra: Pillow is not installed.
     """
     file = BytesIO()
-    _pillow().fromarray(np.ascontiguousarray(image)).save(file, "PNG", compress_level=_FASTEST_PNG)
+    load_pillow().fromarray(np.ascontiguousarray(image)).save(file, "PNG", compress_level=_FASTEST_PNG)
     return file.getvalue()
 
 
@@ -148,7 +148,12 @@ class VideoStream:
         return b"".join(bytes(packet) for packet in self._context.encode(frame))
 
 
-def _pillow() -> Any:
+def load_pillow() -> Any:
+    """Return Pillow's module `Image`.
+
+    Raises:
+        MissingExtra: It is not installed.
+    """
     try:
         from PIL import Image
     except ImportError:

@@ -32,6 +32,7 @@ MOST_SENSORS: Final = 100
 """The greatest number of sensors of a rig."""
 
 _LARGEST_FILE: Final = 1 << 20  # bytes
+_UNNAMED: Final = "rig"
 _ID: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,63}")
 _SHOWN: Final = 60  # characters of a wrong value in an error
 _LISTED: Final = 16  # keys that an error lists
@@ -130,9 +131,11 @@ class SensorRig:
 
     Attributes:
         sensors: The sensors, in the order of the file or list.
+        name: What it is called in errors: its file, if it has one.
     """
 
     sensors: tuple[SensorSpec, ...]
+    name: str = field(default=_UNNAMED, compare=False)
 
     @classmethod
     def load(cls, path: Path | str, *, leaderboard: bool = False) -> SensorRig:
@@ -180,7 +183,7 @@ class SensorRig:
         Raises:
             RecapError: They are no rig; the message names the sensor and the key.
         """
-        return _rig(sensors, "rig", leaderboard=leaderboard)
+        return _rig(sensors, _UNNAMED, leaderboard=leaderboard)
 
     def __getitem__(self, id: str) -> SensorSpec:
         for sensor in self.sensors:
@@ -197,6 +200,15 @@ class SensorRig:
     def to_dicts(self) -> list[dict[str, Value]]:
         """Return the sensors as dicts with all attributes, of which `of` makes the same rig."""
         return [sensor.to_dict() for sensor in self.sensors]
+
+
+def as_rig(rig: SensorRig | Path | str) -> SensorRig:
+    """Return a rig, which may be given as its file.
+
+    Raises:
+        RecapError: See `SensorRig.load`.
+    """
+    return rig if isinstance(rig, SensorRig) else SensorRig.load(rig)
 
 
 class _Members(dict[str, Any]):
@@ -242,7 +254,7 @@ def _rig(sensors: object, name: str, *, leaderboard: bool) -> SensorRig:
             found.append(spec)
     if not found:
         raise RecapError(f"{name}: has no sensors; a list of sensors was expected")
-    return SensorRig(tuple(found))
+    return SensorRig(tuple(found), name)
 
 
 class _SensorReader:

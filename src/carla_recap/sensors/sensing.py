@@ -32,6 +32,7 @@ from carla_recap.scene.description import SceneDescriber
 from carla_recap.sensors.beams import LidarBeams, LidarReturns, RadarBeams, detections
 from carla_recap.sensors.cameras import PlacedSensor, RigCameras, camera_of
 from carla_recap.sensors.motion import CarrierMotion, velocities_of
+from carla_recap.sensors.options import SensingOptions
 from carla_recap.sensors.position import Gnss, Imu, geo_reference
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.actors import ActorName
     from carla_recap.recording import Recording
-    from carla_recap.rendering.camera import Camera, Quality
+    from carla_recap.rendering.camera import Camera
     from carla_recap.rendering.rays import RayScene, SurfaceHits
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import Scene
@@ -127,16 +128,7 @@ class SensedFrame:
 
 
 def sense(
-    recording: Recording,
-    rig: SensorRig,
-    *,
-    actor: ActorName = HERO,
-    start: float = 0.0,
-    duration: float = math.inf,
-    rate: float | None = None,
-    road_map: Path | str | None = None,
-    quality: Quality = "epic",
-    progress: Progress | None = None,
+    recording: Recording, rig: SensorRig, *, progress: Progress | None = None, **options: Any
 ) -> Generator[SensedFrame]:
     """Return what the sensors of a rig on an actor of a recording would have measured, moment by moment.
 
@@ -147,13 +139,9 @@ def sense(
     Args:
         recording: The recording; it must stay open.
         rig: The sensors.
-        actor: The actor that carries them: an id, or "hero": the one with that role name, whichever it is at a moment.
-        start: The elapsed seconds to begin at; negative: before the end.
-        duration: The seconds of the recording; inf: all of the rest.
-        rate: The moments per second, between which and the recorded frames poses are interpolated; None: each frame.
-        road_map: The town's map, an OpenDRIVE file or a folder of them; None: looked for in the usual folders.
-        quality: The quality of RGB images: "low" has neither shadows nor smooth edges, "epic" has both.
         progress: Is given all scenes and the player, and passes the scenes on.
+        options: The fields of `carla_recap.sensors.options.SensingOptions`: `actor`, which carries the sensors; `start`,
+            `duration` and `rate`, which say when they measure; `road_map`; and `quality`, that of RGB images.
 
     Returns:
         An iterator of the moments. Closing it ends what draws.
@@ -167,14 +155,18 @@ def sense(
     Warns:
         RecapWarning: There is no map; or there is no driver, and the samples of cameras are missing.
     """
-    if not duration > 0:
-        raise RecapError(f"a duration of {duration:g} s; more than 0 was expected")
-    if rate is not None and not 0 < rate < math.inf:
-        raise RecapError(f"a rate of {rate:g} per second; a number above 0 was expected")
-    find_actor(recording.location, recording.actors.values(), actor, purpose="to carry the rig")
-    player = Player(recording, start=start, duration=0.0 if math.isinf(duration) else duration)
-    town = _Town(recording, road_map, player)
-    return _Sensing(recording, rig, actor, player, town, quality, rate).frames(progress)
+    return sensed_frames(recording, rig, SensingOptions(**options), progress)
+
+
+def sensed_frames(
+    recording: Recording, rig: SensorRig, options: SensingOptions, progress: Progress | None = None
+) -> Generator[SensedFrame]:
+    """Return the same, given the options as an object; see `sense`."""
+    find_actor(recording.location, recording.actors.values(), options.actor, purpose="to carry the rig")
+    duration = 0.0 if math.isinf(options.duration) else options.duration
+    player = Player(recording, start=options.start, duration=duration)
+    town = _Town(recording, options.road_map, player)
+    return _Sensing(recording, rig, options, player, town).frames(progress)
 
 
 @dataclass(eq=False)
@@ -281,24 +273,22 @@ class _Clock:
 
 
 class _Sensing:
-    """Senses a recording; see `sense` for the arguments."""
+    """Senses a recording; see `sensed_frames` for the arguments."""
 
     def __init__(
         self,
         recording: Recording,
         rig: SensorRig,
-        actor: ActorName,
+        options: SensingOptions,
         player: Player,
         town: _Town,
-        quality: Quality,
-        rate: float | None,
     ) -> None:
         self._recording = recording
-        self._actor = actor
+        self._actor = options.actor
         self._player = player
         self._town = town
-        self._quality = quality
-        self._rate = rate
+        self._quality = options.quality
+        self._rate = options.rate
         self._rig = tuple(rig)
         self._mounts = np.array(
             [(*(value / CM for value in (spec.x, spec.y, spec.z)), spec.roll, spec.pitch, spec.yaw) for spec in self._rig]

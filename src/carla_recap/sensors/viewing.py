@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
@@ -138,20 +137,14 @@ class CameraChoice:
             for scene in progress(scenes, player) if progress else scenes:
                 yield CameraMoment(scene, {})
             return
-        from carla_recap.sensors.sensing import sense
+        from carla_recap.sensors.options import SensingOptions
+        from carla_recap.sensors.sensing import sensed_frames
 
         always = tuple(replace(spec, attributes={**spec.attributes, "sensor_tick": 0.0}) for spec in specs)
-        length = player.stop - player.start
-        frames = sense(
-            self._recording,
-            SensorRig(always),
-            actor=actor,
-            start=player.start,
-            duration=length or math.inf,
-            rate=rate,
-            road_map=road_map,
-            progress=progress,
+        part = SensingOptions(
+            actor=actor, start=player.start, duration=player.stop - player.start, rate=rate, road_map=road_map
         )
+        frames = sensed_frames(self._recording, SensorRig(always), part, progress)
         with closing(frames):
             for frame in frames:
                 yield CameraMoment(frame.scene, {id: sample.data for id, sample in frame.samples.items()})

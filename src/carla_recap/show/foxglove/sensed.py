@@ -5,12 +5,13 @@ from __future__ import annotations
 import warnings
 from collections import Counter
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from functools import partial
 from heapq import merge
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -26,7 +27,8 @@ from carla_recap.replay import Player
 from carla_recap.replay.recorded_map import find_map_of
 from carla_recap.roads import load_map
 from carla_recap.sensors.messages import SensorMessages
-from carla_recap.sensors.sensing import sense
+from carla_recap.sensors.options import SensingOptions
+from carla_recap.sensors.sensing import sensed_frames
 from carla_recap.show.foxglove.layouts import write_layouts
 from carla_recap.show.foxglove.topics import LOG, TOPICS, RecordingMessages, schema_of
 from carla_recap.show.foxglove.town import MAP
@@ -39,7 +41,6 @@ if TYPE_CHECKING:
     from carla_recap.model.actors import ActorLife, ActorName
     from carla_recap.model.batch import Batch
     from carla_recap.recording import Recording
-    from carla_recap.rendering.camera import Quality
     from carla_recap.replay.player import Progress
     from carla_recap.sensors.rig import SensorRig
     from carla_recap.sensors.sensing import SensedFrame
@@ -75,15 +76,10 @@ def export_sensed(
     destination: Path | str,
     rig: SensorRig,
     *,
-    actor: ActorName = HERO,
-    start: float = 0.0,
-    duration: float = 0.0,
-    rate: float | None = None,
-    road_map: Path | str | None = None,
-    quality: Quality = "epic",
     video: bool = False,
     force: bool = False,
     progress: Progress | None = None,
+    **options: Any,
 ) -> SensedFile:
     """Write a recording with what the sensors of a rig on one of its actors would have measured.
 
@@ -94,15 +90,10 @@ def export_sensed(
         source: The recording.
         destination: The `.mcap` file; it appears when it is complete.
         rig: The sensors.
-        actor: The actor that carries them; see `sense`.
-        start: The beginning, in elapsed seconds; negative: before the end.
-        duration: The length in seconds; 0: all of the rest.
-        rate: The moments per second at which sensors measure; see `sense`.
-        road_map: The town's map; see `sense`.
-        quality: The quality of RGB images; see `sense`.
         video: Encode RGB images as H.264, instead of each as a JPEG.
         force: Overwrite the files if they exist.
         progress: Is given all scenes and the player, and passes the scenes on.
+        options: Those of `sense`: the fields of `SensingOptions`.
 
     Raises:
         RecapError: There is no such time or actor, the recording has a sensor of the same id, nothing can draw, or the file
@@ -113,21 +104,22 @@ def export_sensed(
     Warns:
         RecapWarning: There is no map; no driver, so that images are missing; or the actor is absent for some of the time.
     """
+    sensing = SensingOptions(**options)
     check_destination(source.location, destination, force=force)
     if Path(destination).suffix.lower() != SUFFIX:
         raise RecapError(f"{str(destination)!r} does not end in {SUFFIX}, the format of recordings with sensors")
     with ExitStack() as stack:
-        if start or duration:
+        if sensing.start or sensing.duration:
             folder = stack.enter_context(TemporaryDirectory(prefix="carla-recap-"))
             part = Path(folder) / f"part{SUFFIX}"
-            clip(source.location, part, start=start, duration=duration)
+            clip(source.location, part, start=sensing.start, duration=sensing.duration)
             location, source = source.location, stack.enter_context(open_recording(part))
             source.reader.location = location  # what errors name
-        moments = sense(source, rig, actor=actor, rate=rate, road_map=road_map, quality=quality, progress=progress)
+        moments = sensed_frames(source, rig, replace(sensing, start=0.0, duration=0.0), progress)
         stack.enter_context(closing(moments))
         messages = SensorMessages(rig, source.header, video=video)
-        found = find_map_of(source, road_map)
-        player = Player(source, follow=actor)
+        found = find_map_of(source, sensing.road_map)
+        player = Player(source, follow=sensing.actor)
         scenes = RecordingMessages(source, player, None if found is None else load_map(found))
         known = source.reader.further_topics()
         _check_new(source, rig)
@@ -138,7 +130,7 @@ def export_sensed(
                     writer.add_topic(topic)
             file = _SensedWriter(source, writer, messages, copy)
             file.write(scenes, moments)
-        file.warn_of_absence(actor)
+        file.warn_of_absence(sensing.actor)
         extent = source.reader.extent()
         layouts = write_layouts(destination, messages.topics)
         return SensedFile(extent.frames, extent.duration, file.samples, layouts)
