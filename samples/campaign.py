@@ -1,82 +1,81 @@
-"""Simulate a test campaign: a car brakes in front of the hero, a little differently with each seed.
+"""Functions for campaigns: a car brakes in front of the hero, and a pedestrian crosses the street in front of it.
 
-The driver under test reacts late to the brake lights of the car ahead, how late depends on the seed. Each run becomes a
-recording in a folder, which `carla-recap check` judges by the rules in `rules.toml`.
+`carla-recap campaign samples/campaign.py:follow --seeds 1:20 --out runs` runs the first one with 20 seeds, each run a
+recording. The driver under test sees late what happens ahead; how late is a parameter.
 """
 
-import random
-from argparse import ArgumentParser
-from pathlib import Path
+import math
 
-from carla_recap.sim import Transform, VehicleControl, World, load_town
-from carla_recap.sim.scenarios.places import spawn_on_lane, straight_section
+from carla_recap.sim import Location, Rotation, Transform, Vector, VehicleControl, WalkerControl
+from carla_recap.sim.scenarios.places import point_on_lane, spawn_on_lane, straight_section
 from carla_recap.sim.traffic import populate
 
 LENGTH = 100.0  # m, of the straight lane on which they drive
-CRUISE = 10.0  # m/s, of both
-STEP = 0.05  # s, of a tick
+CRUISE = 10.0  # m/s
+STEP_OUT = 4.5  # m, from the middle of the lane to where the pedestrian waits
+SIGHT = 25.0  # m ahead, within which the driver sees a pedestrian on the lane
 
 
 class LateDriver:
-    """The driver under test: brakes some time after the brake lights of the car ahead are on.
+    """The driver under test: brakes some time after it could have seen the reason.
 
     Args:
         delay: That time in s.
+        speed: Its cruising speed in m/s.
     """
 
-    def __init__(self, delay):
+    def __init__(self, delay, speed=CRUISE):
         self.delay = delay
+        self.cruise = speed
         self.seen_at = None
 
-    def control(self, now, speed, brake_lights):
+    def control(self, now, speed, reason):
         """Return the control of the hero at a time in s, for its speed in m/s."""
-        if brake_lights and self.seen_at is None:
+        if reason and self.seen_at is None:
             self.seen_at = now
         if self.seen_at is not None and now >= self.seen_at + self.delay:
             return VehicleControl(brake=0.6)
-        return keep(speed)
+        return keep(speed, self.cruise)
 
 
-def keep(speed):
-    """Return the control that keeps the cruising speed."""
-    return VehicleControl(throttle=min(max((CRUISE - speed) * 0.4, 0.0), 0.8))
+def keep(speed, cruise=CRUISE):
+    """Return the control that keeps a cruising speed."""
+    return VehicleControl(throttle=min(max((cruise - speed) * 0.4, 0.0), 0.8))
 
 
-def run(town, seed, path, seconds):
-    """Simulate a run, and record it."""
-    chance = random.Random(seed)
-    gap, brakes_at, force, delay = (chance.uniform(*span) for span in ((9, 16), (4, 6), (0.4, 0.8), (0.2, 1.2)))
+def follow(world, delay=None, gap=None, seconds=10.0):
+    """Let the car ahead brake; what is not given depends on the seed."""
+    drawn = [float(world.random.uniform(*span)) for span in ((9, 16), (4, 6), (0.4, 0.8), (0.2, 1.2))]
+    gap, delay = gap or drawn[0], delay or drawn[3]
+    brakes_at, force = drawn[1:3]
     driver = LateDriver(delay)
-    with World(town, seed=seed) as world:
-        lane, begin = straight_section(world.town, LENGTH)
-        hero = spawn_on_lane(world, "vehicle.tesla.model3", lane, begin, "hero")
-        ahead = spawn_on_lane(world, "vehicle.audi.tt", lane, begin + gap, "ahead")
-        world.spawn("sensor.other.collision", Transform(), parent=hero)
-        populate(world, 0, 8)
-        world.start_recorder(str(path), additional_data=True)
-        for tick in range(round(seconds / STEP)):
-            now = tick * STEP
-            brakes = now >= brakes_at
-            ahead.apply_control(VehicleControl(brake=force) if brakes else keep(ahead.velocity.length()))
-            hero.apply_control(driver.control(now, hero.velocity.length(), brakes))
-            world.tick()
+    lane, begin = straight_section(world.town, LENGTH)
+    hero = spawn_on_lane(world, "vehicle.tesla.model3", lane, begin, "hero")
+    ahead = spawn_on_lane(world, "vehicle.audi.tt", lane, begin + gap, "ahead")
+    world.spawn("sensor.other.collision", Transform(), parent=hero)
+    populate(world, 0, 8)
+    while world.elapsed < seconds:
+        brakes = world.elapsed >= brakes_at
+        ahead.apply_control(VehicleControl(brake=force) if brakes else keep(ahead.velocity.length()))
+        hero.apply_control(driver.control(world.elapsed, hero.velocity.length(), brakes))
+        world.tick()
 
 
-def main():
-    """Simulate all runs."""
-    parser = ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path, help="the folder of the recordings")
-    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="the number of runs (default: 20)")
-    parser.add_argument("--first", type=int, default=1, metavar="SEED", help="the seed of the first run (default: 1)")
-    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="the length of each (default: 10)")
-    arguments = parser.parse_args()
-    arguments.folder.mkdir(parents=True, exist_ok=True)
-    town = load_town()
-    for seed in range(arguments.first, arguments.first + arguments.seeds):
-        path = (arguments.folder / f"seed-{seed:02}.mcap").absolute()
-        run(town, seed, path, arguments.seconds)
-        print(path)
-
-
-if __name__ == "__main__":
-    main()
+def pedestrian(world, delay=3.0, speed=1.5, reaction=0.8, seconds=12.0):
+    """Let a pedestrian step onto the street after a delay in s, and cross it at a speed in m/s."""
+    driver = LateDriver(reaction)
+    lane, begin = straight_section(world.town, LENGTH)
+    hero = spawn_on_lane(world, "vehicle.tesla.model3", lane, begin, "hero")
+    world.spawn("sensor.other.collision", Transform(), parent=hero)
+    point, heading = point_on_lane(lane, begin + 60.0)
+    right = Vector(-math.sin(heading), math.cos(heading), 0.0)
+    place = Location(point.x + STEP_OUT * right.x, point.y + STEP_OUT * right.y, point.z + 1.0)
+    walker = world.spawn("walker.pedestrian.0004", Transform(place, Rotation(yaw=math.degrees(heading) - 90.0)))
+    while world.elapsed < seconds:
+        if world.elapsed >= delay:
+            walker.apply_control(WalkerControl(Vector(-right.x, -right.y, 0.0), speed))
+        place = walker.transform.location
+        aside = abs((place.x - point.x) * right.x + (place.y - point.y) * right.y)
+        is_seen = aside < lane.width / 2 and place.distance(hero.transform.location) < SIGHT
+        hero.apply_control(driver.control(world.elapsed, hero.velocity.length(), is_seen))
+        world.tick()

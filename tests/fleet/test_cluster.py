@@ -22,6 +22,7 @@ from carla_recap.fleet.cluster import connect
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.sources import SourceFile
 from tests.cli.command import CROSSING, answer, error, run, the_line
+from tests.fleet.test_workers import HOSTILE, hostile
 from tests.rendering.test_renderer import create
 from tests.sensors.test_sensing import drive
 from tests.waiting import PATIENCE, time_limit, wait_until
@@ -124,7 +125,7 @@ def test_a_recording_that_ends_its_workers_has_an_error_and_others_have_none(cli
     with time_limit(), allowed_failures(client, 0):
         outcomes = list(map_sources(partial(end_always, folder=tmp_path), sources(40), client=client))
     errors = {outcome.source.location: outcome.error for outcome in outcomes if outcome.error}
-    assert errors == {"s3://bucket/20.log": "s3://bucket/20.log: the worker processes that read it end"}
+    assert errors == {"s3://bucket/20.log": "s3://bucket/20.log: its worker processes end"}
     assert [outcome.source for outcome in outcomes] == sources(40)
     assert list(tmp_path.iterdir())
 
@@ -257,3 +258,13 @@ def test_a_cluster_writes_a_dataset(cluster, tmp_path):
     images = json.loads((out / "annotations" / "instances_train.json").read_text())["images"]
     assert [image["recording"] for image in images] == ["a", "a", "b", "b", "c", "c"]
     assert all((out / "images" / image["file_name"]).stat().st_size for image in images)
+
+
+@pytest.mark.parametrize(("name", "fault"), HOSTILE.items(), ids=HOSTILE)
+def test_a_function_with_a_limit_runs_in_a_child_of_a_worker(client, name, fault):
+    pids = set(client.run(os.getpid).values())
+    with time_limit():
+        outcomes = list(map_sources(hostile, map(SourceFile, ["a", name, "b"]), client=client, limit=4))
+    assert [outcome.error for outcome in outcomes] == [None, fault, None]
+    assert pids == set(client.run(os.getpid).values())
+    assert not pids & {outcome.value for outcome in outcomes}

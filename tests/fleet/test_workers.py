@@ -9,12 +9,15 @@ import threading
 import time
 from functools import partial
 from multiprocessing.process import BaseProcess
+from pathlib import Path
 
+import psutil
 import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.sources import SourceFile
+from carla_recap.fleet.workers import KeptWorker
 from tests.waiting import PATIENCE, time_limit, wait_until
 
 
@@ -69,7 +72,7 @@ def test_a_worker_that_is_killed_loses_no_recording(tmp_path):
 def test_a_recording_that_ends_its_workers_has_an_error_and_others_have_none():
     outcomes = values(end_always)
     errors = {outcome.source.location: outcome.error for outcome in outcomes if outcome.error}
-    assert errors == {name: f"{name}: the worker process that reads it ends (exit code 3)" for name in ("7.log", "8.log")}
+    assert errors == {name: f"{name}: its worker process ends (exit code 3)" for name in ("7.log", "8.log")}
     assert [outcome.source for outcome in outcomes] == sources(60)
 
 
@@ -187,3 +190,73 @@ def test_ctrl_c_is_held_while_a_worker_starts(monkeypatch):
     assert not any(outcome.value for outcome in values(interrupts_are_held, 4))
     assert held == [True] * len(held) != []
     assert not interrupts_are_held(None)
+
+
+def hostile(source):
+    """Do to the process what the name of the recording says."""
+    name = source.location
+    if name == "hangs":
+        time.sleep(1000)
+    if name == "is busy":
+        while True:
+            pass
+    if name == "exits":
+        os._exit(3)
+    if name == "leaves a child":
+        if os.fork() == 0:
+            time.sleep(1000)
+        os._exit(4)
+    if name == "ignores SIGTERM":
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        time.sleep(1000)
+    return os.getpid()
+
+
+HOSTILE = {
+    "hangs": "hangs: takes more than 4 s",
+    "is busy": "is busy: takes more than 4 s",
+    "exits": "exits: its worker process ends (exit code 3)",
+    "leaves a child": "leaves a child: its worker process ends (exit code 4)",
+    "ignores SIGTERM": "ignores SIGTERM: takes more than 4 s",
+}
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+def test_a_function_with_a_limit_may_do_anything_to_its_process():
+    names = ["a", *HOSTILE, "b"]
+    with time_limit():
+        outcomes = list(map_sources(hostile, map(SourceFile, names), jobs=2, limit=4))
+    assert [outcome.error for outcome in outcomes] == [None, *HOSTILE.values(), None]
+    assert os.getpid() not in {outcome.value for outcome in outcomes}
+    assert not multiprocessing.active_children()
+
+
+def test_a_kept_worker_is_started_anew_when_it_ends():
+    worker = KeptWorker(hostile, 4)
+    with time_limit():
+        first, again = (worker.call(SourceFile("a")).value for _ in range(2))
+        assert worker.call(SourceFile("exits")).error == HOSTILE["exits"]
+        assert worker.call(SourceFile("hangs")).error == HOSTILE["hangs"]
+        assert first == again != worker.call(SourceFile("a")).value
+        worker.close()
+    assert not multiprocessing.active_children()
+
+
+def test_workers_with_a_limit_end_with_a_parent_that_is_killed(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from functools import partial\n"
+        "from pathlib import Path\n"
+        "from carla_recap.fleet.engine import map_sources\n"
+        "from carla_recap.fleet.sources import SourceFile\n"
+        "from tests.fleet.test_workers import wait_for\n"
+        "if __name__ == '__main__':\n"
+        "    list(map_sources(partial(wait_for, folder=Path(__file__).parent), [SourceFile('1.log')], jobs=1, limit=1000))\n"
+    )
+    root = Path(__file__).parents[2]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *sys.path])}
+    with subprocess.Popen([sys.executable, script], env=environment) as process:
+        wait_until((tmp_path / "1.log").exists)
+        (worker,) = [child for child in psutil.Process(process.pid).children() if "spawn_main" in " ".join(child.cmdline())]
+        process.kill()
+    wait_until(lambda: not worker.is_running() or worker.status() == psutil.STATUS_ZOMBIE)

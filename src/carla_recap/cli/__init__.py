@@ -36,6 +36,7 @@ _COMMANDS: Final = {
     "capture": ("capture", "watch"),
     "metrics": ("metrics",),
     "check": ("check",),
+    "campaign": ("campaign",),
     "diff": ("diff",),
     "index": ("index", "sql"),
     "doctor": ("doctor",),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,7 +33,6 @@ _seed = click.option(
     metavar="K",
     help="The same seed, the same bytes, dated 2026-01-01 10:00 UTC or $SOURCE_DATE_EPOCH; else seed 0, dated now.",
 )
-_DATE = 1767261600  # 2026-01-01 10:00 UTC
 _additional_data = click.option("--additional-data", is_flag=True, help="Record velocities, boxes, physics and times, too.")
 
 
@@ -141,10 +139,10 @@ def _world(town: str | None, seed: int | None = None) -> World:
         MissingExtra: The physics engine is not installed.
     """
     from carla_recap.sim import World
+    from carla_recap.sim.clock import seeded_date
 
     log_to_stderr()
-    date = None if seed is None or "SOURCE_DATE_EPOCH" in os.environ else _DATE
-    return World(town, seed=seed or 0, date=date)
+    return World(town, seed=seed or 0, date=None if seed is None else seeded_date())
 
 
 @contextmanager

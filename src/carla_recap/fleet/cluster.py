@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import threading
 from collections import deque
 from concurrent.futures import CancelledError
@@ -10,10 +11,11 @@ from dataclasses import replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from carla_recap.errors import MissingExtra, NotSetUp, RecapError
 from carla_recap.fleet.outcomes import Outcome, outcome_of
+from carla_recap.fleet.workers import KeptWorker
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -32,6 +34,8 @@ _HAS_PACKAGE: Final = "__import__('importlib.util').util.find_spec('carla_recap'
 
 _one_at_a_time = threading.Lock()
 """Held while recordings are read: threads of one process gain nothing, and their warnings would be mixed."""
+_children: dict[tuple[bytes, float], KeptWorker[Any]] = {}
+"""The child process of a worker for functions with a limit."""
 
 
 def connect(address: str) -> Client:
@@ -57,7 +61,7 @@ def connect(address: str) -> Client:
 
 
 def map_on_cluster(
-    function: Callable[[SourceFile], T], sources: Iterable[SourceFile], client: Client
+    function: Callable[[SourceFile], T], sources: Iterable[SourceFile], client: Client, limit: float | None = None
 ) -> Iterator[Outcome[T]]:
     """Yield the outcomes of a function for recordings, in their order; see `engine.map_sources`.
 
@@ -72,9 +76,10 @@ def map_on_cluster(
     window: deque[tuple[list[SourceFile], Future[list[Outcome[T]]]]] = deque()
 
     def submit(group: list[SourceFile]) -> tuple[list[SourceFile], Future[list[Outcome[T]]]]:
-        return group, client.submit(_outcomes, pickled, group, pure=False)
+        return group, client.submit(_outcomes, pickled, group, limit, pure=False)
 
     done = room = 0
+    each = _EACH if limit is None else 1
     try:
         for worker, has_package in client.run(eval, _HAS_PACKAGE).items():
             if not has_package:
@@ -82,7 +87,7 @@ def map_on_cluster(
         while True:
             if done % _EACH == 0:
                 room = max(_WINDOW * sum(client.nthreads().values()), _LEAST)
-            while len(window) < room and (group := [_absolute(source) for source in islice(left, _EACH)]):
+            while len(window) < room and (group := [_absolute(source) for source in islice(left, each)]):
                 window.append(submit(group))
             if not window:
                 return
@@ -117,7 +122,7 @@ def _alone(future: Future[list[Outcome[T]]], source: SourceFile) -> list[Outcome
     try:
         return future.result()
     except KilledWorker:
-        return [Outcome(source, None, f"{source.location}: the worker processes that read it end")]
+        return [Outcome(source, None, f"{source.location}: its worker processes end")]
 
 
 def _line(error: BaseException) -> str:
@@ -128,20 +133,51 @@ def _absolute(source: SourceFile) -> SourceFile:
     return source if "://" in source.location else replace(source, absolute=str(Path(source.location).absolute()))
 
 
-def _outcomes(pickled: bytes, sources: Iterable[SourceFile]) -> list[Outcome[T]]:
+def _outcomes(pickled: bytes, sources: Iterable[SourceFile], limit: float | None) -> list[Outcome[T]]:
     """Return the outcomes of a function for some recordings, on a worker.
 
-    The function comes as bytes, since Dask waits forever for a worker that lacks the module of a function.
+    The function comes as bytes, since Dask waits forever for a worker that lacks the module of a function. With a limit, a
+    child process of the worker calls it.
     """
     from distributed import get_worker
     from distributed.protocol.pickle import loads
 
     with _one_at_a_time:
+        if limit is not None:
+            return [_kept(pickled, limit).call(source) for source in sources]
         try:
             function = loads(pickled)
         except ImportError as error:
             raise _WorkerLacks(f"the Dask worker {get_worker().address}: {_line(error)}") from None
         return [outcome_of(partial(_on_worker, function), source) for source in sources]
+
+
+def _kept(pickled: bytes, limit: float) -> KeptWorker[Any]:
+    """Return the child process for a function, which is kept until there is one for another function."""
+    key = pickled, limit
+    if key not in _children:
+        for child in _children.values():
+            child.close()
+        _children.clear()
+        _children[key] = KeptWorker(_Pickled(pickled), limit)
+    return _children[key]
+
+
+class _Pickled:
+    """A function that Dask has pickled, which a child process gets as it is.
+
+    Args:
+        pickled: The pickle.
+    """
+
+    def __init__(self, pickled: bytes) -> None:
+        self._pickled = pickled
+
+    def __call__(self, source: SourceFile) -> Any:
+        return self.__reduce__()[0](self._pickled)(source)
+
+    def __reduce__(self) -> tuple[Callable[[bytes], Any], tuple[bytes]]:
+        return pickle.loads, (self._pickled,)
 
 
 class _WorkerLacks(Exception):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from functools import partial
+from itertools import chain
 from time import monotonic
 from typing import TYPE_CHECKING, Final, Literal, TypeVar
 
@@ -37,6 +38,7 @@ def map_sources(
     *,
     jobs: int | None = None,
     client: Client | None = None,
+    limit: float | None = None,
 ) -> Generator[Outcome[T], None, None]:
     """Yield the outcome of a function for each of many recordings, in their order, as soon as it is known.
 
@@ -51,6 +53,9 @@ def map_sources(
         jobs: The number of worker processes, 32 or four for each processor at most; 1: this process alone; None: as many as
             there are processors, but this process alone while the recordings are few and small.
         client: Dask's client, whose cluster is used instead of processes of this machine.
+        limit: The most seconds for a recording, which has an error then; inf for any number. A function with a limit may do
+            whatever it wants to its process, which is always a worker process, on a cluster one of Dask's worker. If it has
+            a method `prepare`, each worker process calls that first, which does not count.
 
     Raises:
         RecapError: The worker processes do not start, or the cluster is gone.
@@ -58,7 +63,12 @@ def map_sources(
     if client is not None:
         from carla_recap.fleet.cluster import map_on_cluster
 
-        yield from map_on_cluster(function, sources, client)
+        yield from map_on_cluster(function, sources, client, limit)
+        return
+    if limit is not None:
+        from carla_recap.fleet.workers import map_in_workers
+
+        yield from map_in_workers(function, sources, jobs or processors(), limit)
         return
     left = iter(sources)
     count = min(jobs or processors(), max(_MOST, 4 * processors()))
@@ -68,7 +78,7 @@ def map_sources(
             from carla_recap.fleet.workers import map_in_workers
 
             log_info(__name__, "reads %s and further recordings in %s processes", source.location, count)
-            yield from map_in_workers(function, source, left, count)
+            yield from map_in_workers(function, chain([source], left), count)
             return
         yield outcome_of(function, source)
 

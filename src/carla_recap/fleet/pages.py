@@ -22,7 +22,7 @@ from carla_recap.util.resources import viewer_folder
 from carla_recap.util.text import number, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Iterator, Sequence
+    from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 
     from carla_recap.fleet.check import CheckedRecording
     from carla_recap.fleet.rules import RuleSet, Status, Verdict
@@ -62,6 +62,20 @@ class _Wanted(NamedTuple):
     road_map: str | None
 
 
+class WrittenPage(NamedTuple):
+    """Where the incident page of a recording is.
+
+    Attributes:
+        page: The path of the page, relative to the folder of pages; None if it could not be made.
+        clip: The path of the clip, relative to the folder of pages; None if there is none.
+        warnings: The warnings about it, a line each.
+    """
+
+    page: str | None
+    clip: str | None
+    warnings: tuple[str, ...]
+
+
 def write_pages(
     checked: Sequence[CheckedRecording],
     folder: Path,
@@ -81,25 +95,48 @@ def write_pages(
         road_map: The map, or the folder of maps; None: the usual folders.
         jobs: See `map_sources`.
     """
-    failed = [each for each in checked if each.status == "fail"]
-    wanted = {}
-    for each, name in zip(failed[:MOST], _names(failed[:MOST]), strict=True):
-        opening = opening_of(each.verdicts)
-        clip_path = folder / CLIPS / f"{name}.mcap" if clips and opening.time is not None else None
-        wanted[each.recording] = _Wanted(folder / PAGES / f"{name}.html", clip_path, opening, road_map)
-    if wanted:
-        (folder / PAGES).mkdir()
-    if any(each.clip for each in wanted.values()):
-        (folder / CLIPS).mkdir()
-    written = map_sources(partial(_write_files, wanted), map(SourceFile, wanted), jobs=jobs)
+    failed = [each for each in checked if each.status == "fail"][:MOST]
+    openings = {each.recording: opening_of(each.verdicts) for each in failed}
+    written = write_incident_pages(openings, folder, clips=clips, road_map=road_map, jobs=jobs)
     for each in checked:
-        if each.recording not in wanted:
+        if each.recording not in openings:
             yield each, ()
-            continue
-        outcome, files = next(written), wanted[each.recording]
+        else:
+            page, clip, messages = next(written)
+            yield replace(each, page=page, clip=clip), messages
+
+
+def write_incident_pages(
+    openings: Mapping[str, Opening],
+    folder: Path,
+    *,
+    clips: bool = False,
+    road_map: str | None = None,
+    jobs: int | None = None,
+) -> Generator[WrittenPage]:
+    """Write the incident pages of recordings below a folder, and yield where they are, in the order of the recordings.
+
+    Args:
+        openings: What the page of each recording shows first.
+        folder: The folder.
+        clips: See `write_pages`.
+        road_map: See `write_pages`.
+        jobs: See `map_sources`.
+    """
+    wanted = {}
+    for recording, name in zip(openings, _names(openings), strict=True):
+        opening = openings[recording]
+        clip_path = folder / CLIPS / f"{name}.mcap" if clips and opening.time is not None else None
+        wanted[recording] = _Wanted(folder / PAGES / f"{name}.html", clip_path, opening, road_map)
+    if wanted:
+        (folder / PAGES).mkdir(exist_ok=True)
+    if any(each.clip for each in wanted.values()):
+        (folder / CLIPS).mkdir(exist_ok=True)
+    for outcome in map_sources(partial(_write_files, wanted), map(SourceFile, wanted), jobs=jobs):
+        files = wanted[outcome.source.location]
         failures = () if outcome.error is None else (visible(f"no page: {outcome.error}"),)
         page, clip = (_relative(path, folder) for path in (files.page, files.clip))
-        yield replace(each, page=page, clip=clip), (*map(visible, outcome.warnings), *failures)
+        yield WrittenPage(page, clip, (*map(visible, outcome.warnings), *failures))
 
 
 def opening_of(verdicts: Iterable[Verdict]) -> Opening:
@@ -130,11 +167,11 @@ def _write_files(wanted: dict[str, _Wanted], source: SourceFile) -> None:
         write_report(recording, files.page, options, opening=files.opening)
 
 
-def _names(checked: Sequence[CheckedRecording]) -> Iterator[str]:
+def _names(recordings: Iterable[str]) -> Iterator[str]:
     """Yield a name for the files of each recording; no two are equal, whatever the file system."""
     used: Counter[str] = Counter()
-    for each in checked:
-        path = Path(each.recording.partition("?")[0])
+    for recording in recordings:
+        path = Path(recording.partition("?")[0])
         name = re.sub(r"[^\w.-]+", "-", path.stem, flags=re.ASCII).strip("-.")[:_NAME] or "recording"
         while used[name.lower()]:
             used[name.lower()] += 1
@@ -155,6 +192,20 @@ def overview(checked: Sequence[CheckedRecording], rules: RuleSet) -> str:
     title = _title(counts, len(checked))
     program = f"carla-recap {version('carla-recap')}"
     origin = f"{rules.path} · {datetime.now(UTC):%d %B %Y, %H:%M} UTC · {program}"
+    header = f'{_bar(counts)}<p class="legend">{_legend(counts)}</p>\n'
+    return document(title, origin, header, _rules(checked, rules) + _bad(bad) + _good(good), style)
+
+
+def document(title: str, origin: str, header: str, main: str, style: str) -> str:
+    """Return a page that loads nothing and runs nothing.
+
+    Args:
+        title: Its title, as a text.
+        origin: What it is made of, and when, as a text.
+        header: What is below them, as HTML.
+        main: The rest, as HTML.
+        style: The style sheet.
+    """
     return "".join(
         (
             '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n',
@@ -164,12 +215,8 @@ def overview(checked: Sequence[CheckedRecording], rules: RuleSet) -> str:
             f"style-src {hash_source(style)}; img-src data:; base-uri 'none'; form-action 'none'\">\n",
             f'<title>{escape(title)} · carla-recap</title>\n<link rel="icon" href="{_ICON}">\n<style>{style}</style>\n',
             f'</head>\n<body>\n<header>\n<h1>{escape(title)}</h1>\n<p class="origin">{escape(visible(origin))}</p>\n',
-            _bar(counts),
-            f'<p class="legend">{_legend(counts)}</p>\n</header>\n<main>\n',
-            _rules(checked, rules),
-            _bad(bad),
-            _good(good),
-            "</main>\n</body>\n</html>\n",
+            header,
+            f"</header>\n<main>\n{main}</main>\n</body>\n</html>\n",
         )
     )
 

@@ -7,6 +7,8 @@ them ends the process.
 
 from __future__ import annotations
 
+import math
+import os
 import pickle
 import signal
 import sys
@@ -15,8 +17,8 @@ import traceback
 from collections import deque
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from itertools import chain, islice
-from multiprocessing import get_context
+from itertools import islice
+from multiprocessing import current_process, get_context, parent_process
 from multiprocessing.connection import wait
 from multiprocessing.resource_tracker import ensure_running
 from time import monotonic
@@ -40,6 +42,7 @@ _SHORT: Final = 0.05  # s; if a worker takes less for those that it has, it is g
 _TRIES: Final = 2  # times that a recording is read alone by workers that end
 _STARTS: Final = 3  # workers that end in a row before they have begun
 _GRACE: Final = 0.5  # s that workers have to clean up
+_CHECK: Final = 1.0  # s between looks at workers that have a limit
 
 
 @dataclass(slots=True)
@@ -64,20 +67,27 @@ class _Worker(Generic[T]):
 
     Args:
         function: The function that it calls.
+        limit: The most seconds for a recording; None: whatever the function does, it does not end or block its process.
     """
 
-    def __init__(self, function: Callable[[SourceFile], T]) -> None:
+    def __init__(self, function: Callable[[SourceFile], T], limit: float | None) -> None:
         context = get_context("spawn")
         self.connection, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, function), daemon=True)
+        self.process = context.Process(target=_serve, args=(theirs, function, limit is not None), daemon=True)
         ensure_running()  # which would release the signals below
-        with hold_termination():
+        with hold_termination(), _may_have_children():
             self.process.start()
+        self._limit = limit
         theirs.close()
         self.tasks: deque[_Task] = deque()
         self.has_begun = False
         self.most = 1
-        self._given = 0.0
+        self._given = math.inf
+
+    @property
+    def due(self) -> float:
+        """When its recording has taken too long, on the monotonic clock."""
+        return self._given + (math.inf if self._limit is None else self._limit) if self.has_begun else math.inf
 
     def give(self, tasks: Iterable[_Task]) -> None:
         """Give tasks to the worker, which has none. If it has ended, that is found when its outcomes are received."""
@@ -97,30 +107,119 @@ class _Worker(Generic[T]):
             message: list[Outcome[T]] | _Raised | None = self.connection.recv()
         except OSError:
             raise EOFError from None
-        self.has_begun = True
+        if not self.has_begun:
+            self.has_begun = True
+            self._given = monotonic()
         if isinstance(message, _Raised):
             message.error.add_note(message.trace)
             raise message.error
         outcomes = [(self.tasks.popleft(), outcome) for outcome in message or ()]
-        if outcomes and not self.tasks:
+        if outcomes and not self.tasks and self._limit is None:
             is_short = monotonic() - self._given < _SHORT
             self.most = min(self.most * 2, _MOST) if is_short else max(self.most // 2, 1)
         return outcomes
 
+    def end_group(self) -> None:
+        """End the processes that the function has left behind."""
+        if self._limit is not None and hasattr(os, "killpg"):
+            with suppress(OSError):
+                os.killpg(self.process.pid or 0, signal.SIGKILL)
+
+
+class _Pool(Generic[T]):
+    """Worker processes that call a function.
+
+    Args:
+        function: The function.
+        limit: See `engine.map_sources`.
+    """
+
+    def __init__(self, function: Callable[[SourceFile], T], limit: float | None) -> None:
+        self._function = function
+        self._limit = limit
+        self._workers: list[_Worker[T]] = []
+        self._failures = 0  # workers in a row that ended before they had begun
+
+    def __len__(self) -> int:
+        return len(self._workers)
+
+    def idle(self) -> _Worker[T] | None:
+        """Return a worker without tasks, if there is one."""
+        return next((each for each in self._workers if not each.tasks), None)
+
+    def start(self) -> _Worker[T]:
+        """Start another worker."""
+        worker = _Worker(self._function, self._limit)
+        self._workers.append(worker)
+        return worker
+
+    def wait(self) -> list[tuple[_Task, Outcome[T] | None]]:
+        """Wait for workers that have tasks; return finished tasks with their outcomes, and None for those to be given anew.
+
+        Raises:
+            RecapError: The workers do not start.
+            Exception: The function's error.
+        """
+        busy = {worker.connection: worker for worker in self._workers if worker.tasks}
+        patience = None if self._limit is None else min(_CHECK, *(each.due - monotonic() for each in busy.values()))
+        found: list[tuple[_Task, Outcome[T] | None]] = []
+        for connection in wait(list(busy), patience if patience is None else max(patience, 0.0)):
+            worker = busy.pop(connection)  # type: ignore[call-overload]
+            try:
+                found += worker.receive()
+                self._failures = 0
+            except EOFError:
+                found += self._lost(worker)
+        for worker in busy.values() if self._limit is not None else ():
+            if worker.connection.poll():
+                continue
+            if monotonic() > worker.due:
+                task = worker.tasks[0]
+                self._workers.remove(worker)
+                _end([worker], graceful=False, grace=0.0)
+                found.append(
+                    (task, Outcome(task.source, None, f"{task.source.location}: takes more than {self._limit:g} s"))
+                )
+            elif not worker.process.is_alive():  # and a process that it has forked holds the connection
+                found += self._lost(worker)
+        return found
+
+    def end(self, *, graceful: bool) -> None:
+        """End all workers."""
+        _end(self._workers, graceful=graceful)
+        self._workers = []
+
+    def _lost(self, worker: _Worker[T]) -> Iterator[tuple[_Task, Outcome[T] | None]]:
+        """Yield the tasks that an ended worker has not finished, with the outcome of one that it is to blame for."""
+        self._workers.remove(worker)
+        worker.end_group()
+        worker.process.join()
+        self._failures = 0 if worker.has_begun else self._failures + 1
+        if self._failures == _STARTS:
+            raise RecapError(_no_start(worker)) from None
+        alone = worker.has_begun and len(worker.tasks) == 1
+        for task in worker.tasks:
+            task.ends += alone
+            if task.ends < _TRIES:
+                yield task, None
+            else:
+                message = f"{task.source.location}: its worker process ends ({_cause(worker)})"
+                yield task, Outcome(task.source, None, message)
+
 
 def map_in_workers(
-    function: Callable[[SourceFile], T], first: SourceFile, others: Iterator[SourceFile], jobs: int
+    function: Callable[[SourceFile], T], sources: Iterable[SourceFile], jobs: int, limit: float | None = None
 ) -> Iterator[Outcome[T]]:
-    """Yield the outcomes of a function for a recording and others, in their order; see `engine.map_sources`."""
-    unread = (_Task(index, source) for index, source in enumerate(chain([first], others)))
+    """Yield the outcomes of a function for recordings, in their order; see `engine.map_sources`."""
+    unread = (_Task(index, source) for index, source in enumerate(sources))
     again: deque[_Task] = deque()  # tasks of workers that ended
     known: dict[int, Outcome[T]] = {}  # the outcomes that wait for those of earlier recordings
-    position = given = failures = 0
-    workers: list[_Worker[T]] = []
+    position = given = 0
+    pool = _Pool(function, limit)
     graceful = False
     try:
         while True:
-            while (idle := next((each for each in workers if not each.tasks), None)) or len(workers) < jobs:
+            while (idle := pool.idle()) or len(pool) < jobs:
                 room = position + _WINDOW * jobs - given
                 if again:
                     tasks = [again.popleft()]
@@ -129,47 +228,48 @@ def map_in_workers(
                     given += len(tasks)
                 if not tasks:
                     break
-                if idle is None:
-                    idle = _Worker(function)
-                    workers.append(idle)
-                idle.give(tasks)
-            busy = {worker.connection: worker for worker in workers if worker.tasks}
-            if not busy:
+                (idle or pool.start()).give(tasks)
+            if position == given:
                 break
-            for connection in wait(list(busy)):
-                worker = busy[connection]  # type: ignore[index]
-                try:
-                    known.update((task.index, outcome) for task, outcome in worker.receive())
-                    failures = 0
-                except EOFError:
-                    workers.remove(worker)
-                    failures = 0 if worker.has_begun else failures + 1
-                    if failures == _STARTS:
-                        raise RecapError(_no_start(worker)) from None
-                    for task, outcome in _lost(worker):
-                        if outcome is None:
-                            again.append(task)
-                        else:
-                            known[task.index] = outcome
+            for task, outcome in pool.wait():
+                if outcome is None:
+                    again.append(task)
+                else:
+                    known[task.index] = outcome
             while position in known:
                 yield known.pop(position)
                 position += 1
         graceful = True
     finally:
-        _end(workers, graceful=graceful)
+        pool.end(graceful=graceful)
 
 
-def _lost(worker: _Worker[T]) -> Iterator[tuple[_Task, Outcome[T] | None]]:
-    """Yield the tasks that a worker has not finished, with the outcome of one that it is to blame for."""
-    alone = worker.has_begun and len(worker.tasks) == 1
-    worker.process.join()
-    for task in worker.tasks:
-        task.ends += alone
-        if task.ends < _TRIES:
-            yield task, None
-        else:
-            message = f"{task.source.location}: the worker process that reads it ends ({_cause(worker)})"
-            yield task, Outcome(task.source, None, message)
+class KeptWorker(Generic[T]):
+    """A worker process that calls a function for one recording after another, and is started anew when it ends.
+
+    Args:
+        function: The function.
+        limit: See `engine.map_sources`.
+    """
+
+    def __init__(self, function: Callable[[SourceFile], T], limit: float) -> None:
+        self._pool = _Pool(function, limit)
+
+    def call(self, source: SourceFile) -> Outcome[T]:
+        """Return the outcome of the function for a recording."""
+        task = _Task(0, source)
+        while True:
+            (self._pool.idle() or self._pool.start()).give([task])
+            found: list[tuple[_Task, Outcome[T] | None]] = []
+            while not found:
+                found = self._pool.wait()
+            outcome = found[0][1]
+            if outcome is not None:
+                return outcome
+
+    def close(self) -> None:
+        """End the process."""
+        self._pool.end(graceful=True)
 
 
 def _no_start(worker: _Worker[Any]) -> str:
@@ -186,19 +286,32 @@ def _cause(worker: _Worker[Any]) -> str:
         return f"exit code {code}"
 
 
-def _end(workers: Iterable[_Worker[Any]], *, graceful: bool) -> None:
-    """End workers; those that are busy are terminated, and then killed."""
+def _end(workers: Iterable[_Worker[Any]], *, graceful: bool, grace: float = _GRACE) -> None:
+    """End workers; those that are busy are terminated, and after some seconds killed."""
     for worker in workers:
         worker.connection.close()  # which ends one that waits
         if not graceful:
             worker.process.terminate()
-    deadline = monotonic() + _GRACE
+    deadline = monotonic() + grace
     for worker in workers:
         worker.process.join(max(deadline - monotonic(), 0.0))
         if worker.process.is_alive():
             worker.process.kill()
             worker.process.join()
+        worker.end_group()
         worker.process.close()
+
+
+@contextmanager
+def _may_have_children() -> Iterator[None]:
+    """Let this process start others in a `with` block, which a daemon, such as a worker of Dask, may not."""
+    process = current_process()
+    is_daemon = process.daemon
+    process.daemon = False
+    try:
+        yield
+    finally:
+        process.daemon = is_daemon
 
 
 @contextmanager
@@ -219,12 +332,22 @@ def _broken_pipes_are_errors() -> Iterator[None]:
         signal.signal(number, signal.SIG_DFL)
 
 
-def _serve(connection: Connection, function: Callable[[SourceFile], T]) -> None:
-    """Call a function for the recordings that come, until the connection is closed; the body of a worker."""
+def _serve(connection: Connection, function: Callable[[SourceFile], T], is_limited: bool) -> None:
+    """Call a function for the recordings that come, until the connection is closed; the body of a worker.
+
+    If it is limited, the function may do whatever it wants to the process, which has a group of its own and ends with the
+    parent at the latest.
+    """
+    if is_limited and hasattr(os, "setpgid"):
+        os.setpgid(0, 0)
+        threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # which all processes of a terminal get: the parent ends its workers
     signal.signal(signal.SIGTERM, _exit_silently)
     if hasattr(signal, "pthread_sigmask"):
         signal.pthread_sigmask(signal.SIG_UNBLOCK, TERMINATION)  # see `hold_termination`
+    prepare = getattr(function, "prepare", None)
+    if prepare is not None:
+        prepare()
     with suppress(EOFError, OSError):
         connection.send(None)
         while True:
@@ -240,6 +363,13 @@ def _serve(connection: Connection, function: Callable[[SourceFile], T]) -> None:
                     connection.send_bytes(_pickled(_raised(error)))
                     return
             connection.send_bytes(_pickled(outcomes))
+
+
+def _end_with_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    os.killpg(0, signal.SIGKILL)
 
 
 def _exit_silently(*_: object) -> None:

@@ -42,6 +42,7 @@ async def serve(
     *,
     streaming_port: int | None = None,
     attached: bool = False,
+    load_ahead: bool = True,
 ) -> None:
     """Serve a world until SIGINT, SIGTERM or SIGHUP.
 
@@ -52,6 +53,7 @@ async def serve(
         ready: A callback that gets the port for calls when clients can connect.
         streaming_port: The port for streams; None for the one after `port`, 0 for a free one.
         attached: End, too, when the standard input ends or has data: its other end belongs to a process that may be killed.
+        load_ahead: Load at once what sensors will need.
 
     Raises:
         RecapError: The ports are unavailable.
@@ -74,8 +76,9 @@ async def serve(
         port, host.streams.port = (server.sockets[0].getsockname()[1] for server in (calls, streams))
         ticker = asyncio.create_task(Ticker(host).run())
         ready(port)
-        host.world.recorder.prepare()
-        if not attached:  # such servers are started by tests, most of which have no cameras
+        if host.world.recorder.path is None:
+            host.world.recorder.prepare()
+        if load_ahead and not attached:  # such servers are started by tests, most of which have no cameras
             host.load_ahead()
         try:
             stopped = asyncio.create_task(done.wait())

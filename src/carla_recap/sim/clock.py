@@ -1,8 +1,17 @@
-"""The simulated time of an episode."""
+"""The simulated time of an episode, and the date of recordings that are to have the same bytes."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
+from typing import Final
+
+_DATE: Final = 1767261600  # 2026-01-01 10:00 UTC
+
+
+def seeded_date() -> int:
+    """Return the date of recordings of a seed in Unix seconds: that of $SOURCE_DATE_EPOCH, else 2026-01-01 10:00 UTC."""
+    return int(os.environ.get("SOURCE_DATE_EPOCH", _DATE))
 
 
 @dataclass(slots=True)

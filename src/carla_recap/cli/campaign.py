@@ -1,0 +1,323 @@
+"""The command that runs a simulation with many seeds and parameters, and compares the runs."""
+
+from __future__ import annotations
+
+import csv as csv_files
+import io
+import os
+import sys
+from contextlib import ExitStack, closing
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NoReturn
+
+import click
+
+from carla_recap.cli import options
+from carla_recap.cli.many import client_of
+from carla_recap.cli.output import BAD_INPUT, counted, fail, note, print_pieces, say, warn, wrote
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Sequence
+
+    from distributed import Client
+
+    from carla_recap.fleet.campaign import Campaign, FinishedRun
+    from carla_recap.fleet.campaign.plan import ParameterRange, Value
+    from carla_recap.fleet.campaign.report import CampaignRow
+    from carla_recap.fleet.check import CheckedRecording
+    from carla_recap.fleet.rules import RuleSet
+    from carla_recap.queries.measures import Measure
+
+_BROKEN: Final = 1  # the exit code if rules are broken
+_SHOWN: Final = 5  # of the worst runs, and of failed ones
+
+
+@click.command()
+@click.argument("function", required=False, metavar="[FILE.py:FUNCTION]")
+@click.option(
+    "--serve", "script", type=click.Path(), metavar="SCRIPT.py", help="Run this script for CARLA's client instead."
+)
+@click.option("--out", required=True, metavar="DIR", help="The folder of the recordings, or a prefix of an object store.")
+@click.option("--seeds", default="1", show_default=True, metavar="A:B|N,...", help="The seeds of the worlds.")
+@click.option(
+    "--param", "params", multiple=True, metavar="NAME=V,...", help="Values of a parameter, or a range A..B to search."
+)
+@click.option("--town", metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
+@click.option(
+    "--duration", type=options.NUMBER, default=0, metavar="S", help="Tick on until this time when FUNCTION returns."
+)
+@click.option("--additional-data", is_flag=True, help="Record velocities, boxes, physics and times, too.")
+@click.option("--limit", type=options.POSITIVE, metavar="S", help="End a run that takes longer, in s of the clock.")
+@click.option(
+    "--workers", type=click.IntRange(1, 10_000), metavar="N", help="Worker processes; else one for each processor."
+)
+@click.option("--dask", metavar="ADDRESS", help="Run on the Dask cluster with this scheduler.")
+@click.option(
+    "--rules", "rules_file", type=click.Path(), metavar="FILE", help="Check the recordings by the rules of a TOML file."
+)
+@click.option(
+    "--measure",
+    metavar="NAME",
+    help="What the runs are compared by; else the time to collision (see `measures`), or the objective.",
+)
+@click.option("--search", "is_search", is_flag=True, help="Choose values from ranges, towards the objective.")
+@click.option("--minimize", metavar="NAME", help="The objective: a measure, such as ttc, or collisions, to be small.")
+@click.option("--maximize", metavar="NAME", help="The same, to be great.")
+@click.option("--runs", "count", type=click.IntRange(1, 100_000), default=100, show_default=True, help="Runs of a search.")
+@click.option("--report", type=click.Path(), metavar="DIR", help="The folder of the page and the index; else that of --out.")
+@click.option(
+    "--pages", type=click.IntRange(0, 1000), default=20, show_default=True, metavar="N", help="Incident pages of the worst."
+)
+@options.road_map
+@options.json
+@options.csv
+def campaign(
+    function: str | None,
+    script: str | None,
+    out: str,
+    seeds: str,
+    params: tuple[str, ...],
+    town: str | None,
+    duration: float,
+    additional_data: bool,
+    limit: float | None,
+    workers: int | None,
+    dask: str | None,
+    rules_file: str | None,
+    measure: str | None,
+    is_search: bool,
+    minimize: str | None,
+    maximize: str | None,
+    count: int,
+    report: str | None,
+    pages: int,
+    road_map: str | None,
+    form: str | None,
+) -> NoReturn:
+    """Run a simulation with many seeds and parameters, each run a recording, and compare them.
+
+    FUNCTION is called as function(world, NAME=VALUE) with a World that is recorded. Recordings that are in DIR are not made
+    again. A run that fails is a row with its error. The exit code is 2 if one failed, else 1 if rules are broken.
+    """
+    from carla_recap.errors import RecapError
+    from carla_recap.fleet.campaign import Campaign
+    from carla_recap.fleet.campaign.report import row_of
+    from carla_recap.fleet.campaign.results import result_named
+    from carla_recap.util.signals import unwind_on_termination
+
+    context = click.get_current_context()
+    if (function is None) == (script is None):
+        raise click.UsageError("either FILE.py:FUNCTION or --serve SCRIPT.py was expected.", context)
+    if is_search and (minimize is None) == (maximize is None):
+        raise click.UsageError("--search needs either --minimize or --maximize.", context)
+    if not is_search and (minimize or maximize):
+        raise click.UsageError("--minimize and --maximize go with --search.", context)
+    objective = minimize or maximize
+    compared = result_named(measure or objective or "time_to_collision")
+    rules = _rules(rules_file)
+    folder = _folder_of_report(report, out)
+    values = _parameters(params, is_search=is_search)
+    made = Campaign(
+        function=_function(function, script, [*values]),
+        out=out,
+        town=town,
+        duration=duration,
+        additional_data=additional_data,
+        limit=limit,
+        jobs=workers,
+    )
+    rows: list[CampaignRow] = []
+    with ExitStack() as stack:
+        stack.enter_context(unwind_on_termination())
+        client = stack.enter_context(closing(client_of(dask))) if dask else None
+        made = replace(made, client=client)
+        total, runs = _runs(made, seeds, values, (objective, maximize is not None, count) if objective else None)
+        rows += map(row_of, _watched(stack.enter_context(closing(runs)), total))
+        if not rows:
+            raise RecapError("no runs were made")
+        checked: dict[str, CheckedRecording] = {}
+        if rules is not None:
+            rows, checked = _judged(rows, rules, road_map, workers, client)
+        if folder is not None:
+            rows = _reported(rows, checked, folder, compared, pages, road_map, workers, client, function or str(script))
+    _show(rows, compared, form, folder)
+    failed, broken = sum(row.error is not None for row in rows), sum(bool(row.broken) for row in rows)
+    there = sum(row.was_there for row in rows)
+    note(
+        f"runs: {len(rows) - failed - there} done, {there} were there, {failed} failed"
+        + (f"; {counted(broken, 'recording')} of {len(rows) - failed} break rules" if rules is not None else "")
+    )
+    sys.exit(BAD_INPUT if failed else _BROKEN if broken else 0)
+
+
+def _rules(path: str | None) -> RuleSet | None:
+    from carla_recap.fleet.rules import RulesError, load_rules
+
+    if path is None:
+        return None
+    try:
+        return load_rules(path)
+    except RulesError as error:
+        for fault in error.faults:
+            fail(fault)
+        sys.exit(BAD_INPUT)
+
+
+def _folder_of_report(report: str | None, out: str) -> Path | None:
+    """Return the folder of pages, which is made; None if the recordings go to an object store, and none was given."""
+    from carla_recap.errors import RecapError
+    from carla_recap.formats.sources import is_remote
+
+    if report is None and is_remote(out):
+        return None
+    folder = Path(report or out)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        reason = "is a file; a folder was expected" if folder.is_file() else getattr(error, "strerror", None) or error
+        raise RecapError(f"{folder}: {reason}") from None
+    return folder
+
+
+def _parameters(params: Sequence[str], *, is_search: bool) -> dict[str, Sequence[Value] | ParameterRange]:
+    from carla_recap.errors import RecapError
+    from carla_recap.fleet.campaign.plan import ParameterRange, parse_parameter
+
+    found: dict[str, Sequence[Value] | ParameterRange] = {}
+    for text in params:
+        name, values = parse_parameter(text)
+        if name in found:
+            raise RecapError(f"parameter {name}: is given twice")
+        if isinstance(values, ParameterRange) and not is_search:
+            raise RecapError(f"parameter {name}: a range goes with --search; values with commas between them were expected")
+        found[name] = values
+    if is_search and not any(isinstance(values, ParameterRange) or len(values) > 1 for values in found.values()):
+        raise RecapError("--search: a parameter with a range or several values was expected, such as --param delay=0.2..1.2")
+    return found
+
+
+def _function(function: str | None, script: str | None, names: Sequence[str]) -> Any:
+    from carla_recap.errors import RecapError
+    from carla_recap.fleet.campaign.plan import check_keywords
+    from carla_recap.util.functions import function_in
+
+    if function is not None:
+        found, keywords = function_in(function)
+        check_keywords(keywords, names)
+        return found
+    if not Path(str(script)).is_file():
+        raise RecapError(f"{script}: is no file; a script for CARLA's client was expected")
+    return script
+
+
+def _runs(
+    made: Campaign,
+    seeds: str,
+    values: dict[str, Sequence[Value] | ParameterRange],
+    objective: tuple[str, bool, int] | None,
+) -> tuple[int, Generator[FinishedRun]]:
+    """Return the number of runs, and a generator of them."""
+    from carla_recap.fleet.campaign.plan import ParameterRange, parse_seeds, planned
+
+    numbers = parse_seeds(seeds)
+    if objective is not None:
+        from carla_recap.fleet.campaign.results import result_named
+        from carla_recap.fleet.campaign.search import search
+
+        name, is_maximized, count = objective
+        return count, search(made, numbers, values, result_named(name), count, is_maximized=is_maximized)
+    fixed = {name: given for name, given in values.items() if not isinstance(given, ParameterRange)}
+    runs = list(planned(numbers, fixed, made.folder.location))
+    return len(runs), made.run(runs)
+
+
+def _watched(runs: Generator[FinishedRun], total: int) -> Generator[FinishedRun]:
+    """Yield runs; show the progress, errors and warnings."""
+    from carla_recap.cli.progress import SourcesBar
+
+    with SourcesBar("running", total) as bar:
+        for finished in runs:
+            with bar.aside():
+                for line in finished.warnings:
+                    warn(f"{finished.run.name}: {line}")
+                if finished.report.error is not None:
+                    fail(f"{finished.run.name}: {finished.report.error}")
+            yield finished
+            bar.advance()
+
+
+def _judged(
+    rows: Sequence[CampaignRow], rules: RuleSet, road_map: str | None, jobs: int | None, client: Client | None
+) -> tuple[list[CampaignRow], dict[str, CheckedRecording]]:
+    from carla_recap.cli.progress import SourcesBar
+    from carla_recap.fleet.campaign.report import judged
+
+    found: list[CampaignRow] = []
+    checked: dict[str, CheckedRecording] = {}
+    with SourcesBar("checking", len(rows)) as bar:
+        for row, verdicts in judged(rows, rules, road_map=road_map, jobs=jobs, client=client):
+            found.append(row)
+            if verdicts is not None:
+                checked[row.recording] = verdicts
+                with bar.aside():
+                    for line in verdicts.warnings:
+                        warn(f"{row.recording}: {line}")
+            bar.advance()
+    return found, checked
+
+
+def _reported(
+    rows: list[CampaignRow],
+    checked: dict[str, CheckedRecording],
+    folder: Path,
+    measure: Measure,
+    pages: int,
+    road_map: str | None,
+    jobs: int | None,
+    client: Client | None,
+    title: str,
+) -> list[CampaignRow]:
+    """Write the pages, the index and the rows into a folder; return the rows with the paths of their pages."""
+    from carla_recap.fleet.campaign.page import campaign_page
+    from carla_recap.fleet.campaign.report import INDEX, PAGE, RUNS, with_pages, write_campaign_index, write_runs
+    from carla_recap.util.files import WholeFile
+
+    rows, warnings = with_pages(rows, folder, measure, pages, checked=checked, road_map=road_map, jobs=jobs)
+    for line in warnings:
+        warn(line)
+    if any(row.error is None for row in rows):
+        reason = write_campaign_index(rows, folder / INDEX, jobs=jobs, client=client)
+        if reason is not None:
+            warn(reason)
+        else:
+            wrote(folder / INDEX)
+    write_runs(rows, folder / RUNS)
+    wrote(folder / RUNS)
+    with WholeFile(folder / PAGE) as file:
+        file.write(campaign_page(rows, folder, measure, title).encode("utf-8", "backslashreplace"))
+    wrote(folder / PAGE)
+    return rows
+
+
+def _show(rows: Sequence[CampaignRow], measure: Measure, form: str | None, folder: Path | None) -> None:
+    """Print all rows as JSON or CSV, or the worst ones."""
+    from carla_recap.fleet.campaign.report import encoded, worst_first
+
+    if form == "json":
+        print_pieces([encoded(rows)])
+        return
+    if form == "csv":
+        text = io.StringIO()
+        names = list(dict.fromkeys(name for row in rows for name in row.cells()))
+        writer = csv_files.DictWriter(text, names, restval="", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(row.cells() for row in rows)
+        print_pieces([text.getvalue()])
+        return
+    for row in worst_first(rows, measure)[:_SHOWN]:
+        found = row.results.get(measure.name)
+        value = f"no {measure.title}" if found is None else f"{measure.title} {found.value:.3g} {measure.unit}".rstrip()
+        time = "" if found is None or found.time is None else f" at {found.time:.2f} s"
+        rules = f"; breaks {', '.join(row.broken)}" if row.broken else ""
+        say(f"{os.fspath(row.recording)}: {value}{time}{rules}", stream=sys.stdout)

@@ -1,0 +1,241 @@
+"""What is written and shown about the runs of a campaign: rows with the parameters as columns, JSON, an index, pages."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.fleet.campaign.results import BROKEN_RULES, RESULTS, Result
+from carla_recap.fleet.check import check_sources
+from carla_recap.fleet.pages import opening_of, write_incident_pages
+from carla_recap.formats.sources import is_remote
+from carla_recap.show.page import Opening
+from carla_recap.util.files import WholeFile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from distributed import Client
+
+    from carla_recap.fleet.campaign import FinishedRun
+    from carla_recap.fleet.check import CheckedRecording
+    from carla_recap.fleet.rules import RuleSet
+    from carla_recap.queries.measures import Measure
+
+RUNS: Final = "campaign.json"
+INDEX: Final = "index.duckdb"
+PAGE: Final = "index.html"
+"""The files that are written beside the recordings."""
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignRow:
+    """A run as a row of the answer.
+
+    Attributes:
+        seed: The seed.
+        parameters: The values by name.
+        recording: The path or URL of the recording.
+        error: Why there is none, in one line; None if there is one.
+        details: The traceback, and what the run printed.
+        was_there: Whether the recording was there already.
+        seconds: The time that it took, in s.
+        frames: The number of frames.
+        duration: The duration, in s.
+        results: What was measured, by name.
+        broken: The names of the rules that it breaks, or that cannot be judged; None without rules.
+        page: The path of its incident page, relative to the page of the campaign; None if it has none.
+    """
+
+    seed: int
+    parameters: Mapping[str, Any]
+    recording: str
+    error: str | None
+    details: str
+    was_there: bool
+    seconds: float
+    frames: int
+    duration: float
+    results: Mapping[str, Result]
+    broken: tuple[str, ...] | None = None
+    page: str | None = None
+
+    def cells(self) -> dict[str, Any]:
+        """Return the row as columns: the parameters and the values of results each have one."""
+        values = {name: self.results[name].value if name in self.results else None for name in RESULTS}
+        broken = None if self.broken is None else " ".join(self.broken)
+        return {
+            "recording": self.recording,
+            "error": self.error,
+            "seed": self.seed,
+            **self.parameters,
+            "frames": self.frames,
+            "duration": self.duration,
+            "seconds": round(self.seconds, 3),
+            **values,
+            "rules": broken,
+            "page": self.page,
+        }
+
+
+def row_of(finished: FinishedRun) -> CampaignRow:
+    """Return a finished run as a row."""
+    run, report = finished.run, finished.report
+    return CampaignRow(
+        seed=run.seed,
+        parameters=run.parameters,
+        recording=run.location,
+        error=report.error,
+        details=report.details,
+        was_there=report.was_there,
+        seconds=report.seconds,
+        frames=report.frames,
+        duration=report.duration,
+        results=report.results,
+    )
+
+
+def judged(
+    rows: Sequence[CampaignRow],
+    rules: RuleSet,
+    *,
+    road_map: str | None = None,
+    jobs: int | None = None,
+    client: Client | None = None,
+) -> Iterator[tuple[CampaignRow, CheckedRecording | None]]:
+    """Yield rows with the rules that their recordings break, each with the verdicts; None for a run without a recording.
+
+    Args:
+        rows: The rows.
+        rules: The rules.
+        road_map: See `carla_recap.fleet.rules.check`.
+        jobs: See `map_sources`.
+        client: See `map_sources`.
+    """
+    from carla_recap.fleet.sources import find_sources
+
+    there = [row.recording for row in rows if row.error is None]
+    checked = check_sources(find_sources(there), rules, road_map=road_map, jobs=jobs, client=client)
+    for row in rows:
+        if row.error is not None:
+            yield row, None
+            continue
+        found = next(checked)
+        broken = tuple(verdict.rule for verdict in found.verdicts if verdict.status != "pass")
+        opening = opening_of(found.verdicts)
+        result = Result(float(len(broken)), opening.time, opening.actors[0] if opening.actors else None)
+        yield replace(row, broken=broken, results={**row.results, BROKEN_RULES.name: result}), found
+
+
+def worst_first(rows: Iterable[CampaignRow], measure: Measure) -> list[CampaignRow]:
+    """Return the rows with recordings: those that break most rules first, then in the order of a measure, unknown last."""
+
+    def key(row: CampaignRow) -> tuple[int, float]:
+        found = row.results.get(measure.name)
+        return -len(row.broken or ()), math.inf if found is None else measure.key(found.value)
+
+    return sorted((row for row in rows if row.error is None), key=key)
+
+
+def with_pages(
+    rows: Sequence[CampaignRow],
+    folder: Path,
+    measure: Measure,
+    most: int,
+    *,
+    checked: Mapping[str, CheckedRecording],
+    road_map: str | None = None,
+    jobs: int | None = None,
+) -> tuple[list[CampaignRow], list[str]]:
+    """Write the incident pages of the worst runs; return the rows with their paths, and warnings.
+
+    Args:
+        rows: The rows.
+        folder: The folder of pages.
+        measure: What the rows are compared by, after the rules.
+        most: The most pages.
+        checked: The verdicts by recording.
+        road_map: See `write_incident_pages`.
+        jobs: See `map_sources`.
+    """
+    openings = {
+        row.recording: _opening(row, measure, checked.get(row.recording)) for row in worst_first(rows, measure)[:most]
+    }
+    written = write_incident_pages(openings, folder, road_map=road_map, jobs=jobs)
+    found = dict(zip(openings, written, strict=True))
+    pages = {recording: each.page for recording, each in found.items()}
+    warnings = [f"{recording}: {line}" for recording, each in found.items() for line in each.warnings]
+    return [replace(row, page=pages.get(row.recording)) for row in rows], warnings
+
+
+def _opening(row: CampaignRow, measure: Measure, checked: CheckedRecording | None) -> Opening:
+    if row.broken and checked is not None:
+        return opening_of(checked.verdicts)
+    found = row.results.get(measure.name)
+    run = ", ".join(f"{name}={value}" for name, value in {"seed": row.seed, **row.parameters}.items())[:200]
+    if found is None:
+        return Opening(notes=(run,))
+    actors = () if found.actor is None else (found.actor,)
+    return Opening(found.time, actors, (f"{run}: {measure.title} {found.value:.3g} {measure.unit}".rstrip(),))
+
+
+def write_runs(rows: Iterable[CampaignRow], path: Path) -> None:
+    """Write rows as JSON.
+
+    Raises:
+        RecapError: The file cannot be written.
+    """
+    with WholeFile(path) as file:
+        file.write(encoded(rows).encode("utf-8", "backslashreplace"))
+
+
+def encoded(rows: Iterable[CampaignRow]) -> str:
+    """Return rows as JSON, an object with a list of them."""
+    lines = (json.dumps(_finite(asdict(row)), ensure_ascii=False, allow_nan=False) for row in rows)
+    return '{"runs": [\n' + ",\n".join(lines) + "\n]}\n"
+
+
+def _finite(value: Any) -> Any:
+    """Return a value of JSON, in which numbers that are not finite are null."""
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def write_campaign_index(
+    rows: Sequence[CampaignRow], path: Path, *, jobs: int | None = None, client: Client | None = None
+) -> str | None:
+    """Write the index of the recordings; return why it is not written, if it is not.
+
+    Args:
+        rows: The rows.
+        path: The file.
+        jobs: See `map_sources`.
+        client: See `map_sources`.
+    """
+    from carla_recap.fleet.index.writing import write_index
+
+    there = [row.recording for row in rows if row.error is None]
+    try:
+        write_index(there, path, measures=True, jobs=jobs, client=client)
+    except MissingExtra:
+        return "no index is written: it needs the extra sql"
+    except RecapError as error:
+        return f"no index is written: {error}"
+    return None
+
+
+def address_from(folder: Path, row: CampaignRow) -> str:
+    """Return the address of a run's page, or else of its recording, relative to the folder of the campaign's page."""
+    if row.page is not None:
+        return row.page
+    if is_remote(row.recording):
+        return row.recording
+    return Path(os.path.relpath(row.recording, folder)).as_posix()

@@ -1,0 +1,84 @@
+"""What is measured in the recording of each run of a campaign, and which of two runs is worse."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from carla_recap.errors import RecapError
+from carla_recap.queries.measures import MEASURES, Measure
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from carla_recap.recording import Recording
+
+COLLISIONS: Final = Measure(
+    name="collisions",
+    unit="",
+    extreme="greatest",
+    text="the number of contacts of the heroes; without a hero, of all actors with a collision sensor",
+)
+BROKEN_RULES: Final = Measure(
+    name="broken_rules", unit="", extreme="greatest", text="the number of rules that the recording breaks"
+)
+RESULTS: Final[Mapping[str, Measure]] = {
+    measure.name: measure for measure in (COLLISIONS, BROKEN_RULES, *MEASURES.values()) if not measure.needs_roads
+}
+"""What the runs of a campaign can be compared by, by name."""
+_SHORT: Final = {
+    "ttc": "time_to_collision",
+    "pet": "post_encroachment_time",
+    "thw": "time_headway",
+    "drac": "required_deceleration",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """The value of a measure in a recording.
+
+    Attributes:
+        value: The value.
+        time: When, in elapsed seconds; None if it has no time.
+        actor: The id of the actor; None if there is none.
+    """
+
+    value: float
+    time: float | None = None
+    actor: int | None = None
+
+
+def result_named(name: str) -> Measure:
+    """Return what runs can be compared by, by its name, such as `time_to_collision`, or the short one, such as `ttc`.
+
+    Raises:
+        RecapError: There is none of that name.
+    """
+    plain = name.lower().replace("-", "_")
+    found = RESULTS.get(_SHORT.get(plain, plain))
+    if found is None:
+        raise RecapError(f"{name[:100]!r}: is no measure of a run; one of {', '.join(RESULTS)} was expected")
+    return found
+
+
+def measured(recording: Recording) -> dict[str, Result]:
+    """Return the most critical values of the measures of a recording's heroes, or if there is none, of all vehicles.
+
+    Raises:
+        FormatError: The file contradicts its format.
+    """
+    rows = recording.collisions()
+    has_hero = bool(recording.heroes)
+    hits = [row for row in rows if not has_hero or row.hero1 or row.hero2]
+    count = float(len({row.contact for row in hits}))
+    found = {COLLISIONS.name: Result(count)}
+    if hits:
+        first = hits[0]
+        found[COLLISIONS.name] = Result(count, first.elapsed, first.id1 if first.hero1 or not has_hero else first.id2)
+    for row in recording.measures():
+        best = found.get(row.measure)
+        key = MEASURES[row.measure].key
+        if row.measure in RESULTS and (best is None or key(row.value) < key(best.value)):
+            found[row.measure] = Result(row.value, row.time, row.actor)
+    return found

@@ -1,0 +1,219 @@
+"""A run of a campaign in a worker process: a function in a world of its own, or a script against a server of its own."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import sys
+import traceback
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.errors import RecapError
+from carla_recap.fleet.campaign.plan import CampaignRun
+from carla_recap.formats.sources import is_remote
+from carla_recap.recording import open_recording
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from carla_recap.fleet.campaign.results import Result
+    from carla_recap.fleet.sources import SourceFile
+    from carla_recap.sim import Town, World
+
+_ROUNDING: Final = 1e-6  # of a tick
+_LONGEST: Final = 4000  # characters of what a run printed, and of its traceback, that are kept
+_SEEDS: Final = 1 << 32  # of numpy's global generator
+_TERMINATED: Final = 128 + signal.SIGTERM
+
+
+@dataclass(frozen=True, slots=True)
+class RunReport:
+    """What became of a run.
+
+    Attributes:
+        error: Why there is no recording of all of it, in one line; None if there is one.
+        details: The traceback, and the end of what it printed.
+        was_there: Whether the recording was there already.
+        preparing: The time until its first tick could begin, in s.
+        seconds: The time that it took, in s.
+        frames: The number of frames of the recording.
+        duration: Its duration, in s.
+        results: What was measured in the recording, by name.
+    """
+
+    error: str | None = None
+    details: str = ""
+    was_there: bool = False
+    preparing: float = 0.0
+    seconds: float = 0.0
+    frames: int = 0
+    duration: float = 0.0
+    results: Mapping[str, Result] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Simulation:
+    """What the runs of a campaign simulate, and how; called with each run in a worker process.
+
+    Attributes:
+        function: Gets a world whose recorder is on, and the parameters by name; None for a script.
+        measure: Returns what is measured in a recording.
+        staging: The folder of recordings that are not complete; None for the one of temporary files.
+        date: The date of all recordings, in Unix seconds.
+        script: The absolute path of a script for CARLA's client, which gets a server instead.
+        town: The name of a map or an .xodr file; None for the built-in town.
+        maps: The folder of maps.
+        duration: The simulated time in s up to which a world ticks on when the function has returned.
+        additional_data: Record velocities, boxes and physics, too.
+    """
+
+    function: Callable[..., object] | None
+    measure: Callable[..., Mapping[str, Result]]
+    staging: str | None
+    date: int
+    script: str | None = None
+    town: str | None = None
+    maps: str | None = None
+    duration: float = 0.0
+    additional_data: bool = False
+
+    def prepare(self) -> None:
+        """Load what all runs in this process need; what fails here fails in each run, with its reason."""
+        from carla_recap.sim import World
+
+        with suppress(Exception), TemporaryDirectory() as folder, World(_town(self.town, self.maps)) as world:
+            world.recorder.start(Path(folder, "recording.mcap"), in_process=True)
+            world.tick()
+
+    def __call__(self, run: SourceFile) -> RunReport:
+        """Make the recording of a run, unless it is there, and measure it."""
+        assert isinstance(run, CampaignRun)
+        began = perf_counter()
+        address = run.address
+        report = RunReport(was_there=run.size is not None or (not is_remote(address) and Path(address).exists()))
+        if not report.was_there:
+            with TemporaryDirectory(prefix="run-", dir=self.staging) as folder:
+                path = Path(folder, "recording.mcap")
+                report = self._simulated(run, path)
+                if report.error is not None:
+                    return replace(report, seconds=perf_counter() - began)
+                _put(path, address)
+        with open_recording(address) as recording:
+            extent, results = recording.reader.extent(), self.measure(recording)
+        return replace(
+            report,
+            seconds=perf_counter() - began,
+            frames=extent.frames,
+            duration=extent.duration,
+            results=results,
+        )
+
+    def _simulated(self, run: CampaignRun, path: Path) -> RunReport:
+        """Simulate a run, and record it to a path; return its error, if there is one."""
+        began = perf_counter()
+        output = path.with_name("output.txt")
+        try:
+            with _captured(output):
+                preparing = self._record(run, path, began)
+        except BaseException as error:
+            if isinstance(error, SystemExit) and error.code == _TERMINATED:
+                raise
+            return RunReport(_line(error, run), _details(error, output))
+        return RunReport(preparing=preparing)
+
+    def _record(self, run: CampaignRun, path: Path, began: float) -> float:
+        """Record a run; return how many seconds it took to begin."""
+        from carla_recap.sim import World
+
+        random.seed(run.seed)
+        np.random.seed(run.seed % _SEEDS)
+        town, process = _town(self.town, self.maps), os.getpid()
+        with World(town, seed=run.seed, date=self.date, maps=self.maps, parameters=run.texts) as world:
+            world.recorder.start(path, self.additional_data, in_process=True)
+            preparing = perf_counter() - began
+            try:
+                if self.script is not None:
+                    from carla_recap.fleet.campaign.serving import run_script
+
+                    run_script(self.script, world, run, path, additional_data=self.additional_data)
+                elif self.function is not None:
+                    self.function(world, **run.parameters)
+            finally:
+                if os.getpid() != process:  # the function has forked this one
+                    os._exit(0)
+            self._tick_on(world)
+            world.stop_recorder()
+            if world.recorder.error is not None:
+                raise world.recorder.error
+        with open_recording(path) as recording:
+            if not recording.reader.extent().frames:
+                raise RecapError("no tick was recorded; a function that ticks its world was expected, or a duration")
+        return preparing
+
+    def _tick_on(self, world: World) -> None:
+        while world.elapsed < self.duration - _ROUNDING * world.delta:
+            world.tick()
+
+
+@lru_cache(maxsize=1)
+def _town(name: str | None, maps: str | None) -> Town:
+    from carla_recap.sim import load_town
+
+    return load_town(name or "", None if maps is None else Path(maps))
+
+
+def _put(path: Path, address: str) -> None:
+    """Move a complete recording to its path or URL."""
+    if is_remote(address):
+        from carla_recap.formats.remote import upload
+
+        upload(path, address)
+    else:
+        path.replace(address)
+
+
+@contextmanager
+def _captured(path: Path) -> Iterator[None]:
+    """Write what this process and its children print in a `with` block into a file."""
+    with path.open("wb") as file:
+        streams = [(stream, os.dup(number)) for number, stream in ((1, sys.stdout), (2, sys.stderr))]
+        try:
+            for number, (stream, _) in enumerate(streams, 1):
+                stream.flush()
+                os.dup2(file.fileno(), number)
+            yield
+        finally:
+            for number, (stream, saved) in enumerate(streams, 1):
+                stream.flush()
+                os.dup2(saved, number)
+                os.close(saved)
+
+
+def _line(error: BaseException, run: CampaignRun) -> str:
+    """Return what an error of a run says, in one line, with its place in the user's file."""
+    if isinstance(error, RecapError):
+        return run.as_given(str(error))
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if not frame.filename.startswith((str(Path(__file__).parents[2]), "<"))]
+    place = f" ({Path(own[-1].filename).name}:{own[-1].lineno})" if own else ""
+    said = " ".join(str(error).split())[:_LONGEST]
+    return f"{type(error).__name__}{f': {said}' if said else ''}{place}"
+
+
+def _details(error: BaseException, output: Path) -> str:
+    """Return the traceback of an error, and the end of what was printed."""
+    trace = "".join(traceback.format_exception(error))[-_LONGEST:] if not isinstance(error, RecapError) else ""
+    try:
+        printed = output.read_bytes()[-_LONGEST:].decode("utf-8", "replace")
+    except OSError:
+        printed = ""
+    return "\n".join(filter(None, (trace.rstrip(), printed.rstrip())))

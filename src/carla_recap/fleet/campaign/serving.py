@@ -1,0 +1,113 @@
+"""A script for CARLA's client as a run: in a process of its own, against a server of its own in this process."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import socket
+import subprocess
+import sys
+from typing import TYPE_CHECKING, Final
+
+from carla_recap.errors import RecapError
+from carla_recap.server.host import Host
+from carla_recap.server.quirks import busy_polling_loop
+from carla_recap.server.rpc.structs import EpisodeSettings
+from carla_recap.server.serving import serve
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from carla_recap.fleet.campaign.plan import CampaignRun
+    from carla_recap.server.quirks import SnapshotReceiver
+    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.world import World
+
+_ADDRESS: Final = "127.0.0.1"
+_DELTA: Final = 0.05  # s
+
+
+class _RunHost(Host):
+    """The served world of a run: in synchronous mode until the script says otherwise, and recorded in each episode.
+
+    Args:
+        world: The world, whose recorder is on.
+        path: The path of the recording, which is that of the last episode.
+    """
+
+    def __init__(self, world: World, path: Path, *, additional_data: bool) -> None:
+        super().__init__(world)
+        self._path = path
+        self._additional_data = additional_data
+        self._synchronize()
+
+    def begin_episode(self, town: Town, client: SnapshotReceiver) -> None:
+        """See `Host.begin_episode`."""
+        if not self.settings.synchronous_mode:
+            self._synchronize()
+        super().begin_episode(town, client)
+        self.world.recorder.start(self._path, self._additional_data, in_process=True)
+
+    def _synchronize(self) -> None:
+        self.apply_settings(EpisodeSettings(synchronous_mode=True, fixed_delta_seconds=_DELTA))
+
+
+def run_script(script: str, world: World, run: CampaignRun, path: Path, *, additional_data: bool) -> None:
+    """Serve a world to a script until that ends.
+
+    Args:
+        script: Its path.
+        world: The world, whose recorder is on.
+        run: The run, whose seed and parameters the script gets.
+        path: The path of the recording.
+        additional_data: Whether velocities, boxes and physics are recorded.
+
+    Raises:
+        RecapError: The script ends with another exit code than 0, or the server ends.
+    """
+    host = _RunHost(world, path, additional_data=additional_data)
+    with asyncio.Runner(loop_factory=busy_polling_loop) as runner:
+        code = runner.run(_session(host, script, run))
+    if code:
+        raise RecapError(f"the script ends with exit code {code}")
+
+
+async def _session(host: Host, script: str, run: CampaignRun) -> int:
+    port: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+    server = asyncio.create_task(serve(host, _ADDRESS, 0, port.set_result, load_ahead=False))
+    await asyncio.wait((server, port), return_when=asyncio.FIRST_COMPLETED)
+    if server.done():
+        server.result()
+        raise RecapError("the server has ended")
+    process = subprocess.Popen(_command(script, run, port.result()), env=_environment(run, port.result()))
+    waiting = asyncio.create_task(asyncio.to_thread(process.wait))
+    try:
+        await asyncio.wait((server, waiting), return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        process.kill()
+        await waiting
+        server.cancel()
+        await asyncio.wait((server,))
+    return waiting.result()
+
+
+def _command(script: str, run: CampaignRun, port: int) -> list[str]:
+    """Return the command of a script: with the server, the seed and the parameters as options."""
+    given = {"host": _ADDRESS, "port": str(port), **run.texts}
+    return [sys.executable, script, *(f"--{name}={value}" for name, value in given.items())]
+
+
+def _environment(run: CampaignRun, port: int) -> dict[str, str]:
+    """Return the environment of a script, which has the same, and a free port for a traffic manager."""
+    with socket.socket() as free:
+        free.bind((_ADDRESS, 0))
+        manager = free.getsockname()[1]
+    return {
+        **os.environ,
+        "CARLA_HOST": _ADDRESS,
+        "CARLA_PORT": str(port),
+        "CARLA_TM_PORT": str(manager),
+        "CARLA_RECAP_SEED": str(run.seed),
+        "CARLA_RECAP_PARAMETERS": json.dumps(dict(run.parameters)),
+    }

@@ -1,0 +1,123 @@
+"""Functions in Python files of users: checked without running the file, and loaded where they are called."""
+
+from __future__ import annotations
+
+import ast
+import symtable
+import sys
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from carla_recap.errors import RecapError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+
+@dataclass(frozen=True, slots=True)
+class Keywords:
+    """What a function can be called with by keyword, beside its first argument.
+
+    Attributes:
+        names: The names.
+        required: Those without a default.
+        has_any: Whether it takes any others, too.
+    """
+
+    names: tuple[str, ...]
+    required: frozenset[str]
+    has_any: bool
+
+
+@dataclass(frozen=True, slots=True)
+class FileFunction:
+    """A function in a Python file; the file is run when the function is first called in a process.
+
+    Attributes:
+        path: The absolute path of the file.
+        name: The name of the function.
+    """
+
+    path: str
+    name: str
+
+    def __call__(self, *arguments: Any, **keywords: Any) -> Any:
+        """Call the function."""
+        return _loaded(self.path, self.name)(*arguments, **keywords)
+
+
+def function_in(place: str) -> tuple[FileFunction, Keywords | None]:
+    """Return the function at a place such as `FILE.py:function`, and what it can be called with, None if that is not plain.
+
+    The file is compiled, and not run.
+
+    Raises:
+        RecapError: There is no such file or function, or the file is no Python.
+    """
+    file, colon, name = place.rpartition(":")
+    if not colon or not file or not name.isidentifier():
+        raise RecapError(f"{place[:200]!r}: is no function; FILE.py:FUNCTION was expected")
+    try:
+        path = Path(file).absolute()
+        source = path.read_bytes()
+        tree = ast.parse(source, file)
+        symbols = symtable.symtable(source.decode("utf-8-sig"), file, "exec")
+    except OSError as error:
+        raise RecapError(f"{file[:200]}: {error.strerror}; a Python file with the function {name} was expected") from None
+    except SyntaxError as error:
+        raise RecapError(f"{file}:{error.lineno or 1}: {error.msg}; Python was expected") from None
+    except (ValueError, RecursionError, MemoryError) as error:
+        raise RecapError(
+            f"{file[:200]}: Python was expected ({' '.join(str(error).split()) or type(error).__name__})"
+        ) from None
+    found = [each for each in tree.body if isinstance(each, ast.FunctionDef) and each.name == name]
+    if found:
+        return FileFunction(str(path), name), _keywords(found[-1].args) if not found[-1].decorator_list else None
+    known = {symbol.get_name() for symbol in symbols.get_symbols() if symbol.is_assigned() or symbol.is_imported()}
+    takes_all = any(isinstance(each, ast.ImportFrom) and each.names[0].name == "*" for each in tree.body)
+    if name not in known and not takes_all:
+        functions = [each.name for each in tree.body if isinstance(each, ast.FunctionDef)]
+        listed = f"; it has {', '.join(functions)}"[:200] if functions else ""
+        raise RecapError(f"{file}: has no function {name}{listed}")
+    return FileFunction(str(path), name), None
+
+
+def keywords_of(function: Callable[..., Any]) -> Keywords | None:
+    """Return what a function can be called with by keyword; None if it does not say."""
+    import inspect
+
+    try:
+        parameters = [*inspect.signature(function).parameters.values()][1:]
+    except (TypeError, ValueError):
+        return None
+    plain = [each for each in parameters if each.kind in (each.POSITIONAL_OR_KEYWORD, each.KEYWORD_ONLY)]
+    required = frozenset(each.name for each in plain if each.default is each.empty)
+    return Keywords(tuple(each.name for each in plain), required, any(each.kind is each.VAR_KEYWORD for each in parameters))
+
+
+def _keywords(arguments: ast.arguments) -> Keywords:
+    positional = [each.arg for each in (*arguments.posonlyargs, *arguments.args)]
+    required = positional[: len(positional) - len(arguments.defaults)][1:]
+    required += [
+        each.arg for each, default in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True) if default is None
+    ]
+    names = (*positional[1:], *(each.arg for each in arguments.kwonlyargs))
+    return Keywords(names, frozenset(required), arguments.kwarg is not None)
+
+
+@lru_cache(maxsize=8)
+def _loaded(path: str, name: str) -> Callable[..., Any]:
+    """Return a function of a file, which is run, and can import what is beside it."""
+    folder = str(Path(path).parent)
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    spec = spec_from_file_location(Path(path).stem, path)
+    if spec is None or spec.loader is None:
+        raise RecapError(f"{path}: a .py file was expected")
+    module = module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return getattr(module, name)  # type: ignore[no-any-return]

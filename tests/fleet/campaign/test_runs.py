@@ -1,0 +1,116 @@
+"""Runs of campaigns, in worker processes and on a cluster."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import pytest
+
+from carla_recap import open_recording
+from carla_recap.errors import RecapError
+from carla_recap.fleet.campaign import campaign
+from carla_recap.util.functions import FileFunction
+from tests.fleet.campaign import functions
+from tests.samples import names_in
+from tests.waiting import time_limit
+
+pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
+
+FILE = str(Path(functions.__file__))
+FAULTS = {
+    "raise": "KeyError: 'three' (functions.py)",
+    "exit": "SystemExit: 3 (functions.py)",
+    "end": "its worker process ends (exit code 5)",
+    "hang": "takes more than 5 s",
+}
+HARMLESS = ("nothing", "fork", "leave a process", "stop", "print")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The recordings of runs of a function with two seeds, by one worker process."""
+    folder = tmp_path_factory.mktemp("runs")
+    with time_limit():
+        found = list(campaign(functions.drive, seeds=[7, 8], params={"vehicles": [1, 3]}, out=folder, jobs=1))
+    assert [finished.report.error for finished in found] == [None] * 4
+    return folder
+
+
+def test_each_run_is_a_recording_of_its_name_with_its_parameters(folder):
+    assert names_in(folder) == [f"seed={seed},vehicles={count}.mcap" for seed in (7, 8) for count in (1, 3)]
+    with open_recording(folder / "seed=7,vehicles=3.mcap") as recording:
+        assert recording.header.parameters == {"seed": "7", "vehicles": "3"}
+        assert recording.header.date == 1767261600
+        assert (recording.info.frames, len(recording.heroes)) == (20, 1)
+        assert sum(actor.kind == "vehicle" for actor in recording.actors.values()) == 3
+
+
+def test_the_same_runs_give_the_same_bytes_in_other_processes(folder, tmp_path):
+    file = FileFunction(FILE, "drive")
+    with time_limit():
+        list(campaign(file, seeds=[8, 7], params={"vehicles": [3]}, out=tmp_path, jobs=2))
+    for path in tmp_path.glob("*.mcap"):
+        assert path.read_bytes() == (folder / path.name).read_bytes()
+    assert len(names_in(tmp_path)) == 2
+
+
+def test_what_is_there_is_not_simulated_again(folder):
+    before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+    removed = folder / "seed=8,vehicles=1.mcap"
+    content = removed.read_bytes()
+    removed.unlink()
+    with time_limit():
+        found = list(campaign(functions.drive, seeds=[7, 8], params={"vehicles": [1, 3]}, out=folder, jobs=1))
+    assert [finished.report.was_there for finished in found] == [True, False, True, True]
+    assert all(finished.report.results["speed"].value > 0 for finished in found)
+    assert removed.read_bytes() == content
+    after = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+    assert {name for name in before if before[name] != after[name]} == {removed.name}
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+def test_a_run_that_fails_is_a_row_and_the_others_go_on(tmp_path):
+    hows = [*FAULTS, *HARMLESS]
+    with time_limit():
+        found = list(campaign(functions.misbehave, seeds=[1], params={"how": hows}, out=tmp_path, jobs=2, limit=5))
+    assert [finished.run.parameters["how"] for finished in found] == hows
+    errors = {finished.run.parameters["how"]: finished.report.error for finished in found}
+    errors = {how: error and re.sub(r":\d+\)$", ")", error) for how, error in errors.items()}
+    assert errors == FAULTS | dict.fromkeys(HARMLESS)
+    details = {finished.run.parameters["how"]: finished.report.details for finished in found}
+    assert details["raise"].endswith("about to raise")
+    assert 'raise KeyError("three")' in details["raise"]
+    assert len(names_in(tmp_path)) == len(HARMLESS)
+
+
+def test_a_recording_that_lacks_ticks_or_is_replaced_is_an_error(tmp_path):
+    with time_limit():
+        (idle,) = campaign(functions.wait_here, seeds=[1], out=tmp_path, jobs=1)
+        options = {"params": {"path": [str(tmp_path / "other.mcap")]}, "jobs": 1}
+        (replaced,) = campaign(functions.record_elsewhere, seeds=[1], out=tmp_path / "runs", **options)
+        (ticked,) = campaign(functions.wait_here, seeds=[1], out=tmp_path, jobs=1, duration=0.5)
+    assert "no tick was recorded" in idle.report.error
+    assert "no tick was recorded" in replaced.report.error
+    assert (ticked.report.error, ticked.report.frames) == (None, 10)
+
+
+@pytest.mark.parametrize("name", ["file", "file/below", "x" * 300])
+def test_a_folder_that_cannot_be_written_is_an_error(tmp_path, name):
+    (tmp_path / "file").touch()
+    with pytest.raises(RecapError, match=name[:9]):
+        list(campaign(functions.drive, seeds=[1], out=tmp_path / name, jobs=1))
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_without_permission_is_an_error(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(RecapError, match="Permission denied"):
+        list(campaign(functions.drive, seeds=[1], out=tmp_path, jobs=1))
+
+
+def test_a_town_that_is_missing_is_an_error_of_each_run(tmp_path):
+    with time_limit():
+        (finished,) = campaign(functions.drive, seeds=[1], out=tmp_path, jobs=1, town="Nowhere", maps=tmp_path)
+    assert "Nowhere" in finished.report.error
