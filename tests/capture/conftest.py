@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import subprocess
+import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
@@ -36,22 +37,27 @@ class Capture:
         self.path = path
         self.process = process
 
-    def end(self) -> str:
-        """End it by Ctrl-C, when it has observed the present world; return its output."""
+    def end(self, number: signal.Signals = signal.SIGINT) -> str:
+        """End it by a signal, when it has observed the present world; return its output."""
         settle(self.process)
-        self.process.send_signal(signal.SIGINT)
+        self.process.send_signal(number)
         return self.ended()
 
-    def ended(self) -> str:
-        """Wait until it has ended, and return its output."""
+    def ended(self, code: int = 0) -> str:
+        """Wait until it has ended with an exit code, and return its output."""
         said, _ = self.process.communicate(timeout=PATIENCE)
-        assert self.process.returncode == 0, said
+        assert self.process.returncode == code, said
+        assert "Traceback" not in said
         return said
 
 
 @contextmanager
-def started(path: Path, port: int, *options: str) -> Iterator[Capture]:
+def started(path: Path, port: int, *options: str, before: str = "") -> Iterator[Capture]:
+    """Start a capture, in whose process a statement is executed before it."""
     command = [COMMAND, "capture", path, "--port", str(port), *options]
+    if before:
+        code = f"{before}; from carla_recap.cli import main; main()"
+        command = [sys.executable, "-c", code, *command[1:]]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=ENVIRONMENT) as process:
         try:
             yield Capture(path, process)

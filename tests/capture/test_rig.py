@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import signal
 import subprocess
 import sys
 from collections import Counter
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import carla
@@ -16,6 +19,7 @@ import pytest
 from carla_recap import open_recording
 from carla_recap.editing.recover import recover
 from carla_recap.errors import RecapError
+from carla_recap.server import running as server
 from carla_recap.util.files import partials
 from tests.capture.conftest import own_sensors, settle, spawn, started, wait_for
 from tests.cli.command import error
@@ -55,6 +59,7 @@ RIG = [
     {"type": "sensor.speedometer", "id": "speed"},
 ]
 POINT = np.dtype([("place", "<(3,)f4"), ("intensity", "<f4")])
+DETECTION = np.dtype([("place", "<(3,)f4"), *((name, "<f4") for name in ("velocity", "azimuth", "altitude", "depth"))])
 LABELLED = np.dtype([("place", "<(3,)f4"), ("cosine", "<f4"), ("actor", "<u4"), ("tag", "<u4")])
 
 
@@ -255,9 +260,114 @@ def test_the_end_of_a_sensor_or_of_the_hero_completes_it(
     else:
         next(actor for actor in own_sensors(world) if actor.type_id == "sensor.other.gnss").destroy()
     wait_for(world, lambda: capture.process.poll() is not None)
-    assert f", {said}, " in capture.ended()
+    assert f", {said}, " in capture.ended(1)
     assert len(messages(capture.path, "gnss", "fix", LocationFix)) >= 5
     wait_until(lambda: world.tick() and not own_sensors(world))
+
+
+def test_the_end_of_all_existing_sensors_completes_it(
+    port: int, world: carla.World, hero: carla.Vehicle, tmp_path: Path
+) -> None:
+    sensors = []
+    for kind in ("gnss", "imu"):
+        blueprint = world.get_blueprint_library().find(f"sensor.other.{kind}")
+        blueprint.set_attribute("role_name", kind)
+        sensors.append(world.spawn_actor(blueprint, carla.Transform(), attach_to=hero))
+    world.tick()
+    with started(tmp_path / "a.mcap", port, "--sensors", "existing") as capture:
+        wait_for(world, lambda: partials(capture.path))
+        settle(capture.process)
+        world.tick()
+        sensors[0].destroy()
+        for _ in range(10):
+            world.tick()
+        settle(capture.process)
+        assert capture.process.poll() is None
+        sensors[1].destroy()
+        wait_for(world, lambda: capture.process.poll() is not None)
+        said = capture.ended(1)
+    assert "warning: sensor 'gnss' is gone" in said
+    assert ", all sensors are gone, " in said
+    assert len(messages(capture.path, "imu", "imu", ImuReading)) > len(messages(capture.path, "gnss", "fix", LocationFix))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_signals_complete_it(world: carla.World, starting: Starting, number: signal.Signals) -> None:
+    capture = starting(RIG)
+    for _ in range(5):
+        world.tick()
+    assert f" samples, stopped by {number.name}, " in capture.end(number)
+    assert len(messages(capture.path, "top", "points", PointCloud)) >= 5
+    assert {path.name for path in capture.path.parent.iterdir()} == {"rig.json", capture.path.name}
+    wait_until(lambda: world.tick() and not own_sensors(world))
+
+
+def test_the_end_of_the_server_completes_it(tmp_path: Path) -> None:
+    (tmp_path / "rig.json").write_text(json.dumps(RIG))
+    with ExitStack() as stack:
+        port = stack.enter_context(server())
+        client = carla.Client("127.0.0.1", port)
+        client.set_timeout(PATIENCE)
+        world = client.get_world()
+        world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
+        spawn(world, "vehicle.tesla.model3", 0, role_name="hero")
+        world.tick()
+        with started(tmp_path / "a.mcap", port, "--rig", str(tmp_path / "rig.json")) as capture:
+            wait_for(world, lambda: len(own_sensors(world)) == 4)
+            settle(capture.process)
+            for _ in range(10):
+                world.tick()
+            settle(capture.process)
+            stack.close()
+            said = capture.ended()
+    assert ", the server is gone, " in said
+    assert len(messages(tmp_path / "a.mcap", "top", "points", PointCloud)) >= 10
+
+
+def test_samples_that_come_while_memory_is_full_are_dropped_and_counted(
+    port: int, world: carla.World, hero: carla.Vehicle, tmp_path: Path
+) -> None:
+    """In asynchronous mode: here a message takes so long to make that a second sample never finds room."""
+    (tmp_path / "rig.json").write_text(json.dumps([TOP]))
+    world.apply_settings(carla.WorldSettings(fixed_delta_seconds=0.05))
+    slow = "import time; from carla_recap.capture import sample_recorder as it; it.WAITING_LIMIT = 1; "
+    slow += "make = it.SampleRecorder._make; it.SampleRecorder._make = lambda *given: (time.sleep(0.3), make(*given))[1]"
+    with started(tmp_path / "a.mcap", port, "--rig", str(tmp_path / "rig.json"), "--duration", "4", before=slow) as capture:
+        said = capture.ended()
+    found = re.search(
+        r": (\d+) frames, .* (\d+) samples?, (\d+) of top dropped, since writing was slower, the duration", said
+    )
+    assert found is not None, said
+    frames, samples, dropped = map(int, found.groups())
+    assert frames > 70  # none of them is dropped
+    assert 3 <= samples < frames // 2 < dropped
+    clouds = messages(capture.path, "top", "points", PointCloud)
+    assert len(clouds) == samples
+    with open_recording(capture.path) as recording:
+        times = np.array([frame.elapsed for frame in recording])
+    assert max(np.abs(times - time).min() for time in clouds) < 1e-6
+
+
+def test_a_radar_measures_the_car_ahead(world: carla.World, hero: carla.Vehicle, starting: Starting) -> None:
+    pytest.importorskip("embreex", reason="embreex is not installed")
+    place = hero.get_transform()
+    there = place.location + place.get_forward_vector() * (15.0 + EYE["x"] + HALF)
+    blueprint = world.get_blueprint_library().find("vehicle.tesla.model3")
+    car = world.spawn_actor(blueprint, carla.Transform(there, place.rotation))
+    narrow = {"horizontal_fov": 40, "vertical_fov": 2, "points_per_second": 20_000}
+    capture = starting([{"type": "sensor.other.radar", "id": "radar", **EYE, **narrow}])
+    car.set_target_velocity(place.get_forward_vector() * 5.0)
+    world.tick()
+    ahead = car.get_velocity().length()
+    capture.end()
+    found = np.frombuffer(last(capture.path, "radar", "detections", PointCloud).data, DETECTION)
+    rear = found[(np.abs(found["azimuth"]) < 0.05) & (found["depth"] < 17)]
+    assert len(rear) > 10
+    moved = 0.05 * ahead
+    assert rear["depth"].min() == pytest.approx(15.0 + moved, abs=0.1)
+    assert rear["velocity"].max() == pytest.approx(ahead, abs=0.1)
+    np.testing.assert_allclose(rear["place"][:, 0], rear["depth"] * np.cos(rear["azimuth"]), atol=0.05)
+    np.testing.assert_allclose(rear["place"][:, 1], rear["depth"] * np.sin(rear["azimuth"]), atol=0.05)
 
 
 def test_what_sensors_sent_survives_the_process(world: carla.World, starting: Starting, tmp_path: Path) -> None:

@@ -80,6 +80,7 @@ class Observer:
     Attributes:
         missed: The number of ticks that were missed.
         why: The reason of the end, in words; "" before it.
+        is_cut_short: Whether it has ended since something that was to be recorded is gone.
         map: The map.
         times: The times of the latest observed frames by their numbers, in s since the episode began. A thread of the client
             adds to them.
@@ -95,6 +96,7 @@ class Observer:
     ) -> None:
         self.missed = 0
         self.why = ""
+        self.is_cut_short = False
         self.times: dict[int, float] = {}
         self._host, self._port = host, port
         self._additional = additional_data
@@ -133,9 +135,15 @@ class Observer:
         self._listener.close()
         sleep(_DRAIN)  # a client's thread that waits for Python's lock when the interpreter ends aborts the process
 
-    def end(self, why: str) -> None:
-        """End `observations`; of several reasons, the first one counts."""
-        self.why = self.why or why
+    def end(self, why: str, *, is_cut_short: bool = False) -> None:
+        """End `observations`; of several reasons, the first one counts.
+
+        Args:
+            why: The reason, in words.
+            is_cut_short: Whether it is that something is gone that was to be recorded.
+        """
+        if not self.why:
+            self.why, self.is_cut_short = why, is_cut_short
 
     def until_signal(self) -> AbstractContextManager[None]:
         """Return a context in which SIGINT, SIGTERM and SIGHUP end `observations`, instead of the process."""

@@ -45,6 +45,7 @@ class Captured(NamedTuple):
         why: The reason of its end, in words.
         samples: The number of samples of each sensor, by id.
         dropped: The number of samples of each sensor that came too fast to be written, by id.
+        is_cut_short: Whether it has ended since a sensor of the rig, its carrier, or all existing sensors are gone.
     """
 
     frames: int
@@ -53,6 +54,7 @@ class Captured(NamedTuple):
     why: str
     samples: Mapping[str, int]
     dropped: Mapping[str, int]
+    is_cut_short: bool
 
 
 def capture(
@@ -120,7 +122,7 @@ def capture(
             raise
     count, seconds = last.pop() if last else (0, 0.0)
     counts, dropped = ({}, {}) if samples is None else (dict(samples.counts), dict(samples.dropped))
-    return Captured(count, seconds, observer.missed, observer.why, counts, dropped)
+    return Captured(count, seconds, observer.missed, observer.why, counts, dropped, observer.is_cut_short)
 
 
 def _rig_sensors(observer: Observer, sensors: Sensors, actor: ActorName) -> RigSensors:

@@ -131,16 +131,19 @@ class RigSensors:
         self._seen |= actors.keys() & present
         gone = self._seen - present
         if self._carrier in gone:
-            self._observer.end("the hero is gone" if self._actor == HERO else f"actor {self._actor} is gone")
+            self._end("the hero is gone" if self._actor == HERO else f"actor {self._actor} is gone")
         for actor in gone & actors.keys():
             self._seen.discard(actor)
             if self._sensors != EXISTING:
-                self._observer.end(f"sensor {actors[actor]!r} is gone")
+                self._end(f"sensor {actors[actor]!r} is gone")
                 continue
             self._listened.pop(actors[actor])
             warnings.warn(f"sensor {actors[actor]!r} is gone", RecapWarning, stacklevel=2)
         if gone and not self._listened and self._sensors == EXISTING:
-            self._observer.end("all sensors are gone")
+            self._end("all sensors are gone")
+
+    def _end(self, why: str) -> None:
+        self._observer.end(why, is_cut_short=True)
 
     @property
     def count(self) -> int:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Literal
+import sys
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import click
 
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from carla_recap.replay.follow import Follow
     from carla_recap.sensors.rig import SensorRig
     from carla_recap.show.rerun.blueprint import View
+
+_CUT_SHORT: Final = 1
+"""The exit code if what was to be recorded is gone before the end."""
 
 _follow = click.option(
     "--follow",
@@ -83,6 +87,8 @@ def capture(
         few = first_of([f"{count} of {id}" for id, count in captured.dropped.items()])
         notes.append(f"{few} dropped, since writing was slower")
     wrote(destination, *notes, captured.why, frames=captured.frames, seconds=captured.seconds, **facts)
+    if captured.is_cut_short:
+        sys.exit(_CUT_SHORT)
 
 
 @click.command()
