@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from carla_recap.files.osi import export_osi
     from carla_recap.files.parquet import export_parquet
     from carla_recap.files.tracks import export_csv
+    from carla_recap.fleet.conditions.facts import Finding, Offence
     from carla_recap.fleet.datasets import ExportedDataset, export_dataset
     from carla_recap.fleet.engine import map_recordings, open_recordings
     from carla_recap.fleet.index.database import RecordingIndex, open_index
@@ -88,6 +89,7 @@ __all__ = [
     "EventDifference",
     "Exported",
     "ExportedDataset",
+    "Finding",
     "FormatError",
     "Frame",
     "Header",
@@ -104,6 +106,7 @@ __all__ = [
     "NoCredentials",
     "NotARecording",
     "NotSetUp",
+    "Offence",
     "Outcome",
     "Player",
     "RecapError",
@@ -199,6 +202,7 @@ _get, __dir__ = lazily(
         "show.rrd": ("export_rerun",),
         "show.video": ("export_video", "picture", "snapshot"),
         "files.parquet": ("export_parquet",),
+        "fleet.conditions.facts": ("Finding", "Offence"),
         "fleet.rules": ("Rule", "RuleSet", "Verdict", "check", "load_rules"),
         "fleet.datasets": ("ExportedDataset", "export_dataset"),
         "fleet.outcomes": ("Outcome",),

@@ -18,7 +18,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
-from carla_recap.errors import RecapError
+from carla_recap.errors import NotSetUp, RecapError
 from carla_recap.fleet.conditions.facts import Facts, Offence
 from carla_recap.fleet.conditions.keys import PLACE
 from carla_recap.fleet.conditions.places import NamedPlace
@@ -221,6 +221,8 @@ def _judged(rule: Rule, facts: Facts) -> Verdict:
         if rule.condition.needs().roads:
             facts.check_roads()
         passes, message, offences = rule.condition.judge(facts)
+    except NotSetUp:
+        raise
     except RecapError as error:
         return Verdict(rule.name, "error", visible(str(error).removeprefix(f"{facts.recording.location}: ")))
     except OSError as error:

@@ -17,12 +17,12 @@ from carla_recap.queries.actors import actors, never_there
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import KINDS
-from carla_recap.queries.measures import MEASURES, measures
+from carla_recap.queries.measures import MEASURES, MeasureSearch, MeasureValues
 from carla_recap.queries.roads import roads_of
 from carla_recap.tables.trajectories import Trajectory, trajectories
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterable, Sequence
+    from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -96,6 +96,7 @@ class Needs:
         incidents: The kinds of incidents.
         stop_time: The duration above which stops are asked for, in s; None: stops are not.
         extremes: Of which actors the extreme value of which measure.
+        values: Of which actors the values over time of which measure.
         positions: Of which actors the positions.
         places: The places that these are related to.
     """
@@ -103,6 +104,7 @@ class Needs:
     incidents: frozenset[str] = frozenset()
     stop_time: float | None = None
     extremes: tuple[tuple[str, Selector], ...] = ()
+    values: tuple[tuple[str, Selector], ...] = ()
     positions: tuple[Selector, ...] = ()
     places: tuple[Place, ...] = ()
 
@@ -111,7 +113,7 @@ class Needs:
         """Whether the roads of the map are needed."""
         return (
             any(KINDS[kind].needs_roads for kind in self.incidents)
-            or any(MEASURES[measure].needs_roads for measure, _ in self.extremes)
+            or any(MEASURES[measure].needs_roads for measure, _ in (*self.extremes, *self.values))
             or any(place.needs_roads for place in self.places)
         )
 
@@ -188,15 +190,31 @@ class Facts:
     @property
     def measures(self) -> Sequence[MeasureRow]:
         """The extreme values of the measures of all actors that conditions are about."""
+        return self._measured[0]
 
-        def ask() -> Sequence[MeasureRow]:
-            wanted = [pair for each in self._needs for pair in each.extremes]
+    def values(self, measure: str, life: ActorLife) -> MeasureValues:
+        """Return the values over time of a measure of an actor."""
+        return self._measured[1].get((measure, life.id), MeasureValues.joined([])).during(life.spawned_at, life.end)
+
+    @property
+    def _measured(self) -> tuple[Sequence[MeasureRow], Mapping[tuple[str, int], MeasureValues]]:
+        """The extreme values, and the values over time by measure and actor, that conditions are about."""
+
+        def ask() -> tuple[Sequence[MeasureRow], Mapping[tuple[str, int], MeasureValues]]:
             movers = [actor for actor in self.actors if actor.kind in ROAD_USERS]
+            over_time: dict[str, set[int]] = {}
+            for measure, of in (pair for each in self._needs for pair in each.values):
+                over_time.setdefault(measure, set()).update(life.id for life in movers if of.matches(life))
+            wanted = [pair for each in self._needs for pair in (*each.extremes, *each.values)]
             ids = {actor.id for actor in movers if any(of.matches(actor) for _, of in wanted)}
+            if not ids:
+                return [], {}
             roads = self._roads if any(MEASURES[measure].needs_roads for measure, _ in wanted) else None
-            return measures(self.recording.reader, ids, roads=roads) if ids else []
+            search = MeasureSearch(self.recording.reader, ids, roads=roads, over_time=over_time)
+            search.read()
+            return search.finish(), search.values
 
-        return self._once("measures", ask)
+        return self._once("measured", ask)
 
     @property
     def _roads(self) -> RoadNetwork | None:

@@ -140,6 +140,14 @@ def bounds(type: ValueType, *names: str) -> KeyGroup:
     return KeyGroup("bounds", tuple(Key(name, type, texts[name]) for name in names or texts), _bounds)
 
 
+def _function(value: Any, reading: Reading) -> tuple[str, str, str]:
+    module, _, name = value.partition(":") if isinstance(value, str) else ("", "", "")
+    if not name.isidentifier() or not all(part.isidentifier() for part in module.split(".")):
+        raise UnexpectedValue(FUNCTION.expected)
+    return module, name, str(Path(reading.folder or ".").absolute())
+
+
+FUNCTION: Final = ValueType("`module:function`", 'a function as "module:function"', _function)
 OF: Final = Key("of", ACTORS, "the actors that are judged", default=Selector())
 
 
@@ -350,3 +358,9 @@ SCOPE: Final = KeyGroup(
 )
 BEFORE: Final = Key("before", TIME, "the latest time, in seconds of the recording")
 TOLERATE: Final = Key("tolerate", TIME, "how long the condition may be broken at a time")
+FOR: Final = Key(
+    "for",
+    TIME,
+    "how long values have to be within the bounds, once and without a break; without it, all the time",
+    field="lasting",
+)

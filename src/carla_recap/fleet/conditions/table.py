@@ -6,13 +6,17 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
+from carla_recap.errors import NotSetUp
 from carla_recap.fleet.conditions.counts import ActorCount, IncidentCount, LongestStop, MapName, SameAs, Size
+from carla_recap.fleet.conditions.functions import FunctionCondition
 from carla_recap.fleet.conditions.keys import (
     ACTORS_OR_OBJECT,
     BASELINE,
     BEFORE,
     COUNT,
     FLAG,
+    FOR,
+    FUNCTION,
     LENGTH,
     OF,
     PLACE_KEYS,
@@ -26,7 +30,7 @@ from carla_recap.fleet.conditions.keys import (
 )
 from carla_recap.fleet.conditions.measures import MeasureBounds
 from carla_recap.fleet.conditions.progress import DistanceDriven, Leaves, Passes, Reaches, Stays
-from carla_recap.fleet.conditions.reading import Key, keys_of
+from carla_recap.fleet.conditions.reading import Key, UnexpectedKeys, keys_of
 from carla_recap.fleet.conditions.values import Quantity, Selector
 from carla_recap.queries.kinds import KINDS, kind_named
 from carla_recap.queries.measures import MEASURES
@@ -47,8 +51,9 @@ class ConditionKind:
         name: The name in a file of rules.
         text: When the condition is met, as in docs/ci.md.
         parts: The keys, and groups of keys.
-        make: Returns the condition, from the values of the parts by field.
+        make: Returns the condition, from the values of the parts by field, or raises `UnexpectedKeys`.
         plain: The key whose value can be given in place of a table; empty: a table is needed.
+        others: The field that gets all other keys; empty: there are no others.
     """
 
     name: str
@@ -56,27 +61,47 @@ class ConditionKind:
     parts: tuple[Key | KeyGroup, ...]
     make: Callable[..., Condition]
     plain: str = ""
+    others: str = ""
 
     def read(self, value: Any, reading: Reading) -> Condition | None:
         """Return the condition that a value of a file is; None, and faults, if it is wrong."""
         if isinstance(value, dict):
-            values = reading.table(self.parts, value)
+            values = reading.table(self.parts, value, others=self.others)
         elif self.plain:
-            values = reading.table(self.parts, {self.plain: value}, plain=self.plain)
+            values = reading.table(self.parts, {self.plain: value}, plain=self.plain, others=self.others)
         else:
             reading.refuse(value, f"a table of the keys {', '.join(key.name for key in keys_of(self.parts))}")
             return None
-        return None if values is None else self.make(**values)
+        try:
+            return None if values is None else self.make(**values)
+        except UnexpectedKeys as error:
+            reading.faults.append(f"{reading.prefix}: {error}")
+            return None
 
 
 def _measure(measure: Measure) -> ConditionKind:
-    name = "min" if measure.extreme == "least" else "max"
+    critical = "min" if measure.extreme == "least" else "max"
+    names = ("min", "max") if measure.two_sided else (critical,)
+    over_time = () if measure.of_events else (TOLERATE, FOR)
     return ConditionKind(
         name=measure.name,
-        text=f"the {measure.extreme} value of the [measure](measures.md#definitions) is within the bound",
-        parts=(OF, bounds(quantity(measure.unit), name)),
+        text="all values of the [measure](measures.md#definitions) are within the bounds",
+        parts=(OF, bounds(quantity(measure.unit), *names), SCOPE, *over_time),
         make=partial(MeasureBounds, measure=measure.name),
     )
+
+
+def _function(function: tuple[str, str, str], parameters: Mapping[str, Any]) -> FunctionCondition:
+    condition = FunctionCondition(*function, parameters)
+    try:
+        condition.check()
+    except NotSetUp as error:
+        raise UnexpectedKeys(str(error)) from None
+    except TypeError as error:
+        raise UnexpectedKeys(
+            f"{condition.module}:{condition.name}: {error}; the function gets the recording, then these by name"
+        ) from None
+    return condition
 
 
 def _named(kinds: Iterable[ConditionKind]) -> Mapping[str, ConditionKind]:
@@ -202,6 +227,16 @@ CONDITIONS: Final = _named(
                 Key("tolerance", LENGTH, "the distance that counts as equal", default=Quantity(0.0, "m")),
             ),
             make=SameAs,
+        ),
+        ConditionKind(
+            name="condition",
+            text="[a function in Python](#conditions-in-python) finds no offence; all other keys are its parameters",
+            parts=(
+                Key("function", FUNCTION, "the function, in a module beside the rules or an installed one", required=True),
+            ),
+            make=_function,
+            plain="function",
+            others="parameters",
         ),
         *map(_measure, MEASURES.values()),
     )

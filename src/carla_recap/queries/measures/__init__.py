@@ -13,7 +13,7 @@ from carla_recap.queries.measures.boxes import (
 from carla_recap.queries.measures.encroachment import Path, post_encroachment_time
 from carla_recap.queries.measures.extremes import Measures, MeasureSearch, measures, measures_on_roads
 from carla_recap.queries.measures.over_time import MeasuresOverTime, measures_over_time, time_series
-from carla_recap.queries.measures.table import MEASURES, Measure, MeasureRow, MeasureSeries
+from carla_recap.queries.measures.table import MEASURES, Measure, MeasureRow, MeasureSeries, MeasureValues
 
 __all__ = [
     "MEASURES",
@@ -22,6 +22,7 @@ __all__ = [
     "MeasureRow",
     "MeasureSearch",
     "MeasureSeries",
+    "MeasureValues",
     "Measures",
     "MeasuresOverTime",
     "Path",

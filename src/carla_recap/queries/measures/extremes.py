@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
@@ -18,11 +19,13 @@ from carla_recap.queries.measures.over_time import measured_actors
 from carla_recap.queries.measures.pairs import near_pairs
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
-from carla_recap.queries.measures.series import criticality
-from carla_recap.queries.measures.table import MEASURES, Extreme, MeasureRow, series_of
+from carla_recap.queries.measures.series import NO_OTHER, criticality
+from carla_recap.queries.measures.table import MEASURES, Extreme, MeasureRow, MeasureValues, series_of
 from carla_recap.queries.roads import roads_of, warn_without_roads
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
@@ -106,6 +109,17 @@ class MeasureSearch:
     """Computes measures in the batches of a recording, which are read for something else, too.
 
     Args and errors are those of `measures`. The spawns, the ends and the collisions of all actors are read at once.
+
+    Args:
+        source: The recording.
+        actors: The actors to measure.
+        roads: The roads of the map; None: without measures of the road.
+        start: The elapsed seconds from which on to measure.
+        stop: The elapsed seconds until which to measure.
+        over_time: The ids of the actors of which values over time are kept, by measure.
+
+    Attributes:
+        values: These values after `finish`, by measure and actor.
     """
 
     def __init__(
@@ -116,6 +130,7 @@ class MeasureSearch:
         roads: RoadNetwork | None = None,
         start: float = -math.inf,
         stop: float = math.inf,
+        over_time: Mapping[str, Collection[int]] | None = None,
     ) -> None:
         self._source, self._start, self._stop = source, start, stop
         lives, self._contacts = ActorLives(), Contacts()
@@ -125,7 +140,10 @@ class MeasureSearch:
                 lives.add(packet, frame.elapsed)
         self._subjects = measured_actors(source, lives, actors)
         self._motion = MotionCollector(lives)
-        self._roads = None if roads is None else RoadSearch(source, roads, lives)
+        self._roads = None if roads is None else RoadSearch(source, roads, lives, over_time or {})
+        self._over_time = over_time or {}
+        self._parts: dict[tuple[str, int], list[MeasureValues]] = defaultdict(list)
+        self.values: dict[tuple[str, int], MeasureValues] = {}
         self._extremes: dict[int, dict[str, Extreme]] = {id: {} for id in self._subjects}
 
     def read(self) -> None:
@@ -154,6 +172,9 @@ class MeasureSearch:
             self._roads.finish()
             for id in self._subjects:
                 self._extremes[id].update(self._roads.extremes.get(id, {}))
+            self._parts.update(self._roads.values)
+        for name, ids in self._over_time.items():
+            self.values.update({(name, id): MeasureValues.joined(self._parts[name, id]) for id in ids})
         rows = []
         for id, actor in self._subjects.items():
             for name, measure in MEASURES.items():
@@ -169,7 +190,7 @@ class MeasureSearch:
         if not len(rows):
             return
         found = criticality(block, rows)
-        self._drop_unconfirmed(block, rows, found)
+        self._drop_unconfirmed(block, rows, found, every="time_to_collision" in self._over_time)
         series = series_of(block, rows, found)
         for number, row in enumerate(rows.tolist()):
             for start, stop in self._contacts.affected(int(block.ids[row]), _BEFORE_CONTACT):
@@ -178,6 +199,7 @@ class MeasureSearch:
         for measure in MEASURES.values():
             if measure.values is not None:
                 self._note(block, rows, measure, series, measure.values(series))
+                self._keep(block, rows, measure, series, measure.values(series))
         self._note_crossings(block, rows)
 
     def _note(
@@ -197,23 +219,51 @@ class MeasureSearch:
                     other = block.actors[int(np.flatnonzero(block.ids == getattr(series, measure.other)[number, frame])[0])]
                 known[measure.name] = Extreme(sign * value, float(block.time[frame]), other)
 
-    def _drop_unconfirmed(self, block: MotionBlock, rows: NDArray[np.intp], found: Criticality) -> None:
-        """Drop short times to collision with actors that are not on the path that the subject takes, as in a bend."""
+    def _keep(
+        self, block: MotionBlock, rows: NDArray[np.intp], measure: Measure, series: MeasureSeries, values: Floats
+    ) -> None:
+        """Keep the values over time of a measure in a block, (subjects, frames)."""
+        wanted = self._over_time.get(measure.name, ())
+        for number, id in enumerate(block.ids[rows].tolist()):
+            if id in wanted:
+                frames = np.flatnonzero(np.isfinite(values[number, block.core])) + block.first
+                others = getattr(series, measure.other)[number] if measure.other else np.full(len(block.time), NO_OTHER)
+                part = MeasureValues(block.time[frames], values[number, frames], others[frames])
+                self._parts[measure.name, id].append(part)
+
+    def _drop_unconfirmed(
+        self, block: MotionBlock, rows: NDArray[np.intp], found: Criticality, *, every: bool = False
+    ) -> None:
+        """Drop short times to collision with actors that are not on the path that the subject takes, as in a bend.
+
+        Args:
+            block: The block.
+            rows: The rows of the subjects.
+            found: How critical their situation is.
+            every: Whether every value counts, not the least one alone.
+        """
         for number, row in enumerate(rows.tolist()):
             times, threats = found.time_to_collision[number], found.threat[number]
             known = self._extremes[int(block.ids[row])].get("time_to_collision")
-            limit = SHORT if known is None else min(SHORT, known.value)
-            for _ in range(_CHECKS):
-                frame = block.first + int(times[block.core].argmin())
-                if not times[frame] < limit or paths_meet(block, row, int(threats[frame]), frame, SHORT + _LATER):
+            limit = SHORT if known is None or every else min(SHORT, known.value)
+            open_times = times[block.core].copy()  # of which it is not known whether both meet
+            for _ in range(len(open_times) + 1 if every else _CHECKS):
+                frame = block.first + int(open_times.argmin())
+                if not open_times[frame - block.first] < limit:
+                    break
+                meet = paths_meet(block, row, int(threats[frame]), frame, SHORT + _LATER)
+                if meet and not every:
                     break
                 is_same = (threats == threats[frame]) & (np.abs(block.time - block.time[frame]) <= _SAME_THREAT)
-                times[is_same] = np.inf
+                open_times[is_same[block.core]] = np.inf
+                if not meet:
+                    times[is_same] = np.inf
             else:
                 times[times < limit] = np.inf
 
     def _note_crossings(self, block: MotionBlock, rows: NDArray[np.intp]) -> None:
         """Note the least post-encroachment times in a block."""
+        wanted = self._over_time.get("post_encroachment_time", ())
         is_subject = np.zeros(len(block.ids), np.bool_)
         is_subject[rows] = True
         fastest = np.nan_to_num(np.fmax.reduce(block.speed, axis=1))
@@ -221,19 +271,24 @@ class MeasureSearch:
         for start, one, other in near_pairs(block, is_subject, reach):
             found = encroachments(block, start, one, other, POST_ENCROACHMENT_TIME)
             for subjects, others in ((found.first, found.second), (found.second, found.first)):
-                order = np.lexsort((found.time, subjects))
+                order = np.lexsort((found.time, others, subjects))
                 order = order[is_subject[subjects[order]]]
-                is_least = np.diff(subjects[order], prepend=-1) != 0
+                is_least = (np.diff(subjects[order], prepend=-1) != 0) | (np.diff(others[order], prepend=-1) != 0)
                 for index in order[is_least].tolist():
-                    known = self._extremes[int(block.ids[subjects[index]])]
+                    id = int(block.ids[subjects[index]])
+                    known = self._extremes[id]
                     before = known.get("post_encroachment_time")
                     time = float(found.time[index])
-                    if before is not None and time - STEP > before.value:
+                    if before is not None and time - STEP > before.value and id not in wanted:
                         continue
                     left, arrived = int(found.left[index]), int(found.arrived[index])
                     first = path_of(block, int(found.first[index]), left)
                     second = path_of(block, int(found.second[index]), arrived)
                     time = refined(first, second, float(block.time[arrived]), time)
+                    if id in wanted:
+                        met = block.ids[others[index]]
+                        part = MeasureValues(block.time[[arrived]], np.array([time]), np.array([met], np.int64))
+                        self._parts["post_encroachment_time", id].append(part)
                     if before is None or time < before.value:
                         extreme = Extreme(time, float(block.time[arrived]), block.actors[int(others[index])])
                         known["post_encroachment_time"] = extreme

@@ -15,12 +15,13 @@ import numpy as np
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.motion import place_in_metres, possible_step, runs
 from carla_recap.model.presence import RoadHeights
-from carla_recap.queries.measures.table import Extreme
+from carla_recap.queries.measures.series import NO_OTHER
+from carla_recap.queries.measures.table import Extreme, MeasureValues
 from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.roads import network as roads
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator, Mapping
 
     from numpy.typing import NDArray
 
@@ -102,12 +103,20 @@ class RoadSearch:
         source: The recording. Its spawns are read at once.
         network: The roads of its map.
         actors: The actors of the recording.
+        over_time: The ids of the vehicles of which values over time are kept, by measure.
 
     Attributes:
         extremes: The greatest values of measures of the road after `finish`, by vehicle and measure.
+        values: The values over time after `finish`, by measure and vehicle.
     """
 
-    def __init__(self, source: Reader, network: RoadNetwork, actors: Iterable[ActorLife]) -> None:
+    def __init__(
+        self,
+        source: Reader,
+        network: RoadNetwork,
+        actors: Iterable[ActorLife],
+        over_time: Mapping[str, Collection[int]] | None = None,
+    ) -> None:
         self._network = network
         self._actors: dict[int, ActorLife] = {}
         actors = list(actors)
@@ -128,6 +137,8 @@ class RoadSearch:
         self._crossings: list[_Crossing] = []
         self._runs: dict[str, list[_Run]] = defaultdict(list)
         self.extremes: dict[int, dict[str, Extreme]] = defaultdict(dict)
+        self._over_time = over_time or {}
+        self.values: dict[tuple[str, int], list[MeasureValues]] = defaultdict(list)
 
     @np.errstate(invalid="ignore")  # of signalling NaN
     def add(self, batch: Batch) -> None:
@@ -196,6 +207,8 @@ class RoadSearch:
         against &= ~at.in_junction & (kinds == roads.DRIVING)
         self._add_runs("wrong way", motion, against, -progress, summed=True)
         over = motion.speed - at.limit
+        offset = np.where((at.beside <= 0) & ~at.in_junction, np.abs(at.offset), np.nan)
+        self._note("lateral_offset", motion, offset)
         self._add_runs("speeding", motion, (over > TOLERANCE) & (at.beside <= 0), over, at.limit)
         self._note("speed_over_limit", motion, np.where(at.beside <= 0, over, np.nan))
 
@@ -230,10 +243,17 @@ class RoadSearch:
         values = np.where(motion.is_new, values, np.nan)
         for first, last in motion.spans():
             part = values[first:last]
-            if not np.isfinite(part).any():
+            known = first + np.flatnonzero(np.isfinite(part))
+            if not len(known):
                 continue
-            row = first + int(np.nanargmax(part))
-            self._keep(measure, int(self._vehicles[motion.vehicle[row]]), float(values[row]), float(motion.time[row]))
+            row, id = first + int(np.nanargmax(part)), int(self._vehicles[motion.vehicle[first]])
+            self._keep(measure, id, float(values[row]), float(motion.time[row]))
+            self._keep_over_time(measure, id, motion.time[known], values[known])
+
+    def _keep_over_time(self, measure: str, id: int, time: Floats, values: Floats) -> None:
+        """Keep values of a vehicle over time if they are wanted."""
+        if id in self._over_time.get(measure, ()):
+            self.values[measure, id].append(MeasureValues(time, values, np.full(len(time), NO_OTHER)))
 
     def _keep(self, measure: str, id: int, value: float, time: float) -> None:
         """Note a value of a vehicle if it is above 0 and the greatest so far."""
@@ -328,6 +348,7 @@ class RoadSearch:
     def _wrong_way(self) -> Iterator[RoadEvent]:
         for run in _joined(self._runs["wrong way"], summed=True):
             self._keep("distance_against_lane", run.id, run.value, run.start)
+            self._keep_over_time("distance_against_lane", run.id, np.array([run.start]), np.array([run.value]))
             if run.stop - run.start >= AGAINST_TIME:
                 text = f"drives {run.value:.0f} m against the direction of its lane"
                 yield run.event("wrong way", "distance_against_lane", AGAINST * AGAINST_TIME, text)

@@ -66,6 +66,33 @@ class Extreme(NamedTuple):
     other: ActorLife | None = None
 
 
+class MeasureValues(NamedTuple):
+    """The values of a measure of an actor that count for its extreme, over time; arrays of one length.
+
+    Attributes:
+        time: Elapsed seconds, ascending.
+        value: The values, which are finite.
+        other: The ids of the actors that they are in relation to; -1 where there is none.
+    """
+
+    time: Floats
+    value: Floats
+    other: Ids
+
+    @classmethod
+    def joined(cls, parts: Iterable[MeasureValues]) -> MeasureValues:
+        """Return values of several times, in order of time."""
+        none = cls(np.zeros(0), np.zeros(0), np.zeros(0, np.int64))
+        time, value, other = (np.concatenate(columns) for columns in zip(none, *parts, strict=True))
+        order = np.argsort(time, kind="stable")
+        return cls(time[order], value[order], other[order])
+
+    def during(self, start: float, stop: float) -> MeasureValues:
+        """Return the values between two times in elapsed seconds."""
+        rows = (self.time >= start) & (self.time <= stop)
+        return MeasureValues(self.time[rows], self.value[rows], self.other[rows])
+
+
 @dataclass(frozen=True, repr=False)
 class MeasureSeries(Columns):
     """The measures of an actor over time: arrays of one length, a value for each frame in which it is present.
@@ -146,6 +173,8 @@ class Measure:
             are not found frame by frame.
         other: The column with the ids of the actors that the values are in relation to; empty if there is none.
         needs_roads: Whether the roads of the map are needed.
+        two_sided: Whether every value counts, so that a bound on the other side makes sense, too, such as a least speed.
+        of_events: Whether its values are those of events, such as crossing paths, not of all frames.
     """
 
     name: str
@@ -155,6 +184,8 @@ class Measure:
     values: Callable[[MeasureSeries], Floats] | None = None
     other: str = ""
     needs_roads: bool = False
+    two_sided: bool = False
+    of_events: bool = False
 
     @property
     def title(self) -> str:
@@ -193,6 +224,7 @@ MEASURES: Final = _named(
             text="the distance between the boxes; 0 if they overlap",
             values=lambda series: series.gap,
             other="nearest",
+            two_sided=True,
         ),
         Measure(
             name="time_to_collision",
@@ -210,6 +242,7 @@ MEASURES: Final = _named(
             text="the distance to the leader, from bumper to bumper along the heading",
             values=lambda series: series.distance_headway,
             other="leader",
+            two_sided=True,
         ),
         Measure(
             name="time_headway",
@@ -218,6 +251,7 @@ MEASURES: Final = _named(
             text="the same, divided by the speed; without a value at rest [1]",
             values=lambda series: series.time_headway,
             other="leader",
+            two_sided=True,
         ),
         Measure(
             name="required_deceleration",
@@ -232,6 +266,7 @@ MEASURES: Final = _named(
             name="post_encroachment_time",
             unit="s",
             extreme="least",
+            of_events=True,
             text="where paths cross: the time between one leaving a spot and the other arriving there, up to 3 s; without a "
             "value if both are there at once (they touch in the 3 s before or after), or follow each other [1, 5]",
         ),
@@ -241,6 +276,7 @@ MEASURES: Final = _named(
             extreme="greatest",
             text="the speed over the ground",
             values=lambda series: series.speed,
+            two_sided=True,
         ),
         Measure(
             name="acceleration",
@@ -282,6 +318,15 @@ MEASURES: Final = _named(
             unit="m",
             extreme="greatest",
             text="the distance driven against the direction of a lane without a break",
+            needs_roads=True,
+            of_events=True,
+        ),
+        Measure(
+            name="lateral_offset",
+            unit="m",
+            extreme="greatest",
+            text="how far the location of the vehicle is beside the middle of the lane that it is on, to either side; not "
+            "in junctions",
             needs_roads=True,
         ),
     )
