@@ -25,6 +25,7 @@ NOTEBOOKS = sorted(SCRIPT["FOLDER"].glob("*.ipynb"))
 LARGEST = 300 << 10  # bytes
 NEEDED = {
     "autopilot": ("carla", "pymunk", "moderngl", "rerun"),
+    "datasets": ("moderngl", "embreex"),
     "near-misses": ("carla", "pymunk", "moderngl"),
     "sensors": ("carla", "pymunk", "msgpack", "moderngl"),
     "sql": ("carla", "pymunk", "moderngl", "duckdb"),

@@ -6,6 +6,7 @@ The images and points of each recording are written as a part, in a process of i
 from __future__ import annotations
 
 import json
+import warnings
 from abc import ABC, abstractmethod
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, fields, replace
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 
 import numpy as np
 
-from carla_recap.errors import RecapError
+from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.files.labels import image_labels, labelled_actors
 from carla_recap.model.actors import HERO
 from carla_recap.rendering.camera import ImageKind
@@ -53,6 +54,7 @@ _PARTS: Final = ".parts"  # the folder of the parts, until they are put together
 _MIRROR: Final = np.array((1.0, -1.0, 1.0, 1.0, -1.0, -1.0))  # of poses, from CARLA's axes to right-handed ones
 _INSTANCES: Final = ":instances"  # after the id of a camera, that of the camera that tells actors apart; no id of a rig
 _LISTED: Final = 16  # ids that an error lists
+_ELSEWHERE: Final = "--actor ID (in Python, actor=ID) puts the rig on another actor"
 _LIDAR: Final = "lidar"
 
 
@@ -113,7 +115,10 @@ class LabelledFrame:
         samples: The samples by the ids of the sensors.
         carrier: The id of the actor that carries the rig.
         carrier_pose: Its pose in m and degrees, right-handed, (6,).
+        has_labels: Whether an image of those that were asked about so far has labels.
     """
+
+    has_labels = False
 
     def __init__(self, sensed: SensedFrame, index: int) -> None:
         assert sensed.carrier is not None
@@ -136,7 +141,9 @@ class LabelledFrame:
     def labels(self, camera: str) -> list[ImageLabel]:
         """Return the labels in the image of a camera."""
         sample = self.samples[camera]
-        return image_labels(self.actors, sample.camera, self.samples[camera + _INSTANCES].data)
+        found = image_labels(self.actors, sample.camera, self.samples[camera + _INSTANCES].data)
+        self.has_labels = self.has_labels or bool(found)
+        return found
 
 
 @dataclass(frozen=True)
@@ -257,18 +264,26 @@ def write_part(
     Raises:
         RecapError: There is no rig, or it has no such camera; see `sense` for others.
         MissingExtra: An optional dependency is not installed.
+
+    Warns:
+        RecapWarning: No image has labels.
     """
     if rig is None:
         raise RecapError("a dataset needs a rig: --rig RIG.json (in Python, rig=...)")
     sensors = dataset.sensors_of(as_rig(rig), camera)
     sensing = SensingOptions(**{"rate": dataset.rate, **options})
     times: list[float] = []
+    has_labels = False
     with PartTables(folder, dataset.tables_of_part) as tables:
         part = dataset(PartToWrite(recording, sensors, name, folder, tables))
         for frame in labelled_frames(recording, sensors, sensing, progress):
             part.add(frame)
             times.append(frame.time)
+            has_labels = has_labels or frame.has_labels
         part.finish()
+    if not has_labels:
+        text = f"no other road user is seen in any image, so that there are no labels; {_ELSEWHERE}"
+        warnings.warn(f"{recording.location}: {text}", RecapWarning, stacklevel=3)
     return Played(len(times), times[-1] - times[0])
 
 
