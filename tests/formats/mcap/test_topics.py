@@ -237,14 +237,22 @@ def test_messages_are_those_that_were_written(tmp_path, live):
         assert sorted(every) == sorted(recording.reader.further_messages(in_order=False))
 
 
-def test_a_part_reads_the_chunks_of_its_time_alone(tmp_path):
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda reader: list(reader.messages("/sensors/front/image", 5.0, 5.1)),
+        lambda reader: reader.latest_messages(["/sensors/front/image"], 5.0),
+    ],
+    ids=["of a part", "latest"],
+)
+def test_messages_are_read_of_the_chunks_of_their_time_alone(tmp_path, read):
     with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
         writer.add_topic(camera())
         for number in range(100):
             writer.write_message("/sensors/front/image", number / 10, noise(300_000, number))
     with open_recording(tmp_path / "run.mcap") as recording:
         before = recording.reader.bytes_read
-        assert len(list(recording.reader.messages("/sensors/front/image", 5.0, 5.1))) == 1
+        assert len(read(recording.reader)) == 1
         assert recording.reader.bytes_read - before < FURTHER_CHUNK_SIZE + 10_000
 
 
@@ -273,17 +281,6 @@ def test_the_latest_messages_are_found_where_others_came_late(tmp_path):
     with open_recording(tmp_path / "run.mcap") as recording:
         for moment, data in [(5.0, b"0.0"), (15.0, b"10.0"), (45.0, b"40.0"), (79.0, b"50.0"), (81.0, b"80.0")]:
             assert [message.data for message in recording.reader.latest_messages(["/a"], moment)] == [data]
-
-
-def test_the_latest_messages_are_read_of_few_chunks(tmp_path):
-    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
-        writer.add_topic(camera())
-        for number in range(100):
-            writer.write_message("/sensors/front/image", number / 10, noise(300_000, number))
-    with open_recording(tmp_path / "run.mcap") as recording:
-        before = recording.reader.bytes_read
-        assert len(recording.reader.latest_messages(["/sensors/front/image"], 5.0)) == 1
-        assert recording.reader.bytes_read - before < FURTHER_CHUNK_SIZE + 10_000
 
 
 def test_messages_that_came_late_are_put_in_order(tmp_path):
