@@ -19,10 +19,13 @@ from carla_recap import RecapError, RecapWarning, export_sensed, open_recording
 from carla_recap.editing.convert import convert
 from carla_recap.replay.recorded_map import load_map_of
 from carla_recap.sensors.rig import SensorRig
+from carla_recap.sensors.sensing import SEMANTIC_POINT, sense
 from carla_recap.show.foxglove import export_foxglove
 from carla_recap.show.foxglove.layouts import write_layouts
 from tests.rendering.test_renderer import create
+from tests.replay.scripts import write
 from tests.samples import names_in
+from tests.scene.test_falls_and_marks import CAR, WALKER, accident
 from tests.sensors.test_sensing import (
     AHEAD,
     CAMERA,
@@ -176,6 +179,42 @@ def test_answers_about_a_crash_are_those_of_its_recording(tmp_path: Path) -> Non
         convert(tmp_path / "sensed.mcap", converted)
     convert(CRASH, tmp_path / "plain.log")
     assert converted.read_bytes() == (tmp_path / "plain.log").read_bytes()
+
+
+@pytest.mark.filterwarnings("ignore:.*the map Town01 is not found:carla_recap.RecapWarning")
+@pytest.mark.parametrize("start", [0.4, 2.0])
+def test_a_walker_that_was_knocked_down_before_lies(tmp_path: Path, start: float) -> None:
+    """It falls from 0.2 s to 0.8 s, although its recorded pose stays upright."""
+    pytest.importorskip("embreex", reason="embreex is not installed")
+    source = write(tmp_path / "accident.log", accident(40), tick=0.1)
+    rays = {"range": 50.0, "channels": 64, "points_per_second": 1_000_000, "upper_fov": 20.0, "lower_fov": -80.0}
+    rig = SensorRig.of([{"type": "sensor.lidar.ray_cast_semantic", "id": "lidar", "x": 0.0, "y": 0.0, "z": 2.2, **rays}])
+    part = {"start": start, "duration": 1.0}
+    export(source, tmp_path / "sensed.mcap", rig, actor=CAR, **part)
+    with open_recording(source) as recording:
+        expected = [walker_of(frame.samples["lidar"].data) for frame in sense(recording, rig, actor=CAR, **part)]
+        export_foxglove(recording, tmp_path / "scene.mcap", follow=CAR, **part)
+    found, scene = read(tmp_path / "sensed.mcap"), read(tmp_path / "scene.mcap")
+    clouds = [walker_of(np.frombuffer(cloud.data, SEMANTIC_POINT)) for _, cloud in found["/sensors/lidar/points"]]
+    for points, cloud in zip(expected, clouds, strict=True):
+        np.testing.assert_allclose(cloud["z"], points["z"], atol=1 / 256)
+    assert 0.1 < clouds[-1]["z"].max() + 2.2 < 0.7  # m above the ground; upright, it is 1.86 m high
+    shown = [[timeless(message) for _, message in topics["/scene/walkers"]] for topics in (found, scene)]
+    assert shown[0] == shown[1]
+
+
+def walker_of(points: np.ndarray) -> np.ndarray:
+    """Return the points of a semantic lidar on the walker."""
+    return points[points["actor"] == WALKER]
+
+
+def timeless(message: Any) -> bytes:
+    """Return a message about entities without its times."""
+    for entity in message.entities:
+        entity.ClearField("timestamp")
+    for deletion in message.deletions:
+        deletion.ClearField("timestamp")
+    return bytes(message.SerializeToString())
 
 
 def test_the_scene_is_that_of_an_export_to_foxglove(source: Path, path: Path, tmp_path: Path) -> None:

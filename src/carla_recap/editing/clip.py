@@ -78,6 +78,19 @@ def clip(
         reader.close()
 
 
+def clip_begin(reader: Reader, start: float) -> float:
+    """Return the elapsed seconds of the first frame of a clip.
+
+    Args:
+        reader: The recording.
+        start: See `clip`.
+
+    Raises:
+        RecapError: The start lies outside the recording, or it has no frames.
+    """
+    return origin(ClipCutter(reader).first_frame(Player(reader, start=start).start))
+
+
 class ClipCutter:
     """Writes clips of one recording; fastest in the order of their starts.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -205,6 +205,18 @@ def _are_near(poses: Floats) -> Booleans:
     return np.ones(poses.shape[:-1], np.bool_) if near.all() else np.asarray(near.all(axis=-1))
 
 
+class Uncut(NamedTuple):
+    """What a clip is a part of.
+
+    Attributes:
+        recording: The recording.
+        begin: Its elapsed seconds at the first frame of the clip, whose own begin at 0.
+    """
+
+    recording: Recording
+    begin: float
+
+
 class SceneDescriber:
     """Describes batches of scenes, which have to come in order; after a seek, it begins anew.
 
@@ -243,6 +255,17 @@ class SceneDescriber:
                 self._walkers.changes(batch, keep=True)
                 self._marks.changes(batch, keep=True)
         self._recalled = True
+
+    def recall_uncut(self, uncut: Uncut) -> None:
+        """Learn what of the time before a clip is still to be seen at its beginning: who lies, and marks of collisions.
+
+        Args:
+            uncut: What the clip is a part of; the next scene is the first one of the clip.
+        """
+        self.recall(*uncut)
+        self._lamps = VehicleLamps()
+        self._walkers.shift(uncut.begin)
+        self._marks.shift(uncut.begin)
 
     def describe(self, batch: SceneBatch) -> SceneDescription:
         """Return what is to be seen in the next scenes."""

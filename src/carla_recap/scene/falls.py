@@ -137,6 +137,14 @@ class FallenWalkers:
                     self._hits[id] = seen._hits[id]
                     break
 
+    def shift(self, seconds: float) -> None:
+        """Let elapsed times begin later, as those of a clip do.
+
+        Args:
+            seconds: By how much, in s.
+        """
+        self._hits = {id: None if hit is None else hit._replace(time=hit.time - seconds) for id, hit in self._hits.items()}
+
     def _fall(self, id: int, hit: _Hit, times: Floats) -> Iterator[FallChange]:
         """Yield how a walker leans in the scenes of some times, until it lies."""
         for row in np.flatnonzero(times > hit.time).tolist():

@@ -79,6 +79,15 @@ class CollisionMarks:
                 found.append((int(rows[0]), self.locations))
         return found
 
+    def shift(self, seconds: float) -> None:
+        """Let elapsed times begin later, as those of a clip do.
+
+        Args:
+            seconds: By how much, in s.
+        """
+        for mark in self._marks.values():
+            mark.until -= seconds
+
     def _shown(self) -> list[tuple[int, int]]:
         """Return the pairs of actors whose marks are shown: the latest ones."""
         return list(self._marks)[-MOST_MARKS:]

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from carla_recap.replay import Scene
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
-    from carla_recap.scene.description import SceneDescription
+    from carla_recap.scene.description import SceneDescription, Uncut
     from carla_recap.scene.instances import Instances
     from carla_recap.sensors.motion import Motion
     from carla_recap.sensors.rig import SensorRig, SensorSpec
@@ -159,14 +159,26 @@ def sense(
 
 
 def sensed_frames(
-    recording: Recording, rig: SensorRig, options: SensingOptions, progress: Progress | None = None
+    recording: Recording,
+    rig: SensorRig,
+    options: SensingOptions,
+    progress: Progress | None = None,
+    uncut: Uncut | None = None,
 ) -> Generator[SensedFrame]:
-    """Return the same, given the options as an object; see `sense`."""
+    """Return the same, given the options as an object; see `sense`.
+
+    Args:
+        recording: See `sense`.
+        rig: See `sense`.
+        options: The options.
+        progress: See `sense`.
+        uncut: What the recording is a clip of, if that is known: what has happened before is seen then.
+    """
     find_actor(recording.location, recording.actors.values(), options.actor, purpose="to carry the rig")
     duration = 0.0 if math.isinf(options.duration) else options.duration
     player = Player(recording, start=options.start, duration=duration)
     town = _Town(recording, options.road_map, player)
-    return _Sensing(recording, rig, options, player, town).frames(progress)
+    return _Sensing(recording, rig, options, player, town, uncut).frames(progress)
 
 
 @dataclass(eq=False)
@@ -282,6 +294,7 @@ class _Sensing:
         options: SensingOptions,
         player: Player,
         town: _Town,
+        uncut: Uncut | None,
     ) -> None:
         self._recording = recording
         self._actor = options.actor
@@ -295,7 +308,10 @@ class _Sensing:
         )
         self._clocks = {spec.id: _Clock(spec.number("sensor_tick")) for spec in self._rig}
         self._describer = SceneDescriber()
-        self._describer.recall(recording, player.start)
+        if uncut is None:
+            self._describer.recall(recording, player.start)
+        else:
+            self._describer.recall_uncut(uncut)
         self._needs_motion = any(spec.kind in ("imu", "speedometer", "radar") for spec in self._rig)
         self._motions: dict[int, CarrierMotion] = {}
         self._cameras: RigCameras | None = None

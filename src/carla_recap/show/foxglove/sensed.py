@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.editing.clip import clip
+from carla_recap.editing.clip import clip, clip_begin
 from carla_recap.editing.convert import TopicCopy, check_destination
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats.base import Topic
@@ -26,6 +26,7 @@ from carla_recap.recording import open_recording
 from carla_recap.replay import Player
 from carla_recap.replay.recorded_map import find_map_of
 from carla_recap.roads import load_map
+from carla_recap.scene.description import Uncut
 from carla_recap.sensors.messages import SensorMessages
 from carla_recap.sensors.options import SensingOptions
 from carla_recap.sensors.sensing import sensed_frames
@@ -84,7 +85,8 @@ def export_sensed(
     """Write a recording with what the sensors of a rig on one of its actors would have measured.
 
     The file is the recording itself, and beside it has the topics of an export to Foxglove and those of the sensors. Layouts
-    for these are written beside it. A part of the recording is that of a clip, and the sensors see what the clip contains.
+    for these are written beside it. A part of the recording is that of a clip, and the sensors see what has happened before,
+    too, such as a walker that lies on the ground.
 
     Args:
         source: The recording.
@@ -108,19 +110,21 @@ def export_sensed(
     check_destination(source.location, destination, force=force)
     if Path(destination).suffix.lower() != SUFFIX:
         raise RecapError(f"{str(destination)!r} does not end in {SUFFIX}, the format of recordings with sensors")
+    uncut = None
     with ExitStack() as stack:
         if sensing.start or sensing.duration:
+            uncut = Uncut(source, clip_begin(source.reader, sensing.start))
             folder = stack.enter_context(TemporaryDirectory(prefix="carla-recap-"))
             part = Path(folder) / f"part{SUFFIX}"
             clip(source.location, part, start=sensing.start, duration=sensing.duration)
             location, source = source.location, stack.enter_context(open_recording(part))
             source.reader.location = location  # what errors name
-        moments = sensed_frames(source, rig, replace(sensing, start=0.0, duration=0.0), progress)
+        moments = sensed_frames(source, rig, replace(sensing, start=0.0, duration=0.0), progress, uncut)
         stack.enter_context(closing(moments))
         messages = SensorMessages(rig, source.header, video=video)
         found = find_map_of(source, sensing.road_map)
         player = Player(source, follow=sensing.actor)
-        scenes = RecordingMessages(source, player, None if found is None else load_map(found))
+        scenes = RecordingMessages(source, player, None if found is None else load_map(found), uncut=uncut)
         known = source.reader.further_topics()
         _check_new(source, rig)
         with McapWriter(destination, source.header, force=force) as writer:

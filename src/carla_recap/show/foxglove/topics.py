@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from carla_recap.roads import RoadMap
     from carla_recap.scene.ahead import StopPoints
     from carla_recap.scene.captions import Line
-    from carla_recap.scene.description import SceneDescription
+    from carla_recap.scene.description import SceneDescription, Uncut
     from carla_recap.scene.follow import FollowedSeries
     from carla_recap.show.foxglove.messages import Floats, Indices, Times, TopicMessages
 
@@ -151,6 +151,10 @@ class SceneMessages:
         """Learn what of the time before the first scene is still to be seen then; see `SceneDescriber.recall`."""
         self._describer.recall(recording, time)
 
+    def recall_uncut(self, uncut: Uncut) -> None:
+        """Learn what of the time before a clip is still to be seen; see `SceneDescriber.recall_uncut`."""
+        self._describer.recall_uncut(uncut)
+
     def of(self, batch: SceneBatch) -> Iterator[TimedMessages]:
         """Yield the messages of scenes, which follow those before."""
         for start in range(0, len(batch), _TOGETHER):
@@ -231,15 +235,23 @@ class RecordingMessages:
         player: Plays it, or a part of it.
         road_map: The map of the town.
         incidents: Which incidents are found; None: all kinds, those against the rules of the road if the map is given.
+        uncut: What the recording is a clip of, if that is known.
     """
 
     def __init__(
-        self, source: Recording, player: Player, road_map: RoadMap | None, incidents: IncidentOptions | None = None
+        self,
+        source: Recording,
+        player: Player,
+        road_map: RoadMap | None,
+        incidents: IncidentOptions | None = None,
+        uncut: Uncut | None = None,
     ) -> None:
         town = town_around(road_map, player, source)
         self._player = player
         self._messages = SceneMessages(source.reader.header, player.followed, town, stop_points(source.reader))
-        if player.start > 0:
+        if uncut is not None:
+            self._messages.recall_uncut(uncut)
+        elif player.start > 0:
             self._messages.recall(source, player.start)
         self._incidents = PlayedIncidents(player, road_network_of_map(road_map) if town is not None else None, incidents)
         self._elapsed, self._times = [np.zeros(0)], [np.zeros(0, np.uint64)]
