@@ -40,7 +40,7 @@ def test_there_are_ten_questions():
 
 @pytest.mark.parametrize(("query", "shown"), [pytest.param(query, shown, id=name) for name, query, shown in QUESTIONS])
 def test_a_question_has_the_answer_that_is_shown(folder, capfdbinary, query, shown):
-    from carla_recap.cli.sql_output import show_rows
+    from carla_recap.cli.index import show_rows
 
     with open_index(folder / "runs.duckdb") as index:
         show_rows(index.sql(query), "csv")

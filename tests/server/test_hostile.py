@@ -14,7 +14,7 @@ import carla
 import msgpack
 import pytest
 
-from carla_recap.server.rpc.message_buffer import MessageBuffer
+from carla_recap.server.rpc.connection import MessageBuffer
 from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:

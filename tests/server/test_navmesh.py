@@ -11,8 +11,7 @@ import pytest
 
 from carla_recap.server.navmesh import detour, navigation_files, navigation_mesh
 from carla_recap.server.navmesh.detour import mesh_bytes
-from carla_recap.server.navmesh.surface import CORNERS, walkable_surface
-from carla_recap.server.navmesh.walkways import CROSSWALK, ROAD, SIDEWALK, WalkwayEditor
+from carla_recap.server.navmesh.walkways import CORNERS, CROSSWALK, ROAD, SIDEWALK, WalkwayEditor, walkable_surface
 from carla_recap.sim.town.sidewalks import WalkwayGraph
 from carla_recap.sim.town.town import BUILT_IN, Town, load_town
 from tests.roads.towns import opendrive, road, town

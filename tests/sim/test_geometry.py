@@ -7,7 +7,7 @@ import pytest
 
 from carla_recap.replay.pose import attach
 from carla_recap.sim.geometry import Box, Location, Rotation, Transform, Vector
-from carla_recap.sim.recording.poses import pose, transform
+from carla_recap.sim.recording.packets import pose, transform
 
 
 def near(place: Location | Vector, x: float, y: float, z: float) -> bool:

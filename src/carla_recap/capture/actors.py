@@ -12,7 +12,7 @@ from carla_recap.errors import RecapWarning
 from carla_recap.model.actors import HERO
 from carla_recap.model.records import UE4, ActorKind
 from carla_recap.replay.pose import detach
-from carla_recap.sim.recording.poses import CM_PER_M
+from carla_recap.sim.recording.packets import CM_PER_M
 from carla_recap.sim.recording.snapshots import WITH_POSE
 
 if TYPE_CHECKING:

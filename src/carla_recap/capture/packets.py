@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.model.records import UE4, ActorKind, Attribute, Physics, Spawn
-from carla_recap.sim.recording.poses import CM_PER_M
+from carla_recap.sim.recording.packets import CM_PER_M
 
 if TYPE_CHECKING:
     import carla

@@ -1,4 +1,8 @@
-"""The records of actors and blueprints that clients get, and a cache of destroyed actors, for which clients still ask."""
+"""The records of actors and blueprints that clients get, and a cache of destroyed actors, for which clients still ask.
+
+The official client cannot read an actor with an attribute whose value is of the wrong type. It reads all attributes of all
+actors as soon as it lists them, so that a single bad value costs every client its list (`ActorAttributeValue` in LibCarla).
+"""
 
 from __future__ import annotations
 
@@ -11,8 +15,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.model.records import ActorKind
-from carla_recap.server.attributes import readable_attributes
+from carla_recap.sensors.kinds import LARGEST_SIDE
 from carla_recap.server.rpc.codec import encoder
+from carla_recap.server.rpc.registry import CallError
 from carla_recap.server.rpc.structs import (
     ActorDefinition,
     ActorDescription,
@@ -21,17 +26,18 @@ from carla_recap.server.rpc.structs import (
     AttributeValue,
     BoxStruct,
 )
-from carla_recap.sim.actors.attributes import attribute_type, is_restricted
+from carla_recap.sim.actors.attributes import ATTRIBUTE_TYPES, attribute_type, is_restricted
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.geometry import Location, Vector
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from carla_recap.server.streaming.streams import Streams
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
     from carla_recap.sim.geometry import Box, Transform
+
 
 _FIRST_TYPE: Final = 1  # the protocol numbers the types of attributes from 1, recordings from 0
 _FIRST_SENSOR_STREAM: Final = 1 << 24  # streams of sensors are numbered from here, those of snapshots below
@@ -42,6 +48,8 @@ _TRIGGER_HEIGHT: Final = 1.0  # m: half the height of a trigger volume
 _STREAMING: Final = "sensor."
 _CLIENT_SIDE: Final = ("sensor.other.lane_invasion",)
 _MOST_DESTROYED: Final = 10_000  # actors in the cache
+_SHOWN: Final = 60  # characters of a value in a message
+_SIDES: Final = ("image_size_x", "image_size_y")
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,3 +220,41 @@ def _destroyed(actor: Actor) -> DestroyedActor:
     attributes = readable_attributes(actor.blueprint, actor.attributes, actor.context.blueprints)
     changes = tuple((key, value) for key, value in attributes.items() if actor.blueprint.attributes.get(key) != value)
     return DestroyedActor(actor.id, actor.blueprint, changes, actor.transform)
+
+
+def check_attributes(blueprint: Blueprint, attributes: Mapping[str, str]) -> None:
+    """Make sure that clients can read the attributes of an actor.
+
+    Args:
+        blueprint: The blueprint of the actor.
+        attributes: The attributes that are set.
+
+    Raises:
+        CallError: An attribute has a value that is not of its type, or images would have no pixels, or too many.
+    """
+    for key, value in attributes.items():
+        if value == blueprint.attributes.get(key):
+            continue
+        type = ATTRIBUTE_TYPES[attribute_type(key)]
+        expected = type.expected if not type.accepts(value) else ""
+        if not expected and key in _SIDES and not 1 <= float(value) <= LARGEST_SIDE:
+            expected = f"1 to {LARGEST_SIDE} pixels"
+        if expected:
+            raise CallError(f"{blueprint.id}: {key} of {value[:_SHOWN]!r}: expected {expected}")
+
+
+def readable_attributes(blueprint: Blueprint, attributes: Mapping[str, str], library: BlueprintLibrary) -> dict[str, str]:
+    """Return the attributes of an actor, with the defaults instead of values that clients could not read.
+
+    Args:
+        blueprint: The blueprint of the actor; that of an actor of a recording has the recording's values.
+        attributes: The attributes of the actor.
+        library: The blueprints with the defaults.
+    """
+    readable = dict(attributes)
+    for key, value in attributes.items():
+        type = ATTRIBUTE_TYPES[attribute_type(key)]
+        if not type.accepts(value):
+            defaults = library.get(blueprint.id).attributes if blueprint.id in library else {}
+            readable[key] = defaults.get(key, type.neutral)
+    return readable

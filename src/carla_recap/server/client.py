@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from carla_recap.server.traffic_manager.cycle import TrafficManagerCycle
+from carla_recap.server.traffic_manager import TrafficManagerCycle
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable
 
     from carla_recap.server.host import Host
     from carla_recap.server.rpc.connection import ClientConnection
-    from carla_recap.server.traffic_manager.pause import TrafficManagerPause
+    from carla_recap.server.traffic_manager import TrafficManagerPause
 
 
 class Client:

@@ -17,7 +17,7 @@ from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.sensors import Sensors
 from carla_recap.server.streaming.snapshots import SnapshotEncoder, with_map_changed
 from carla_recap.server.streaming.streams import Streams
-from carla_recap.server.traffic_manager.registry import TrafficManagerRegistry
+from carla_recap.server.traffic_manager import TrafficManagerRegistry
 from carla_recap.sim.errors import DeadActor
 
 if TYPE_CHECKING:

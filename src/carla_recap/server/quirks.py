@@ -17,7 +17,7 @@
 | its process aborts, now and then | `quirks.settled` \
 | `test_the_world_is_loaded_anew_while_images_are_drawn`, `test_nothing_of_an_episode_is_sent_after_its_end` |
 | meanwhile, the thread of its traffic manager looks at the episode | its process aborts \
-| `traffic_manager.pause.TrafficManagerPause` | `test_episodes_begin_while_it_lives` |
+| `traffic_manager.TrafficManagerPause` | `test_episodes_begin_while_it_lives` |
 | the client resets its traffic manager only when a snapshot has another episode than `get_episode_info` had \
 | on a map that it has loaded, its traffic drives along the lanes of the map before | `client.Client` \
 | `test_the_manager_drives_on_the_map_that_its_client_loads` |
@@ -25,7 +25,7 @@
 are never exactly in line | it drives into a car that stands in its lane | `quirks.slightly_aside` \
 | `test_vehicles_in_a_lane_are_not_exactly_in_line` |
 | the client signals a tick to its traffic manager without holding the manager's lock \
-| client and manager wait for each other for ever | `traffic_manager.cycle.TrafficManagerCycle` \
+| client and manager wait for each other for ever | `traffic_manager.TrafficManagerCycle` \
 | `test_a_tick_passes_once_the_manager_waits_for_it`, `test_a_manager_that_has_missed_a_tick_is_woken` |
 """
 

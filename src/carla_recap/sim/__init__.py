@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 from carla_recap.util.lazy import lazily
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.actor import Actor, Prop, Sensor, Spectator
+    from carla_recap.sim.actors.actor import Actor, Collision, Prop, Sensor, Spectator
     from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
     from carla_recap.sim.actors.control import VehicleControl, WalkerControl
-    from carla_recap.sim.actors.events import Collision
     from carla_recap.sim.actors.lights import Sign, TrafficLight
     from carla_recap.sim.actors.moving import Vehicle, Walker
     from carla_recap.sim.actors.registry import TickEvents

@@ -13,9 +13,8 @@ import numpy as np
 
 from carla_recap.errors import RecapWarning
 from carla_recap.sim.actors.blueprints import standard_library
-from carla_recap.sim.actors.ids import ActorIds
 from carla_recap.sim.actors.motion import ActorMotion
-from carla_recap.sim.actors.registry import ActorRegistry
+from carla_recap.sim.actors.registry import ActorIds, ActorRegistry
 from carla_recap.sim.clock import Clock
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.settings import Settings

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carla_recap.sim.actors.ids import LARGEST_WANTED, ActorIds
+from carla_recap.sim.actors.registry import LARGEST_WANTED, ActorIds
 
 
 def test_ids_follow_each_other_from_1() -> None:

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from carla_recap.sim.actors.blueprints import standard_library
-from carla_recap.sim.actors.ids import ActorIds
 from carla_recap.sim.actors.motion import ActorMotion
 from carla_recap.sim.actors.moving import Vehicle, Walker
-from carla_recap.sim.actors.registry import ActorRegistry
+from carla_recap.sim.actors.registry import ActorIds, ActorRegistry
 from carla_recap.sim.clock import Clock
 from carla_recap.sim.errors import SpawnError
 from carla_recap.sim.geometry import Transform

@@ -17,7 +17,7 @@ from tests.sim.flat import at, flat_world, light
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from carla_recap.sim.actors.events import Collision
+    from carla_recap.sim.actors.actor import Collision
     from carla_recap.sim.world import World
 
 

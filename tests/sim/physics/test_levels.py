@@ -21,7 +21,7 @@ from tests.sim.flat import at, flat_world
 from tests.sim.two_levels import BRIDGE, two_levels
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.events import Collision
+    from carla_recap.sim.actors.actor import Collision
     from carla_recap.sim.geometry import Transform
 
 

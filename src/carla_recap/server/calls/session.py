@@ -1,16 +1,19 @@
-"""Calls about the session: version, episode, settings, ticks, the map and traffic managers."""
+"""Calls about the session: version, episodes and their maps, settings, ticks, and traffic managers."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from carla_recap.server.actor_records import sensor_of
 from carla_recap.server.client import Client
 from carla_recap.server.navmesh import NAVIGATION, navigation_files, navigation_mesh
+from carla_recap.server.quirks import settled
 from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import EpisodeInfo, EpisodeSettings, MapInfo, Token
+from carla_recap.server.traffic_manager import TrafficManagerPause
 from carla_recap.sim.validation import expect_between
 from carla_recap.sim.weather import Weather
 
@@ -23,6 +26,8 @@ VERSION = "0.9.16"
 """The version of the supported client."""
 _FOLDER: Final = "Carla/Maps"
 """The folder in the name of the current map; `get_available_maps` uses another one, as in CARLA."""
+_MAPS: Final = "/Game/Carla/Maps"
+"""The folder of maps in CARLA's names."""
 
 
 @call
@@ -180,3 +185,47 @@ def add_traffic_manager_running(client: Client, address: tuple[str, int]) -> boo
 def destroy_traffic_manager(client: Client, port: int) -> None:
     """Unregister a traffic manager."""
     client.host.traffic_managers.remove(port)
+
+
+@call
+def get_available_maps(client: Client) -> list[str]:
+    """Return the maps that can be loaded."""
+    return [f"{_MAPS}/{name}" for name in client.host.maps.names]
+
+
+@call
+async def copy_opendrive_to_file(client: Client, text: str, parameters: Any = None) -> None:
+    """Parse a map for later episodes; the parameters for CARLA's meshes have no effect."""
+    async with client.host.maps.loading:
+        await client.host.maps.receive(text)
+
+
+@call
+async def load_new_episode(client: Client, name: str, reset_settings: bool = True, layers: int = 0) -> None:
+    """Begin a new episode, which destroys all actors and completes a recording.
+
+    Other clients go on in the old episode while a map is loaded.
+
+    Args:
+        client: The client.
+        name: The name of a map, with or without its folder; empty for the current map.
+        reset_settings: Whether to reset all settings, so that the world is in asynchronous mode.
+        layers: The layers of the map, which have no effect.
+    """
+    host = client.host
+    async with host.maps.loading:
+        town = await host.maps.load(name) if name else host.world.town
+        await settled()
+        if host.traffic_managers.has_one(client):
+            client.pause = TrafficManagerPause()
+            await client.pause.begin(partial(host.publish_again, client))
+            client.in_background(_end_pause(client.pause, client))
+        if reset_settings:
+            host.apply_settings(EpisodeSettings())
+        host.begin_episode(town, client)
+
+
+async def _end_pause(pause: TrafficManagerPause, client: Client) -> None:
+    await pause.end(lambda: client.stream in client.host.streams.subscribed)  # the new one
+    if client.pause is pause:
+        client.pause = None

@@ -8,8 +8,7 @@ from hashlib import sha256
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.server.navmesh.detour import mesh_bytes
-from carla_recap.server.navmesh.surface import walkable_surface
-from carla_recap.server.navmesh.walkways import WalkwayEditor, cross_roads
+from carla_recap.server.navmesh.walkways import WalkwayEditor, cross_roads, walkable_surface
 
 if TYPE_CHECKING:
     from carla_recap.sim.town.town import Town

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.server.navmesh.surface import CORNERS
-from carla_recap.server.navmesh.walkways import CROSSWALK, ROAD, SIDEWALK
+from carla_recap.server.navmesh.walkways import CORNERS, CROSSWALK, ROAD, SIDEWALK
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.server.navmesh.surface import WalkableSurface
+    from carla_recap.server.navmesh.walkways import WalkableSurface
 
     Integers = NDArray[np.int64]
 

@@ -14,8 +14,7 @@ from carla_recap.scene.description import LookColumns
 from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehicles
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor
-from carla_recap.sim.recording.packets import spawn
-from carla_recap.sim.recording.poses import CM_PER_M, pose
+from carla_recap.sim.recording.packets import CM_PER_M, pose, spawn
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,8 @@
-"""Actors with CARLA's vocabulary: what all of them have in common, and those that do not move by themselves."""
+"""Actors with CARLA's vocabulary: what all have in common, those that do not move by themselves, and collisions."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from carla_recap.model.records import ActorKind
     from carla_recap.sim.actors.blueprints import Blueprint
     from carla_recap.sim.actors.registry import ActorRegistry
-    from carla_recap.sim.geometry import Box
+    from carla_recap.sim.geometry import Box, Location
 
 
 class Actor:
@@ -174,3 +175,26 @@ class Spectator(Actor):
 def attached_transform(parent: Actor, relative: Transform) -> Transform:
     """Return the transform in the world of something attached to a parent."""
     return parent.transform.attached(relative)
+
+
+@dataclass(frozen=True, slots=True)
+class Collision:
+    """A collision of an actor that is watched: a hero, or one with a collision sensor.
+
+    Attributes:
+        actor1: The id of that actor.
+        actor2: The id of the actor that it collided with; None for a barrier, which is no actor.
+        location: The first point of contact; in a replay, the point halfway between the actors.
+        impulse: The impulse on actor1 in N s; in a replay, an estimate.
+        hero1: Whether actor1 is a hero.
+        hero2: Whether actor2 is a hero.
+        number: The number of the collision in its episode, from 0; in a replay, the recorded number.
+    """
+
+    actor1: int
+    actor2: int | None
+    location: Location
+    impulse: Vector
+    hero1: bool
+    hero2: bool
+    number: int

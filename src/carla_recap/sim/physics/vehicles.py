@@ -14,9 +14,8 @@ import numpy as np
 
 from carla_recap.model.motion import GRAVITY
 from carla_recap.sim.columns import column
-from carla_recap.sim.physics import drivetrain
-from carla_recap.sim.physics.drivetrain import SPEEDS
 from carla_recap.sim.physics.moving_bodies import MovingBodies
+from carla_recap.sim.physics.physics_control import GEARS, SPEEDS, columns
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -40,7 +39,7 @@ _STEER_RATE: Final = 2.5  # full locks per second, as fast as CARLA's steering i
 _LEAST_GRIP: Final = 0.4  # the share of the grip that brakes with anti-lock leave for steering
 _SIDEWAYS: Final = 1.5  # of the grip ahead: CARLA's traffic manager enters bends of 8 m at 11 m/s, and stays in its lane
 _SLIP_SPEED: Final = 0.02  # m/s: keeps the slip of standing wheels finite
-_TABLE: Final = np.zeros(len(drivetrain.SPEEDS))
+_TABLE: Final = np.zeros(len(SPEEDS))
 _STEEPEST: Final = 0.5  # the slope of a road, rise by run
 _LEAST: Final = np.array([[0.0], [-1.0], [0.0]])  # of throttle, steering and brake
 
@@ -108,8 +107,8 @@ class Vehicles(MovingBodies):
     """The greatest force of the rear brakes, in N."""
     full_lock: Floats = column(1.0)
     """The greatest angle of the front wheels, in radians."""
-    forces: Floats = column(np.zeros((drivetrain.GEARS, len(_TABLE))))
-    """The greatest force of the engine by gear and speed, in N, (n, gears, speeds); see `drivetrain`."""
+    forces: Floats = column(np.zeros((GEARS, len(_TABLE))))
+    """The greatest force of the engine by gear and speed, in N, (n, gears, speeds); see `physics_control`."""
     best_force: Floats = column(_TABLE)
     """The greatest of them by speed, in N, (n, speeds)."""
     usual_gear: NDArray[np.int64] = column(_TABLE.astype(np.int64))
@@ -124,7 +123,7 @@ class Vehicles(MovingBodies):
 
     def set_physics(self, row: int, control: PhysicsControl, box: Box) -> None:
         """Set the columns that follow from a physics control."""
-        for name, value in drivetrain.columns(control, box, weightless=bool(self.weightless[row])).items():
+        for name, value in columns(control, box, weightless=bool(self.weightless[row])).items():
             getattr(self, name)[row] = value
         if self.simulated[row]:
             self.bodies[row].mass, self.bodies[row].moment = self.mass[row].item(), self.moment[row].item()

@@ -1,4 +1,7 @@
-"""The records of single actors: blueprint, attributes, pose, box, physics and the times of lights, in CARLA's units."""
+"""The records of single actors: blueprint, attributes, pose, box, physics and the times of lights, in CARLA's units.
+
+A pose is six numbers, as in `carla_recap.replay.pose`: x, y, z in cm, then roll, pitch, yaw in degrees, left-handed.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +11,17 @@ import numpy as np
 
 from carla_recap.model.records import UE4, Attribute, Physics, RecordType, Spawn
 from carla_recap.sim.actors.attributes import attribute_type
-from carla_recap.sim.geometry import Location
-from carla_recap.sim.recording.poses import CM_PER_M, pose
+from carla_recap.sim.geometry import Location, Rotation, Transform
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
     from carla_recap.model.layout import Layout
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.actors.lights import Sign, TrafficLight
     from carla_recap.sim.actors.moving import Vehicle
-    from carla_recap.sim.geometry import Transform
     from carla_recap.sim.physics.physics_control import WheelPhysics
     from carla_recap.sim.town.town import Town
 
@@ -26,6 +29,7 @@ Row = tuple[float, ...]
 
 _PHYSICS: Final[RecordType] = UE4.named("physics")
 _HALF_HEIGHT: Final = 1.0  # m, of trigger volumes, which stand on the road
+CM_PER_M: Final = 100.0
 
 
 def spawn(actor: Actor) -> Spawn:
@@ -106,3 +110,22 @@ def _rows(field: str, rows: list[Row]) -> NDArray[np.void]:
     assert not isinstance(many, str)
     layout: Layout = many.layouts[0]
     return np.array(rows, layout.dtype(wide=False))
+
+
+def pose(transform: Transform) -> tuple[float, float, float, float, float, float]:
+    """Return the pose of a transform."""
+    location, rotation = transform.location, transform.rotation
+    return (
+        location.x * CM_PER_M,
+        location.y * CM_PER_M,
+        location.z * CM_PER_M,
+        rotation.roll,
+        rotation.pitch,
+        rotation.yaw,
+    )
+
+
+def transform(pose: Iterable[float]) -> Transform:
+    """Return the transform of a pose."""
+    x, y, z, roll, pitch, yaw = map(float, pose)
+    return Transform(Location(x / CM_PER_M, y / CM_PER_M, z / CM_PER_M), Rotation(pitch, yaw, roll))

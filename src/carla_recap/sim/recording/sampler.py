@@ -23,7 +23,7 @@ from carla_recap.sim.actors.lights import Sign, TrafficLight
 from carla_recap.sim.actors.moving import MovingActor, Vehicle
 from carla_recap.sim.actors.registry import TickEvents
 from carla_recap.sim.recording import packets
-from carla_recap.sim.recording.poses import pose
+from carla_recap.sim.recording.packets import pose
 from carla_recap.sim.recording.snapshots import OTHER_POSES, TYPES, WITH_POSE, ActorSet, SnapshotBatch, Timestamp
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from carla_recap.model.frame import LAST_FRAME_DURATION, Packet
 from carla_recap.model.layout import EMPTY_LIST, Framing, pack
 from carla_recap.model.records import FRAME_END, ORDER, UE4, ActorKind
 from carla_recap.replay.selection import numbers
-from carla_recap.sim.recording.poses import CM_PER_M
+from carla_recap.sim.recording.packets import CM_PER_M
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.model.actors import is_object
-from carla_recap.sim.actors.events import Collision
+from carla_recap.sim.actors.actor import Collision
 from carla_recap.sim.actors.motion import is_watched
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.geometry import Location, Vector

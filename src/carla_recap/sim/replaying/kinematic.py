@@ -13,8 +13,8 @@ from carla_recap.replay.pose import wrap
 from carla_recap.replay.selection import find
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor
-from carla_recap.sim.physics.drivetrain import GEARS
-from carla_recap.sim.recording.poses import CM_PER_M, transform
+from carla_recap.sim.physics.physics_control import GEARS
+from carla_recap.sim.recording.packets import CM_PER_M, transform
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -21,7 +21,7 @@ from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
 from carla_recap.sim.errors import MapMissing, SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
-from carla_recap.sim.recording.poses import CM_PER_M, pose, transform
+from carla_recap.sim.recording.packets import CM_PER_M, pose, transform
 from carla_recap.sim.recording.recorder import recording_path
 from carla_recap.sim.replaying.actor_mapping import ActorMapping
 from carla_recap.sim.replaying.collisions import CollisionReplay

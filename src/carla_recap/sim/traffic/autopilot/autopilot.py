@@ -7,18 +7,18 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.sim.actors.lights import GREEN
-from carla_recap.sim.traffic.autopilot.acceleration import desired_acceleration
-from carla_recap.sim.traffic.autopilot.controls import set_lights, set_pedals, set_steering, wrap_angle
+from carla_recap.sim.traffic.autopilot.controls import desired_acceleration, set_lights, set_pedals, set_steering, wrap_angle
 from carla_recap.sim.traffic.autopilot.drivers import DrivenVehicles, Drivers
 from carla_recap.sim.traffic.autopilot.junctions import JunctionControl, QueueEnds
-from carla_recap.sim.traffic.autopilot.lane_changes import (
+from carla_recap.sim.traffic.autopilot.perception import ObstacleTracker, perceive
+from carla_recap.sim.traffic.autopilot.routes import (
+    LaneNetwork,
+    Routes,
     lane_changes,
     lateral_offset,
     start_transition,
     transition_progress,
 )
-from carla_recap.sim.traffic.autopilot.perception import ObstacleTracker, perceive
-from carla_recap.sim.traffic.autopilot.routes import LaneNetwork, Routes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

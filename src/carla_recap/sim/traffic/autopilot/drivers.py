@@ -103,7 +103,7 @@ class Drivers(StructOfArrays):
     transition_offset: Floats = column(0.0)
     """The lateral offset at its start, in m."""
     transition_slope: Floats = column(0.0)
-    """The slope at its start, see `lane_changes.lateral_offset`."""
+    """The slope at its start, see `routes.lateral_offset`."""
     stop_line: Floats = column(np.inf)
     """The position of the next stop line; infinity if there is none."""
     signal: Integers = column(np.int64(NONE))

@@ -9,7 +9,7 @@ import numpy as np
 
 from carla_recap.sim.actors.actor import Prop
 from carla_recap.sim.traffic.autopilot.drivers import NONE
-from carla_recap.sim.traffic.autopilot.lane_changes import shift_poses
+from carla_recap.sim.traffic.autopilot.routes import shift_poses
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
