@@ -25,23 +25,9 @@ from tests.cli.command import CROSSING, answer, error, run, the_line
 from tests.fleet.test_workers import HOSTILE, hostile
 from tests.rendering.test_renderer import create
 from tests.sensors.test_sensing import drive
-from tests.waiting import PATIENCE, time_limit, wait_until
+from tests.waiting import time_limit, wait_until
 
 distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")
-
-
-@pytest.fixture(scope="module")
-def cluster():
-    options = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, **options) as cluster:
-        yield cluster
-
-
-@pytest.fixture
-def client(cluster):
-    with connect(cluster.scheduler_address) as client:
-        client.wait_for_workers(2, timeout=PATIENCE)
-        yield client
 
 
 def sources(count):

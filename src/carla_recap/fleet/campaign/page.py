@@ -63,7 +63,7 @@ def campaign_page(rows: Sequence[CampaignRow], folder: Path, measure: Measure, t
     style = "".join(sheet.read_text("utf-8") for sheet in sheets)
     counts = Counter(_status(row) for row in rows)
     said = [f"{len(rows):,} {'run' if len(rows) == 1 else 'runs'}"]
-    said += [f"{counts['fail']:,} break rules"] if counts["fail"] else []
+    said += [f"{counts['fail']:,} {'breaks' if counts['fail'] == 1 else 'break'} rules"] if counts["fail"] else []
     said += [f"{counts['error']:,} failed"] if counts["error"] else []
     origin = f"{title} · {datetime.now(UTC):%d %B %Y, %H:%M} UTC · carla-recap {version('carla-recap')}"
     has_rules = any(row.broken is not None for row in rows)
@@ -145,9 +145,9 @@ def _heat_map(rows: Sequence[CampaignRow], folder: Path, measure: Measure) -> st
     unit = f", in {measure.unit}" if measure.unit else ""
     text = f"the {worst} of each cell{unit}"
     heading = f"<h2>{escape(measure.title.capitalize())} <span>{escape(text)}</span></h2>"
-    drawn = (
-        f'<svg class="heat" viewBox="0 0 {size[0]} {size[1]}" width="{size[0]}" height="{size[1]}">{"".join(parts)}</svg>'
-    )
+    kind = "heat few" if len(across.labels) <= _FEW else "heat"
+    shape = f'viewBox="0 0 {size[0]} {size[1]}" width="{size[0]}" height="{size[1]}"'
+    drawn = f'<svg class="{kind}" {shape}>{"".join(parts)}</svg>'
     return f'<section>\n{heading}\n<div class="wide">{drawn}</div>\n</section>\n'
 
 

@@ -1,0 +1,129 @@
+"""`carla-recap campaign`: what it prints and writes, and what it says about wrong arguments."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from carla_recap.fleet.campaign.report import INDEX, PAGE, RUNS
+from tests.cli.command import answer, error, run
+from tests.fleet.campaign import functions
+from tests.samples import names_in
+
+pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
+
+FILE = Path(functions.__file__)
+SAMPLES = Path(__file__).parents[2] / "samples"
+RULES = """
+[rules.is-long]
+duration = { min = "0.2 s" }
+"""
+RAISED = "seed=1,how=raise.mcap: KeyError: 'three' (functions.py)"
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """A campaign in which a run fails and one breaks a rule, and its folder."""
+    folder = tmp_path_factory.mktemp("campaign")
+    (folder / "rules.toml").write_text(RULES)
+    options = ("--seeds", "1,2", "--param", "how=raise,nothing", "--rules", folder / "rules.toml", "--pages", "1", "--csv")
+    return run("campaign", f"{FILE}:misbehave", "--out", folder / "runs", *options), folder / "runs"
+
+
+def test_all_runs_are_rows_with_their_parameters(done):
+    done, folder = done
+    assert done.returncode == 2
+    rows = list(csv.DictReader(io.StringIO(done.stdout.decode())))
+    assert [(row["seed"], row["how"], row["rules"]) for row in rows] == [
+        ("1", "raise", ""),
+        ("2", "raise", ""),
+        ("1", "nothing", "is-long"),
+        ("2", "nothing", "is-long"),
+    ]
+    assert rows[0]["error"].startswith("KeyError: 'three'")
+    assert rows[2]["recording"] == str(folder / "seed=1,how=nothing.mcap")
+    lines = done.stderr.decode().splitlines()
+    assert re.sub(r":\d+\)", ")", lines[0]) == f"carla-recap: {RAISED}"
+    assert lines[-1] == "runs: 2 done, 0 were there, 2 failed; 2 recordings of 2 break rules"
+
+
+def test_the_page_the_index_and_the_runs_are_written(done):
+    _, folder = done
+    assert names_in(folder) == [RUNS, INDEX, PAGE, "pages", "seed=1,how=nothing.mcap", "seed=2,how=nothing.mcap"]
+    runs = json.loads((folder / RUNS).read_text())["runs"]
+    assert [each["page"] for each in runs if each["page"]] == ["pages/seed-1-how-nothing.html"]
+    assert "about to raise" in runs[0]["details"]
+    query = "select parameters['how'] as how, count(*) as runs from recordings group by how"
+    assert answer("sql", folder / INDEX, query, "--csv") == "how,runs\nnothing,2\n"
+
+
+def test_a_second_time_only_what_failed_is_run_again(done):
+    _, folder = done
+    again = run("campaign", f"{FILE}:misbehave", "--out", folder, "--seeds", "1,2", "--param", "how=raise,nothing", "--json")
+    assert again.stderr.decode().splitlines()[-1] == "runs: 0 done, 2 were there, 2 failed"
+    assert [each["was_there"] for each in json.loads(again.stdout)["runs"]] == [False, False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "either FILE.py:FUNCTION or --serve"),
+        (["gone.py:run"], "gone.py: No such file"),
+        ([f"{FILE}:gone"], "has no function gone; it has drive, wait_here, misbehave, record_elsewhere"),
+        ([f"{FILE}:drive", "--seeds", "5:1"], "seeds 5:1: end before they begin"),
+        (
+            [f"{FILE}:drive", "--param", "speed=8"],
+            "parameter speed: the function has none of that name; it has vehicles, seconds",
+        ),
+        ([f"{FILE}:misbehave"], "parameter how: the function needs it; --param how=VALUE,... was expected"),
+        ([f"{FILE}:drive", "--param", "vehicles"], "parameter 'vehicles': NAME=VALUE,... was expected"),
+        ([f"{FILE}:drive", "--param", "vehicles=1", "--param", "vehicles=2"], "parameter vehicles: is given twice"),
+        ([f"{FILE}:drive", "--param", f"{'x' * 10_000}=1"], "at most 100"),
+        ([f"{FILE}:drive", "--param", "vehicles=1..3"], "a range goes with --search"),
+        ([f"{FILE}:drive", "--seeds", "1:10000000"], "10,000,000 runs; from 1 to 100,000 were expected"),
+        ([f"{FILE}:drive", "--measure", "beauty"], "'beauty': is no measure of a run; one of collisions, "),
+        ([f"{FILE}:drive", "--search"], "--search needs either --minimize or --maximize"),
+        ([f"{FILE}:drive", "--minimize", "ttc"], "go with --search"),
+        ([f"{FILE}:drive", "--search", "--minimize", "ttc"], "a parameter with a range or several values was expected"),
+        ([f"{FILE}:drive", "--rules", "gone.toml"], "gone.toml"),
+        (["--serve", "gone.py"], "gone.py: is no file"),
+        ([f"{FILE}:drive", "--report", FILE], "is a file; a folder was expected"),
+    ],
+)
+def test_wrong_arguments_are_one_line(tmp_path, arguments, message):
+    line = error("campaign", *arguments, "--out", tmp_path / "runs", cwd=tmp_path)
+    assert message in line
+    assert len(line) < 600
+    assert not list((tmp_path / "runs").glob("*.mcap"))
+
+
+def test_an_out_folder_that_is_a_file_is_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    line = error("campaign", f"{FILE}:drive", "--out", tmp_path / "file")
+    assert line.endswith("file: is a file; a folder was expected")
+
+
+def test_a_search_finds_the_crash_of_the_sample(tmp_path):
+    pytest.importorskip("optuna", reason="the extra `search` is not installed")
+    options = (
+        "--param",
+        "delay=4.5..6.0",
+        "--param",
+        "speed=1.5..2.5",
+        "--search",
+        "--maximize",
+        "collisions",
+        "--runs",
+        "8",
+    )
+    done = run(
+        "campaign", f"{SAMPLES / 'campaign.py'}:pedestrian", *options, "--out", tmp_path, "--pages", "0", "--workers", "2"
+    )
+    assert done.returncode == 0, done.stderr
+    assert ": collisions 1 at " in done.stdout.decode().splitlines()[0]
+    assert len(list(tmp_path.glob("*.mcap"))) == 8

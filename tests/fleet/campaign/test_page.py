@@ -1,0 +1,94 @@
+"""The page of a campaign: its heat maps, tables and links."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from carla_recap.fleet.campaign.page import campaign_page
+from carla_recap.fleet.campaign.report import CampaignRow
+from carla_recap.fleet.campaign.results import COLLISIONS, Result, result_named
+
+NASTY = "</style></p><img src=x onerror=alert(1)>\"'&amp;\x1b"
+MEASURE = result_named("ttc")
+
+
+def row(seed, error=None, broken=None, page=None, value=None, **parameters):
+    results = {COLLISIONS.name: Result(0.0)}
+    if value is not None:
+        results[MEASURE.name] = Result(value, 1.5, 41)
+    recording = f"/runs/seed={seed}," + ",".join(f"{name}={each}" for name, each in parameters.items()) + ".mcap"
+    return CampaignRow(seed, parameters, recording, error, "", False, 1.0, 20, 1.0, {} if error else results, broken, page)
+
+
+def shown(rows):
+    return campaign_page(rows, Path("/runs"), MEASURE, "a.py:run")
+
+
+def cells(page):
+    """Return the address, the class and the value of each cell of the first heat map; failed cells have no address."""
+    drawing = re.findall(r'<svg class="heat.*?</svg>', page)[0]
+    linked = re.findall(r'<a class="([\w-]+)" href="([^"]*)">.*?<text [^>]*>([^<]*)</text></a>', drawing)
+    return [(address, tone, value) for tone, address, value in linked], re.findall(r'<g class="none">', drawing)
+
+
+def test_a_cell_shows_the_worst_of_its_runs_and_leads_to_it():
+    rows = [
+        row(1, speed=8, delay=1, value=2.0),
+        row(2, speed=8, delay=1, value=0.5, page="pages/a.html"),
+        row(1, speed=8, delay=2, value=6.5),
+        row(1, speed=10, delay=1),
+        row(1, speed=10, delay=2, error="KeyError: 'three'"),
+    ]
+    found, failed = cells(shown(rows))
+    assert found == [
+        ("pages/a.html", "tone-6", "0.5"),
+        ("seed%3D1%2Cspeed%3D8%2Cdelay%3D2.mcap", "tone-0", "6.5"),
+        ("seed%3D1%2Cspeed%3D10%2Cdelay%3D1.mcap", "unknown", "none"),
+    ]
+    assert len(failed) == 1
+
+
+def test_parameters_with_many_values_are_put_together():
+    rows = [row(1, speed=index / 7, delay=index % 5, value=float(index)) for index in range(100)]
+    found, _ = cells(shown(rows))
+    assert len(found) == 12 * 5
+
+
+@pytest.mark.parametrize("parameters", [{}, {"speed": 8}])
+def test_without_two_parameters_there_is_no_heat_map(parameters):
+    page = shown([row(1, value=1.0, **parameters)])
+    assert "<svg" not in page
+    assert "1 s" in page
+
+
+def test_the_worst_runs_come_first_and_failed_ones_last():
+    rows = [
+        row(1, value=0.1, broken=()),
+        row(2, broken=("is-long",)),
+        row(3, value=0.05, broken=()),
+        row(4, error="takes more than 5 s"),
+        row(5, broken=()),
+    ]
+    page = shown(rows)
+    seeds = re.findall(r'<tr><td class="number">(\d)</td>', page)
+    assert seeds == ["2", "3", "1", "5"]
+    assert page.index("is-long") < page.index("takes more than 5 s")
+    assert "<h1>5 runs, 1 breaks rules, 1 failed</h1>" in page
+
+
+def test_texts_cannot_become_markup():
+    rows = [row(1, text=NASTY, other=NASTY * 100, broken=(NASTY,)), row(2, text="a", other="b", error=NASTY)]
+    page = shown(rows)
+    assert "<img" not in page
+    assert "\x1b" not in page
+    assert page.count("<style>") == page.count("</style>") == 1
+
+
+def test_a_page_of_many_runs_stays_small():
+    rows = [row(index, speed=index % 50, delay=index // 50, value=float(index)) for index in range(20_000)]
+    page = shown(rows)
+    assert len(page) < 2_000_000
+    assert "and 18,000 more in campaign.json" in page
