@@ -24,7 +24,7 @@ from carla_recap.rendering.roadside import LightPost, add_barriers, add_signs, a
 from carla_recap.rendering.terrain import Terrain, add_edges
 from carla_recap.replay.recorded_map import LONGEST_DRIVEN, load_map_of
 from carla_recap.roads.corridors import is_of_corridors
-from carla_recap.roads.files import content_digest, expecting_map, read_parts
+from carla_recap.roads.files import content_digest, expecting, read_parts
 from carla_recap.roads.lanes import TownRoads
 from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.scene.materials import Material
@@ -175,7 +175,7 @@ def _cached_mesh(name: str, digest: bytes) -> TownMesh | None:
 
 
 def _made_mesh(name: str, path: Path, digest: bytes, text: str | None) -> TownMesh:
-    with expecting_map(path):
+    with expecting(path):
         tiles, lights = build_town(read_parts(path) if text is None else text)
     if not tiles:
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane is in it")

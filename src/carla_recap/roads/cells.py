@@ -1,4 +1,4 @@
-"""Connected areas of the cells of a grid, such as the gaps between the lanes of a junction."""
+"""The cells of grids: connected areas of them, such as the gaps between the lanes of a junction, and points by cells."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    Floats = NDArray[np.float64]
     Flags = NDArray[np.bool_]
     Integers = NDArray[np.int64]
 
@@ -68,3 +69,37 @@ def _joined(count: int, one: Integers, other: Integers) -> Integers:
         apart = numbers[one] != numbers[other]
         one, other = one[apart], other[apart]
     return numbers
+
+
+class PointGrid:
+    """Points in the cells of a grid, sorted by cell.
+
+    Args:
+        points: (n, 2), in m.
+        cell: The size of a cell in m.
+
+    Attributes:
+        fullest: The number of points in the cell with most.
+    """
+
+    def __init__(self, points: Floats, cell: float) -> None:
+        self._cell = cell
+        self._origin = points.min(axis=0) - 2 * cell
+        cells = np.floor((points - self._origin) / cell).astype(np.int64)
+        self._shape = cells.max(axis=0) + 3
+        keys = cells[:, 0] * self._shape[1] + cells[:, 1]
+        self._order = np.argsort(keys, kind="stable")
+        self._keys = keys[self._order]
+        self.fullest = int(np.unique(self._keys, return_counts=True)[1].max())
+
+    def around(self, places: Floats) -> tuple[Integers, Integers]:
+        """Return pairs of locations and points in the same cell or in one of the eight around it, as indices."""
+        cells = np.floor((places - self._origin) / self._cell).astype(np.int64)
+        inside = np.flatnonzero(((cells > 0) & (cells < self._shape - 1)).all(axis=1))
+        columns = cells[inside, 0, None] + np.array((-1, 0, 1))
+        keys = columns * self._shape[1] + cells[inside, 1, None]
+        begin = np.searchsorted(self._keys, keys - 1, "left").ravel()
+        counts = np.searchsorted(self._keys, keys + 1, "right").ravel() - begin
+        total = np.cumsum(counts) - counts
+        number = np.arange(counts.sum()) + np.repeat(begin - total, counts)
+        return np.repeat(np.repeat(inside, 3), counts), self._order[number]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import FormatError
-from carla_recap.roads.files import expecting_map, read_parts, read_text
+from carla_recap.roads.files import expecting, read_parts, read_text
 from carla_recap.roads.lanes import NO_JUNCTION, TownRoads
 from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.roads.polylines import Surface, join, simplify
@@ -68,7 +68,7 @@ def load_map(path: Path | str) -> RoadMap:
         RecapError: The file cannot be read, or is no OpenDRIVE map with lanes for cars.
     """
     path = Path(path)
-    with expecting_map(path):
+    with expecting(path):
         lines = draw(TownRoads(read_opendrive(read_parts(path))))
     if not lines["centre_lines"]:
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")

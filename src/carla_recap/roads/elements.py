@@ -1,7 +1,8 @@
-"""The XML of OpenDRIVE files, element by element, in little memory."""
+"""XML files of roads and routes, element by element, in little memory."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 from xml.etree.ElementTree import Element, SubElement
 from xml.parsers import expat
@@ -9,38 +10,68 @@ from xml.parsers import expat
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-_CONTENT: Final = ("road", "junction", "controller")
-_KNOWN: Final = frozenset(
-    (
-        *("link", "predecessor", "successor", "type", "speed", "planView"),
-        *("geometry", "line", "arc", "spiral", "poly3", "paramPoly3"),
-        *("elevationProfile", "elevation", "lanes", "laneOffset", "laneSection", "left"),
-        *("center", "right", "lane", "width", "roadMark", "objects"),
-        *("object", "outlines", "outline", "cornerLocal", "signals", "signal"),
-        *("signalReference", "validity", "connection", "priority", "control"),
-    )
+
+@dataclass(frozen=True, kw_only=True)
+class DocumentShape:
+    """What is read of a kind of XML files.
+
+    Attributes:
+        root: The root element.
+        content: The elements below it that are read.
+        known: The elements within these that are read.
+        file: What such a file is called in errors.
+        part: What an element of the content is called in errors.
+        most: The most elements of a file.
+        most_of_part: The most elements of a part.
+    """
+
+    root: str
+    content: frozenset[str]
+    known: frozenset[str]
+    file: str
+    part: str
+    most: int
+    most_of_part: int
+
+
+OPENDRIVE: Final = DocumentShape(
+    root="OpenDRIVE",
+    content=frozenset(("road", "junction", "controller")),
+    known=frozenset(
+        (
+            *("link", "predecessor", "successor", "type", "speed", "planView"),
+            *("geometry", "line", "arc", "spiral", "poly3", "paramPoly3"),
+            *("elevationProfile", "elevation", "lanes", "laneOffset", "laneSection", "left"),
+            *("center", "right", "lane", "width", "roadMark", "objects"),
+            *("object", "outlines", "outline", "cornerLocal", "signals", "signal"),
+            *("signalReference", "validity", "connection", "priority", "control"),
+        )
+    ),
+    file="map",
+    part="road or junction",
+    most=4_000_000,  # CARLA's towns have up to 15,000 in a megabyte
+    most_of_part=200_000,
 )
-"""The elements within roads, junctions and controllers that are read."""
+"""Maps in OpenDRIVE."""
 
 _CHUNK: Final = 1 << 16  # characters that are parsed at once
-_MOST_ELEMENTS: Final = 4_000_000  # of a file; CARLA's towns have up to 15,000 in a megabyte
-_MOST_OF_ROAD: Final = 200_000  # elements of a road
 _MOST_OF_TAG: Final = 100  # attributes
 _MOST_NAMES: Final = 10_000  # of elements and attributes, of a file; CARLA's towns have about 150
 _LONGEST_TAG: Final = 1 << 20  # bytes
-_LONGEST_ROAD: Final = 16 << 20  # bytes
+_LONGEST_PART: Final = 16 << 20  # bytes
 
 
-def read_elements(text: str | Iterable[str]) -> Iterator[Element]:
-    """Yield the roads, junctions and controllers of an OpenDRIVE file, with the known elements within them.
+def read_elements(text: str | Iterable[str], shape: DocumentShape = OPENDRIVE) -> Iterator[Element]:
+    """Yield the elements of a file's content, such as roads, with the known elements within them.
 
     Args:
         text: The text of the file, or its parts.
+        shape: What is read of it.
 
     Raises:
-        ValueError: It is no OpenDRIVE file, or something in it is too large.
+        ValueError: It is no such file, or something in it is too large.
     """
-    reader = _Reader()
+    reader = _Reader(shape)
     parts = (text,) if isinstance(text, str) else text
     for part in parts:
         for start in range(0, len(part), _CHUNK):
@@ -49,14 +80,15 @@ def read_elements(text: str | Iterable[str]) -> Iterator[Element]:
 
 
 class _Reader:
-    def __init__(self) -> None:
+    def __init__(self, shape: DocumentShape) -> None:
+        self._shape = shape
         self._names: dict[str, str] = {}
         self._parser = expat.ParserCreate("utf-8", None, self._names)
         self._parser.StartElementHandler = self._start
         self._parser.EndElementHandler = self._end
         self._parser.EntityDeclHandler = self._refuse_entity
-        self._depth = self._count = self._of_road = self._fed = self._road_start = 0
-        self._path: list[Element] = []  # from the road to the element that is read
+        self._depth = self._count = self._of_part = self._fed = self._part_start = 0
+        self._path: list[Element] = []  # from the part to the element that is read
         self._left_out = 0  # elements from the one that is unknown to the one that is read
         self._done: list[Element] = []
 
@@ -70,8 +102,8 @@ class _Reader:
             raise ValueError(f"the XML is invalid: {error}") from None
         if self._fed - self._parser.CurrentByteIndex > _LONGEST_TAG:
             raise ValueError(f"tags of at most {_LONGEST_TAG >> 20} MB, and one is longer")
-        if self._depth > 1 and self._fed - self._road_start > _LONGEST_ROAD:
-            raise ValueError(f"at most {_LONGEST_ROAD >> 20} MB of a road or junction, and one has more")
+        if self._depth > 1 and self._fed - self._part_start > _LONGEST_PART:
+            raise ValueError(f"at most {_LONGEST_PART >> 20} MB of a {self._shape.part}, and one has more")
         if len(self._names) > _MOST_NAMES:
             raise ValueError(f"at most {_MOST_NAMES:,} names of elements and attributes, and it has more")
         done, self._done = self._done, []
@@ -80,21 +112,22 @@ class _Reader:
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._depth += 1
         self._count += 1
-        self._of_road += 1
-        if self._of_road > _MOST_OF_ROAD:
-            raise ValueError(f"at most {_MOST_OF_ROAD:,} elements in a road or junction, and one has more")
-        if self._count > _MOST_ELEMENTS:
-            raise ValueError(f"at most {_MOST_ELEMENTS:,} elements, and it has more")
+        self._of_part += 1
+        shape = self._shape
+        if self._of_part > shape.most_of_part:
+            raise ValueError(f"at most {shape.most_of_part:,} elements in a {shape.part}, and one has more")
+        if self._count > shape.most:
+            raise ValueError(f"at most {shape.most:,} elements, and it has more")
         if len(attributes) > _MOST_OF_TAG:
             raise ValueError(f"at most {_MOST_OF_TAG} attributes of an element, and a {tag[:40]!r} has {len(attributes):,}")
-        if self._depth == 1 and tag != "OpenDRIVE":
+        if self._depth == 1 and tag != shape.root:
             raise ValueError(f"the root element is {tag[:40]!r}")
         if self._depth == 2:
-            self._of_road, self._road_start = 1, self._parser.CurrentByteIndex
-            if tag in _CONTENT:
+            self._of_part, self._part_start = 1, self._parser.CurrentByteIndex
+            if tag in shape.content:
                 self._path = [Element(tag, attributes)]
         elif self._path:
-            if self._left_out or tag not in _KNOWN:
+            if self._left_out or tag not in shape.known:
                 self._left_out += 1
             else:
                 self._path.append(SubElement(self._path[-1], tag, attributes))
@@ -109,4 +142,4 @@ class _Reader:
                 self._done.append(element)
 
     def _refuse_entity(self, *_: object) -> None:
-        raise ValueError("it declares entities, which no map does")
+        raise ValueError(f"it declares entities, which no {self._shape.file} does")

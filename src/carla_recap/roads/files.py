@@ -1,4 +1,4 @@
-"""The content of OpenDRIVE files, and the errors about it."""
+"""The content of OpenDRIVE and route files, and the errors about it."""
 
 from __future__ import annotations
 
@@ -26,14 +26,18 @@ def read_text(path: Path) -> str:
     return "".join(read_parts(path))
 
 
-def read_parts(path: Path) -> Iterator[str]:
-    """Yield the text of an OpenDRIVE file, part by part.
+def read_parts(path: Path, what: str = "map") -> Iterator[str]:
+    """Yield the text of a file, part by part.
+
+    Args:
+        path: The file.
+        what: What it is, for errors.
 
     Raises:
         RecapError: The file cannot be read.
     """
     decoder = getincrementaldecoder("utf-8-sig")("replace")
-    for part in _parts(path):
+    for part in _parts(path, what):
         yield decoder.decode(part)
     yield decoder.decode(b"", final=True)
 
@@ -50,27 +54,31 @@ def content_digest(path: Path) -> bytes:
     return digest.digest()
 
 
-def _parts(path: Path) -> Iterator[bytes]:
+def _parts(path: Path, what: str = "map") -> Iterator[bytes]:
     if path.exists() and not path.is_file():
         raise RecapError(f"{path}: is not a regular file")
     try:
         with path.open("rb") as file:
             while part := file.read(_PART):
                 if file.tell() > _LARGEST:
-                    raise RecapError(f"{path}: is larger than {_LARGEST >> 20} MB, which no map is")
+                    raise RecapError(f"{path}: is larger than {_LARGEST >> 20} MB, which no {what} is")
                 yield part
     except (OSError, ValueError) as error:
         raise RecapError(f"{path}: {getattr(error, 'strerror', error)}") from None
 
 
 @contextmanager
-def expecting_map(path: Path) -> Iterator[None]:
-    """Name the file in the errors about the content of an OpenDRIVE file.
+def expecting(path: Path, what: str = "an OpenDRIVE map") -> Iterator[None]:
+    """Name the file in the errors about its content.
+
+    Args:
+        path: The file.
+        what: What was expected.
 
     Raises:
-        FormatError: The file is no OpenDRIVE map.
+        FormatError: The file is something else.
     """
     try:
         yield
     except (ValueError, ArithmeticError) as error:
-        raise FormatError(path, None, f"an OpenDRIVE map was expected: {error}") from None
+        raise FormatError(path, None, f"{what} was expected: {error}") from None

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.roads.opendrive import LIGHT, SPEED_LIMIT, RoadSignal, lanes_length, limit_lanes, single
+from carla_recap.roads.opendrive import LIGHT, SPEED_LIMIT, RoadSignal, in_carlas_order, lanes_length, limit_lanes, single
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -32,8 +32,6 @@ _MOST_POINTS: Final = 400_000  # of all lanes; from then on they are farther apa
 _MOST_LANES: Final = 20_000  # of a map; each of CARLA's small towns has about 500
 _BEGIN: Final = 10 * np.finfo(np.float64).eps  # m, where CARLA has the first point of a road
 _SHARE: Final = 4096  # of a metre, to which the end of a lane is exact
-_BUCKETS: Final = (1, 13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753)
-"""The sizes of the hash table in which CARLA's library has the roads."""
 _TO_DEGREES: Final = single(180.0) / single(np.pi)
 _LIGHT_AHEAD: Final = 0.25  # m by which CARLA moves lights forward
 _BEFORE_END: Final = 1e-5  # m of a road, where CARLA has what is at its end
@@ -137,7 +135,7 @@ class TownRoads:
         limit_lanes(content.roads, most_lanes)
         self.content = content
         numbered = {road.number: road for road in reversed(content.roads)}
-        self._roads = {number: numbered[number] for number in _in_order(road.number for road in content.roads)}
+        self._roads = {number: numbered[number] for number in in_carlas_order(road.number for road in content.roads)}
 
     @cached_property
     def lanes(self) -> list[LaneGeometry]:
@@ -258,24 +256,6 @@ class TownRoads:
         """Yield a lane that begins where a road is entered."""
         if road in self._roads:
             yield from _edge(self._roads[road], 0 if lane <= 0 else -1, lane)
-
-
-def _in_order(numbers: Iterable[int]) -> list[int]:
-    """Return the ids of roads, each once, in the order in which CARLA's library lists them: that of its hash table."""
-    sizes = iter(_BUCKETS)
-    size, groups = next(sizes), dict[int, list[int]]()
-    for count, number in enumerate(dict.fromkeys(numbers)):
-        if count == size:
-            size, ordered, groups = next(sizes), _listed(groups), {}
-            for other in ordered:
-                groups.setdefault(other % size, []).append(other)
-        groups.setdefault(number % size, []).append(number)
-    return _listed(groups)
-
-
-def _listed(groups: Mapping[int, list[int]]) -> list[int]:
-    """Return what is in the buckets of a hash table, the latest first."""
-    return [number for group in reversed(list(groups.values())) for number in reversed(group)]
 
 
 def _edge(road: Road, position: int, lane: int) -> Iterator[Name]:

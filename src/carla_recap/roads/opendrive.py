@@ -19,7 +19,7 @@ import numpy as np
 from carla_recap.roads.elements import read_elements
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from xml.etree.ElementTree import Element
 
     from numpy.typing import ArrayLike, NDArray
@@ -49,6 +49,7 @@ _MOST_RECORDS: Final = 20_000  # of one kind, of a road
 _MOST_CORNERS: Final = 100
 _LIMIT_OBJECT: Final = re.compile(r"Speed_?(\d{1,3})")
 _MOST_IN_JUNCTION: Final = 500  # lanes; CARLA's junctions have up to 60
+_MOST_CONNECTIONS: Final = 20_000  # of a junction
 _LONGEST: Final = 40_000.0  # m of a road
 _LONGEST_LANES: Final = 4_000_000.0  # m of all lanes; those of each of CARLA's small towns are about 20 km
 _WIDEST: Final = 50.0  # m of a lane
@@ -59,6 +60,8 @@ _MOST_TURNS: Final = 100.0  # radians of a curve
 _UNITS: Final = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704}
 _SLOWEST: Final = 0.5  # m/s: what is slower is no limit
 _FASTEST: Final = 1e9  # m/s
+_BUCKETS: Final = (1, 13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753)
+"""The sizes of the hash table in which CARLA's library has roads and connections."""
 _AHEAD: Final = {"+": True, "-": False}
 _ENDS: Final = ("predecessor", "successor")
 _DENSE_TOLERANCE: Final = 0.02  # m
@@ -502,13 +505,32 @@ def _sparse_stations(road: Road, section: RoadSection, spacing: float) -> Floats
     return np.interp(np.linspace(0.0, numbers[-1], count + 1), numbers, stations)
 
 
+def in_carlas_order(numbers: Iterable[int]) -> list[int]:
+    """Return ids, each once, in the order in which CARLA's library lists roads and connections: that of its hash tables."""
+    sizes = iter(_BUCKETS)
+    size, groups = next(sizes), dict[int, list[int]]()
+    for count, number in enumerate(dict.fromkeys(numbers)):
+        if count == size:
+            size, ordered, groups = next(sizes), _listed(groups), {}
+            for other in ordered:
+                groups.setdefault(other % size, []).append(other)
+        groups.setdefault(number % size, []).append(number)
+    return _listed(groups)
+
+
+def _listed(groups: Mapping[int, list[int]]) -> list[int]:
+    """Return what is in the buckets of a hash table, the latest first."""
+    return [number for group in reversed(list(groups.values())) for number in reversed(group)]
+
+
 @dataclass
 class OpenDrive:
     """The content of an OpenDRIVE file.
 
     Attributes:
         roads: The roads.
-        connections: The ids of the roads through each junction, by its id and by the id of the road from which one comes.
+        connections: The ids of the roads through each junction, by its id and by the id of the road from which one comes,
+            in CARLA's order.
         priorities: Which connecting roads of a junction have priority over which.
         controllers: The ids of the signals of each controller, in the order in which these follow each other.
     """
@@ -540,7 +562,10 @@ def read_opendrive(text: str | Iterable[str]) -> OpenDrive:
         elif element.tag == "junction":
             id = _integer(element.get("id"))
             ways = found.connections.setdefault(id, {})
-            for connection in element.findall("connection"):
+            by_id: dict[int, list[Element]] = {}
+            for connection in element.findall("connection")[:_MOST_CONNECTIONS]:
+                by_id.setdefault(_integer(connection.get("id")), []).append(connection)
+            for connection in (each for number in in_carlas_order(by_id) for each in by_id[number]):
                 ways.setdefault(_integer(connection.get("incomingRoad")), []).append(
                     _integer(connection.get("connectingRoad"))
                 )

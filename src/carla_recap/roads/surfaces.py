@@ -17,7 +17,7 @@ from carla_recap.roads import network as roads
 from carla_recap.roads import opendrive
 from carla_recap.roads.cells import LARGEST_GAP, find_areas
 from carla_recap.roads.corridors import is_of_corridors
-from carla_recap.roads.files import content_digest, expecting_map, read_parts
+from carla_recap.roads.files import content_digest, expecting, read_parts
 from carla_recap.roads.find import find_map
 from carla_recap.roads.network import LANE_KINDS, RoadNetwork
 from carla_recap.roads.opendrive import (
@@ -121,7 +121,7 @@ class _Source:
 @lru_cache(4)
 def _network(source: _Source) -> RoadNetwork:
     path = source.path
-    with expecting_map(path):
+    with expecting(path):
         network = build_network(read_parts(path) if source.text is None else source.text, source.name, source.lane_types)
     if source.lane_types is None and not np.isin(network.lanes["kind"], (roads.DRIVING, roads.BOTH_WAYS)).any():
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")

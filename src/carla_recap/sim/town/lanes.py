@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
+from carla_recap.roads.cells import PointGrid
 from carla_recap.roads.lanes import NO_JUNCTION
 
 if TYPE_CHECKING:
@@ -200,7 +201,7 @@ class LaneIndex:
         self._before[self.first] = 0
         self._after[self.first + self.count - 1] = 0
         self._slope = np.concatenate([np.gradient(lane.points[:, 2], lane.s) for lane in lanes])
-        self._grid = _Grid(self._flat)
+        self._grid = PointGrid(self._flat, _CELL)
         self._terrain = _Terrain(self._flat)
         self._levels = _Levels(self.points, self._terrain)
         self.has_levels = not self._levels.is_empty
@@ -328,31 +329,6 @@ class LaneIndex:
         return (x * along + y * across) / length**2, (along * y - across * x) / length
 
 
-class _Grid:
-    """Points in the cells of a grid, sorted by cell."""
-
-    def __init__(self, points: Floats, cell: float = _CELL) -> None:
-        self._cell = cell
-        self._origin = points.min(axis=0) - 2 * cell
-        cells = np.floor((points - self._origin) / cell).astype(np.int64)
-        self._shape = cells.max(axis=0) + 3
-        keys = cells[:, 0] * self._shape[1] + cells[:, 1]
-        self._order = np.argsort(keys, kind="stable")
-        self._keys = keys[self._order]
-
-    def around(self, places: Floats) -> tuple[Integers, Integers]:
-        """Return pairs of locations and points in the same cell or in one of the eight around it, as indices."""
-        cells = np.floor((places - self._origin) / self._cell).astype(np.int64)
-        inside = np.flatnonzero(((cells > 0) & (cells < self._shape - 1)).all(axis=1))
-        columns = cells[inside, 0, None] + np.array((-1, 0, 1))
-        keys = columns * self._shape[1] + cells[inside, 1, None]
-        begin = np.searchsorted(self._keys, keys - 1, "left").ravel()
-        counts = np.searchsorted(self._keys, keys + 1, "right").ravel() - begin
-        total = np.cumsum(counts) - counts
-        number = np.arange(counts.sum()) + np.repeat(begin - total, counts)
-        return np.repeat(np.repeat(inside, 3), counts), self._order[number]
-
-
 class _Terrain:
     """The nearest of some points for each cell of a grid, found by jump flooding."""
 
@@ -425,7 +401,7 @@ class _Levels:
         self._terrain = terrain
         stacked = terrain.middles(np.unique(terrain.cells(points[_stacked(points), :2])))
         cells = np.unique(terrain.cells(stacked[:, None] + _around(_LEVEL_REACH, _TERRAIN)))
-        grid = _Grid(points[:, :2], _LEVEL_REACH)
+        grid = PointGrid(points[:, :2], _LEVEL_REACH)
         parts = [cells[start : start + _CHUNK] for start in range(0, len(cells), _CHUNK)]
         levels = np.concatenate([np.empty((0, _MOST_LEVELS), np.int64), *(self._find(points, grid, part) for part in parts)])
         several = np.flatnonzero(levels[:, 0] >= 0)
@@ -434,7 +410,7 @@ class _Levels:
         self._row = np.full(0 if self.is_empty else terrain.size, -1)
         self._row[cells[several]] = np.arange(len(several))
 
-    def _find(self, points: Floats, grid: _Grid, cells: Integers) -> Integers:
+    def _find(self, points: Floats, grid: PointGrid, cells: Integers) -> Integers:
         """Return the nearest point of each further level of some cells, (cells, levels); -1 is none."""
         middles = self._terrain.middles(cells)
         latest = self._terrain.nearest(middles)

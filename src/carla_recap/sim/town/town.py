@@ -12,7 +12,7 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.roads.barriers import barriers
-from carla_recap.roads.files import expecting_map, read_text
+from carla_recap.roads.files import expecting, read_text
 from carla_recap.roads.find import described_folder, find_map, plain_name
 from carla_recap.roads.lanes import TownRoads
 from carla_recap.roads.opendrive import read_opendrive
@@ -136,7 +136,7 @@ def make_town(text: str, path: Path) -> Town:
     Raises:
         FormatError: It is no OpenDRIVE map with lanes for cars.
     """
-    with np.errstate(all="ignore"), expecting_map(path):
+    with np.errstate(all="ignore"), expecting(path):
         roads = TownRoads(read_opendrive(text), _MOST_LANES)
         courses = sorted(
             (lane for lane in roads.lanes if lane.is_driving), key=lambda lane: (lane.road, lane.section, lane.id)

@@ -1,0 +1,234 @@
+"""Routes along lanes from place to place, as CARLA's global route planner finds them.
+
+The graph has an edge for each lane and lane that follows it, and one of no length for each change to a lane beside. Its
+nodes are the ends of lanes, rounded to metres. The way from node to node is found by A*; a way along an edge is a row of
+points at equal distances.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from heapq import heappop, heappush
+from itertools import count, pairwise
+from math import dist
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.roads.opendrive import single
+from carla_recap.roads.waypoints import NONE, Waypoints
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.roads.waypoints import LaneMap
+
+    Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+    Node = tuple[float, float, float]
+    Place = tuple[int, float]  # a lane and a station
+
+_ON_CHANGE: Final = 5  # points by which a change of lane goes on along the other lane
+_LONGEST: Final = 100_000  # points of a lane
+
+
+@dataclass(slots=True)
+class _Edge:
+    """A lane up to one that follows it, or a change to the lane beside it.
+
+    Attributes:
+        points: The places between its ends.
+        first: The place at which it begins.
+        last: The place at which it ends.
+        length: What it costs.
+        is_change: Whether it is a change of lane.
+    """
+
+    points: list[Place]
+    first: Place
+    last: Place
+    length: int
+    is_change: bool = False
+
+
+class RoutePlanner:
+    """Finds routes along the lanes of a town.
+
+    Args:
+        town: The lanes.
+        spacing: The distance between the points of a route, in m.
+    """
+
+    def __init__(self, town: LaneMap, spacing: float = 1.0) -> None:
+        self._town, self._spacing = town, spacing
+        self._edges: dict[Node, dict[Node, _Edge]] = {}
+        self._of_lane: dict[int, tuple[Node, Node]] = {}
+        self._segments: list[tuple[Node, int, list[Place]]] = []
+        lanes = _in_carlas_order(town)
+        self._starts = dict(zip(lanes.tolist(), town.at(lanes, town.starts[lanes]).position, strict=True))
+        self._ends = dict(zip(lanes.tolist(), town.at(lanes, town.ends[lanes]).position, strict=True))
+        for lane in lanes.tolist():
+            self._add(lane)
+        for node, lane, points in self._segments:
+            self._add_changes(node, lane, points)
+
+    def route(self, places: Floats) -> Waypoints:
+        """Return the route that passes places in their order.
+
+        Args:
+            places: Two or more, (n, 3), in m.
+
+        Raises:
+            ValueError: A place is far from all lanes, or there is no way to the next one.
+        """
+        at = self._town.nearest(places)
+        for number in np.flatnonzero(at.lane == NONE).tolist():
+            raise ValueError(f"position {number + 1} is far from all lanes for cars")
+        found: list[Place] = []
+        for number in range(len(places) - 1):
+            start, stop = ((int(at.lane[each]), float(at.station[each])) for each in (number, number + 1))
+            way = self._path(start[0], stop[0])
+            if way is None:
+                raise ValueError(f"no lanes lead from position {number + 1} to position {number + 2}")
+            found += self._traced(way, start, stop, places[number + 1])
+        lanes, stations = (np.array(values) for values in zip(*found, strict=True))
+        return self._town.at(lanes, stations)
+
+    def _add(self, lane: int) -> None:
+        """Add the edges of a lane: one to each lane that follows it, or to its end."""
+        town = self._town
+        first = lane, float(town.starts[lane])
+        following = [(other, float(town.starts[other])) for other in town.successors[lane]]
+        for last, end in [(place, self._starts[place[0]]) for place in following] or [
+            ((lane, float(town.ends[lane])), self._ends[lane])
+        ]:
+            points = self._points(first, end)
+            if points is not None:
+                nodes = _node(self._starts[lane]), _node(end)
+                self._of_lane[lane] = nodes
+                for node in nodes:
+                    self._edges.setdefault(node, {})
+                self._edges[nodes[0]][nodes[1]] = _Edge(points, first, last, len(points) + 1)
+                self._segments.append((nodes[0], lane, points))
+
+    def _points(self, first: Place, end: Floats) -> list[Place] | None:
+        """Return the places from a lane's start to an end, at equal distances; None if the lane is too short to have any."""
+        spacing, (lane, station) = self._spacing, first
+        is_short = _apart(self._starts[lane], end) <= spacing
+        length = abs(float(self._town.ends[lane]) - station)
+        sign = -1.0 if self._town.lanes[lane].reverse else 1.0
+        stations = station + sign * spacing * np.arange(1.0, min(int(length / spacing), _LONGEST) + 1)
+        if is_short:
+            following = self._town.ahead(lane, station, spacing)
+            return None if following is None else [following]
+        places = [(lane, each) for each in stations.tolist()]
+        near = _apart(self._town.at(np.full(len(stations), lane), stations).position, end) <= spacing
+        if near.any():
+            return places[: int(np.argmax(near))]
+        place = places[-1] if places else first
+        for _ in range(_LONGEST):  # the lane is longer than its road, which measures the distances
+            following = self._town.ahead(place[0], place[1], spacing)
+            if following is None:
+                break
+            place = following
+            if _apart(self._positions([place])[0], end) <= spacing:
+                break
+            places.append(place)
+        return places
+
+    def _add_changes(self, node: Node, lane: int, points: Sequence[Place]) -> None:
+        """Add the changes to the lanes beside one that the markings allow."""
+        town, course = self._town, self._town.lanes[lane]
+        if town.in_junction[lane]:
+            return
+        for left in (False, True):
+            other = town.beside(lane, left=left)
+            station = next((each for on, each in points if on == lane), None)
+            if other is not None and station is not None and course.changes[0 if left else 1] and other in self._of_lane:
+                target = self._of_lane[other][0]
+                self._edges[node][target] = _Edge([], (lane, station), (other, station), 0, is_change=True)
+
+    def _path(self, start: int, stop: int) -> list[Node] | None:
+        """Return the nodes from a lane to another one; None if no lanes lead there."""
+        if start not in self._of_lane or stop not in self._of_lane:
+            return None
+        (source, _), (target, end) = self._of_lane[start], self._of_lane[stop]
+        numbers = count()
+        queue: list[tuple[float, int, Node, float, Node | None]] = [(0.0, next(numbers), source, 0.0, None)]
+        best: dict[Node, float] = {}
+        before: dict[Node, Node | None] = {}
+        while queue:
+            _, _, node, cost, parent = heappop(queue)
+            if node == target:
+                way = [node]
+                while parent is not None:
+                    way.append(parent)
+                    parent = before[parent]
+                return [*reversed(way), end]
+            if node in before and (before[node] is None or best[node] < cost):
+                continue
+            before[node] = parent
+            for following, edge in self._edges[node].items():
+                total = cost + edge.length
+                if total < best.get(following, np.inf):
+                    best[following] = total
+                    heappush(queue, (total + dist(following, target), next(numbers), following, total, node))
+        return None
+
+    def _traced(self, way: Sequence[Node], start: Place, stop: Place, destination: Floats) -> list[Place]:
+        """Return the places along a way between two places."""
+        current = start
+        found: list[Place] = []
+        for number, (node, following) in enumerate(pairwise(way)):
+            edge, is_last = self._edges[node][following], number >= len(way) - 2
+            if edge.is_change:
+                found.append(current)
+                nodes = self._of_lane[edge.last[0]]
+                beside = self._edges[nodes[0]][nodes[1]]
+                if beside.points:
+                    index = self._closest(current, beside.points) + _ON_CHANGE
+                    current = beside.points[min(index, len(beside.points) - 1)]
+                else:
+                    current = beside.last
+                found.append(current)
+                continue
+            path = [edge.first, *edge.points, edge.last]
+            first = self._closest(current, path)
+            near = _apart(self._positions(path[first:]), destination) < 2 * self._spacing
+            past = is_last and first > self._closest(stop, path)
+            for place, is_near in zip(path[first:], near.tolist(), strict=True):
+                current = place
+                found.append(place)
+                if is_last and (is_near or (past and place[0] == stop[0])):
+                    break
+        return found
+
+    def _positions(self, places: Sequence[Place]) -> Floats:
+        lanes, stations = zip(*places, strict=True)
+        return self._town.at(np.array(lanes), np.array(stations)).position
+
+    def _closest(self, place: Place, places: Sequence[Place]) -> int:
+        """Return the index of the first of those places that are closest to one."""
+        positions = self._positions([place, *places])
+        return int(np.argmin(_apart(positions[1:], positions[0])))
+
+
+def _in_carlas_order(town: LaneMap) -> Integers:
+    """Return the lanes for cars: road by road, section by section, with ascending ids."""
+    roads = {road: number for number, road in enumerate(dict.fromkeys(lane.road for lane in town.lanes))}
+    driving = [(roads[lane.road], lane.section, lane.id, index) for index, lane in enumerate(town.lanes) if lane.is_driving]
+    return np.array([index for *_, index in sorted(driving)], np.int64)
+
+
+def _apart(positions: Floats, place: Floats) -> Floats:
+    """Return the distances of positions from a place, (n, 3) or (3,), in single precision as CARLA's."""
+    away = single(positions) - single(place)
+    apart: Floats = np.sqrt((away * away).sum(axis=-1))
+    return apart
+
+
+def _node(position: Floats) -> Node:
+    x, y, z = (float(value) + 0.0 for value in np.round(position))
+    return x, y, z

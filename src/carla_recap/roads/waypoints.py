@@ -1,0 +1,240 @@
+"""Places on the lanes of a town, as CARLA's waypoints: the nearest one, the ones at a distance ahead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.roads.cells import PointGrid
+from carla_recap.roads.lanes import DRIVING, NO_JUNCTION
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.roads.lanes import LaneGeometry, TownRoads
+
+    Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+    Flags = NDArray[np.bool_]
+
+PARKING: Final = "parking"
+NONE: Final = -1
+"""The index where there is no lane."""
+FARTHEST: Final = 64.0
+"""How far from the lanes places are related to them, in m."""
+
+_CELLS: Final = (4.0, 16.0, FARTHEST)  # m
+_MOST_PAIRS: Final = 1_000_000  # of points and parts of lanes that are compared together
+_LONGEST: Final = 1e5  # m, more than that of a road
+_ROUNDING: Final = 10 * np.finfo(float).eps  # m by which CARLA's waypoints fall short of a distance
+
+
+@dataclass(frozen=True, eq=False)
+class Waypoints:
+    """Places in the middle of lanes; arrays of (n,) and (n, 3).
+
+    Attributes:
+        lane: The index of the lane; `NONE` where there is none within `FARTHEST`.
+        station: The distance along the road, in m.
+        position: x, y and z in m.
+        heading: The driving direction in radians.
+        ahead: The driving direction as a vector of length 1, upwards where the lane climbs.
+        width: The width of the lane in m.
+    """
+
+    lane: Integers
+    station: Floats
+    position: Floats
+    heading: Floats
+    ahead: Floats
+    width: Floats
+
+    def __len__(self) -> int:
+        return len(self.lane)
+
+
+class LaneMap:
+    """The lanes of a town for cars and to park on, and the places on them.
+
+    Args:
+        roads: The roads of the town.
+
+    Attributes:
+        lanes: The lanes.
+        number: The index of each lane by its road, section and id.
+        in_junction: Whether each lane is in a junction, (lanes,).
+    """
+
+    def __init__(self, roads: TownRoads) -> None:
+        self.lanes: list[LaneGeometry] = [
+            lane for lane in roads.lanes if lane.kind in (DRIVING, PARKING) and np.isfinite(lane.centre).all()
+        ]
+        self.number = {(lane.road, lane.section, lane.id): index for index, lane in enumerate(self.lanes)}
+        self.in_junction = np.array([lane.junction != NO_JUNCTION for lane in self.lanes], np.bool_)
+        counts = np.array([len(lane.stations) for lane in self.lanes], np.int64)
+        self._lane_of = np.repeat(np.arange(len(counts)), counts)
+        self._last = np.cumsum(counts) - 1
+        self._stations = _joined([lane.stations for lane in self.lanes])
+        self._points = _joined([lane.centre for lane in self.lanes], 3)
+        self._headings = _joined([lane.headings for lane in self.lanes])
+        self._widths = _joined([np.linalg.norm(lane.left - lane.right, axis=1) for lane in self.lanes])
+        self._reverse = np.array([lane.reverse for lane in self.lanes], np.bool_)
+        self._keys = self._lane_of * _LONGEST + self._stations
+        self._segments: dict[str, _Segments | None] = {}
+
+    @cached_property
+    def successors(self) -> list[tuple[int, ...]]:
+        """The indices of the lanes for cars that follow each lane."""
+        return [tuple(self.number[name] for name in lane.successors if name in self.number) for lane in self.lanes]
+
+    @cached_property
+    def starts(self) -> Floats:
+        """The station at which each lane begins, in driving direction, (lanes,)."""
+        return np.array([lane.stations[-1 if lane.reverse else 0] for lane in self.lanes])
+
+    @cached_property
+    def ends(self) -> Floats:
+        """The station at which each lane ends, (lanes,)."""
+        return np.array([lane.stations[0 if lane.reverse else -1] for lane in self.lanes])
+
+    def at(self, lane: Integers, station: Floats) -> Waypoints:
+        """Return the places at stations of lanes, (n,) each."""
+        lane, station = np.asarray(lane, np.int64), np.asarray(station, np.float64)
+        point = np.searchsorted(self._keys, lane * _LONGEST + station, "right") - 1
+        first = self._last[lane] - np.bincount(self._lane_of, minlength=len(self.lanes))[lane] + 1
+        return self._between(np.clip(point, first, self._last[lane] - 1), station)
+
+    def nearest(self, points: Floats, kind: str = DRIVING) -> Waypoints:
+        """Return the places nearest to points, (n, 3), in the middle of lanes of a kind.
+
+        Of places that are equally near, as where lanes part, the one of the first lane counts.
+        """
+        if kind not in self._segments:
+            self._segments[kind] = self._segments_of(kind)
+        segments, points = self._segments[kind], np.asarray(points, np.float64)
+        if segments is None:
+            return self._nowhere(len(points))
+        found, share = segments.nearest(points)
+        known = np.maximum(found, 0)
+        start, stop = self._stations[known], self._stations[known + 1]
+        places = self._between(known, start + share * (stop - start))
+        places.lane[found == NONE] = NONE
+        return places
+
+    def ahead(self, lane: int, station: float, distance: float) -> tuple[int, float] | None:
+        """Return the lane and the station that are a distance along the road ahead; None where the road ends.
+
+        Where lanes part, the first one counts.
+        """
+        for _ in range(len(self.lanes)):
+            left = (station - self.ends[lane]) if self._reverse[lane] else (self.ends[lane] - station)
+            if distance <= left:
+                step = distance - _ROUNDING
+                return lane, float(station - step if self._reverse[lane] else station + step)
+            if not self.successors[lane]:
+                return None
+            lane = self.successors[lane][0]
+            station, distance = float(self.starts[lane]), distance - float(left)
+        return None
+
+    def beside(self, lane: int, *, left: bool) -> int | None:
+        """Return the lane for cars on the left or on the right, of the same road; None without one."""
+        course = self.lanes[lane]
+        step = 1 if left != course.reverse else -1  # the numbers ascend to the left of the road's direction
+        other = self.number.get((course.road, course.section, course.id + step or 2 * step + course.id))
+        return other if other is not None and self.lanes[other].is_driving else None
+
+    def _segments_of(self, kind: str) -> _Segments | None:
+        wanted = np.array([lane.kind == kind for lane in self.lanes], np.bool_)
+        if not wanted.any():
+            return None
+        starts = wanted[self._lane_of]
+        starts[self._last] = False
+        return _Segments(self._points, np.flatnonzero(starts))
+
+    def _between(self, point: Integers, station: Floats) -> Waypoints:
+        """Return the places at stations between points and the next ones."""
+        start, stop = self._stations[point], self._stations[point + 1]
+        share = (station - start) / np.maximum(stop - start, _ROUNDING)
+        lane = self._lane_of[point].copy()
+        along = self._points[point + 1] - self._points[point]
+        turn = np.remainder(self._headings[point + 1] - self._headings[point] + np.pi, 2 * np.pi) - np.pi
+        heading = self._headings[point] + share * turn
+        level = np.maximum(np.hypot(along[:, 0], along[:, 1]), _ROUNDING)
+        climb = np.arctan2(np.where(self._reverse[lane], -along[:, 2], along[:, 2]), level)
+        return Waypoints(
+            lane,
+            station,
+            self._points[point] + share[:, None] * along,
+            heading,
+            np.stack((np.cos(heading) * np.cos(climb), np.sin(heading) * np.cos(climb), np.sin(climb)), axis=1),
+            self._widths[point] + share * (self._widths[point + 1] - self._widths[point]),
+        )
+
+    @staticmethod
+    def _nowhere(count: int) -> Waypoints:
+        number, vector = np.full(count, np.nan), np.full((count, 3), np.nan)
+        return Waypoints(np.full(count, NONE), number, vector, number, vector, number)
+
+
+class _Segments:
+    """Straight parts of lanes, and which of them is nearest to a point.
+
+    Args:
+        points: The points of lanes.
+        starts: The indices of the points from which a part leads to the next point.
+    """
+
+    def __init__(self, points: Floats, starts: Integers) -> None:
+        self._numbers = starts
+        self._start = points[starts]
+        self._way = points[starts + 1] - self._start
+        self._square = np.maximum((self._way**2).sum(axis=1), np.finfo(float).tiny)
+        self._reach = float(np.sqrt(self._square.max()))
+        self._grids: dict[float, PointGrid] = {}
+
+    def nearest(self, places: Floats) -> tuple[Integers, Floats]:
+        """Return where the nearest part begins, or `NONE`, and the share of the part that is before the nearest place."""
+        found, shares = np.full(len(places), NONE), np.zeros(len(places))
+        left = np.flatnonzero(np.isfinite(places).all(axis=1))
+        for cell in _CELLS:
+            grid = self._grids.setdefault(cell, PointGrid(self._start[:, :2], cell)) if len(left) else None
+            far = []
+            step = max(_MOST_PAIRS // (9 * grid.fullest), 1) if grid else 1
+            for first in range(0, len(left), step):
+                part = left[first : first + step]
+                assert grid is not None
+                number, share, distance = self._nearest_in(grid, places[part])
+                is_sure = distance <= cell - self._reach
+                found[part[is_sure]], shares[part[is_sure]] = number[is_sure], share[is_sure]
+                far.append(part[~is_sure])
+            left = np.concatenate(far) if far else left
+        return found, shares
+
+    def _nearest_in(self, grid: PointGrid, places: Floats) -> tuple[Integers, Floats, Floats]:
+        """Return the nearest part of those around each place, the share, and the distance; infinite without one."""
+        number, share = np.full(len(places), NONE), np.zeros(len(places))
+        distance = np.full(len(places), np.inf)
+        query, segment = grid.around(places[:, :2])
+        if len(query):
+            away = places[query] - self._start[segment]
+            way = self._way[segment]
+            along = np.clip((away * way).sum(axis=1) / self._square[segment], 0.0, 1.0)
+            apart = np.sqrt(((away - along[:, None] * way) ** 2).sum(axis=1))
+            starts = np.flatnonzero(np.diff(query, prepend=-1))
+            least = np.repeat(np.minimum.reduceat(apart, starts), np.diff(starts, append=len(query)))
+            winners = np.flatnonzero(apart == least)
+            first = winners[np.flatnonzero(np.diff(query[winners], prepend=-1))]
+            who = query[first]
+            number[who], share[who], distance[who] = self._numbers[segment[first]], along[first], apart[first]
+        return number, share, distance
+
+
+def _joined(parts: Sequence[Floats], columns: int = 0) -> Floats:
+    empty = np.zeros((0, columns) if columns else 0)
+    return np.concatenate([empty, *parts])
