@@ -16,6 +16,7 @@ from carla_recap.model.blueprints import box_of
 from carla_recap.model.motion import place_in_metres, possible_step, runs
 from carla_recap.model.presence import RoadHeights
 from carla_recap.queries.measures.series import NO_OTHER
+from carla_recap.queries.measures.stop_lines import StopLines
 from carla_recap.queries.measures.table import Extreme, MeasureValues
 from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.roads import network as roads
@@ -60,12 +61,8 @@ _LONGEST: Final = 2.5  # s from one sample to the next
 _STILL: Final = 0.02  # m; after a shorter step, the position is the same
 _GAP: Final = 0.55  # s between runs that are one
 _BLOCK: Final = 200_000  # samples that are evaluated together
-_SAME_WAY: Final = math.cos(math.radians(45))  # between the heading of a vehicle and the direction at a stop line
 _FACING: Final = math.cos(math.radians(120))  # between a vehicle that drives the wrong way and its lane
-_CELL: Final = 8.0  # m, of the grid of stop lines
-_MOST_LINES: Final = 16  # in a cell
-_LEVELS: Final = 3.0  # m between roads above each other
-_BEHIND: Final = 0.5  # m behind a stop line at which a vehicle may still stop
+_LONGEST_HALF: Final = 8.0  # m of a vehicle
 _KMH: Final = 3.6  # km/h in m/s
 _CAR: Final = (0.0, 2.25)  # m: the centre of the box and half of the length of an unknown vehicle
 
@@ -127,7 +124,7 @@ class RoadSearch:
         self._vehicles = np.array(sorted(self._actors), np.int64)
         self._boxes = np.array([_box(self._actors[id]) for id in self._vehicles.tolist()]).reshape(-1, 2)
         self._lights = LightHistory(source, network)
-        self._lines = _StopLines(network)
+        self._lines = StopLines(network)
         self._samples: list[NDArray[np.void]] = []
         self._count = 0
         self._next = -math.inf
@@ -289,7 +286,7 @@ class RoadSearch:
                         by_front,
                         float(motion.speed[row]),
                         tuple(position[row].tolist()),
-                        stood is not None and self._lines.is_before(line, stood),
+                        stood is not None and self._lines.is_before(line, stood, STOP_ZONE),
                     )
                 )
         for first, last in motion.spans():
@@ -364,7 +361,7 @@ class RoadSearch:
 def _box(actor: ActorLife) -> tuple[float, float]:
     """Return how far the centre of the box of a vehicle is ahead of its location, and half of its length, in m."""
     box = box_of(actor)
-    return (box.x, box.extent_x) if box.extent_x < _CELL else _CAR
+    return (box.x, box.extent_x) if box.extent_x < _LONGEST_HALF else _CAR
 
 
 _SAMPLE: Final = np.dtype([("vehicle", "i8"), *((name, "f8") for name in ("time", "x", "y", "z", "yaw"))])
@@ -492,82 +489,3 @@ class _Crossing(NamedTuple):
     speed: float
     position: tuple[float, float, float]
     has_stopped: bool
-
-
-class _StopLines:
-    """The stop lines of traffic lights and stop signs, in the squares of a grid."""
-
-    def __init__(self, network: RoadNetwork) -> None:
-        lines = network.stop_lines
-        self._kinds = network.signals["kind"][lines["signal"]]
-        self._signals = lines["signal"]
-        self._middle = np.stack([(lines[f"{axis}0"] + lines[f"{axis}1"]) / 2 for axis in "xyz"], axis=1)
-        self._half = np.hypot(lines["x1"] - lines["x0"], lines["y1"] - lines["y0"]) / 2
-        self._ahead = np.stack((np.cos(lines["heading"]), np.sin(lines["heading"])), axis=1)
-        cells: dict[tuple[int, int], list[int]] = defaultdict(list)
-        for line in np.flatnonzero(self._kinds != roads.YIELD).tolist():
-            column, row = np.floor(self._middle[line, :2] / _CELL).astype(np.int64).tolist()
-            for x in (-1, 0, 1):
-                for y in (-1, 0, 1):
-                    if len(cells[column + x, row + y]) < _MOST_LINES:
-                        cells[column + x, row + y].append(line)
-        keys = {_key(np.array(column), np.array(row)).item(): lines for (column, row), lines in cells.items()}
-        self._keys = np.array(sorted(keys), np.int64)
-        self._of_cell = np.full((len(keys) + 1, _MOST_LINES), roads.NONE)
-        for number, key in enumerate(self._keys.tolist()):
-            self._of_cell[number, : len(keys[key])] = keys[key]
-
-    def signal(self, line: int) -> int:
-        """Return the signal of a line."""
-        return int(self._signals[line])
-
-    def is_stop(self, line: int) -> bool:
-        """Return whether a line is that of a stop sign."""
-        return bool(self._kinds[line] == roads.STOP)
-
-    def is_before(self, line: int, point: tuple[float, ...]) -> bool:
-        """Return whether a point is in the zone before a line in which to stop."""
-        away = np.array(point[:2]) - self._middle[line, :2]
-        along = float(away @ self._ahead[line])
-        return -STOP_ZONE <= along <= _BEHIND and float(np.hypot(*away)) <= STOP_ZONE + _CELL
-
-    def crossed(self, start: Floats, end: Floats, heading: Floats) -> tuple[Indices, Indices, Floats]:
-        """Return which steps cross which line in its direction, and at which share of the step.
-
-        Args:
-            start: Where each step begins, (n, 3).
-            end: Where it ends.
-            heading: The heading of the vehicle, in radians.
-        """
-        cells = np.floor(end[:, :2] / _CELL)
-        near = np.abs(cells).max(axis=1, initial=0) < _FARTHEST_CELL
-        keys = _key(*np.where(near[:, None], cells, 0).astype(np.int64).T)
-        slots = np.minimum(np.searchsorted(self._keys, keys), max(len(self._keys) - 1, 0))
-        known = near & (self._keys[slots] == keys) if len(self._keys) else np.zeros(len(keys), np.bool_)
-        steps = np.flatnonzero(known)
-        found: list[tuple[Indices, Indices, Floats]] = []
-        for number in range(_MOST_LINES):
-            line = self._of_cell[slots[steps], number]
-            steps, line = steps[line != roads.NONE], line[line != roads.NONE]
-            if not len(steps):
-                break
-            ahead, middle = self._ahead[line], self._middle[line]
-            before = ((start[steps, :2] - middle[:, :2]) * ahead).sum(axis=1)
-            after = ((end[steps, :2] - middle[:, :2]) * ahead).sum(axis=1)
-            share = before / (before - after)
-            point = start[steps] + share[:, None] * (end[steps] - start[steps]) - middle
-            beside = np.abs(point[:, 1] * ahead[:, 0] - point[:, 0] * ahead[:, 1])
-            crosses = (before < 0) & (after >= 0) & (beside <= self._half[line]) & (np.abs(point[:, 2]) < _LEVELS)
-            crosses &= np.cos(heading[steps]) * ahead[:, 0] + np.sin(heading[steps]) * ahead[:, 1] > _SAME_WAY
-            found.append((steps[crosses], line[crosses], share[crosses]))
-        if not found:
-            return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
-        index, lines, shares = (np.concatenate(values) for values in zip(*found, strict=True))
-        return index, lines, shares
-
-
-_FARTHEST_CELL: Final = 1 << 30
-
-
-def _key(column: Indices, row: Indices) -> Indices:
-    return (column << 32) + row

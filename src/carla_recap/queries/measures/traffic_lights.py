@@ -79,12 +79,19 @@ class LightHistory:
                     self._times[id].append(time)
         self._ids, self._current = ids[-1].copy(), states[-1].copy()
 
+    def red_within(self, signal: int, start: float, stop: float) -> int | None:
+        """Return the light of a signal if it is red at some time from one time to another; else None."""
+        light = self._light_of(signal, start)
+        if light is None:
+            return None
+        times, states = self._times[light], self._states[light]
+        first = max(bisect_right(times, start + _SAME_TIME) - 1, 0)
+        last = bisect_right(times, stop + _SAME_TIME)
+        return light if RED in states[first:last] else None
+
     def red_during(self, signal: int, start: float, stop: float) -> int | None:
         """Return the light of a signal if it is red all the time from one time to another, in elapsed seconds; else None."""
-        light = None
-        for since, id in self._lights.get(signal, ()):
-            if since <= start + _SAME_TIME:
-                light = id
+        light = self._light_of(signal, start)
         if light is None:
             return None
         times = self._times[light]
@@ -92,3 +99,11 @@ class LightHistory:
         is_red = index >= 0 and self._states[light][index] == RED
         lasts = index + 1 >= len(times) or times[index + 1] > stop
         return light if is_red and lasts else None
+
+    def _light_of(self, signal: int, time: float) -> int | None:
+        """Return the light that stands for a signal at a time; None without one."""
+        light = None
+        for since, id in self._lights.get(signal, ()):
+            if since <= time + _SAME_TIME:
+                light = id
+        return light
