@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from carla_recap.fleet.index.writing import IndexSummary, write_index
     from carla_recap.fleet.outcomes import Outcome
     from carla_recap.fleet.rules import Rule, RuleSet, Verdict, check, load_rules
+    from carla_recap.fleet.scores import score
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.formats import create_writer
     from carla_recap.model.actors import ActorLife
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.incidents import Incident, IncidentOptions
     from carla_recap.queries.info import InfoRow
     from carla_recap.queries.measures.table import MeasureRow, MeasureSeries
+    from carla_recap.queries.score import Infraction, Route, Score, ScoreOptions, read_routes
     from carla_recap.queries.sensors import RecordedSensor
     from carla_recap.queries.summary import HeroSummary, RecordingSummary
     from carla_recap.recording import Recording, RecordingInfo, open_recording
@@ -98,6 +100,7 @@ __all__ = [
     "IncidentOptions",
     "IndexSummary",
     "InfoRow",
+    "Infraction",
     "LightDifference",
     "LightStates",
     "MeasureRow",
@@ -121,10 +124,13 @@ __all__ = [
     "RecordingSummary",
     "Recovery",
     "RoadMap",
+    "Route",
     "Rule",
     "RuleSet",
     "Sample",
     "Scene",
+    "Score",
+    "ScoreOptions",
     "SensedFrame",
     "SensingOptions",
     "SensorRig",
@@ -159,7 +165,9 @@ __all__ = [
     "open_recording",
     "open_recordings",
     "picture",
+    "read_routes",
     "recover",
+    "score",
     "sense",
     "snapshot",
     "use_models",
@@ -207,6 +215,7 @@ _get, __dir__ = lazily(
         "fleet.datasets": ("ExportedDataset", "export_dataset"),
         "fleet.outcomes": ("Outcome",),
         "fleet.engine": ("map_recordings", "open_recordings"),
+        "fleet.scores": ("score",),
         "fleet.sources": ("SourceFile",),
         "model.frame": ("Frame", "Header"),
         "roads": ("RoadMap", "load_map"),
@@ -220,6 +229,7 @@ _get, __dir__ = lazily(
         "queries.incidents": ("Incident", "IncidentOptions"),
         "queries.measures.table": ("MeasureRow", "MeasureSeries"),
         "queries.info": ("InfoRow",),
+        "queries.score": ("Infraction", "Route", "Score", "ScoreOptions", "read_routes"),
         "queries.sensors": ("RecordedSensor",),
         "queries.summary": ("HeroSummary", "RecordingSummary"),
         "model.records": ("ActorKind", "Attribute", "Spawn", "attributes"),

@@ -37,6 +37,7 @@ _COMMANDS: Final = {
     "metrics": ("metrics",),
     "check": ("check",),
     "campaign": ("campaign",),
+    "score": ("score",),
     "diff": ("diff",),
     "index": ("index", "sql"),
     "doctor": ("doctor",),

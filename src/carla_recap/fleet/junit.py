@@ -24,23 +24,26 @@ SUITE: Final = "carla-recap check"
 _UNPRINTABLE: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # what XML 1.0 cannot contain
 
 
-def write_junit(checked: Sequence[CheckedRecording], path: Path | str, pages: Path | str | None = None) -> None:
+def write_junit(
+    checked: Sequence[CheckedRecording], path: Path | str, pages: Path | str | None = None, *, suite: str = SUITE
+) -> None:
     """Write the verdicts on recordings as JUnit XML; the file appears when it is complete.
 
     Args:
         checked: The recordings and the verdicts on them.
         path: The file.
         pages: The folder of pages.
+        suite: The name of the suite.
 
     Raises:
         RecapError: The file cannot be written.
     """
-    content = junit(checked, pages)
+    content = junit(checked, pages, suite=suite)
     with WholeFile(path) as file:
         file.write(content)
 
 
-def junit(checked: Sequence[CheckedRecording], pages: Path | str | None = None) -> bytes:
+def junit(checked: Sequence[CheckedRecording], pages: Path | str | None = None, *, suite: str = SUITE) -> bytes:
     """Return the verdicts on recordings as JUnit XML; see `write_junit`."""
     verdicts = [verdict for each in checked for verdict in each.verdicts]
     counts = {
@@ -50,11 +53,11 @@ def junit(checked: Sequence[CheckedRecording], pages: Path | str | None = None) 
         "skipped": "0",
         "time": _seconds(sum(verdict.seconds for verdict in verdicts)),
     }
-    root = Element("testsuites", {"name": SUITE, **counts})
-    suite = SubElement(root, "testsuite", {"name": SUITE, **counts})
+    root = Element("testsuites", {"name": suite, **counts})
+    tests = SubElement(root, "testsuite", {"name": suite, **counts})
     for each in checked:
         for verdict in each.verdicts:
-            _add(suite, each, verdict, Path(pages or ""))
+            _add(tests, each, verdict, Path(pages or ""))
     indent(root)
     content: bytes = tostring(root, "utf-8", xml_declaration=True)
     return content + b"\n"

@@ -32,13 +32,35 @@ def roads_of(
     Raises:
         RecapError: The map is needed and unknown, the given folder does not have it, or the map is damaged.
     """
-    from carla_recap.roads import find_road_network, load_road_network
+    from carla_recap.roads import load_road_network
+
+    found = _map_file(source, road_map, needed=needed or road_map is not None)
+    return None if found is None else load_road_network(found, lane_types)
+
+
+def map_file_of(source: Reader, road_map: str | None = None) -> Path:
+    """Return the OpenDRIVE file of a recording's map.
+
+    Args:
+        source: The recording.
+        road_map: See `roads_of`.
+
+    Raises:
+        RecapError: The map is unknown, or the given folder does not have it.
+    """
+    found = _map_file(source, road_map, needed=True)
+    assert found is not None
+    return found
+
+
+def _map_file(source: Reader, road_map: str | None, *, needed: bool) -> Path | None:
+    from carla_recap.roads import find_map
 
     name = source.header.map_name
     if road_map is not None and not Path(road_map).is_dir():
-        return load_road_network(road_map, lane_types)
-    found = find_road_network(name, road_map, lane_types)
-    if found is None and (needed or road_map is not None):
+        return Path(road_map)
+    found = find_map(name, road_map)
+    if found is None and needed:
         if road_map is None:
             raise RecapError(f"{source.location}: {_unknown(name)}, but its roads are needed; {WHERE_MAPS}")
         raise RecapError(

@@ -1,0 +1,224 @@
+"""The command that scores recordings as CARLA's Leaderboard scores drives."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from contextlib import ExitStack, closing
+from typing import TYPE_CHECKING, Any, Final, NoReturn
+
+import click
+
+from carla_recap.cli import options
+from carla_recap.cli.many import Messages, client_of, watched
+from carla_recap.cli.output import BAD_INPUT, TOO_MANY, fail, print_pieces, wrote
+from carla_recap.util.text import visible
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from carla_recap.fleet.outcomes import Outcome
+    from carla_recap.model.actors import ActorName
+    from carla_recap.queries.score import Formula, Score
+
+_FORMULAS: Final = ("1.0", "2.0", "2.1")
+_SUITE: Final = "carla-recap score"
+
+
+class _Limit(click.ParamType[Any]):
+    """A kind of infraction, and how many of it are allowed."""
+
+    name = "limit"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        from carla_recap.queries.score import INFRACTIONS
+
+        kind, _, number = value.partition("=")
+        if kind not in INFRACTIONS or not (number.isascii() and number.isdecimal() and len(number) < 10):
+            kinds = ", ".join(INFRACTIONS)
+            self.fail(
+                f"{value!r} is no limit; KIND=N was expected, such as red_light=0, where KIND is of {kinds}.", param, ctx
+            )
+        return kind, int(number)
+
+
+@click.command(epilog="Each SOURCE is a recording, a folder, a glob in quotes, or a URL; - is a list of them on stdin.")
+@options.sources
+@click.option("--route", "routes_file", type=click.Path(), metavar="FILE", help="The route, in a Leaderboard route file.")
+@click.option("--route-id", metavar="ID", help="The route of the file; else the one that the recording's name or town says.")
+@click.option("--from-drive", is_flag=True, help="Take the way that the hero has driven as the route.")
+@click.option(
+    "--formula",
+    type=click.Choice(_FORMULAS),
+    default="2.0",
+    show_default=True,
+    help="The version of the Leaderboard whose formula counts.",
+)
+@click.option("--actor", type=options.FOLLOW, default="hero", metavar="ID|hero", help="The vehicle to score; else the hero.")
+@click.option("--min-score", type=click.FloatRange(0, 100), metavar="N", help="End with exit code 1 if a score is lower.")
+@click.option("--min-completion", type=click.FloatRange(0, 100), metavar="N", help="The same for the completion in %.")
+@click.option(
+    "--max-infractions", type=click.IntRange(min=0), metavar="N", help="End with exit code 1 if a recording has more."
+)
+@click.option("--max", "limits", type=_Limit(), multiple=True, metavar="KIND=N", help="The same for a kind: red_light=0.")
+@click.option("--junit", type=click.Path(), metavar="FILE", help="Write what becomes of these limits as JUnit XML.")
+@options.road_map
+@options.jobs
+@options.dask
+@options.json
+@options.text
+def score(
+    sources: tuple[str, ...],
+    routes_file: str | None,
+    route_id: str | None,
+    from_drive: bool,
+    formula: Formula,
+    actor: ActorName,
+    min_score: float | None,
+    min_completion: float | None,
+    max_infractions: int | None,
+    limits: tuple[tuple[str, int], ...],
+    junit: str | None,
+    road_map: str | None,
+    jobs: int | None,
+    dask: str | None,
+    form: str | None,
+) -> NoReturn:
+    """Score recordings of drives along routes, as CARLA's Leaderboard does.
+
+    Several recordings also get a mean. --json prints the Leaderboard's form of results. The exit code is 1 if a limit is
+    not kept, 2 if a recording cannot be scored.
+    """
+    from carla_recap.fleet.junit import write_junit
+    from carla_recap.fleet.scores import ScoreLimits, checked, score_sources
+    from carla_recap.queries.score import ScoreOptions, read_routes
+    from carla_recap.util.files import prepare_file
+    from carla_recap.util.signals import unwind_on_termination
+
+    if (routes_file is None) != from_drive:
+        raise click.UsageError("One of --route and --from-drive says what the route is.", click.get_current_context())
+    if route_id is not None and from_drive:
+        raise click.UsageError("--route-id goes with --route.", click.get_current_context())
+    allowed = ScoreLimits(score=min_score, completion=min_completion, infractions=max_infractions, of_kind=dict(limits))
+    if junit and not allowed:
+        raise click.UsageError("--junit goes with a limit, such as --min-score.", click.get_current_context())
+    routes = None if routes_file is None else read_routes(routes_file)
+    wanted = ScoreOptions(formula=formula, actor=actor, road_map=road_map)
+    if junit:
+        prepare_file(junit)
+    outcomes: list[Outcome[Score]] = []
+    with ExitStack() as stack:
+        stack.enter_context(unwind_on_termination())
+        client = stack.enter_context(closing(client_of(dask))) if dask else None
+        found, bar = watched(sources, "scoring")
+        stack.enter_context(bar)
+        given = stack.enter_context(
+            closing(score_sources(found, routes, wanted, route_id=route_id, jobs=jobs, client=client))
+        )
+        messages = Messages(bar)
+        for outcome in given:
+            outcomes.append(outcome)
+            bar.advance()
+            messages.add(outcome.source.location, outcome.warnings, outcome.error)
+        messages.end()
+    _show([outcome.value for outcome in outcomes if outcome.value is not None], form)
+    sys.stdout.flush()
+    judged = [checked(outcome, allowed) for outcome in outcomes]
+    if junit:
+        write_junit(judged, junit, suite=_SUITE)
+        wrote(junit)
+    broken = [(each, verdict) for each in judged for verdict in each.verdicts if verdict.status == "fail"]
+    for each, verdict in broken:
+        fail(f"{each.recording}: {verdict.message}")
+    sys.exit(BAD_INPUT if messages.failed else TOO_MANY if broken else 0)
+
+
+def _show(scores: Sequence[Score], form: str | None) -> None:
+    """Print scores."""
+    if form == "json":
+        from carla_recap.queries.score.checkpoint import checkpoint
+
+        click.echo(json.dumps(checkpoint(scores), indent=1, allow_nan=False))
+    elif len(scores) == 1:
+        print_pieces(_lines(scores[0]))
+    elif scores:
+        _print_table(scores, form)
+
+
+def _lines(score: Score) -> Iterator[str]:
+    """Yield a score in words, and its infractions, a line each."""
+    from carla_recap.queries.score import INFRACTIONS
+
+    name = f"route {score.route}" if score.route else "the hero's own way"
+    product = f"{score.score:.2f} = {score.completion:.2f} % x {score.penalty:.4f}"
+    yield f"{visible(name)} of {visible(score.town)}: {score.status}\n"
+    yield f"score {product}, by the formula of Leaderboard {score.formula}\n"
+    yield f"{score.driven:.0f} m driven in {score.duration:.1f} s, along a route of {score.route_length:.0f} m\n"
+    for each in score.infractions:
+        noun, cost = INFRACTIONS[each.kind].noun, _cost(each.kind, each.share, score.formula)
+        yield f"{each.time:9.2f} s  {cost:7}  {noun}: {visible(each.text)}\n"
+    if score.infractions:
+        yield f"to see the first: carla-recap view {shlex.quote(score.recording + score.infractions[0].link)}\n"
+
+
+def _cost(kind: str, share: float, formula: Formula) -> str:
+    """Return what an infraction costs: a factor, or what it adds to the divisor."""
+    from carla_recap.queries.score import INFRACTIONS
+
+    row = INFRACTIONS[kind]
+    if formula == "2.1" and row.coefficient is not None:
+        return f"+{row.coefficient * share:.3f}"
+    return "" if row.factor is None else f"x{1 - (1 - row.factor) * share:.3f}"
+
+
+def _print_table(scores: Sequence[Score], form: str | None) -> None:
+    """Print a line for each score, and the mean and the standard deviation of all."""
+    from carla_recap.queries.score.checkpoint import means
+
+    rows = [
+        (
+            visible(each.recording),
+            visible(each.route),
+            f"{each.score:.2f}",
+            f"{each.completion:.2f}",
+            f"{each.penalty:.3f}",
+            f"{each.duration:.1f}",
+            each.status,
+            _counts(each),
+        )
+        for each in scores
+    ]
+    averages = means(scores)
+    for word, number in (("mean", 0), ("deviation", 1)):
+        score, completion, penalty = (averages[name][number] for name in ("score", "completion", "penalty"))
+        rows.append((word, "", f"{score:.2f}", f"{completion:.2f}", f"{penalty:.3f}", "", "", ""))
+    if form is None and sys.stdout.isatty():
+        from rich.console import Console
+
+        from carla_recap.queries.output.terminal import TableColumn, print_table
+
+        numbers = {"Score", "Completion (%)", "Penalty", "Duration (s)"}
+        columns = [TableColumn(name, is_number=name in numbers, **_LOOKS.get(name, {})) for name in _HEADINGS]
+        print_table(Console(), columns, rows)
+        return
+    click.echo("\t".join(_HEADINGS))
+    for row in rows:
+        click.echo("\t".join(row))
+
+
+_HEADINGS: Final = ("Recording", "Route", "Score", "Completion (%)", "Penalty", "Duration (s)", "Status", "Infractions")
+_LOOKS: Final[Mapping[str, Any]] = {
+    "Recording": {"narrowed": "middle"},
+    "Status": {"narrowed": "end", "rank": 1},
+    "Infractions": {"narrowed": "words"},
+    "Duration (s)": {"rank": 2},
+}
+
+
+def _counts(score: Score) -> str:
+    """Return the numbers of infractions by kind, in words."""
+    from carla_recap.queries.score import INFRACTIONS
+
+    counts = {kind.noun: score.count(name) for name, kind in INFRACTIONS.items()}
+    return ", ".join(f"{count} x {noun}" for noun, count in counts.items() if count)

@@ -1,0 +1,155 @@
+"""Scores of one recording or of many, and what they must be at least."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+from carla_recap.errors import RecapError
+from carla_recap.fleet.check import CheckedRecording
+from carla_recap.fleet.engine import map_sources
+from carla_recap.fleet.rules import Verdict
+from carla_recap.queries.score import INFRACTIONS, Route, ScoreOptions, read_routes, route_for
+from carla_recap.queries.score import score as score_of
+from carla_recap.recording import open_recording
+from carla_recap.util.text import visible
+
+if TYPE_CHECKING:
+    from collections.abc import Generator, Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from distributed import Client
+
+    from carla_recap.fleet.outcomes import Outcome
+    from carla_recap.fleet.sources import SourceFile
+    from carla_recap.queries.score import Infraction, Score
+    from carla_recap.recording import Recording
+
+_LISTED: Final = 20  # infractions that a verdict lists
+
+
+def score(
+    recording: Recording, route: Route | Path | str | None = None, *, route_id: str | None = None, **options: Any
+) -> Score:
+    """Return the score of a recording, as CARLA's Leaderboard scores a drive.
+
+    Args:
+        recording: The recording.
+        route: A route, or a route file; None: the own way of the vehicle is the route, which is completed then.
+        route_id: The id of the route in the file; None: the one that the name of the recording names, as the evaluator's
+            do (`RouteScenario_3_rep0.log`), else the only one of its town.
+        options: The fields of `ScoreOptions`: `formula`, "1.0", "2.0" or "2.1"; `actor`; `road_map`; `start` and `stop`.
+
+    Raises:
+        RecapError: The map is unknown, there is no such vehicle or route, or the route does not fit the map.
+        FormatError: The recording or the route file contradicts its format.
+    """
+    if route is not None and not isinstance(route, Route):
+        route = route_for(read_routes(route), recording.reader, route_id)
+    return score_of(recording.reader, route, ScoreOptions(**options))
+
+
+def score_sources(
+    sources: Iterable[SourceFile],
+    routes: Sequence[Route] | None,
+    options: ScoreOptions,
+    *,
+    route_id: str | None = None,
+    jobs: int | None = None,
+    client: Client | None = None,
+) -> Generator[Outcome[Score], None, None]:
+    """Yield the scores of many recordings, in their order.
+
+    Args:
+        sources: The recordings.
+        routes: The routes of a file; None: the own way of each vehicle.
+        options: How to score.
+        route_id: See `score`.
+        jobs: See `map_sources`.
+        client: See `map_sources`.
+    """
+    return map_sources(partial(_scored, routes, route_id, options), sources, jobs=jobs, client=client)
+
+
+def _scored(routes: Sequence[Route] | None, route_id: str | None, options: ScoreOptions, source: SourceFile) -> Score:
+    with open_recording(source.address) as recording:
+        route = None if routes is None else route_for(routes, recording.reader, route_id)
+        return score_of(recording.reader, route, options)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreLimits:
+    """What the score of a recording must be.
+
+    Attributes:
+        score: The least driving score; None for any.
+        completion: The least completion in %.
+        infractions: The most infractions of all kinds.
+        of_kind: The most infractions of some kinds, by name.
+
+    Raises:
+        RecapError: There is no such kind.
+    """
+
+    score: float | None = None
+    completion: float | None = None
+    infractions: int | None = None
+    of_kind: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in self.of_kind:
+            if name not in INFRACTIONS:
+                raise RecapError(f"{name!r} is no kind of infraction; there are {', '.join(INFRACTIONS)}")
+
+    def __bool__(self) -> bool:
+        return self != ScoreLimits()
+
+    def verdicts(self, score: Score) -> list[Verdict]:
+        """Return a verdict on a score for each limit."""
+        found = [
+            _at_least(name, getattr(score, name), least, score)
+            for name, least in (("score", self.score), ("completion", self.completion))
+            if least is not None
+        ]
+        if self.infractions is not None:
+            found.append(_at_most("infractions", self.infractions, score.infractions))
+        found += [
+            _at_most(name, most, [each for each in score.infractions if each.kind == name])
+            for name, most in self.of_kind.items()
+        ]
+        return found
+
+    def unreadable(self, error: str) -> list[Verdict]:
+        """Return the verdicts on a recording that cannot be scored."""
+        names = [name for name in ("score", "completion", "infractions") if getattr(self, name) is not None]
+        return [Verdict(name, "error", error) for name in (*names, *self.of_kind)]
+
+
+def checked(outcome: Outcome[Score], limits: ScoreLimits) -> CheckedRecording:
+    """Return a recording with the verdicts on its score."""
+    location = outcome.source.location
+    if outcome.value is None:
+        error = visible((outcome.error or "it cannot be scored").removeprefix(f"{location}: "))
+        return CheckedRecording(location, tuple(limits.unreadable(error)), warnings=outcome.warnings)
+    return CheckedRecording(
+        location, tuple(limits.verdicts(outcome.value)), visible(outcome.value.town), warnings=outcome.warnings
+    )
+
+
+def _at_least(name: str, value: float, least: float, score: Score) -> Verdict:
+    message = f"{name} {value:.2f}, at least {least:g} was expected; {score.status}"
+    return _verdict(name, value >= least, message, score.infractions)
+
+
+def _at_most(name: str, most: int, found: Sequence[Infraction]) -> Verdict:
+    return _verdict(name, len(found) <= most, f"{len(found)} {name}, at most {most} were expected", found)
+
+
+def _verdict(name: str, passes: bool, message: str, infractions: Sequence[Infraction]) -> Verdict:
+    if passes:
+        return Verdict(name, "pass", message)
+    first = infractions[0] if infractions else None
+    details = tuple(f"{each.time:.2f} s: {visible(each.text)}" for each in infractions[:_LISTED])
+    actors = () if first is None or first.actor is None else (first.actor,)
+    return Verdict(name, "fail", message, None if first is None else first.time, actors, details)

@@ -1,0 +1,117 @@
+"""Scores as the results of CARLA's Leaderboard, which its tools read."""
+
+from __future__ import annotations
+
+import math
+from statistics import fmean, stdev
+from typing import TYPE_CHECKING, Any, Final
+
+from carla_recap.queries.score.infractions import INFRACTIONS
+from carla_recap.queries.score.scoring import COMPLETED, FAILED, PERFECT
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from carla_recap.queries.score.scoring import Score
+
+_DIGITS: Final = 3
+_SCORE_DIGITS: Final = 6
+_LEAST: Final = 0.001  # km that infractions per km are of
+_BY_LENGTH: Final = "outside_route_lanes"
+"""The infraction that is summed by its length in km, and not counted."""
+_SCORES: Final = {"score_composed": "score", "score_route": "completion", "score_penalty": "penalty"}
+_LABELS: Final = {
+    "score_composed": "Avg. driving score",
+    "score_route": "Avg. route completion",
+    "score_penalty": "Avg. infraction penalty",
+}
+
+
+def checkpoint(scores: Sequence[Score]) -> dict[str, Any]:
+    """Return scores in the form of the Leaderboard's results, with the recording and the events of each beside.
+
+    How long the computer needed for a drive is not known, and 0.
+    """
+    records = [_record(index, score) for index, score in enumerate(scores)]
+    overall = _global_record(scores, records)
+    mean, infractions = overall["scores_mean"], overall["infractions"]
+    return {
+        "_checkpoint": {"global_record": overall, "progress": [len(scores), len(scores)], "records": records},
+        "entry_status": "Finished",
+        "eligible": True,
+        "sensors": [],
+        "values": [str(mean[name]) for name in _LABELS] + [str(infractions[name]) for name in INFRACTIONS],
+        "labels": [*_LABELS.values(), *(kind.label for kind in INFRACTIONS.values())],
+    }
+
+
+def means(scores: Sequence[Score]) -> dict[str, tuple[float, float]]:
+    """Return the mean and the standard deviation of the score, the completion and the penalty, by their names."""
+    found = {}
+    for name in _SCORES.values():
+        values = [getattr(score, name) for score in scores]
+        found[name] = (fmean(values), stdev(values) if len(values) > 1 else 0.0) if values else (0.0, 0.0)
+    return found
+
+
+def _record(index: int, score: Score) -> dict[str, Any]:
+    by_kind = {name: [each.text for each in score.infractions if each.kind == name] for name in INFRACTIONS}
+    return {
+        "index": index,
+        "route_id": f"RouteScenario_{score.route or index}_rep{score.repetition}",
+        "status": score.status,
+        "num_infractions": len(score.infractions),
+        "infractions": by_kind,
+        "scores": {name: round(getattr(score, field), _SCORE_DIGITS) for name, field in _SCORES.items()},
+        "meta": {
+            "route_length": round(score.route_length, _DIGITS),
+            "duration_game": round(score.duration, _DIGITS),
+            "duration_system": 0,
+        },
+        "recording": score.recording,
+        "formula": score.formula,
+        "driven": round(score.driven, _DIGITS),
+        "events": [
+            {
+                "kind": each.kind,
+                "time": round(each.time, _DIGITS),
+                **{axis: round(getattr(each, axis), _DIGITS) for axis in "xyz"},
+                "actor": each.actor,
+                "type_id": each.type_id,
+                "share": round(each.share, _SCORE_DIGITS),
+                "link": each.link,
+            }
+            for each in score.infractions
+        ],
+    }
+
+
+def _global_record(scores: Sequence[Score], records: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    averages = means(scores)
+    failed = [
+        [record["route_id"], record["index"], record["status"]] for record in records if record["status"].startswith(FAILED)
+    ]
+    driven = sum(score.route_length / 1000 * score.completion / 100 for score in scores)
+    total = {name: float(sum(score.count(name) for score in scores)) for name in INFRACTIONS}
+    outside = [
+        each.share * score.route_length * score.completion / 100
+        for score in scores
+        for each in score.infractions
+        if each.kind == _BY_LENGTH
+    ]
+    per_km = {name: count / max(driven, _LEAST) for name, count in total.items()} | {_BY_LENGTH: math.fsum(outside) / 1000}
+    is_perfect = all(score.status == PERFECT for score in scores)
+    return {
+        "index": -1,
+        "route_id": -1,
+        "status": FAILED if failed else PERFECT if is_perfect else COMPLETED,
+        "infractions": {name: round(value, _DIGITS) for name, value in per_km.items()},
+        "scores_mean": {name: round(averages[field][0], _SCORE_DIGITS) for name, field in _SCORES.items()},
+        "scores_std_dev": {name: round(averages[field][1], _DIGITS) for name, field in _SCORES.items()},
+        "meta": {
+            "total_length": round(sum(score.route_length for score in scores), _DIGITS),
+            "duration_game": round(sum(score.duration for score in scores), _DIGITS),
+            "duration_system": 0,
+            "exceptions": failed,
+        },
+    }

@@ -1,0 +1,371 @@
+"""The criteria of CARLA's Leaderboard, by the definitions of ScenarioRunner's, for a drive that was recorded.
+
+Each is a function that returns infractions, or the frame at which the route ends. docs/scores.md says where they differ.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from carla_recap.queries.score.drives import ground_speed
+from carla_recap.queries.score.infractions import Infraction
+from carla_recap.roads.lanes import DRIVING
+from carla_recap.roads.waypoints import NONE, PARKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.actors import ActorLife, ActorLives
+    from carla_recap.model.contacts import Contact
+    from carla_recap.queries.measures.stop_lines import StopLines
+    from carla_recap.queries.measures.traffic_lights import LightHistory
+    from carla_recap.queries.score.drives import Drive, PlannedRoute
+    from carla_recap.roads.network import RoadNetwork
+    from carla_recap.roads.waypoints import LaneMap, Waypoints
+    from carla_recap.tables.trajectories import Trajectory
+
+    Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+    Flags = NDArray[np.bool_]
+
+BACKGROUND: Final = "background"
+"""The role_name of the vehicles whose speed is that of the traffic."""
+SCENARIO: Final = "scenario"
+"""The role_name of the actors of scenarios."""
+
+_STANDS: Final = 0.1  # m/s: a hero that is slower stands
+_COMPLETE: Final = (99.0, 10.0)  # % of the route, and m from its end: from there on it is complete
+_WINDOW: Final = 2  # points of the route that are passed in a tick
+_WIDE_WINDOW: Final = 3  # the same, of criteria other than the completion
+_NEAR_WINDOW: Final = 5  # points ahead of which the nearest one counts
+_FAR: Final = 30.0  # m from the route, from which on the hero has left it
+_UNSAFE: Final = _FAR / 2  # m from the route
+_MOST_UNSAFE: Final = 30.0  # % of the route
+_BLOCKED: Final = 180.0  # s
+_PATIENCE: Final = 300.0  # s for a route of no length
+_CRAWLING: Final = 0.1  # of the speed limit
+_USUAL_LIMIT: Final = 30 / 3.6  # m/s, where a map says nothing
+_SAME_PLACE: Final = 5.0  # m between two collisions
+_SAME_ACTOR: Final = 5.0  # s between two collisions with an actor
+_REAR: Final = (0.8, 1.0)  # of half of the length, to 1 m more than that: the rear of the hero, behind its middle
+_WIDER: Final = 1.2  # a stop line is wider than its lane
+_NEAR_LIGHT: Final = 90.0  # degrees between the hero and the lane of a light
+_NEAR_STOP: Final = 100.0  # degrees between the hero and the lane of a stop sign
+_STOP_ZONE: Final = 6.0  # m before the stop line
+_SIGN: Final = 3.0  # m between a recorded stop sign and that of the map
+_OUTSIDE: Final = 0.5  # m outside a lane
+_AGAINST_LANE: Final = 120.0  # degrees between the hero and a lane that it enters from a junction
+_TURNED: Final = 150.0  # degrees between a lane and the next one
+_QUARTERS: Final = 4
+_ALMOST: Final = 0.95  # of the route, from where on the last quarter counts
+_HIDDEN: Final = 100.0  # m below the hero: an actor of a scenario that has not begun
+
+
+class Ending(NamedTuple):
+    """How a route ends.
+
+    Attributes:
+        frame: The last frame that counts.
+        completion: How much of the route is completed, in %.
+        infraction: What has ended it, if anything.
+    """
+
+    frame: int
+    completion: float
+    infraction: Infraction | None
+
+
+def ending(drive: Drive, route: PlannedRoute, network: RoadNetwork) -> Ending:
+    """Return how a route ends: at its end, or because the hero has left it, is blocked, or takes too long."""
+    last = len(drive) - 1
+    found: list[tuple[int, Infraction]] = [
+        *_deviation(drive, route),
+        *blocked(drive),
+        *_timeout(drive, route, network),
+    ]
+    stop, infraction = min(found, key=lambda each: each[0], default=(last, None))
+    shares = np.round(route.travelled / max(route.length, 1e-9) * 100, 2)[route.reached(drive, _WINDOW)]
+    near = np.linalg.norm(drive.position - route.points[-1], axis=1) < _COMPLETE[1]
+    complete = np.flatnonzero((shares > _COMPLETE[0]) & near)
+    if len(complete) and complete[0] < stop + (infraction is None):
+        return Ending(min(int(complete[0]) + 1, last), 100.0, None)
+    return Ending(stop, float(shares[stop]), infraction)
+
+
+def ending_of_drive(drive: Drive) -> Ending:
+    """Return how the own way of an actor ends: with the recording, or because it is blocked."""
+    found = next(blocked(drive), None)
+    return Ending(len(drive) - 1, 100.0, None) if found is None else Ending(found[0], 100.0, found[1])
+
+
+def _deviation(drive: Drive, route: PlannedRoute) -> Iterator[tuple[int, Infraction]]:
+    """Yield when the hero has left the route."""
+    points, travelled = route.points[:, :2].tolist(), route.travelled.tolist()
+    index, unsafe, is_safe = 0, 0.0, True
+    frames = np.searchsorted(np.cumsum(drive.repeats), np.arange(len(drive.ticks)), "right").tolist()
+    for tick, (x, y, _) in enumerate(drive.ticks):
+        apart, nearest = math.inf, index
+        for number, (px, py) in enumerate(points[index : index + _NEAR_WINDOW + 1], index):
+            away = math.hypot(x - px, y - py)
+            if away <= apart:
+                apart, nearest = away, number
+        has_left = apart >= _FAR
+        if not has_left:
+            is_safe = apart < _UNSAFE
+        if nearest != index and not is_safe:
+            unsafe += travelled[nearest] - travelled[index]
+            has_left |= 100 * unsafe / travelled[-1] > _MOST_UNSAFE
+        index = nearest
+        if has_left:
+            frame = frames[tick]
+            yield frame, _infraction("route_dev", drive, frame, f"Agent deviated from the route at {_place(drive, frame)}")
+            return
+
+
+def blocked(drive: Drive) -> Iterator[tuple[int, Infraction]]:
+    """Yield when the hero has stood for too long."""
+    since = np.maximum.accumulate(np.where(drive.speed >= _STANDS, np.arange(len(drive)), 0))
+    frames = np.flatnonzero((drive.time - drive.time[since] > _BLOCKED) & (drive.speed < _STANDS))
+    if len(frames):
+        frame = int(frames[0])
+        yield frame, _infraction("vehicle_blocked", drive, frame, f"Agent got blocked at {_place(drive, frame)}")
+
+
+def _timeout(drive: Drive, route: PlannedRoute, network: RoadNetwork) -> Iterator[tuple[int, Infraction]]:
+    """Yield when the hero takes too long."""
+    if drive.time[-1] - drive.time[0] <= _PATIENCE:
+        return
+    limits = network.lanes_at(drive.position, drive.yaw).limit
+    limits = np.where(np.isfinite(limits), limits, _USUAL_LIMIT)
+    driven = np.diff(route.travelled[route.reached(drive, _WIDE_WINDOW)], prepend=0.0)
+    allowed = _PATIENCE + np.cumsum(driven / (_CRAWLING * limits))
+    late = np.flatnonzero(drive.time - drive.time[0] > allowed)
+    if len(late):
+        frame = int(late[0])
+        yield frame, _infraction("route_timeout", drive, frame, "Route timeout.")
+
+
+def collisions(drive: Drive, contacts: Iterable[Contact], actors: ActorLives) -> Iterator[Infraction]:
+    """Yield the collisions of the hero: the frames of its contacts, as far as they count as new and as its fault."""
+    hero = drive.actor.id
+    touches = []
+    for contact in contacts:
+        if hero in contact.ids:
+            first, last = np.searchsorted(drive.time, (contact.start - 1e-6, contact.stop + 1e-6))
+            other = contact.ids[contact.ids[0] == hero]
+            touches += [(frame, other) for frame in range(int(first), min(int(last), len(drive)))]
+    place: Floats | None = None
+    with_actor, since = None, -math.inf
+    at = 0
+    for frame, other in sorted(touches):
+        before = max(frame - 1, 0)
+        if place is not None and (np.linalg.norm(drive.position[at:frame] - place, axis=1) > _SAME_PLACE).any():
+            place = None
+        at = frame
+        if with_actor is not None and drive.time[before] - since > _SAME_ACTOR:
+            with_actor = None
+        if other == with_actor or drive.speed[before] < _STANDS:
+            continue
+        if place is not None and np.linalg.norm(drive.position[before] - place) <= _SAME_PLACE:
+            continue
+        place, since = drive.position[before], float(drive.time[before])
+        life = None if actors.is_object(other) else actors.at(other, float(drive.time[frame]))
+        if not actors.is_object(other):
+            with_actor = other
+        kind = _touched(life, is_object=actors.is_object(other))
+        if kind:
+            type_id, id = ("static", None) if life is None else (life.type_id, other)
+            text = f"Agent collided against object with type={type_id} and id={id or 0} at {_place(drive, before)}"
+            yield _infraction(kind, drive, frame, text, id, type_id)
+
+
+def _touched(life: ActorLife | None, *, is_object: bool) -> str:
+    """Return the kind of a collision with an actor or a static object; empty if it is none."""
+    type_id = "static" if is_object else life.type_id if life else ""
+    if ("static" in type_id or "traffic" in type_id) and "sidewalk" not in type_id:
+        return "collisions_layout"
+    return "collisions_vehicle" if "vehicle" in type_id else "collisions_pedestrian" if "walker" in type_id else ""
+
+
+def red_lights(drive: Drive, lines: StopLines, lights: LightHistory) -> Iterator[Infraction]:
+    """Yield where the rear of the hero is above the stop line of a light that is red."""
+    near, far = drive.half_length * _REAR[0], drive.half_length + _REAR[1]
+    entered, left = (_crossings(drive, lines, drive.behind(each), _WIDER, _NEAR_LIGHT) for each in (near, far))
+    latest: int | None = None
+    for time, line in entered:
+        signal = lines.signal(line)
+        stop = min((end for end, other in left if other == line and end >= time), default=float(drive.time[-1]))
+        light = lights.red_within(signal, time, stop)
+        if light is not None and light != latest:
+            latest = light
+            text = f"Agent ran a red light {light} at {_carla(lines.place(signal))}"
+            yield _infraction("red_light", drive, _frame_at(drive, time), text, light, "traffic.traffic_light")
+
+
+def stop_signs(drive: Drive, lines: StopLines, actors: ActorLives) -> Iterator[Infraction]:
+    """Yield where the hero crosses the stop line of a stop sign without having stopped."""
+    latest: int | None = None
+    for time, line in _crossings(drive, lines, drive.position, 1.0, _NEAR_STOP):
+        signal, frame = lines.signal(line), _frame_at(drive, time)
+        if not lines.is_stop(line) or signal == latest:
+            continue
+        away = np.linalg.norm(drive.position[: frame + 1, :2] - lines.middle(line)[:2], axis=1)
+        outside = np.flatnonzero(away > _STOP_ZONE)
+        first = int(outside[-1]) + 1 if len(outside) else 0
+        if not (drive.speed[first : frame + 1] < _STANDS).any():
+            latest = signal
+            place = lines.place(signal)
+            id = next((life.id for life in actors if life.type_id == "traffic.stop" and _apart(life, place) < _SIGN), None)
+            text = f"Agent ran a stop with id={id} at {_carla(place)}"
+            yield _infraction("stop_infraction", drive, frame, text, id, "traffic.stop")
+
+
+def _crossings(drive: Drive, lines: StopLines, points: Floats, wider: float, turned: float) -> list[tuple[float, int]]:
+    """Return when a point of the hero crosses lines, in elapsed seconds, and which, in order."""
+    with np.errstate(all="ignore"):
+        steps, crossed, shares = lines.crossed(points[:-1], points[1:], drive.yaw[1:], wider=wider, turned=turned)
+    times = drive.time[steps] + shares * (drive.time[steps + 1] - drive.time[steps])
+    return sorted(zip(times.tolist(), crossed.tolist(), strict=True))
+
+
+def outside_lanes(drive: Drive, route: PlannedRoute, town: LaneMap) -> Iterator[Infraction]:
+    """Yield what the hero drives of the route outside the lanes for cars or on those of the other direction, if anything."""
+    at = town.nearest(drive.position)
+    outside = _outside(drive, town) | _against(drive, at, town)
+    frames = np.searchsorted(np.cumsum(drive.repeats), np.arange(len(drive.ticks)), "right")
+    total = wrong = 0.0
+    index, latest = 0, 0
+    for tick, number in route.passed(drive.ticks, _WIDE_WINDOW):
+        step = float(np.linalg.norm(route.points[number] - route.points[index]))
+        index, frame = number, int(frames[tick])
+        total += step
+        if outside[frame]:
+            wrong += step
+            latest = latest or frame
+    if wrong:
+        share = wrong / total
+        text = (
+            f"Agent went outside its route lanes for about {round(wrong, 3)} meters "
+            f"({round(share * 100, 2)}% of the completed route)"
+        )
+        yield _infraction("outside_route_lanes", drive, latest, text, share=share)
+
+
+def _outside(drive: Drive, town: LaneMap) -> Flags:
+    """Return in which frames the hero is outside the nearest lane for cars or for parking."""
+    best, widths = np.full(len(drive), np.inf), np.zeros(len(drive))
+    for kind in (DRIVING, PARKING):
+        at = town.nearest(drive.position, kind)
+        away = np.where(at.lane == NONE, np.inf, np.linalg.norm(drive.position - at.position, axis=1))
+        nearer = away < best if kind == DRIVING else away <= best
+        best, widths = np.where(nearer, away, best), np.where(nearer, at.width, widths)
+    outside: Flags = best > widths / 2 + _OUTSIDE
+    return outside
+
+
+def _against(drive: Drive, at: Waypoints, town: LaneMap) -> Flags:
+    """Return in which frames the hero is on a lane of the other direction, as it is when it changes to one."""
+    flags = np.zeros(len(drive), np.bool_)
+    last, was_in_junction, last_heading, is_against = (-1, 0), False, 0.0, False
+    headings, yaws = np.degrees(at.heading).tolist(), np.degrees(drive.yaw).tolist()
+    for frame, lane in enumerate(at.lane.tolist()):
+        if lane != NONE:
+            name = town.lanes[lane].road, town.lanes[lane].id
+            in_junction = bool(town.in_junction[lane])
+            if in_junction:
+                is_against = False
+            elif frame and name != last:
+                if was_in_junction:
+                    is_against = _between(headings[frame], yaws[frame]) >= _AGAINST_LANE
+                elif _between(headings[frame], last_heading) > _TURNED:
+                    is_against = not is_against
+            last, was_in_junction, last_heading = name, in_junction, headings[frame]
+        flags[frame] = is_against
+    return flags
+
+
+def _between(one: float, other: float) -> float:
+    """Return the angle between two directions in degrees, up to 180."""
+    return abs((one - other + 180) % 360 - 180)
+
+
+def slow_quarters(drive: Drive, route: PlannedRoute, others: Iterable[Trajectory]) -> Iterator[Infraction]:
+    """Yield the quarters of the route along which the hero is slower than the background vehicles."""
+    sums, counts = np.zeros((2, len(drive)))
+    for path in others:
+        frames = np.minimum(np.searchsorted(drive.time, path.time - 1e-6), len(drive) - 1)
+        both = np.abs(drive.time[frames] - path.time) < 1e-6
+        sums += np.bincount(frames[both], ground_speed(path)[both], len(drive))
+        counts += np.bincount(frames[both], minlength=len(drive))
+    known = counts > 0
+    traffic = np.where(known, sums / np.maximum(counts, 1), 0.0)
+    hero = np.where(known, drive.speed, 0.0)
+    travelled = route.travelled[route.reached(drive, _WINDOW)]
+    first, begin = 0, 0.0
+    ends = []
+    while len(over := np.flatnonzero(travelled[first:] - begin > route.length / _QUARTERS)):
+        end = first + int(over[0])
+        ends.append((first, end))
+        first, begin = end, float(travelled[end])
+    if travelled[-1] > _ALMOST * route.length:
+        ends.append((first, len(drive)))
+    for start, end in ends:
+        points, mean = known[start:end].sum(), float(traffic[start:end].sum())
+        percentage = round(float(hero[start:end].sum()) / mean * 100, 2) if points and mean else 100.0
+        if percentage < 100:
+            text = f"Average speed is {percentage}% of the surrounding traffic's one"
+            frame = min(end, len(drive) - 1)
+            yield _infraction("min_speed_infractions", drive, frame, text, share=1 - percentage / 100)
+
+
+def not_yielded(drive: Drive, others: Mapping[int, Trajectory], actors: ActorLives) -> Iterator[Infraction]:
+    """Yield the emergency vehicles of scenarios that are behind the hero when they disappear, or at the end."""
+    for life in actors:
+        path = others.get(life.id)
+        if path is None or not is_emergency(life):
+            continue
+        frames = np.flatnonzero((path.time >= drive.time[0]) & (path.time <= min(drive.time[-1], life.end)))
+        if len(frames):
+            row = int(frames[-1])
+            frame = _frame_at(drive, float(path.time[row]))
+            x, y, z = drive.position[frame] - (path.x[row], path.y[row], path.z[row])
+            yaw = math.radians(path.yaw[row])
+            if z < _HIDDEN and x * math.cos(yaw) + y * math.sin(yaw) > 0:
+                text = "Agent failed to yield to an emergency vehicle"
+                yield _infraction("yield_emergency_vehicle_infractions", drive, frame, text, life.id, life.type_id)
+
+
+def is_emergency(life: ActorLife) -> bool:
+    """Return whether an actor is an emergency vehicle of a scenario."""
+    return life.attributes.get("special_type") == "emergency" and life.role_name == SCENARIO
+
+
+def _apart(life: ActorLife, place: Sequence[float]) -> float:
+    return math.dist(life.place[:2], place[:2])
+
+
+def _frame_at(drive: Drive, time: float) -> int:
+    """Return the first frame at a time or after it, or the last one."""
+    return min(int(np.searchsorted(drive.time, time - 1e-6)), len(drive) - 1)
+
+
+def _infraction(
+    kind: str, drive: Drive, frame: int, text: str, actor: int | None = None, type_id: str = "", *, share: float = 1.0
+) -> Infraction:
+    x, y, z = drive.position[frame].tolist()
+    return Infraction(kind, float(drive.time[frame]), x, y, z, actor, type_id, share, text)
+
+
+def _place(drive: Drive, frame: int) -> str:
+    return _carla(drive.position[frame].tolist())
+
+
+def _carla(place: Sequence[float]) -> str:
+    """Return a place in CARLA's axes, as the Leaderboard writes it."""
+    x, y, z = place
+    return f"(x={round(x, 3)}, y={round(0.0 - y, 3)}, z={round(z, 3)})"

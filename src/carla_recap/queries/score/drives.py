@@ -1,0 +1,168 @@
+"""What criteria are judged by: how the hero drives, and along which points of a route."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.model.blueprints import box_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.actors import ActorLife
+    from carla_recap.tables.trajectories import Trajectory
+
+    Floats = NDArray[np.float64]
+    Integers = NDArray[np.int64]
+
+TICK: Final = 0.05
+"""The time between two updates of the evaluator's criteria, in s; frames that are farther apart count several times."""
+
+_MOST_REPEATS: Final = 100
+_SPACING: Final = 1.0  # m between the points of a route
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """How an actor moves; arrays of (n,) and (n, 3) for its frames.
+
+    Attributes:
+        actor: The actor.
+        time: Elapsed seconds.
+        position: x, y and z in m, right-handed.
+        yaw: The heading in radians.
+        speed: The speed over the ground in m/s.
+    """
+
+    actor: ActorLife
+    time: Floats
+    position: Floats
+    yaw: Floats
+    speed: Floats
+
+    @classmethod
+    def of(cls, actor: ActorLife, path: Trajectory) -> Drive:
+        """Return the motion of an actor, without frames in which its pose is no number."""
+        place = np.stack((path.x, path.y, path.z), axis=1)
+        kept = np.isfinite(place).all(axis=1) & np.isfinite(path.yaw)
+        return cls(actor, path.time[kept], place[kept], np.radians(path.yaw[kept]), ground_speed(path)[kept])
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def part(self, first: int, last: int) -> Drive:
+        """Return some of the frames, both ends included."""
+        rows = slice(first, last + 1)
+        return Drive(self.actor, self.time[rows], self.position[rows], self.yaw[rows], self.speed[rows])
+
+    @property
+    def length(self) -> float:
+        """The distance driven in m."""
+        return float(np.linalg.norm(np.diff(self.position, axis=0), axis=1).sum())
+
+    @property
+    def half_length(self) -> float:
+        """Half of the length of the actor in m."""
+        return box_of(self.actor).extent_x
+
+    def behind(self, distance: float) -> Floats:
+        """Return the points at a distance behind the actor, (n, 3)."""
+        back = np.stack((np.cos(self.yaw), np.sin(self.yaw), np.zeros(len(self))), axis=1)
+        points: Floats = self.position - distance * back
+        return points
+
+    @cached_property
+    def ticks(self) -> list[tuple[float, float, float]]:
+        """The position at each tick of the evaluator; frames that are longer count several times."""
+        return [place for place, count in zip(self.position.tolist(), self.repeats, strict=True) for _ in range(count)]
+
+    def last_of_frames(self, values: Integers) -> Integers:
+        """Return the values at the last tick of each frame, (n,), of those at all ticks."""
+        last: Integers = values[np.cumsum(self.repeats) - 1]
+        return last
+
+    @cached_property
+    def repeats(self) -> list[int]:
+        """The number of ticks of each frame."""
+        seconds = np.diff(self.time, prepend=self.time[:1])
+        count = np.clip(np.rint(np.nan_to_num(seconds) / TICK), 1, _MOST_REPEATS)
+        counts: list[int] = count.astype(np.int64).tolist()
+        return counts
+
+
+def ground_speed(path: Trajectory) -> Floats:
+    """Return the speed over the ground: the recorded one, else that from the frame before to each frame."""
+    with np.errstate(all="ignore"):
+        seconds = np.diff(path.time, prepend=np.nan)
+        moved = np.hypot(np.diff(path.x, prepend=np.nan), np.diff(path.y, prepend=np.nan))
+        speed = np.where(path.velocity_recorded, np.hypot(path.vx, path.vy), moved / seconds)
+    return np.where(np.isfinite(speed), speed, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedRoute:
+    """A route as a row of points.
+
+    Attributes:
+        points: The points, (n, 3), in m.
+        ahead: The driving direction at each, (n, 3).
+    """
+
+    points: Floats
+    ahead: Floats
+
+    @classmethod
+    def of_drive(cls, drive: Drive) -> PlannedRoute:
+        """Return the way that an actor has taken as a route."""
+        steps = np.linalg.norm(np.diff(drive.position[:, :2], axis=0, prepend=drive.position[:1, :2]), axis=1)
+        travelled = np.cumsum(steps)
+        count = int(travelled[-1] / _SPACING)
+        rows = np.unique(np.searchsorted(travelled, np.arange(count + 1) * _SPACING))
+        yaw = drive.yaw[rows]
+        return cls(drive.position[rows], np.stack((np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))), axis=1))
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    @cached_property
+    def travelled(self) -> Floats:
+        """The distance of each point from the first one along the route, (n,)."""
+        steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        return np.concatenate(([0.0], np.cumsum(steps)))
+
+    @property
+    def length(self) -> float:
+        """Its length in m."""
+        return float(self.travelled[-1])
+
+    @cached_property
+    def _rows(self) -> list[tuple[float, ...]]:
+        rows: list[tuple[float, ...]] = np.hstack((self.points, self.ahead)).tolist()
+        return rows
+
+    def passed(self, ticks: Iterable[tuple[float, float, float]], window: int) -> Iterator[tuple[int, int]]:
+        """Yield each point that an actor passes, as it does: the number of the tick, and that of the point.
+
+        Args:
+            ticks: The positions of the actor.
+            window: How many of the points ahead it may pass in a tick.
+        """
+        rows, index = self._rows, 0
+        for tick, (x, y, z) in enumerate(ticks):
+            for number, (px, py, pz, ax, ay, az) in enumerate(rows[index + 1 : index + window + 1], index + 1):
+                if (x - px) * ax + (y - py) * ay + (z - pz) * az > 0:
+                    index = number
+                    yield tick, number
+
+    def reached(self, drive: Drive, window: int) -> Integers:
+        """Return the number of the last point passed until each frame of a drive, (n,); see `passed`."""
+        numbers = np.zeros(len(drive.ticks), np.int64)
+        for tick, number in self.passed(drive.ticks, window):
+            numbers[tick] = number
+        return drive.last_of_frames(np.maximum.accumulate(numbers))

@@ -1,0 +1,152 @@
+"""Route files of CARLA's Leaderboard: which places a drive passes, and in which town."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.errors import RecapError
+from carla_recap.roads.elements import DocumentShape, read_elements
+from carla_recap.roads.files import expecting, read_parts
+from carla_recap.roads.find import plain_name
+from carla_recap.util.text import first_of, visible
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from xml.etree.ElementTree import Element
+
+    from numpy.typing import NDArray
+
+    from carla_recap.formats.base import Reader
+
+    Floats = NDArray[np.float64]
+
+_ROUTES: Final = DocumentShape(
+    root="routes",
+    content=frozenset(("route",)),
+    known=frozenset(("waypoints", "position", "waypoint", "scenarios", "scenario")),
+    file="route file",
+    part="route",
+    most=1_000_000,
+    most_of_part=100_000,
+)
+_EXPECTED: Final = "a route file of CARLA's Leaderboard"
+_MOST_ROUTES: Final = 10_000  # of a file; the Leaderboard's have up to 220
+_MOST_POSITIONS: Final = 2_000  # of a route; the Leaderboard's have up to 200
+_FARTHEST: Final = 1e6  # m from the origin
+_SHOWN: Final = 40  # characters of a wrong value in an error
+_RECORDED: Final = re.compile(r"RouteScenario_(.+)_rep(\d+)")
+"""The name of a recording of the evaluator: the id of the route, and which repetition it is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """A route of a route file.
+
+    Attributes:
+        id: The id.
+        town: The name of the map.
+        positions: The places that it passes, (n, 3), in m, right-handed.
+        scenarios: The types of the scenarios along it.
+        path: The file.
+    """
+
+    id: str
+    town: str
+    positions: Floats
+    scenarios: tuple[str, ...] = ()
+    path: str = ""
+
+
+def read_routes(path: Path | str) -> list[Route]:
+    """Return the routes of a route file, of Leaderboard 1.0 or 2.
+
+    Raises:
+        RecapError: The file cannot be read.
+        FormatError: It is no route file, or something in it is wrong.
+    """
+    path = Path(path)
+    with expecting(path, _EXPECTED):
+        routes: list[Route] = []
+        for element in read_elements(read_parts(path, _ROUTES.file), _ROUTES):
+            if len(routes) >= _MOST_ROUTES:
+                raise ValueError(f"at most {_MOST_ROUTES:,} routes, and it has more")
+            routes.append(_route(element, str(path)))
+        if not routes:
+            raise ValueError("no route is in it")
+    return routes
+
+
+def route_for(routes: Sequence[Route], source: Reader, id: str | None = None) -> Route:
+    """Return the route that a recording is scored by.
+
+    Args:
+        routes: The routes of a file.
+        source: The recording.
+        id: The id of the route; None: the one that the name of the recording names, as the evaluator's do, else the only
+            one of its town.
+
+    Raises:
+        RecapError: There is none, or it is of another town.
+    """
+    path, location = routes[0].path, source.location
+    if id is None:
+        named = _RECORDED.search(Path(location).name)
+        id = named[1] if named and any(route.id == named[1] for route in routes) else None
+    town = plain_name(source.header.map_name)
+    fitting = [route for route in routes if (route.id == id if id is not None else _is_of(route, town))]
+    if not fitting and id is not None:
+        raise RecapError(f"{path}: there is no route {visible(id)!r}; it has {_listed(routes)}")
+    if len(fitting) > 1:
+        raise RecapError(f"{path}: has {len(fitting)} routes for {location}; --route-id names one of {_listed(fitting)}")
+    if not fitting or not _is_of(fitting[0], town):
+        towns = first_of(sorted({visible(route.town) for route in fitting or routes}))
+        raise RecapError(f"{location}: is of the map {visible(town)!r}, and the route of {path} is of {towns}")
+    return fitting[0]
+
+
+def repetition(location: str) -> int:
+    """Return which repetition of a route a recording is by its name, as the evaluator's have it; else 0."""
+    named = _RECORDED.search(Path(location).name)
+    return int(named[2][:9]) if named else 0
+
+
+def _is_of(route: Route, town: str) -> bool:
+    return plain_name(route.town).removesuffix("_Opt") == town.removesuffix("_Opt")
+
+
+def _listed(routes: Sequence[Route]) -> str:
+    return first_of([visible(route.id[:_SHOWN]) for route in routes], 5)
+
+
+def _route(element: Element, path: str) -> Route:
+    id, town = element.get("id", ""), element.get("town", "")
+    name = visible(id[:_SHOWN])
+    if not town:
+        raise ValueError(f"route {name!r} has no town")
+    places = element.findall("waypoints/position") or element.findall("waypoint")
+    if not 2 <= len(places) <= _MOST_POSITIONS:
+        raise ValueError(f"2 to {_MOST_POSITIONS:,} positions of a route, and route {name!r} has {len(places):,}")
+    rows = [
+        [_number(place, axis, f"position {number} of route {name!r}") for axis in "xyz"]
+        for number, place in enumerate(places, 1)
+    ]
+    scenarios = tuple(scenario.get("type", "") for scenario in element.findall("scenarios/scenario"))
+    return Route(id, town, np.array(rows) * (1.0, -1.0, 1.0), scenarios, path)
+
+
+def _number(element: Element, axis: str, what: str) -> float:
+    text = element.get(axis, "")
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= _FARTHEST:
+        shown = visible(text[:_SHOWN])
+        raise ValueError(f"{what} has a number {axis} of at most {_FARTHEST:,.0f} m, and it is {shown!r}")
+    return value

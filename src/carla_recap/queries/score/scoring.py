@@ -1,0 +1,218 @@
+"""The score of a recording by a route: how much of it the hero completes, and what it does wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import TYPE_CHECKING, Final, get_args
+
+import numpy as np
+
+from carla_recap.errors import RecapError
+from carla_recap.model.actors import HERO, ActorLives, ActorName, find_actor
+from carla_recap.model.actors import TYPES as ACTOR_TYPES
+from carla_recap.model.contacts import Contacts
+from carla_recap.queries.measures.stop_lines import StopLines
+from carla_recap.queries.measures.traffic_lights import LightHistory
+from carla_recap.queries.roads import map_file_of
+from carla_recap.queries.score import criteria
+from carla_recap.queries.score.drives import Drive, PlannedRoute
+from carla_recap.queries.score.infractions import INFRACTIONS, Formula, Infraction, penalty_of
+from carla_recap.queries.score.route_files import repetition
+from carla_recap.roads.files import content_digest, expecting, read_parts
+from carla_recap.roads.lanes import TownRoads
+from carla_recap.roads.opendrive import read_opendrive
+from carla_recap.roads.planning import RoutePlanner
+from carla_recap.roads.surfaces import load_road_network
+from carla_recap.roads.waypoints import LaneMap
+from carla_recap.tables.trajectories import trajectories
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.queries.score.route_files import Route
+
+PERFECT, COMPLETED, FAILED = "Perfect", "Completed", "Failed"
+"""How a route ends: completed without and with infractions, or not completed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreOptions:
+    """How to score.
+
+    Attributes:
+        formula: The version of the Leaderboard whose formula counts.
+        actor: The vehicle that is scored: its id, or "hero".
+        road_map: The OpenDRIVE file of the map, or the folder to look in; None: the usual folders.
+        start: The elapsed seconds from which on the drive counts.
+        stop: The elapsed seconds until which it counts, unless the route ends before.
+
+    Raises:
+        RecapError: There is no such formula.
+    """
+
+    formula: Formula = "2.0"
+    actor: ActorName = HERO
+    road_map: str | None = None
+    start: float = -np.inf
+    stop: float = np.inf
+
+    def __post_init__(self) -> None:
+        if self.formula not in get_args(Formula):
+            raise RecapError(f"{self.formula!r} is no formula; there are {', '.join(get_args(Formula))}")
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """The score of a recording.
+
+    Attributes:
+        recording: The path or URL of the recording.
+        route: The id of the route; empty if the own way of the hero is the route.
+        repetition: Which repetition of the route it is, by the name of the recording.
+        town: The name of the map.
+        formula: The version of the Leaderboard whose formula counts.
+        status: `Perfect`, `Completed`, or `Failed` with the reason, if it is known.
+        score: The driving score: the completion times the penalty, 0 to 100.
+        completion: How much of the route is completed, in %.
+        penalty: The factor by which infractions reduce the score, 0 to 1.
+        infractions: The infractions, in order of time.
+        route_length: The length of the route in m.
+        driven: The distance driven in m.
+        start: The elapsed seconds at which the drive begins.
+        stop: The elapsed seconds at which it ends.
+    """
+
+    recording: str
+    route: str
+    repetition: int
+    town: str
+    formula: Formula
+    status: str
+    score: float
+    completion: float
+    penalty: float
+    infractions: tuple[Infraction, ...] = field(repr=False)
+    route_length: float
+    driven: float
+    start: float
+    stop: float
+
+    @property
+    def duration(self) -> float:
+        """How long the drive takes, in s."""
+        return self.stop - self.start
+
+    def count(self, kind: str) -> int:
+        """Return the number of infractions of a kind."""
+        return sum(infraction.kind == kind for infraction in self.infractions)
+
+
+def score(source: Reader, route: Route | None, options: ScoreOptions | None = None) -> Score:
+    """Return the score of a recording.
+
+    Args:
+        source: The recording.
+        route: The route; None: the own way of the hero, which is completed then.
+        options: How to score.
+
+    Raises:
+        RecapError: The map is unknown, there is no such vehicle, or the route does not fit the map.
+        FormatError: The file contradicts its format.
+    """
+    options = options or ScoreOptions()
+    path = map_file_of(source, options.road_map)
+    town, network = load_lane_map(path), load_road_network(path)
+    actors, contacts = ActorLives(), Contacts()
+    for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True):
+        contacts.add(frame)
+        for packet in frame.packets:
+            actors.add(packet, frame.elapsed)
+    hero = find_actor(source.location, [life for life in actors if life.kind == "vehicle"], options.actor, "vehicle")
+    others = {life.id for life in actors if life.role_name == criteria.BACKGROUND or criteria.is_emergency(life)}
+    paths = trajectories(source, {hero.id, *others})
+    whole = _drive(source, Drive.of(hero, paths.pop(hero.id)) if hero.id in paths else None, options)
+    planned = PlannedRoute.of_drive(whole) if route is None else _planned(route, town, path)
+    end = criteria.ending(whole, planned, network) if route else criteria.ending_of_drive(whole)
+    drive = whole.part(0, end.frame)
+    lines, lights = StopLines(network), LightHistory(source, network)
+    for batch in source.batches(("light_states",)):
+        lights.add(batch)
+    background = [paths[life.id] for life in actors if life.role_name == criteria.BACKGROUND and life.id in paths]
+    found = [
+        *criteria.collisions(drive, contacts, actors),
+        *criteria.red_lights(drive, lines, lights),
+        *criteria.stop_signs(drive, lines, actors),
+        *criteria.outside_lanes(drive, planned, town),
+        *criteria.slow_quarters(drive, planned, background),
+        *criteria.not_yielded(drive, paths, actors),
+        *([end.infraction] if end.infraction else []),
+    ]
+    counted = [each for each in found if INFRACTIONS[each.kind].counts(options.formula)]
+    penalty = penalty_of(counted, options.formula)
+    return Score(
+        source.location,
+        route.id if route else "",
+        repetition(source.location),
+        source.header.map_name,
+        options.formula,
+        _status(end, counted),
+        round(end.completion * penalty, 6),
+        end.completion,
+        round(penalty, 6),
+        tuple(sorted(counted, key=lambda each: each.time)),
+        round(planned.length, 3),
+        round(drive.length, 3),
+        float(drive.time[0]),
+        float(drive.time[-1]),
+    )
+
+
+def _drive(source: Reader, drive: Drive | None, options: ScoreOptions) -> Drive:
+    """Return the part of a drive that counts."""
+    rows = [] if drive is None else np.flatnonzero((drive.time >= options.start) & (drive.time <= options.stop)).tolist()
+    if drive is None or len(rows) < 2:
+        raise RecapError(f"{source.location}: the vehicle to score has {len(rows)} poses; 2 or more were expected")
+    return drive.part(rows[0], rows[-1])
+
+
+def _planned(route: Route, town: LaneMap, path: Path) -> PlannedRoute:
+    """Return the points of a route along the lanes of a town."""
+    try:
+        at = _planner(town).route(route.positions)
+    except ValueError as error:
+        raise RecapError(f"{route.path}: route {route.id!r}: {error} of {path}") from None
+    points = at.position.copy()
+    points[0, 2] += _DROP
+    return PlannedRoute(points, at.ahead)
+
+
+_DROP: Final = 0.5
+"""How far above the road the evaluator has the first point of a route, since it drops the hero there, in m."""
+
+
+def load_lane_map(path: Path) -> LaneMap:
+    """Return the lanes of an OpenDRIVE file.
+
+    Raises:
+        RecapError: The file cannot be read, or is no OpenDRIVE map.
+    """
+    return _lane_map(path, content_digest(path))
+
+
+@lru_cache(2)
+def _lane_map(path: Path, digest: bytes) -> LaneMap:
+    with np.errstate(all="ignore"), expecting(path):
+        return LaneMap(TownRoads(read_opendrive(read_parts(path))))
+
+
+@lru_cache(2)
+def _planner(town: LaneMap) -> RoutePlanner:
+    return RoutePlanner(town)
+
+
+def _status(end: criteria.Ending, infractions: list[Infraction]) -> str:
+    if end.completion >= 100:
+        return COMPLETED if infractions else PERFECT
+    return f"{FAILED} - {INFRACTIONS[end.infraction.kind].ends}" if end.infraction else FAILED

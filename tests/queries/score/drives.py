@@ -1,0 +1,92 @@
+"""Recordings of drives in the built-in town, made frame by frame, and the route along its main road.
+
+The road leads to the west, at y = 1.75; the route, from x = 255 to x = 155, is 100 m long.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.formats import open_reader
+from carla_recap.model.frame import Header
+from carla_recap.model.records import Spawn, attributes
+from carla_recap.queries.score import Route, ScoreOptions, score
+from tests.queries.conftest import write
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from carla_recap.queries.score import Score
+
+TICK: Final = 0.05
+HERO, OTHER = 7, 8
+START, END, Y = 255.0, 155.0, 1.75
+ROUTE: Final = Route("1", "Brickfield", np.array([(START, Y, 0.0), (END, Y, 0.0)]))
+
+Pose = tuple[float, float, float]
+
+
+def westward(speeds: Sequence[float], start: float = START, y: float = Y) -> list[Pose]:
+    """Return poses (x, y, heading in degrees) of a car that has a speed in each frame."""
+    return [(start - way, y, 180.0) for way in (np.cumsum(speeds) * TICK).tolist()]
+
+
+def at_speed(speed: float, metres: float) -> list[float]:
+    return [speed] * round(metres / speed / TICK)
+
+
+class Drives:
+    """Writes recordings and scores them."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __call__(
+        self,
+        poses: Sequence[Pose],
+        *,
+        route: Route | None = ROUTE,
+        others: Mapping[int, tuple[Spawn, Sequence[Pose]]] | None = None,
+        touches: Iterable[tuple[int, int]] = (),
+        lights: Mapping[int, tuple[Spawn, int]] | None = None,
+        tick: float = TICK,
+        **options: Any,
+    ) -> Score:
+        """Return the score of a drive.
+
+        Args:
+            poses: Those of the hero, one for each frame.
+            route: The route.
+            others: The spawns of other actors and their poses.
+            touches: Frames, and the actors that the hero touches in them.
+            lights: The spawns of traffic lights and their states.
+            tick: The time between two frames.
+            options: See `ScoreOptions`.
+        """
+        actors = {HERO: (vehicle(HERO, "hero"), poses), **(others or {})}
+        lights = lights or {}
+        frames: list[dict[str, Any]] = [{} for _ in poses]
+        frames[0]["spawned"] = [spawn for spawn, _ in (*actors.values(), *lights.values())]
+        for number, frame in enumerate(frames):
+            if hits := [(index, HERO, other, True, False) for index, (at, other) in enumerate(touches) if at == number]:
+                frame["collisions"] = hits
+            frame["transforms"] = [
+                (id, 100 * x, -100 * y, 0.0, 0.0, 0.0, -yaw)
+                for id, (_, each) in actors.items()
+                for x, y, yaw in each[number : number + 1]
+            ]
+            if lights:
+                frame["light_states"] = [(id, False, 0.0, state) for id, (_, state) in lights.items()]
+        write(self.path, frames, header=Header("Brickfield", 1_600_000_000), durations=[tick] * len(frames))
+        reader = open_reader(self.path)
+        try:
+            return score(reader, route, ScoreOptions(**options))
+        finally:
+            reader.close()
+
+
+def vehicle(id: int, role: str = "", type_id: str = "vehicle.mini.cooper_s", **more: str) -> Spawn:
+    return Spawn(id, 1, type_id=type_id, attributes=attributes(role_name=role, **more))

@@ -1,0 +1,266 @@
+"""The definitions of infractions: each on a drive that is made for it, and on one that just does not break it."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from carla_recap.model.records import Spawn
+from carla_recap.queries.score import Route, Score
+from carla_recap.roads import find_road_network
+from carla_recap.roads import network as roads
+from tests.queries.score.drives import END, OTHER, START, TICK, Y, at_speed, vehicle, westward
+
+if TYPE_CHECKING:
+    from carla_recap.roads.network import RoadNetwork
+    from tests.queries.score.drives import Drives, Pose
+
+WALKER = Spawn(OTHER, 2, type_id="walker.pedestrian.0001")
+WHOLE = westward(at_speed(10.0, 105.0))
+"""The whole route at 10 m/s."""
+NONE = 0xFFFFFFFF
+"""The id of what is no actor."""
+
+
+def kinds(score: Score) -> list[str]:
+    return [each.kind for each in score.infractions]
+
+
+# --- the end of the route ------------------------------------------------------------------------------------------------
+
+
+def test_a_drive_to_the_end_of_the_route_is_perfect(drives: Drives) -> None:
+    found = drives(WHOLE)
+    assert (found.status, found.score, found.completion, found.penalty) == ("Perfect", 100.0, 100.0, 1.0)
+    assert found.route_length == pytest.approx(100.0, abs=2.0)
+    assert found.stop == pytest.approx(10.0, abs=0.3)  # the rest of the recording does not count
+
+
+def test_the_completion_is_the_share_of_the_route_that_is_driven(drives: Drives) -> None:
+    found = drives(westward(at_speed(10.0, 40.0)))
+    assert (found.status, kinds(found)) == ("Failed", [])
+    assert found.completion == pytest.approx(40.0, abs=1.5)
+    assert found.score == found.completion
+
+
+def test_frames_that_are_far_apart_complete_a_route_as_well(drives: Drives) -> None:
+    assert drives(westward([30.0] * 80)).status == "Perfect"
+    slow = [(x, y, yaw) for number, (x, y, yaw) in enumerate(WHOLE) if number % 8 == 0]
+    assert drives(slow, tick=8 * TICK).status == "Perfect"
+
+
+def test_a_hero_far_from_the_route_has_left_it(drives: Drives) -> None:
+    straight = westward(at_speed(10.0, 40.0))
+    away: list[Pose] = [(215.0, Y + 0.5 * step, 90.0) for step in range(1, 100)]
+    found = drives(straight + away)
+    assert (found.status, kinds(found)[-1]) == ("Failed - Agent deviated from the route", "route_dev")
+    last = found.infractions[-1]
+    assert last.y - Y == pytest.approx(30.0, abs=1.0)
+    assert last.time == found.stop
+    assert found.completion == pytest.approx(40.0, abs=1.5)
+    near: list[Pose] = [(215.0, Y + 0.5 * step, 90.0) for step in range(1, 58)]
+    assert "route_dev" not in kinds(drives(straight + near))
+
+
+def test_a_hero_that_drives_beside_the_route_for_long_has_left_it(drives: Drives) -> None:
+    beside = [(x, Y + 20.0, yaw) for x, _, yaw in WHOLE]
+    found = drives(beside)
+    assert found.infractions[-1].kind == "route_dev"
+    assert found.completion == pytest.approx(30.0, abs=3.0)
+    assert "route_dev" not in kinds(drives([(x, Y + 14.0, yaw) for x, _, yaw in WHOLE]))
+
+
+def test_a_hero_that_stands_for_three_minutes_is_blocked(drives: Drives) -> None:
+    stands = westward([*at_speed(10.0, 30.0), *[0.0] * 3700])
+    found = drives(stands)
+    assert (found.status, kinds(found)) == ("Failed - Agent got blocked", ["vehicle_blocked"])
+    assert found.infractions[0].time == pytest.approx(3.0 + 180.0, abs=0.2)
+    assert found.infractions[0].x == pytest.approx(START - 30.0, abs=0.5)
+    assert kinds(drives(westward([*at_speed(10.0, 30.0), *[0.0] * 3580, 0.2, *[0.0] * 100]))) == []
+
+
+def test_a_hero_that_is_slower_than_a_tenth_of_the_limit_runs_out_of_time(drives: Drives) -> None:
+    creeping = westward([0.11] * 9000)
+    found = drives(creeping)
+    assert (found.status, kinds(found)) == ("Failed - Agent timed out", ["route_timeout"])
+    assert 300 < found.stop < 400
+
+
+# --- collisions ----------------------------------------------------------------------------------------------------------
+
+
+def beside(count: int = len(WHOLE)) -> list[Pose]:
+    return [(START - 40, Y + 3.0, 0.0)] * count
+
+
+@pytest.mark.parametrize(
+    ("spawn", "kind"),
+    [
+        (WALKER, "collisions_pedestrian"),
+        (vehicle(OTHER), "collisions_vehicle"),
+        (Spawn(OTHER, 4, type_id="static.prop.bin"), "collisions_layout"),
+        (Spawn(OTHER, 3, type_id="traffic.traffic_light"), "collisions_layout"),
+    ],
+)
+def test_a_collision_is_of_the_kind_of_the_other_actor(drives: Drives, spawn: Spawn, kind: str) -> None:
+    found = drives(WHOLE, others={OTHER: (spawn, beside())}, touches=[(80, OTHER), (81, OTHER)])
+    (collision,) = found.infractions
+    assert (collision.kind, collision.actor, collision.type_id) == (kind, OTHER, spawn.type_id)
+    assert (collision.time, collision.link) == (pytest.approx(80 * TICK), "#t=4.00")
+    assert collision.x == pytest.approx(START - 10.0 * 81 * TICK)
+
+
+def test_a_collision_with_a_building_is_one_with_the_layout(drives: Drives) -> None:
+    (collision,) = drives(WHOLE, touches=[(80, NONE)]).infractions
+    assert (collision.kind, collision.actor) == ("collisions_layout", None)
+
+
+def test_a_hero_that_stands_is_not_at_fault(drives: Drives) -> None:
+    stands = westward([*at_speed(10.0, 30.0), *[0.0] * 40])
+    with_walker = {OTHER: (WALKER, beside(len(stands)))}
+    assert kinds(drives(stands, others=with_walker, touches=[(90, OTHER)])) == []
+    assert kinds(drives(stands, others=with_walker, touches=[(50, OTHER)])) == ["collisions_pedestrian"]
+
+
+def test_collisions_within_5_m_are_one(drives: Drives) -> None:
+    """At 10 m/s, 5 m are 10 frames."""
+    others = {OTHER: (WALKER, beside()), 9: (Spawn(9, 2, type_id="walker.pedestrian.0002"), beside())}
+    assert len(drives(WHOLE, others=others, touches=[(80, OTHER), (88, 9)]).infractions) == 1
+    assert len(drives(WHOLE, others=others, touches=[(80, OTHER), (95, 9)]).infractions) == 2
+
+
+def test_collisions_with_an_actor_within_5_s_are_one(drives: Drives) -> None:
+    others = {OTHER: (WALKER, beside())}
+    assert len(drives(WHOLE, others=others, touches=[(20, OTHER), (110, OTHER)]).infractions) == 1
+    assert len(drives(WHOLE, others=others, touches=[(20, OTHER), (130, OTHER)]).infractions) == 2
+
+
+def test_a_contact_that_lasts_counts_again_after_5_s(drives: Drives) -> None:
+    touches = [(frame, OTHER) for frame in range(20, 180)]
+    assert len(drives(WHOLE, others={OTHER: (vehicle(OTHER), beside())}, touches=touches).infractions) == 2
+
+
+# --- lanes ---------------------------------------------------------------------------------------------------------------
+
+
+def test_a_drive_outside_the_lanes_counts_by_its_share(drives: Drives) -> None:
+    """The road has a lane in each direction, 3.5 m wide: at y = 5.9, the hero is 2.4 m beside the edge of its lane."""
+    aside = [(x, Y + (4.15 if 195 < x < 215 else 0.0), yaw) for x, _, yaw in WHOLE]
+    found = drives(aside)
+    assert (found.status, kinds(found)) == ("Completed", ["outside_route_lanes"])
+    assert found.infractions[0].share == pytest.approx(0.2, abs=0.02)
+    assert found.penalty == pytest.approx(1 - found.infractions[0].share)
+    assert "Agent went outside its route lanes for about" in found.infractions[0].text
+    assert kinds(drives([(x, Y + (2.2 if 195 < x < 215 else 0.0), yaw) for x, _, yaw in WHOLE])) == []
+
+
+def test_the_lane_of_the_other_direction_is_outside(drives: Drives) -> None:
+    found = drives([(x, -Y if 195 < x < 215 else Y, yaw) for x, _, yaw in WHOLE])
+    assert kinds(found) == ["outside_route_lanes"]
+    assert found.infractions[0].share == pytest.approx(0.2, abs=0.02)
+
+
+# --- lights and signs ----------------------------------------------------------------------------------------------------
+
+
+@cache
+def brickfield() -> RoadNetwork:
+    found = find_road_network("Brickfield")
+    assert found is not None
+    return found
+
+
+def over_line(kind: int, speeds: list[float] | None = None) -> tuple[list[Pose], Spawn]:
+    """Return a drive over the stop line of a light or sign, 20 m before it and 10 m behind, and the light or sign."""
+    network = brickfield()
+    signal = int(np.flatnonzero(network.signals["kind"] == kind)[0])
+    line = network.stop_lines[network.stop_lines["signal"] == signal][0]
+    x, y = (line["x0"] + line["x1"]) / 2, (line["y0"] + line["y1"]) / 2
+    ways = np.cumsum(speeds or at_speed(10.0, 30.0)) * TICK - 20
+    heading = float(line["heading"])
+    poses = [(x + way * math.cos(heading), y + way * math.sin(heading), math.degrees(heading)) for way in ways.tolist()]
+    row = network.signals[signal]
+    type_id, number = {roads.LIGHT: ("traffic.traffic_light", 3), roads.STOP: ("traffic.stop", 4)}[kind]
+    return poses, Spawn(30, number, 100 * float(row["x"]), -100 * float(row["y"]), type_id=type_id)
+
+
+RED, GREEN = 0, 2
+
+
+def test_a_red_light_is_run_by_the_rear_of_the_hero(drives: Drives) -> None:
+    poses, light = over_line(roads.LIGHT)
+    found = drives(poses, route=None, lights={30: (light, RED)})
+    (infraction,) = found.infractions
+    assert (infraction.kind, infraction.actor) == ("red_light", 30)
+    assert infraction.time == pytest.approx((20 + 0.8 * 3.8 / 2) / 10, abs=0.15)  # a Mini is 3.8 m long
+    assert infraction.text.startswith("Agent ran a red light 30 at (x=")
+    assert drives(poses, route=None, lights={30: (light, GREEN)}).infractions == ()
+
+
+def test_a_hero_that_stops_with_its_front_over_the_line_has_run_no_light(drives: Drives) -> None:
+    poses, light = over_line(roads.LIGHT, [*at_speed(10.0, 20.5), *[0.0] * 40])
+    assert drives(poses, route=None, lights={30: (light, RED)}).infractions == ()
+
+
+def test_a_stop_sign_demands_a_stop_before_it(drives: Drives) -> None:
+    poses, sign = over_line(roads.STOP)
+    (infraction,) = drives(poses, route=None, others={30: (sign, [])}).infractions
+    assert (infraction.kind, infraction.actor) == ("stop_infraction", 30)
+    assert infraction.time == pytest.approx(2.0, abs=0.1)
+    stops = [*at_speed(10.0, 17.0), 0.0, 0.0, *at_speed(10.0, 13.0)]
+    poses, sign = over_line(roads.STOP, stops)
+    assert drives(poses, route=None, others={30: (sign, [])}).infractions == ()
+    early = [*at_speed(10.0, 10.0), 0.0, 0.0, *at_speed(10.0, 20.0)]
+    poses, sign = over_line(roads.STOP, early)
+    assert kinds(drives(poses, route=None, others={30: (sign, [])})) == ["stop_infraction"]
+
+
+# --- other traffic -------------------------------------------------------------------------------------------------------
+
+
+def test_a_hero_slower_than_the_traffic_is_too_slow(drives: Drives) -> None:
+    others = {OTHER: (vehicle(OTHER, "background"), westward([20.0] * len(WHOLE), start=250.0, y=40.0))}
+    found = drives(WHOLE, others=others)
+    assert kinds(found) == ["min_speed_infractions"] * 4
+    assert [each.share for each in found.infractions] == pytest.approx([0.5] * 4, abs=0.02)
+    assert found.infractions[0].text.startswith("Average speed is 5")
+    assert found.penalty == pytest.approx((1 - 0.3 * 0.5) ** 4, abs=0.02)
+    assert kinds(drives(WHOLE, others=others, formula="1.0")) == []
+    slower = {OTHER: (vehicle(OTHER, "background"), westward([5.0] * len(WHOLE), start=250.0, y=40.0))}
+    assert kinds(drives(WHOLE, others=slower)) == []
+    scenery = {OTHER: (vehicle(OTHER, "scenario"), westward([20.0] * len(WHOLE), start=250.0, y=40.0))}
+    assert kinds(drives(WHOLE, others=scenery)) == []
+
+
+def test_an_emergency_vehicle_that_stays_behind_was_not_let_pass(drives: Drives) -> None:
+    ambulance = vehicle(OTHER, "scenario", "vehicle.ford.ambulance", special_type="emergency")
+    behind = [(x + 15.0, y, yaw) for x, y, yaw in WHOLE]
+    found = drives(WHOLE, others={OTHER: (ambulance, behind)})
+    assert kinds(found) == ["yield_emergency_vehicle_infractions"]
+    assert found.infractions[0].actor == OTHER
+    assert kinds(drives(WHOLE, others={OTHER: (ambulance, behind)}, formula="1.0")) == []
+    passes = [(x + 15.0 - 0.3 * number, y, yaw) for number, (x, y, yaw) in enumerate(WHOLE)]
+    assert kinds(drives(WHOLE, others={OTHER: (ambulance, passes)})) == []
+    other = vehicle(OTHER, "scenario", "vehicle.ford.ambulance")
+    assert kinds(drives(WHOLE, others={OTHER: (other, behind)})) == []
+
+
+# --- the own way ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_own_way_is_completed(drives: Drives) -> None:
+    found = drives(WHOLE, route=None, others={OTHER: (WALKER, beside())}, touches=[(80, OTHER)])
+    assert (found.route, found.status, found.completion) == ("", "Completed", 100.0)
+    assert kinds(found) == ["collisions_pedestrian"]
+    assert found.driven == pytest.approx(105.0, abs=1.0)
+
+
+def test_a_route_of_the_other_direction_is_not_completed(drives: Drives) -> None:
+    back = Route("2", "Brickfield", np.array([(END, -Y, 0.0), (START, -Y, 0.0)]))
+    found = drives(WHOLE, route=back)
+    assert found.completion == pytest.approx(2.0, abs=0.2)  # the points that are passed in the first tick
+    assert found.status == "Failed - Agent deviated from the route"
