@@ -137,8 +137,8 @@ def find_format(destination: Path | str, to: str | None = None, *, is_folder: bo
     suffixes = list(dict.fromkeys(each.suffix for each in FORMATS.values() if each.suffix))
     found = next((each for each in FORMATS.values() if each.suffix == given != ""), None)
     if found is None:
-        folders = " or ".join(each.name for each in FORMATS.values() if not each.suffix)
-        expected = f"{', '.join(suffixes[:-1])} or {suffixes[-1]}; tables are written to a folder as {folders}"
+        folders = ", ".join(each.name for each in FORMATS.values() if not each.suffix)
+        expected = f"{', '.join(suffixes[:-1])} or {suffixes[-1]}; --to (in Python, to=) names what is a folder: {folders}"
         raise RecapError(f"{str(destination)!r} does not end in {expected}")
     return found
 

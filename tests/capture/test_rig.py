@@ -123,6 +123,9 @@ def test_each_tick_has_a_sample_of_each_sensor(world: carla.World, hero: carla.V
         speeds.append(hero.get_velocity().dot(transform.get_forward_vector()))
     said = capture.end()
     assert " samples, stopped by SIGINT, " in said
+    layout = capture.path.with_suffix(".foxglove.json")
+    assert f"the layout for Foxglove: {layout}\n" in said
+    assert '"/sensors/top/points"' in layout.read_text()
     with open_recording(capture.path) as recording:
         times = {frame.elapsed: float(frame["visual_time"]["seconds"][0]) for frame in recording}
         counts = {sensor.id: (sensor.type, sensor.spec["y"]) for sensor in recording.sensors}
@@ -298,7 +301,12 @@ def test_signals_complete_it(world: carla.World, starting: Starting, number: sig
         world.tick()
     assert f" samples, stopped by {number.name}, " in capture.end(number)
     assert len(messages(capture.path, "top", "points", PointCloud)) >= 5
-    assert {path.name for path in capture.path.parent.iterdir()} == {"rig.json", capture.path.name}
+    assert sorted(path.name for path in capture.path.parent.iterdir()) == [
+        "a.foxglove.json",
+        "a.lichtblick.json",
+        "a.mcap",
+        "rig.json",
+    ]
     wait_until(lambda: world.tick() and not own_sensors(world))
 
 

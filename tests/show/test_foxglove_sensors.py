@@ -30,7 +30,7 @@ def test_data_of_sensors_are_kept(sensed_recording, tmp_path):
 
 def test_layouts_beside_the_export_show_the_sensors(sensed_recording, tmp_path):
     with open_recording(sensed_recording) as recording:
-        done = export(recording, tmp_path / "out.mcap", start=11.5, duration=0.2)
+        done = export(recording, tmp_path / "out.foxglove.mcap", start=11.5, duration=0.2)
     names = "out.foxglove.json", "out.lichtblick.json"
     assert [hint.rpartition(": ")[2] for hint in done.hints] == [str(tmp_path / name) for name in names]
     for name in names:
@@ -38,7 +38,7 @@ def test_layouts_beside_the_export_show_the_sensors(sensed_recording, tmp_path):
         assert all(
             f'"{topic}"' in text for topic in ("/sensors/front/image", "/sensors/ids/instance", "/sensors/lidar/points")
         )
-    assert layout_hints(tmp_path / "out.mcap") == list(done.hints)
+    assert layout_hints(tmp_path / "out.foxglove.mcap") == list(done.hints)
 
 
 def test_without_sensors_the_layouts_are_those_of_all_exports(tmp_path):

@@ -86,9 +86,22 @@ def capture(
     if captured.dropped:
         few = first_of([f"{count} of {id}" for id, count in captured.dropped.items()])
         notes.append(f"{few} dropped, since writing was slower")
+    if captured.samples and not captured.is_cut_short:
+        for hint in _layouts(destination):
+            note(hint)
     wrote(destination, *notes, captured.why, frames=captured.frames, seconds=captured.seconds, **facts)
     if captured.is_cut_short:
         sys.exit(_CUT_SHORT)
+
+
+def _layouts(path: str) -> list[str]:
+    """Write layouts for Foxglove that show the sensors of a recording, beside it; return where they are."""
+    from carla_recap.recording import open_recording
+    from carla_recap.show.foxglove.layouts import hints_of, write_layouts
+    from carla_recap.show.foxglove.topics import passed_topics
+
+    with open_recording(path) as recording:
+        return hints_of(write_layouts(path, passed_topics(recording.reader)))
 
 
 @click.command()

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from carla_recap.sensors.rig import SensorSpec
 
 _RGB: Final = "sensor.camera.rgb"
+_DRAWN: Final = "--rig RIG.json (in Python, rig=...) draws what cameras would have seen"
 
 
 class CameraMoment(NamedTuple):
@@ -71,11 +72,12 @@ class CameraChoice:
             specs = {spec.id: spec for spec in rig if spec.image is ImageKind.RGB}
         known = list(specs)
         self.ids = known if cameras == "all" else list(dict.fromkeys(cameras))
-        for id in self.ids or ("",):
+        source = f"{recording.location}: has" if rig is None else "the rig has"
+        if not known:
+            raise RecapError(f"{source} no {_RGB}" if rig is not None else f"{source} no data of cameras; {_DRAWN}")
+        for id in self.ids:
             if id not in known:
-                source = f"{recording.location}: has" if rig is None else "the rig has"
-                wanted = f"no camera {id!r:.200}" if id else "no cameras"
-                raise RecapError(f"{source} {wanted}; it has {first_of(known) if known else 'none'}")
+                raise RecapError(f"{source} no camera {id!r:.200}; it has {first_of(known)}")
         self._specs = {id: spec for id, spec in specs.items() if id in self.ids}
 
     def size(self, id: str) -> tuple[int, int]:

@@ -96,7 +96,7 @@ def test_tiles_keep_the_shape_of_images_and_missing_ones_stay_dark():
     [
         (["--camera", "front", "--grid"], "--grid shows all cameras"),
         (["--camera", "front", "--view", "top"], "--view goes without --camera"),
-        (["--rig", "rig.json"], "--rig goes with --camera or --grid"),
+        (["--rig", str(CRASH.with_name("rigs") / "front_camera.json")], "--rig goes with --camera or --grid"),
     ],
 )
 def test_what_does_not_fit_together_is_an_error(sensed_recording, tmp_path, arguments, error):
@@ -124,5 +124,8 @@ def test_an_unknown_camera_is_an_error_that_lists_the_others(sensed_recording, t
 
 
 def test_a_recording_without_sensors_has_no_cameras(tmp_path):
-    with open_recording(CRASH) as recording, pytest.raises(RecapError, match=r"has no cameras; it has none"):
+    with (
+        open_recording(CRASH) as recording,
+        pytest.raises(RecapError, match=r"crash.mcap: has no data of cameras; --rig RIG.json"),
+    ):
         export_video(recording, tmp_path / "none.mp4", cameras="all")

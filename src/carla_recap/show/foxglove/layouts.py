@@ -47,7 +47,8 @@ def hints_of(layouts: Mapping[str, Path]) -> list[str]:
 def sensor_layout_files(destination: Path | str) -> dict[str, Path]:
     """Return where the layouts of a recording with sensors are, by the viewers that import them."""
     path = Path(destination)
-    return {viewer: path.with_name(path.stem + suffix) for viewer, suffix in _SUFFIXES.items()}
+    stem = path.stem.removesuffix(".foxglove")  # as of run.foxglove.mcap
+    return {viewer: path.with_name(stem + suffix) for viewer, suffix in _SUFFIXES.items()}
 
 
 def has_panels(topics: Iterable[Topic]) -> bool:

@@ -59,8 +59,8 @@ def camera_of(recording: Recording, camera: str | None) -> str | None:
     if camera is None:
         return min(found, key=_angle).id if found else None
     if camera not in (ids := [sensor.id for sensor in found]):
-        known = first_of(ids) if ids else "none"
-        raise RecapError(f"{recording.location}: has no images of a camera {camera!r:.200}; it has those of {known:.500}")
+        has = f"it has those of {first_of(ids):.500}" if ids else "'carla-recap sense' writes a recording that has some"
+        raise RecapError(f"{recording.location}: has no images of a camera {camera!r:.200}; {has}")
     return camera
 
 
