@@ -7,6 +7,7 @@ import os
 import re
 import runpy
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -22,6 +23,9 @@ from click import Context
 import carla_recap
 from carla_recap import MissingExtra, SensorRig
 from carla_recap.cli import cli
+from carla_recap.fleet.conditions.keys import PLACE_KEYS, SCOPE
+from carla_recap.fleet.conditions.reading import Key, keys_of
+from carla_recap.fleet.conditions.table import CONDITIONS
 from carla_recap.model.layout import Framing, Layout, Many
 from carla_recap.model.records import NO_ACTOR, UE4, ActorKind, Group, Spawn, attributes
 from carla_recap.queries.kinds import KINDS
@@ -137,6 +141,45 @@ def test_a_measure_is_listed(measure):
     page = (ROOT / "docs" / "measures.md").read_text("utf-8")
     section = page.partition("\n## The road\n")[2 if measure.needs_roads else 0]
     assert f"\n| `{measure.name}` | {measure.unit} | {measure.extreme} | {measure.text} |\n" in section
+
+
+def test_the_conditions_of_rules_are_listed():
+    rows = defaultdict(list)
+    for kind in CONDITIONS.values():
+        keys = [f"`{key}`" if isinstance(key, str) else key.title for part in kind.parts for key in shown_keys(part)]
+        rows[", ".join(keys), kind.text].append(f"`{kind.name}`")
+    expected = [f"| {', '.join(names)} | {keys} | {text} |" for (keys, text), names in rows.items()]
+    assert table_of("## Rules", "| condition | keys | is met if |") == expected
+
+
+@pytest.mark.parametrize(
+    ("heading", "parts"),
+    {
+        "## Rules": [part for kind in CONDITIONS.values() for part in kind.parts if part not in (PLACE_KEYS, SCOPE)],
+        "### Places": [PLACE_KEYS],
+        "### Scopes": [SCOPE],
+    }.items(),
+)
+def test_the_keys_of_rules_are_listed(heading, parts):
+    rows = defaultdict(dict)
+    for key in keys_of(parts):
+        rows[key.name, key.text][key.type.name] = None
+    expected = [f"| `{name}` | {', '.join(types)} | {text} |" for (name, text), types in rows.items()]
+    assert table_of(heading, "| key | value | |") == expected
+
+
+def shown_keys(part):
+    """Return what stands for a part of a condition in the table of conditions: its keys, or itself if it has a title."""
+    if isinstance(part, Key):
+        return [part.name]
+    return [part] if part.title else [key.name for key in part.keys]
+
+
+def table_of(heading, head):
+    """Return the rows of the first table with a head after a heading of docs/ci.md."""
+    page = (ROOT / "docs" / "ci.md").read_text("utf-8")
+    section = page.partition(f"\n{heading}\n")[2]
+    return section.partition(f"{head}\n{re.sub('[^|]+', '---', head)}\n")[2].partition("\n\n")[0].splitlines()
 
 
 def test_the_values_of_incidents_are_those_that_are_shown(working_directory, capsys):
@@ -438,8 +481,9 @@ def test_the_rules_of_a_page_can_be_loaded(tmp_path):
     counts = []
     for rules in blocks(ROOT / "docs" / "ci.md", "toml"):
         (tmp_path / "rules.toml").write_text(rules, "utf-8")
+        shutil.copy(ROOT / "samples" / "own_rules.py", tmp_path)
         counts.append(len(carla_recap.load_rules(tmp_path / "rules.toml").rules))
-    assert counts == [2, 1]
+    assert counts == [2, 1, 2, 4, 2, 3, 1]
 
 
 def test_an_answer_that_is_shown_has_the_keys_of_an_answer():

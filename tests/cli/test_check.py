@@ -44,10 +44,11 @@ def test_verdicts_are_printed_the_worst_first(runs):
         ("fail", "crash.mcap"),
         ("fail", "crash.mcap"),
         ("fail", "crash.mcap"),
+        ("fail", "crash.mcap"),
         ("pass", "junction.mcap"),
     ]
-    assert "no-hero-collision   12.10 s  2 collisions of the hero" in lines[1]
-    assert lines[-1] == f"1 passed, 1 failed, 1 not judged; 3 recordings, 7 rules of {RULES}"
+    assert "no-hero-collision     12.10 s  2 collisions of the hero" in lines[1]
+    assert lines[-1] == f"1 passed, 1 failed, 1 not judged; 3 recordings, 9 rules of {RULES}"
     assert (done.returncode, done.stderr) == (2, b"")
 
 
@@ -62,7 +63,11 @@ def test_json(runs):
     assert done.returncode == 1
     found = json.loads(done.stdout)
     assert found["counts"] == {"pass": 1, "fail": 1, "error": 0}
-    assert found["rules"][0] == {"name": "no-hero-collision", "description": "The hero hits nothing"}
+    assert found["rules"][0] == {
+        "name": "no-hero-collision",
+        "condition": "collisions",
+        "description": "The hero hits nothing",
+    }
     worst, best = found["recordings"]
     assert (Path(worst["recording"]).name, worst["status"], worst["map"], worst["frames"]) == (
         "crash.mcap",
@@ -80,7 +85,7 @@ def test_junit(runs, tmp_path):
     done = run("check", runs, "--rules", RULES, "--junit", tmp_path / "out.xml", "--jobs", "1")
     assert done.returncode == 1
     suites = ElementTree.parse(tmp_path / "out.xml").getroot()
-    assert (suites.get("tests"), suites.get("failures"), suites.get("errors")) == ("14", "3", "0")
+    assert (suites.get("tests"), suites.get("failures"), suites.get("errors")) == ("18", "4", "0")
 
 
 def test_on_a_terminal_verdicts_are_a_table(runs):
@@ -117,7 +122,7 @@ def test_what_cannot_be_written_is_an_error_after_the_verdicts(runs, tmp_path, m
     monkeypatch.setattr("carla_recap.fleet.pages.overview", fails)
     for options in (["--junit", tmp_path / "out.xml"], ["--html", tmp_path / "out", "--jobs", "1"]):
         done = CliRunner().invoke(check, [str(runs), "--rules", str(RULES), *map(str, options)])
-        assert "no-hero-collision   12.10 s  2 collisions of the hero" in done.stdout
+        assert "no-hero-collision     12.10 s  2 collisions of the hero" in done.stdout
         assert isinstance(done.exception, RecapError)
 
 

@@ -251,6 +251,7 @@ def test_verdicts_are_in_the_order_of_the_rules():
         "no-hero-collision",
         "keeps-its-distance",
         "no-long-stops",
+        "never-close-for-long",
     ]
     assert {each.status for each in found} == {"pass", "fail"}
 

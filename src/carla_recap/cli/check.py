@@ -209,7 +209,7 @@ def _plain(checked: Sequence[CheckedRecording], rules: RuleSet) -> dict[str, Any
     from dataclasses import asdict
 
     counts = {status: sum(each.status == status for each in checked) for status in _EXIT_CODES}
-    listed = [{"name": rule.name, "description": rule.description} for rule in rules]
+    listed = [{"name": rule.name, "condition": rule.kind, "description": rule.description} for rule in rules]
     return {"counts": counts, "rules": listed, "recordings": [asdict(each) for each in checked]}
 
 

@@ -130,7 +130,7 @@ class MeasureBounds:
                 offences.append(Offence(text, when, (life.id,)))
         what = f"the {self._name} is"
         if not longest:
-            return Finding(False, f"no {self._name} was measured{facts.absent(self.of)}")
+            return Finding(True, f"no {self._name} was measured{facts.absent(self.of)}")
         if offences:
             return Finding(False, f"{what} not {self.bounds} for {self.lasting}", tuple(offences))
         return Finding(True, f"{what} {self.bounds} for {min(longest):.2f} s")

@@ -59,9 +59,9 @@ class Reaches:
                 offences.append(Offence(f"{life.name} reaches it at {first:.2f} s", first, (life.id,)))
             else:
                 nearest = int(outside.argmin())
-                near = f"is {outside[nearest]:.2f} m away" if np.isfinite(outside[nearest]) else "is never near it"
-                when = f" at {time[nearest]:.2f} s, when it is nearest" if np.isfinite(outside[nearest]) else ""
-                offences.append(Offence(f"{life.name} {near}{when}", float(time[nearest]), (life.id,)))
+                away, when = float(outside[nearest]), float(time[nearest])
+                text = f"is {away:.2f} m away at {when:.2f} s, when it is nearest" if away < math.inf else "is never near it"
+                offences.append(Offence(f"{life.name} {text}", when if away < math.inf else None, (life.id,)))
         return _each(
             self.of, subjects, offences, ("reach", "reaches"), f"{self.place}{_before(self.before)}", facts, reached
         )

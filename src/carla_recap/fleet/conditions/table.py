@@ -146,7 +146,7 @@ CONDITIONS: Final = _named(
         ConditionKind(
             name="blocked",
             text="no vehicle or walker stands still for more than `max`",
-            parts=(OF, Key("max", TIME, "the longest valid stop", field="longest", required=True)),
+            parts=(OF, Key("max", TIME, "the greatest valid value", field="longest", required=True)),
             make=LongestStop,
         ),
         ConditionKind(
