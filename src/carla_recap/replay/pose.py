@@ -90,12 +90,11 @@ def rotations(poses: Floats) -> Floats:
     angles = np.radians(poses[..., ROTATION])
     with np.errstate(invalid="ignore"):  # of infinite angles
         (sr, sp, sy), (cr, cp, cy) = np.moveaxis(np.sin(angles), -1, 0), np.moveaxis(np.cos(angles), -1, 0)
-    rows = (
-        np.stack((cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr), axis=-1),
-        np.stack((sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr), axis=-1),
-        np.stack((-sp, cp * sr, cp * cr), axis=-1),
-    )
-    return np.stack(rows, axis=-2)
+    found = np.empty((*angles.shape, 3), angles.dtype)
+    found[..., 0, 0], found[..., 0, 1], found[..., 0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
+    found[..., 1, 0], found[..., 1, 1], found[..., 1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
+    found[..., 2, 0], found[..., 2, 1], found[..., 2, 2] = -sp, cp * sr, cp * cr
+    return found
 
 
 def attach(parent: Floats, relative: Floats) -> Floats:

@@ -132,22 +132,30 @@ class SceneDescription:
         """Whether each of these is somewhere to be seen, or would be if it had a look, (scenes, batch.ids)."""
         return _are_near(self.recorded_poses) & ~self.batch.away
 
-    @cached_property
+    @property
     def poses(self) -> Floats:
         """The poses in m and degrees, right-handed, (scenes, ids, 6); NaN where they are unknown."""
-        places, others = self._places, self._places.rows < 0
-        nothing = np.empty((len(self), len(self.ids), 6))
-        poses = nothing if others.all() else self.recorded_poses.take(places.rows, axis=1)
+        return self._everywhere[0]
+
+    @property
+    def shown(self) -> Booleans:
+        """Whether an actor is somewhere to be seen, (scenes, ids)."""
+        return self._everywhere[1]
+
+    @cached_property
+    def _everywhere(self) -> tuple[Floats, Booleans]:
+        return self.places_at(slice(None))
+
+    def places_at(self, rows: Indices | slice) -> tuple[Floats, Booleans]:
+        """Return `poses` and `shown` in some of the scenes."""
+        places, others, recorded = self._places, self._places.rows < 0, self.recorded_poses[rows]
+        nothing = np.empty((len(recorded), len(self.ids), 6))
+        poses = nothing if others.all() else recorded.take(places.rows, axis=1)
         poses[:, others] = places.standing[others]
         for row, id in places.attached:
             pose = self.batch.pose_of(id)
-            poses[:, row] = np.nan if pose is None else right_handed(pose)
-        return poses
-
-    @cached_property
-    def shown(self) -> Booleans:
-        """Whether an actor is somewhere to be seen, (scenes, ids)."""
-        return _are_near(self.poses) & ~self._away
+            poses[:, row] = np.nan if pose is None else right_handed(pose[rows])
+        return poses, _are_near(poses) & ~self._away[rows]
 
     @cached_property
     def _away(self) -> Booleans:

@@ -6,7 +6,7 @@ All that show it, on plots, panels or pages, take their numbers from here.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
@@ -48,20 +48,14 @@ _BEFORE: Final = 1.0  # s before a part of a recording from which its numbers fo
 
 
 @dataclass(frozen=True, eq=False)
-class FollowedSeries:
-    """The followed actor in some scenes; NaN where something is unknown.
+class FollowedRecords:
+    """What is recorded of the followed actor in some scenes; NaN where something is unknown.
 
     Attributes:
         time: The moments, in elapsed seconds, (scenes,).
         poses: Its poses, in cm and degrees, left-handed, (scenes, 6).
-        jumped: Whether it has a pose, but cannot have come there from that of the scene before, (scenes,).
-        camera: Level axes at the actor that turn calmly, as poses; the latest ones while it is absent, (scenes, 6).
-        speed: Its speed in m/s: as recorded, else from its step since the scene before, or at first, from its step to the
-            next scene, (scenes,).
-        acceleration: The mean acceleration over the last 0.3 s, in m/s², (scenes,).
+        speed: Its speed in m/s as recorded; if it appears in the last scene, from its step to the next frame, (scenes,).
         controls: The recorded `CONTROLS`: pedals from 0 to 1, steering from -1 (left) to 1, (scenes, 3).
-        pedals: Throttle and brake as they are shown: a brake is held at a standstill, where controllers let it chatter,
-            (scenes, 2).
         light: The id of the traffic light ahead, or `NO_LIGHT`, (scenes,).
         light_state: Its state, in CARLA's numbers, (scenes,).
         light_distance: The distance from the front of the actor to its stop line, or else to the light itself, in m,
@@ -70,12 +64,8 @@ class FollowedSeries:
 
     time: Floats
     poses: Floats
-    jumped: Flags
-    camera: Floats
     speed: Floats
-    acceleration: Floats
     controls: Floats
-    pedals: Floats
     light: Indices
     light_state: Indices
     light_distance: Floats
@@ -89,13 +79,33 @@ class FollowedSeries:
         return np.asarray(np.isfinite(self.poses).all(axis=1))
 
     @classmethod
-    def joined(cls, parts: Sequence[FollowedSeries]) -> Self:
-        """Return the series of scenes that follow each other."""
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Return those of scenes that follow each other."""
         return cls(**{each.name: np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(cls)})
 
-    def take(self, rows: Indices) -> FollowedSeries:
-        """Return the series of some of the scenes."""
-        return FollowedSeries(**{name: column[rows] for name, column in vars(self).items()})
+    def take(self, rows: Indices) -> Self:
+        """Return those of some of the scenes."""
+        return replace(self, **{name: column[rows] for name, column in vars(self).items()})
+
+
+@dataclass(frozen=True, eq=False)
+class FollowedSeries(FollowedRecords):
+    """What is shown of the followed actor in some scenes; NaN where something is unknown.
+
+    Attributes:
+        speed: Its speed in m/s: as recorded, else from its step since the scene before, or at first, from its step to the
+            next scene, (scenes,).
+        jumped: Whether it has a pose, but cannot have come there from that of the scene before, (scenes,).
+        camera: Level axes at the actor that turn calmly, as poses; the latest ones while it is absent, (scenes, 6).
+        acceleration: The mean acceleration over the last 0.3 s, in m/s², (scenes,).
+        pedals: Throttle and brake as they are shown: a brake is held at a standstill, where controllers let it chatter,
+            (scenes, 2).
+    """
+
+    jumped: Flags
+    camera: Floats
+    acceleration: Floats
+    pedals: Floats
 
     def row_at(self, time: float) -> int:
         """Return the position of the scene at or before a time; 0 before the first one."""
@@ -126,7 +136,7 @@ def followed_series(
     begin = max(0.0, start - _BEFORE)
     actor = FollowedActor(id, stops)
     player = Player(source, start=begin, duration=max(stop - begin, SAME_TIME) if stop < math.inf else 0.0, follow=id)
-    return FollowedSeries.joined([actor.series(batch) for batch in player.batches()])
+    return actor.derive(FollowedRecords.joined([actor.read(batch) for batch in player.batches()]))
 
 
 def step_speeds(metres: Floats, seconds: Floats | float) -> Floats:
@@ -165,7 +175,7 @@ def speeds_of(scene: Scene, before: Scene | None) -> Floats:
 
 
 class FollowedActor:
-    """Measures the followed actor in batches of scenes, which come in order; after a seek, it begins anew.
+    """Measures the followed actor in scenes, which come in order; after a seek, it begins anew.
 
     Args:
         id: The actor; None: none is followed.
@@ -178,43 +188,49 @@ class FollowedActor:
         self._begin()
 
     def _begin(self) -> None:
+        self._appeared = False
         self._path = CalmPath()
         self._accelerations = _Accelerations()
         self._pedals = _HeldPedals()
 
     def series(self, batch: SceneBatch) -> FollowedSeries:
         """Return the series of the next scenes."""
+        return self.derive(self.read(batch))
+
+    def read(self, batch: SceneBatch) -> FollowedRecords:
+        """Return what is recorded in the next scenes; before those after a seek, all others have to be derived."""
         if batch.fresh:
             self._begin()
         poses = None if self.id is None else batch.pose_of(self.id)
         if poses is None:
             poses = np.full((len(batch), 6), np.nan)
         velocities = self._records(batch, "velocities", ("x", "y", "z"))
-        recorded = np.sqrt((velocities**2).sum(axis=1))
-        begins = not self._path.has_begun
-        path = self._path.add(batch.time, poses, recorded)
-        if begins and np.flatnonzero(path.jumped).tolist() == [len(batch) - 1]:
-            path.speed[-1] = self._speed_ahead(batch, poses[-1])
-        speed = np.where(np.isfinite(recorded), recorded, path.speed)
-        controls = self._records(batch, "vehicle_controls", CONTROLS)
+        speed = np.sqrt((velocities**2).sum(axis=1))
+        if not self._appeared:
+            known = np.flatnonzero(np.isfinite(poses).all(axis=1))
+            self._appeared = len(known) > 0
+            if known.tolist() == [len(batch) - 1] and math.isnan(speed[-1]):
+                speed[-1] = self._speed_ahead(batch, poses[-1])
         found, distance = self._light_ahead(batch, poses)
         lit = found != NO_LIGHT
         light, state = np.full(len(batch), NO_LIGHT), np.full(len(batch), NO_LIGHT)
         light[lit] = batch.light_states["id"][0][found[lit]]
         state[lit] = batch.light_states["state"][lit, found[lit]]
-        return FollowedSeries(
-            batch.time,
-            poses,
-            path.jumped,
-            path.camera,
-            speed,
-            self._accelerations.add(batch.time, speed),
-            controls,
-            self._pedals.add(batch.time, controls[:, :2], speed),
-            light,
-            state,
-            distance,
-        )
+        controls = self._records(batch, "vehicle_controls", CONTROLS)
+        return FollowedRecords(batch.time, poses, speed, controls, light, state, distance)
+
+    def derive(self, records: FollowedRecords) -> FollowedSeries:
+        """Return the series of scenes of which the records have been read, as many as one likes at once."""
+        path = self._path.add(records.time, records.poses, records.speed)
+        speed = np.where(np.isfinite(records.speed), records.speed, path.speed)
+        derived = {
+            "speed": speed,
+            "jumped": path.jumped,
+            "camera": path.camera,
+            "acceleration": self._accelerations.add(records.time, speed),
+            "pedals": self._pedals.add(records.time, records.controls[:, :2], speed),
+        }
+        return FollowedSeries(**{**vars(records), **derived})
 
     def _speed_ahead(self, batch: SceneBatch, pose: Floats) -> float:
         """Return the speed of the step from the last scene to the next frame; NaN without one, or after a jump."""
@@ -297,11 +313,6 @@ class CalmPath:
         self._pose = np.full(6, np.nan)
         self._camera = np.full(6, np.nan)
         self._is_known = False  # in the latest scene
-
-    @property
-    def has_begun(self) -> bool:
-        """Whether a pose is known."""
-        return not math.isnan(self._time)
 
     def add(self, time: Floats, poses: Floats, speeds: Floats | None = None) -> _PathPart:
         """Return the path in the next scenes.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import groupby
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from carla_recap.replay import right_handed
 from carla_recap.replay.pose import LOCATION, YAW, rotations
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     Flags = NDArray[np.bool_]
     Floats = NDArray[np.float64]
     Indices = NDArray[np.intp]
+    Triple = tuple[float, float, float]
 
 SEE_THROUGH: Final = 0.4
 """The opacity of the followed actor while it hides another one."""
@@ -109,11 +111,20 @@ def _blocks(eyes: Floats, targets: Floats, boxes: SeenBoxes) -> Flags:
 
 
 class OpacityChange(NamedTuple):
-    """A change of the opacity of an actor, in one of the scenes of a batch."""
+    """A change of the opacity of an actor, in one of the scenes."""
 
     row: int
     id: int
     opacity: float
+
+
+class _Moments(NamedTuple):
+    """The scenes of a batch that are looked at: their positions, the actors, their poses, and whether these are shown."""
+
+    rows: Indices
+    actors: LookColumns
+    poses: Floats
+    shown: Flags
 
 
 class SteppedOpacity:
@@ -128,29 +139,49 @@ class SteppedOpacity:
     def __init__(self, id: int) -> None:
         self._id = id
         self._step = -math.inf
+        self._moments: list[_Moments] = []
+        self._count = 0  # of the scenes since the latest changes
         self._shown: dict[int, tuple[float, float]] = {}  # the opacity, and the time until which it is held
 
+    def add(self, description: SceneDescription) -> None:
+        """Add the next scenes."""
+        steps = np.floor(description.batch.time / _STEP + 1e-6)
+        rows = np.flatnonzero(np.diff(steps, prepend=self._step))
+        self._step = steps[-1]
+        if len(rows) and description.actors.look_of(self._id) is not None:
+            poses, shown = description.places_at(rows)
+            self._moments.append(_Moments(self._count + rows, description.actors, poses, shown))
+        self._count += len(description)
+
     def changes(
-        self, description: SceneDescription, series: FollowedSeries, eye: tuple[float, float, float], pitch: float
+        self, series: FollowedSeries, eye: Callable[[Triple | None], Triple], pitch: float
     ) -> Iterator[OpacityChange]:
-        """Yield the changes in the next scenes.
+        """Yield the changes in the scenes that were added since the last call.
 
         Args:
-            description: The scenes.
             series: The followed actor in these.
-            eye: Where the camera is in the calm axes, in m.
+            eye: Returns where the camera is in the calm axes, in m, given half the size of the followed actor's box.
             pitch: Its pitch in degrees; downwards is negative.
         """
-        steps = np.floor(series.time / _STEP + 1e-6)
-        rows = np.flatnonzero(np.diff(steps, prepend=self._step) != 0)
-        self._step = steps[-1]
-        rows = rows[series.known[rows]]
-        if not len(rows) or description.actors.look_of(self._id) is None:
+        moments, self._moments, self._count = self._moments, [], 0
+        for _, group in groupby(moments, key=lambda each: id(each.actors)):
+            yield from self._changes(_joined(list(group)), series, eye, pitch)
+
+    def _changes(
+        self, moments: _Moments, series: FollowedSeries, eye: Callable[[Triple | None], Triple], pitch: float
+    ) -> Iterator[OpacityChange]:
+        """Yield the changes in scenes with the same looks."""
+        known = series.known[moments.rows]
+        rows, actors = moments.rows[known], moments.actors
+        poses, shown = moments.poses[known], moments.shown[known]
+        look = actors.look_of(self._id)
+        if not len(rows) or look is None:
             return
-        wanted = self._wanted(description, series, rows, np.array(eye), pitch)
+        camera = series.camera[rows]
+        wanted = self._wanted(actors, poses, shown, right_handed(camera), np.array(eye(look.half_extents)), pitch)
         for index, row in enumerate(rows.tolist()):
             if index in wanted or self._shown:
-                self._forget(set(self._shown) - set(description.ids[description.shown[row]].tolist()))
+                self._forget(set(self._shown) - set(actors.ids[shown[index]].tolist()))
                 yield from self._update(row, float(series.time[row]), wanted.get(index, {}))
 
     def _forget(self, gone: set[int]) -> None:
@@ -169,21 +200,19 @@ class SteppedOpacity:
                 yield OpacityChange(row, id, 1.0)
 
     def _wanted(
-        self, description: SceneDescription, series: FollowedSeries, rows: Indices, eye: Floats, pitch: float
+        self, actors: LookColumns, poses: Floats, shown: Flags, camera: Floats, eye: Floats, pitch: float
     ) -> dict[int, dict[int, float]]:
-        """Return the opacities below 1 by id, by the position of the scene among some."""
-        camera = right_handed(series.camera[rows])
+        """Return the opacities below 1 by id, by the position of the scene, given the axes of the camera in each."""
         eyes = camera[:, LOCATION] + rotations(camera) @ eye
-        actors, poses, shown = description.actors, description.poses[rows], description.shown[rows]
         tall = np.flatnonzero((actors.ids != self._id) & ~is_flat(actors.half_extents.astype(np.float64)))
         at, which = np.nonzero(is_near(poses[:, tall, LOCATION], eyes[:, None]) & shown[:, tall])
         found: dict[int, dict[int, float]] = {}
         if not len(at):
             return found
-        which, scenes = tall[which], np.arange(len(rows))
+        which, scenes = tall[which], np.arange(len(poses))
         looking = np.zeros_like(camera)
         looking[:, YAW - 1], looking[:, YAW] = -pitch, camera[:, YAW]
-        own = np.full(len(rows), actors.ids.searchsorted(self._id))
+        own = np.full(len(poses), actors.ids.searchsorted(self._id))
         opacity, other_opacity = wanted_opacities(
             eyes, rotations(looking), _boxes(actors, own, poses[scenes, own]), _boxes(actors, which, poses[at, which]), at
         )
@@ -192,6 +221,12 @@ class SteppedOpacity:
         for pair in np.flatnonzero(other_opacity < 1).tolist():
             found.setdefault(int(at[pair]), {})[int(actors.ids[which[pair]])] = float(other_opacity[pair])
         return found
+
+
+def _joined(moments: Sequence[_Moments]) -> _Moments:
+    """Return what is looked at in batches with the same looks, one after the other."""
+    rows, _, poses, shown = zip(*moments, strict=True)
+    return _Moments(np.concatenate(rows), moments[0].actors, np.concatenate(poses), np.concatenate(shown))
 
 
 def _boxes(actors: LookColumns, which: Indices, poses: Floats) -> SeenBoxes:

@@ -188,7 +188,7 @@ class ActorEntities:
         description, rows, stamps, _ = scenes
         batch, changed = description.batch, self._take_actors(description)
         shown = slice(None) if len(rows) == len(batch) else rows
-        poses, present = description.poses[shown], description.shown[shown]
+        poses, present = description.places_at(shown)
         moves = self._find_moves(poses, present)
         falls = np.searchsorted(rows, [fall.row for fall in description.falls])
         changes = np.flatnonzero((present[1:] != present[:-1]).any(axis=1)) + 1

@@ -292,12 +292,14 @@ class LampWriter:
         self._stream = stream
         self._meshes: dict[int, Mesh] = {}
         self._lit: dict[int, int] = {}  # the lamps of each actor in the latest scene, as in `SceneDescription.lamps`
-        self._drawn: dict[int, set[Material]] = {}  # the lamps of each actor that have an entity
+        self._latest: tuple[Ids, NDArray[np.uint64]] | None = None  # the same as arrays, unless actors were added since
+        self._drawn: dict[int, dict[Material, str | None]] = {}  # the entities of the lamps of each actor
         self._changes = HeldRows(stream, _factor_columns)
 
     def add(self, id: int, mesh: Mesh) -> None:
         """Add an actor, of which nothing is lit."""
-        self._meshes[id], self._lit[id], self._drawn[id] = mesh, 0, set()
+        self._meshes[id], self._lit[id], self._drawn[id] = mesh, 0, {}
+        self._latest = None
 
     def remove(self, id: int) -> None:
         """Forget an actor."""
@@ -307,8 +309,12 @@ class LampWriter:
     def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
         lamps, ids = description.lamps, description.ids
-        before = np.array([[self._lit.get(id, 0) for id in ids.tolist()]], np.uint64)
-        rows, columns = np.nonzero(lamps != np.concatenate((before, lamps[:-1])))
+        if self._latest is not None and self._latest[0] is ids:
+            before = self._latest[1]
+        else:
+            before = np.array([self._lit.get(id, 0) for id in ids.tolist()], np.uint64)
+        self._latest = ids, lamps[-1]
+        rows, columns = np.nonzero(lamps != np.concatenate((before[None], lamps[:-1])))
         for row, id, lit in zip(rows.tolist(), ids[columns].tolist(), lamps[rows, columns].tolist(), strict=True):
             if id in self._meshes:
                 self._change(id, lit, times.point(row))
@@ -321,17 +327,17 @@ class LampWriter:
         """Note the lit lamps of an actor, given as bits `1 << material`."""
         changed, self._lit[id] = self._lit[id] ^ lamps, lamps
         for material in _LAMPS:
-            if changed >> material & 1 and self._draw(id, material, time):
+            if changed >> material & 1 and (path := self._drawn_lamps(id, material, time)) is not None:
                 finish = MATERIALS[material]
                 color = finish.glow if lamps >> material & 1 else None
-                self._changes.add(entities.lamps(id, material.name), time, color or finish.color)
+                self._changes.add(path, time, color or finish.color)
 
-    def _draw(self, id: int, material: Material, time: TimePoint) -> bool:
-        """Draw the lamps of an actor unless they are drawn already; return whether it has any."""
-        if material not in self._drawn[id]:
+    def _drawn_lamps(self, id: int, material: Material, time: TimePoint) -> str | None:
+        """Return the entity of the lamps of an actor, which are drawn on first use; None if it has none."""
+        drawn = self._drawn[id]
+        if material not in drawn:
             mesh = lamps_of(self._meshes[id], material)
-            if mesh is None:
-                return False
-            self._stream.log(entities.lamps(id, material.name), time, unlit(mesh))
-            self._drawn[id].add(material)
-        return True
+            drawn[material] = None if mesh is None else entities.lamps(id, material.name)
+            if mesh is not None:
+                self._stream.log(entities.lamps(id, material.name), time, unlit(mesh))
+        return drawn[material]

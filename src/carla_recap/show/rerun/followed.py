@@ -14,7 +14,7 @@ from carla_recap.model.records import CM
 from carla_recap.replay import camera, right_handed
 from carla_recap.replay.pose import LOCATION, left_handed
 from carla_recap.scene import style
-from carla_recap.scene.follow import CONTROLS, CalmPath, FollowedActor, FollowedSeries
+from carla_recap.scene.follow import CONTROLS, CalmPath, FollowedActor, FollowedRecords
 from carla_recap.scene.opacity import SteppedOpacity
 from carla_recap.show.rerun import entities
 from carla_recap.show.rerun.meshes import faded
@@ -23,13 +23,15 @@ from carla_recap.show.rerun.surroundings import ground_below
 from carla_recap.show.rerun.timeline import LightAheadWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Container
+    from collections.abc import Set
 
     from numpy.typing import NDArray
 
+    from carla_recap.model.actors import ActorLife
     from carla_recap.queries.measures import MeasureSeries
     from carla_recap.scene.ahead import StopPoints
     from carla_recap.scene.description import SceneDescription
+    from carla_recap.scene.follow import FollowedSeries
     from carla_recap.scene.style import Color
     from carla_recap.show.rerun.stream import Stream, TimePoint
 
@@ -111,7 +113,7 @@ class FollowedWriter:
         ground: Whether a ground moves along with it, which shows its speed if there is no map.
     """
 
-    def __init__(self, stream: Stream, id: int, stops: StopPoints, models: Container[int], *, ground: bool) -> None:
+    def __init__(self, stream: Stream, id: int, stops: StopPoints, models: Set[int], *, ground: bool) -> None:
         self._stream = stream
         self._id = id
         self._models = models
@@ -123,22 +125,24 @@ class FollowedWriter:
         self._first: TimePoint | None = None
         self._appeared = False
         self._bottom = 0.0  # m; of its box, above its location
+        self._life: ActorLife | None = None
         self._times: list[TimeColumns] = []
-        self._series: list[FollowedSeries] = []
+        self._records: list[FollowedRecords] = []
+        self._drawn: set[int] = set()  # the actors that have been drawn as models in the scenes that are held back
         self._rows = 0
         self._before = np.full((1, 3), np.nan)  # the last location in m, right-handed
         _name_plots(stream)
 
     def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
-        series = self._actor.series(description.batch)
+        records = self._actor.read(description.batch)
         self._first = self._first or times.point(0)
-        if not self._appeared and np.isfinite(series.camera[-1]).all():
-            self._appear(description, times, series)
-        self._ahead.write(description, times, series)
-        self._write_opacity(description, times, series)
+        self._life = description.batch.actors.get(self._id, self._life)
+        self._drawn.update(self._models)
+        self._ahead.write(description, times, records)
+        self._opacity.add(description)
         self._times.append(times)
-        self._series.append(series)
+        self._records.append(records)
         self._rows += len(description)
         if self._rows >= ROWS:
             self._write_series()
@@ -150,32 +154,33 @@ class FollowedWriter:
             self._write_series()
 
     def _write_series(self) -> None:
-        times, series = TimeColumns.joined(self._times), FollowedSeries.joined(self._series)
+        times, series = TimeColumns.joined(self._times), self._actor.derive(FollowedRecords.joined(self._records))
+        if not self._appeared and series.known.any():
+            self._appear(times, series)
         self._axes.write_axes(times, series.camera)
         self._write_plots(times, series)
         self._write_path(times, series)
-        self._times, self._series, self._rows = [], [], 0
+        self._write_opacity(times, series)
+        self._times, self._records, self._rows = [], [], 0
+        self._drawn.clear()
 
-    def _appear(self, description: SceneDescription, times: TimeColumns, series: FollowedSeries) -> None:
+    def _appear(self, times: TimeColumns, series: FollowedSeries) -> None:
         self._appeared = True
         row = int(np.argmax(series.known))
         if self._first is not None and self._first != times.point(row):  # until then, the camera waits where it will be
             self._axes.write_axes(TimeColumns.of_points([self._first]), series.camera[row : row + 1])
-        actor = description.batch.actors.get(self._id)
-        if actor is not None:
-            box = box_of(actor)
+        if self._life is not None:
+            box = box_of(self._life)
             self._bottom = box.z - box.extent_z
-        color = style.OTHER.color if actor is None else style.color_of(actor)
+        color = style.OTHER.color if self._life is None else style.color_of(self._life)
         point = rr.Points2D.from_fields(colors=[color], radii=screen_radii(_RADIUS))
         self._stream.log_static(entities.trail(self._id), rr.LineStrips3D.from_fields(colors=[color], radii=[_TRAIL]))
         self._stream.log_static(entities.MAP_FOLLOWED, point)
 
-    def _write_opacity(self, description: SceneDescription, times: TimeColumns, series: FollowedSeries) -> None:
+    def _write_opacity(self, times: TimeColumns, series: FollowedSeries) -> None:
         """Write which actors are see-through for the camera behind this one."""
-        look = description.actors.look_of(self._id)
-        eye = chase_eye(None if look is None else look.half_extents)
-        for row, id, opacity in self._opacity.changes(description, series, eye, LOOK_DOWN):
-            if id in self._models:
+        for row, id, opacity in self._opacity.changes(series, chase_eye, LOOK_DOWN):
+            if id in self._drawn:
                 factor = rr.Mesh3D.from_fields(albedo_factor=faded(opacity))
                 self._stream.log(entities.actor(id), times.point(row), factor)
 

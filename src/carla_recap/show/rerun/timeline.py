@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.incidents import Incident
     from carla_recap.scene.captions import Line
     from carla_recap.scene.description import SceneDescription
-    from carla_recap.scene.follow import FollowedSeries
+    from carla_recap.scene.follow import FollowedRecords
     from carla_recap.show.rerun.stream import Stream, TimePoint
 
     Floats = NDArray[np.float64]
@@ -183,18 +183,18 @@ class LightAheadWriter:
         self._changes = HeldRows(stream, _state_columns)
         self._colors: dict[str, style.Color] = {_NONE: _NO_COLOR}
 
-    def write(self, description: SceneDescription, times: TimeColumns, series: FollowedSeries) -> None:
-        """Write scenes, given the series of the followed actor."""
+    def write(self, description: SceneDescription, times: TimeColumns, followed: FollowedRecords) -> None:
+        """Write scenes, given what is recorded of the followed actor."""
         if not description.batch.light_states.shape[1] and self._last is None:
             return
         changed = np.ones(len(description), np.bool_)
-        changed[1:] = (np.diff(series.light) != 0) | (np.diff(series.light_state) != 0)
+        changed[1:] = (np.diff(followed.light) != 0) | (np.diff(followed.light_state) != 0)
         for row in np.flatnonzero(changed).tolist():
-            light = int(series.light[row])
-            now = None if light == NO_LIGHT else (light, int(series.light_state[row]))
+            light = int(followed.light[row])
+            now = None if light == NO_LIGHT else (light, int(followed.light_state[row]))
             if now != self._last or not self._begun:
                 pose = None if now is None else description.pose_of(light, row)
-                self._change(now, pose, right_handed(series.poses[row]), times.point(row))
+                self._change(now, pose, right_handed(followed.poses[row]), times.point(row))
 
     def flush(self) -> None:
         """Write what is held back."""
