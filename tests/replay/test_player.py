@@ -289,6 +289,17 @@ def test_frames_from_the_middle(drive: Recording) -> None:
     assert [scene.time for scene in Player(drive, start=1.5, duration=2).scenes()] == [1.5, 2, 3, 3.5]
 
 
+@pytest.mark.parametrize(("seconds", "before"), [(2.5, [4.0, 5, 6, 6.5]), (20.0, [0.0, 1, 2, 3, 4, 5, 6, 6.5]), (0.0, [])])
+def test_the_seconds_before_the_start_change_nothing_of_what_follows(
+    drive: Recording, seconds: float, before: list[float]
+) -> None:
+    player, alone = Player(drive, start=6.5), Player(drive, start=6.5)
+    assert [time for batch in player.lead(seconds) for time in batch.time.tolist()] == before
+    for scene, expected in zip(player.scenes(), alone.scenes(), strict=True):
+        assert (scene.time, x_of(scene), scene.fresh) == (expected.time, x_of(expected), expected.fresh)
+        assert scene.events == expected.events
+
+
 @pytest.mark.parametrize("rate", [3, 10, 30, 60])
 def test_scenes_at_a_rate(drive: Recording, rate: int) -> None:
     times = [scene.time for scene in Player(drive).scenes(rate)]

@@ -326,9 +326,9 @@ def test_collisions_before_the_beginning_are_recalled(tmp_path, start, marks):
     path = tmp_path / "recording.log"
     path.write_bytes(samples.log_header() + b"".join(accident(5)))
     with open_recording(path) as recording:
-        actors = SceneActors()
-        actors.recall(recording, start)
-        found = [actors.at(scene) for scene in Player(recording, start=start).scenes()]
+        actors, player = SceneActors(), Player(recording, start=start)
+        actors.recall(player)
+        found = [actors.at(scene) for scene in player.scenes()]
     assert found[0].rotations[1, :, 2] == pytest.approx((1, 0, 0), abs=1e-6)
     assert (found[0].models == INDEX["collision mark"]).sum() == marks
     assert not (found[-1].models == INDEX["collision mark"]).any()
@@ -338,9 +338,9 @@ def test_collisions_after_the_beginning_are_not_recalled(tmp_path):
     path = tmp_path / "recording.log"
     path.write_bytes(samples.log_header() + b"".join(accident(5)))
     with open_recording(path) as recording:
-        actors = SceneActors()
-        actors.recall(recording, 0.0)
-        found = actors.at(Player(recording).at(0.0))
+        actors, player = SceneActors(), Player(recording)
+        actors.recall(player)
+        found = actors.at(player.at(0.0))
     assert found.ids.tolist() == [CAR, WALKER, LIGHT]
     assert found.rotations[1, 2, 2] == pytest.approx(1)
 

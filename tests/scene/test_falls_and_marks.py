@@ -115,7 +115,7 @@ def recalled(path, time):
     with open_recording(path) as recording:
         walkers = FallenWalkers()
         batch = Player(recording).at(time).batch
-        walkers.recall(recording, batch)
+        walkers.recall(recording.reader, batch)
         walkers.changes(batch, keep=True)
         return set(walkers.falls)
 

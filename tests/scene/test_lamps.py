@@ -122,9 +122,9 @@ def test_a_new_actor_with_the_id_of_one_that_braked_does_not_brake(recorded):
 def test_a_single_moment_is_as_in_the_whole_recording(recorded, frames):
     recording = recorded(frames)
     for time, expected in flags(recording).items():
-        actors = SceneActors()
-        actors.recall(recording, time)
-        found = actors.at(Player(recording, start=time).tick(0))
+        actors, player = SceneActors(), Player(recording, start=time)
+        actors.recall(player)
+        found = actors.at(player.tick(0))
         assert bool(found.lamps[0] & LIT) == bool(expected & BRAKE), time
 
 

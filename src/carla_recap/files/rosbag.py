@@ -200,7 +200,7 @@ class _Export:
     def write(self, writer: Writer, progress: Progress | None) -> Played:
         """Write everything; return the number of scenes, and the seconds that they span."""
         self._writer = writer
-        self._describer.recall(self._source, self._player.start)
+        self._describer.recall(self._player)
         count, first, last = 0, self._player.start, self._player.start
         stop = np.nextafter(self._player.stop, np.inf)
         stored = self._source.reader.further_messages(self._names, self._player.start, stop) if self._names else iter(())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -218,6 +219,20 @@ class Player:
         for scene in progress(scenes, self):
             if scene.row == len(scene.batch) - 1:
                 yield scene.batch
+
+    def lead(self, seconds: float) -> Iterator[SceneBatch]:
+        """Yield the scenes of the last seconds before the start, in batches; the player begins at its start nevertheless.
+
+        It must not have begun, and all of the scenes have to be taken, which saves it from seeking again.
+
+        Args:
+            seconds: How many seconds, as far as the recording has them.
+        """
+        before = copy(self)
+        before.start = before._time = max(self.start - seconds, 0.0)
+        before.stop = self.start
+        if before.start < before.stop:
+            yield from before._batches()
 
     def _batches(self) -> Iterator[SceneBatch]:
         cursor, scene = self._cursor, self.tick(0.0)

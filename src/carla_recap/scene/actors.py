@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.recording import Recording
     from carla_recap.replay import Scene
+    from carla_recap.replay.player import Player
     from carla_recap.scene.description import LookColumns, SceneDescription
     from carla_recap.scene.falls import Fall
 
@@ -101,9 +101,9 @@ class SceneActors:
         batch = scene.batch if len(scene.batch) == 1 else scene.batch[scene.row : scene.row + 1]
         return described_instances(self._describer.describe(batch), marks=self._marks)
 
-    def recall(self, recording: Recording, time: float) -> None:
-        """Learn what is to be seen of the time before a moment; see `SceneDescriber.recall`."""
-        self._describer.recall(recording, time)
+    def recall(self, player: Player) -> None:
+        """Learn what of the time before a player's start is still to be seen then; see `SceneDescriber.recall`."""
+        self._describer.recall(player)
 
 
 def _lay(found: Instances, centers: Floats, fallen: Mapping[int, Fall]) -> None:

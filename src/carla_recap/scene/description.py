@@ -246,22 +246,15 @@ class SceneDescriber:
         self._places = _Places(np.zeros(0, np.intp), np.zeros((0, 6)), [])
         self._recalled = False
 
-    def recall(self, recording: Recording, time: float) -> None:
-        """Learn what of the time before a moment is still to be seen then; the next scene is one of that moment.
-
-        Args:
-            recording: The recording.
-            time: The moment, in elapsed seconds.
-        """
+    def recall(self, player: Player) -> None:
+        """Learn what of the time before the first scene of a player, which has not begun, is still to be seen then."""
         self._lamps, self._walkers, self._marks = VehicleLamps(), FallenWalkers(), CollisionMarks()
-        start = max(time - _LOOK_BACK, 0.0)
-        if start < time:
-            for batch in Player(recording, start=start, duration=time - start).batches():
-                if batch.fresh:
-                    self._walkers.recall(recording, batch)
-                self._lamps.flags(batch, keep=True)
-                self._walkers.changes(batch, keep=True)
-                self._marks.changes(batch, keep=True)
+        for batch in player.lead(_LOOK_BACK):
+            if batch.fresh:
+                self._walkers.recall(player.reader, batch)
+            self._lamps.flags(batch, keep=True)
+            self._walkers.changes(batch, keep=True)
+            self._marks.changes(batch, keep=True)
         self._recalled = True
 
     def recall_uncut(self, uncut: Uncut) -> None:
@@ -270,7 +263,7 @@ class SceneDescriber:
         Args:
             uncut: What the clip is a part of; the next scene is the first one of the clip.
         """
-        self.recall(*uncut)
+        self.recall(Player(uncut.recording, start=uncut.begin))
         self._lamps = VehicleLamps()
         self._walkers.shift(uncut.begin)
         self._marks.shift(uncut.begin)

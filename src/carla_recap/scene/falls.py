@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
-    from carla_recap.recording import Recording
     from carla_recap.replay import SceneBatch
 
     Floats = NDArray[np.float64]
@@ -121,17 +121,17 @@ class FallenWalkers:
         self._before = batch
         return found
 
-    def recall(self, recording: Recording, batch: SceneBatch) -> None:
+    def recall(self, reader: Reader, batch: SceneBatch) -> None:
         """Learn which walkers lie that were knocked down before the next batch.
 
         Args:
-            recording: The recording.
+            reader: The recording.
             batch: The next batch.
         """
-        for id, times in _unrisen(recording, _walkers_hit(recording, batch), float(batch.time[0])).items():
+        for id, times in _unrisen(reader, _walkers_hit(reader, batch), float(batch.time[0])).items():
             for hit in times[:_MOST_HITS]:
                 seen, start = FallenWalkers(), max(hit - _LEAD, 0.0)
-                for around in Player(recording, start=start, duration=hit - start + _SLACK).batches():
+                for around in Player(reader, start=start, duration=hit - start + _SLACK).batches():
                     seen.changes(around, keep=True)
                 if id in seen._hits:
                     self._hits[id] = seen._hits[id]
@@ -194,13 +194,13 @@ class FallenWalkers:
         return step if np.isfinite(step).all() else np.zeros(2)
 
 
-def _walkers_hit(recording: Recording, batch: SceneBatch) -> dict[int, list[float]]:
+def _walkers_hit(reader: Reader, batch: SceneBatch) -> dict[int, list[float]]:
     """Return when, in elapsed seconds, the walkers of a batch were hit before it by something else than a walker."""
     spawned = {id: actor.spawned_at for id, actor in batch.actors.items() if actor.kind == "walker"}
     found: dict[int, list[float]] = {}
     if not spawned:
         return found
-    for frame in recording.reader.frames(("collisions",), sparse=True, stop=float(batch.time[0])):
+    for frame in reader.frames(("collisions",), sparse=True, stop=float(batch.time[0])):
         for _, actor1, actor2, *_ in array(frame["collisions"]).tolist():
             walkers = [id for id in (actor1, actor2) if frame.elapsed >= spawned.get(id, np.inf)]
             if len(walkers) == 1 and NO_ACTOR not in (actor1, actor2):
@@ -208,13 +208,13 @@ def _walkers_hit(recording: Recording, batch: SceneBatch) -> dict[int, list[floa
     return found
 
 
-def _unrisen(recording: Recording, hits: dict[int, list[float]], time: float) -> dict[int, list[float]]:
+def _unrisen(reader: Reader, hits: dict[int, list[float]], time: float) -> dict[int, list[float]]:
     """Return those hits since which, until a moment, the walker has not got up.
 
     It is looked for from the moment backwards, in longer and longer steps: most walkers walk in the seconds before it.
 
     Args:
-        recording: The recording.
+        reader: The recording.
         hits: When walkers were hit, in elapsed seconds, by their ids.
         time: The moment, in elapsed seconds.
     """
@@ -222,7 +222,7 @@ def _unrisen(recording: Recording, hits: dict[int, list[float]], time: float) ->
     while hits and stop >= (earliest := min(times[0] for times in hits.values())):
         start = max(stop - span, earliest - _SLACK)
         risen: dict[int, float] = {}
-        for batch in recording.reader.batches(("walker_controls", "transforms"), start=start, stop=stop + _SLACK):
+        for batch in reader.batches(("walker_controls", "transforms"), start=start, stop=stop + _SLACK):
             for id in hits:
                 if len(rows := np.flatnonzero(_up(id, batch))):
                     risen[id] = float(batch.elapsed[rows[-1]])

@@ -309,7 +309,7 @@ class _Sensing:
         self._clocks = {spec.id: _Clock(spec.number("sensor_tick")) for spec in self._rig}
         self._describer = SceneDescriber()
         if uncut is None:
-            self._describer.recall(recording, player.start)
+            self._describer.recall(player)
         else:
             self._describer.recall_uncut(uncut)
         self._needs_motion = any(spec.kind in ("imu", "speedometer", "radar") for spec in self._rig)

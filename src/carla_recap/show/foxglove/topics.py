@@ -147,9 +147,9 @@ class SceneMessages:
         """Follow another actor from the next scene on."""
         self._followed = FollowedActor(id, self._stops)
 
-    def recall(self, recording: Recording, time: float) -> None:
-        """Learn what of the time before the first scene is still to be seen then; see `SceneDescriber.recall`."""
-        self._describer.recall(recording, time)
+    def recall(self, player: Player) -> None:
+        """Learn what of the time before a player's start is still to be seen then; see `SceneDescriber.recall`."""
+        self._describer.recall(player)
 
     def recall_uncut(self, uncut: Uncut) -> None:
         """Learn what of the time before a clip is still to be seen; see `SceneDescriber.recall_uncut`."""
@@ -249,11 +249,11 @@ class RecordingMessages:
         town = town_around(road_map, player, source)
         self._player = player
         self._messages = SceneMessages(source.reader.header, player.followed, town, stop_points(source.reader))
-        if uncut is not None:
-            self._messages.recall_uncut(uncut)
-        elif player.start > 0:
-            self._messages.recall(source, player.start)
         self._incidents = PlayedIncidents(player, road_network_of_map(road_map) if town is not None else None, incidents)
+        if uncut is None:
+            self._messages.recall(player)
+        else:
+            self._messages.recall_uncut(uncut)
         self._elapsed, self._times = [np.zeros(0)], [np.zeros(0, np.uint64)]
 
     def scenes(self, progress: Progress | None = None) -> Iterator[TimedMessages]:

@@ -13,7 +13,6 @@ from carla_recap.formats.sources import unsigned
 from carla_recap.model.actors import ROAD_USERS
 from carla_recap.queries.actors import actors
 from carla_recap.queries.sensors import sensors
-from carla_recap.recording import Recording
 from carla_recap.rendering.town import town_of_map
 from carla_recap.replay import Played, Player
 from carla_recap.replay.follow import HERO
@@ -117,9 +116,9 @@ class SceneWriter:
         models, ground = self._actors.models, not self._has_ground
         self._followed = FollowedWriter(self._stream, id, self._stops, models, ground=ground)
 
-    def recall(self, recording: Recording, time: float) -> None:
-        """Learn what of the time before the first scene is still to be seen then; see `SceneDescriber.recall`."""
-        self._describer.recall(recording, time)
+    def recall(self, player: Player) -> None:
+        """Learn what of the time before a player's start is still to be seen then; see `SceneDescriber.recall`."""
+        self._describer.recall(player)
 
     def write(self, batch: SceneBatch) -> None:
         """Write scenes."""
@@ -253,10 +252,9 @@ def write(
     road_map = map_around(road_map, player)
     writer = SceneWriter(stream, followed=player.followed, road_map=road_map, cameras=cameras, stops=stop_points(reader))
     measured = _sensor_writer(Stream(stream), player)
-    if player.start > 0:
-        writer.recall(Recording(reader), player.start)
-    count = 0
     played = PlayedIncidents(player, road_network_of_map(road_map), incidents)
+    writer.recall(player)
+    count = 0
     for batch in player.batches(progress):
         writer.write(batch)
         if measured is not None:

@@ -97,7 +97,7 @@ class Film:
         self._frames = frames
         self._view = view
         self._actors = SceneActors()
-        self._actors.recall(recording, player.start)
+        self._actors.recall(player)
         self._followed = player.followed
         self._subject: Subject | None = None
         self._series: FollowedSeries | None = None
