@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import sys
 from importlib.metadata import files
 
+import pytest
 from click.testing import CliRunner
 
 import carla_recap
@@ -18,6 +20,7 @@ from carla_recap.cli.doctor import doctor as doctor_command
 from tests.cli.command import ENVIRONMENT, run
 
 BUILT_IN = "Brickfield"
+NO_CACHE = {"folder": None, "entries": 0, "bytes": 0, "error": None}
 
 
 def doctor(monkeypatch, **environment):
@@ -68,10 +71,15 @@ def test_maps_are_listed_with_their_files(monkeypatch, tmp_path):
 def test_the_cache_has_a_folder_and_a_size(monkeypatch, tmp_path):
     (tmp_path / "a.town").write_bytes(bytes(1000))
     (tmp_path / "other").write_bytes(bytes(1000))
-    assert doctor(monkeypatch, CARLA_RECAP_CACHE=tmp_path)["cache"] == {"folder": str(tmp_path), "entries": 1, "bytes": 1000}
-    assert doctor(monkeypatch, CARLA_RECAP_CACHE="")["cache"] == {"folder": None, "entries": 0, "bytes": 0}
+    assert doctor(monkeypatch, CARLA_RECAP_CACHE=tmp_path)["cache"] == {
+        "folder": str(tmp_path),
+        "entries": 1,
+        "bytes": 1000,
+        "error": None,
+    }
+    assert doctor(monkeypatch, CARLA_RECAP_CACHE="")["cache"] == NO_CACHE
     missing = tmp_path / "missing"
-    assert doctor(monkeypatch, CARLA_RECAP_CACHE=missing)["cache"] == {"folder": str(missing), "entries": 0, "bytes": 0}
+    assert doctor(monkeypatch, CARLA_RECAP_CACHE=missing)["cache"] == {**NO_CACHE, "folder": str(missing)}
 
 
 def test_without_a_driver_there_is_a_line_and_no_traceback(monkeypatch, tmp_path):
@@ -91,3 +99,30 @@ def test_the_text_has_all_parts():
     lines = done.stdout.decode().splitlines()
     assert [line for line in lines if not line.startswith(" ")] == ["Versions", "Drawing", "Extras", "Maps", "Cache"]
     assert any(line.split()[0] == BUILT_IN for line in lines)
+
+
+def test_files_in_place_of_folders_are_named(monkeypatch, tmp_path):
+    file = tmp_path / "file"
+    file.touch()
+    found = doctor(monkeypatch, CARLA_RECAP_MAPS=file, CARLA_RECAP_CACHE=file)
+    assert found["maps"] == {"folder": str(file), "files": {}, "error": "Not a directory"}
+    assert found["cache"] == {**NO_CACHE, "folder": str(file), "error": "Not a directory"}
+    text = run("doctor").stdout.decode()
+    assert f"\n  none           {file}: Not a directory\n" in text
+    assert "\n  size           Not a directory\n" in text
+
+
+@pytest.mark.parametrize("error", ["OSError", "RuntimeError"])
+def test_a_broken_package_is_a_line(monkeypatch, tmp_path, error):
+    (tmp_path / "moderngl.py").write_text(f"raise {error}('libGL.so.1: cannot open')")
+    path = os.pathsep.join(filter(None, (str(tmp_path), ENVIRONMENT.get("PYTHONPATH"))))
+    drawing = doctor(monkeypatch, PYTHONPATH=path)["drawing"]
+    assert drawing["device"] is None
+    assert drawing["error"] == f"{error}: libGL.so.1: cannot open"
+
+
+def test_damaged_metadata_of_a_package_are_no_error(monkeypatch, tmp_path):
+    (tmp_path / "duckdb-1.0.dist-info").mkdir()
+    (tmp_path / "duckdb-1.0.dist-info" / "METADATA").write_bytes(b"\xff\xfe")
+    path = os.pathsep.join(filter(None, (str(tmp_path), ENVIRONMENT.get("PYTHONPATH"))))
+    assert doctor(monkeypatch, PYTHONPATH=path)["extras"]["sql"]["duckdb"] == "unknown (UnicodeDecodeError)"

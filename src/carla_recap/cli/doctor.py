@@ -64,6 +64,8 @@ def _drawing() -> dict[str, Any]:
         device = drawing_device()
     except RecapError as error:
         return {"device": None, "gpu": False, "error": str(error)}
+    except Exception as error:  # of a broken package, while it is imported
+        return {"device": None, "gpu": False, "error": f"{type(error).__name__}: {' '.join(str(error).split())}"}
     return {**device, "gpu": _ON_PROCESSOR.search(device["device"]) is None, "error": None}
 
 
@@ -72,7 +74,7 @@ def _extras() -> dict[str, dict[str, str | None]]:
     packages: defaultdict[str, dict[str, str | None]] = defaultdict(dict)
     try:
         required = requires(_PACKAGE) or []
-    except PackageNotFoundError:
+    except (PackageNotFoundError, OSError, ValueError):
         return {}
     for match in filter(None, map(_REQUIREMENT.match, required)):
         name, extra = match.groups()
@@ -84,21 +86,40 @@ def _extras() -> dict[str, dict[str, str | None]]:
 def _maps() -> dict[str, Any]:
     from carla_recap.roads.find import FOLDER, find_maps
 
-    return {"folder": os.environ.get(FOLDER) or None, "files": {name: str(path) for name, path in find_maps().items()}}
+    folder = os.environ.get(FOLDER) or None
+    error = _error_of(folder)
+    files = {} if error else {name: str(path) for name, path in find_maps().items()}
+    return {"folder": folder, "files": files, "error": error}
 
 
 def _cache() -> dict[str, Any]:
     from carla_recap.util.cache import cache_folder, cache_size
 
     folder, (entries, size) = cache_folder(), cache_size()
-    return {"folder": None if folder is None else str(folder), "entries": entries, "bytes": size}
+    name = None if folder is None else str(folder)
+    return {"folder": name, "entries": entries, "bytes": size, "error": _error_of(name)}
+
+
+def _error_of(folder: str | None) -> str | None:
+    """Return why a folder cannot be listed; None if it can be, or if it does not exist."""
+    try:
+        if folder is not None:
+            os.scandir(folder).close()
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        return getattr(error, "strerror", None) or str(error)
+    return None
 
 
 def _version(package: str) -> str | None:
+    """Return the version of a package; None if it is not installed."""
     try:
         return version(package)
     except PackageNotFoundError:
         return None
+    except (OSError, ValueError) as error:  # its metadata are damaged
+        return f"unknown ({type(error).__name__})"
 
 
 def _lines(found: dict[str, Any]) -> dict[str, list[tuple[str, str]]]:
@@ -118,9 +139,11 @@ def _lines(found: dict[str, Any]) -> dict[str, list[tuple[str, str]]]:
         has = ", ".join(f"{name} {installed}" for name, installed in packages.items())
         extras.append((extra, f"missing: {', '.join(missing)}; pip install '{_PACKAGE}[{extra}]'" if missing else has))
     maps = list(found["maps"]["files"].items())
-    if not found["maps"]["folder"] or len(maps) <= 1:
+    if found["maps"]["error"]:
+        maps.append(("none", f"{found['maps']['folder']}: {found['maps']['error']}"))
+    elif not found["maps"]["folder"] or len(maps) <= 1:
         maps.append(("others", f"none in {described_folder()}"))
-    size = f"{counted(cache['entries'], 'file')}, {cache['bytes'] / _MB:.1f} MB"
+    size = cache["error"] or f"{counted(cache['entries'], 'file')}, {cache['bytes'] / _MB:.1f} MB"
     return {
         "Versions": [(name, text or "not installed") for name, text in found["versions"].items()],
         "Drawing": drawn,
