@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carla_recap.model.motion import neighbours, place_in_metres, possible_step, slope
+from carla_recap.model.motion import neighbours, place_in_metres, possible_step, runs, slope
 
 
 @pytest.mark.parametrize(
@@ -31,6 +31,14 @@ def test_neighbours() -> None:
     before, after = neighbours(np.array([True, False, True, True]))
     assert before.tolist() == [0, 0, 2, 2, 3]
     assert after.tolist() == [1, 1, 3, 4, 4]
+
+
+def test_runs_of_flagged_frames() -> None:
+    flags = np.array([True, True, False, True, True, True])
+    assert list(runs(flags, np.array([True, True, True, False, True]))) == [(0, 1), (3, 3), (4, 5)]
+    assert list(runs(~flags, np.ones(5, np.bool_))) == [(2, 2)]
+    assert list(runs(np.array([True]), np.zeros(0, np.bool_))) == [(0, 0)]
+    assert list(runs(np.zeros(0, np.bool_), np.zeros(0, np.bool_))) == []
 
 
 def test_the_slope_of_a_line_through_values() -> None:

@@ -98,6 +98,32 @@ def test_a_network_can_be_pickled(roads: RoadNetwork) -> None:
     assert copy.lanes_at(points).offset == roads.lanes_at(points).offset
 
 
+def test_a_network_of_some_lanes_alone(roads: RoadNetwork) -> None:
+    points = np.array([(50, -1.75), (110, -1.75), (150, -1.75)])
+    in_junction = roads.only(roads.lanes["junction"] != NONE)
+    assert in_junction.on_road(points).tolist() == [False, True, False]
+    assert roads.only(np.zeros(len(roads.lanes), np.bool_)).on_road(points).tolist() == [False] * 3
+    assert roads.on_road(points).all()
+
+
+def test_a_network_of_lanes_of_a_type() -> None:
+    points = np.array([(50, -1.75), (50, -4.0), (150, -4.0)])
+    for types, expected in (
+        ({"driving"}, [True, False, False]),
+        ({"shoulder"}, [False, True, True]),
+        ({"median"}, [False] * 3),
+    ):
+        assert build_network(STRAIGHT_ROAD, "", frozenset(types)).on_road(points).tolist() == expected
+
+
+def test_networks_of_one_map_with_other_lanes_are_told_apart(tmp_path: Path) -> None:
+    path = tmp_path / "Straight.xodr"
+    path.write_text(STRAIGHT_ROAD, "utf-8")
+    assert load_road_network(path) is load_road_network(path)
+    assert len(load_road_network(path, frozenset({"shoulder"})).lanes) == 2
+    assert len(load_road_network(path).lanes) > 2
+
+
 def test_what_the_lanes_of_a_junction_enclose_is_road() -> None:
     ring = _ring(6.0)
     found = build_network(ring).lanes_at(np.array([(0.0, 0.0), (0.0, 6.0), (12.0, 12.0)]))

@@ -17,6 +17,7 @@ from carla_recap.model.batch import Batch
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.layout import Many
 from carla_recap.model.records import CM, UE4, UE5, Bone, Bones, Physics
+from carla_recap.tables.trajectories import Trajectory
 from carla_recap.util.text import readable
 from tests import strategies
 from tests.samples import (
@@ -38,7 +39,7 @@ from tests.samples import (
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from carla_recap import Recording, Trajectory
+    from carla_recap import Recording
 
 CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
 every_type = pytest.mark.parametrize("name", [type.name for type in UE4 if type.id > 1])
@@ -378,6 +379,18 @@ def test_trajectories_of_the_sample(crossing: Recording) -> None:
         alone = crossing.trajectory(id)
         for name, values in alone.columns().items():
             np.testing.assert_array_equal(values, getattr(path, name))
+
+
+def test_steps_of_a_trajectory_and_a_part_of_it() -> None:
+    x = np.array([0.0, 1.0, np.nan, 3.0, 400.0, 401.0])
+    columns = {name: np.zeros(6) for name in ("y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz")}
+    path = Trajectory(1, np.arange(6) * 0.1, x, velocity_recorded=np.zeros(6, np.bool_), **columns)
+    part = path.during(0.1, 0.45)
+    assert part.time == pytest.approx([0.1, 0.3, 0.4])
+    assert part.x.tolist() == [1, 3, 400]
+    assert part.steps == pytest.approx([2, np.nan], nan_ok=True)
+    assert path.during(0.3, 0.3).steps.tolist() == []
+    assert len(path.during(9, 10)) == 0
 
 
 def test_trajectories_of_a_recording_of_carla() -> None:
