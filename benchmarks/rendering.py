@@ -78,9 +78,12 @@ def drawing_process(_: Subject) -> Iterator[Line]:
 def crowded_town() -> tuple[Any, Any, Any]:
     """Return the mesh of a town, actors in it, and CARLA's poses of these."""
     from carla_recap.rendering.town import load_town_mesh
-    from carla_recap.roads.find import find_map, load_map
+    from carla_recap.replay.pose import right_handed
+    from carla_recap.roads.drawing import load_map
+    from carla_recap.roads.find import find_map
     from carla_recap.scene.actors import instances
     from carla_recap.scene.appearance import look_of
+    from carla_recap.scene.description import LookColumns
 
     path = TOWN if TOWN.exists() else find_map("Brickfield")
     assert path is not None
@@ -96,7 +99,8 @@ def crowded_town() -> tuple[Any, Any, Any]:
         color = ",".join(str(chance.randrange(256)) for _ in range(3))
         looks.append(look_of(kind, 1 if number < VEHICLES else 2, {"color": color}, None))
     table = np.array(poses)
-    return load_town_mesh(path), instances(range(1, len(looks) + 1), looks, table), table
+    actors = LookColumns(np.arange(1, len(looks) + 1, dtype=np.uint32), looks)
+    return load_town_mesh(path), instances(actors, right_handed(table)), table
 
 
 def camera_behind(pose: Any, width: int, height: int) -> Any:

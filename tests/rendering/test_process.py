@@ -24,6 +24,9 @@ from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from concurrent.futures import Future
+
+    from carla_recap.rendering.process import Images
 
 BOXES = boxes((10, 0, 2), (15, 4, 1))
 
@@ -99,6 +102,36 @@ def test_a_process_that_dies_fails_its_picture_and_another_is_started(process: R
     assert "\n" not in str(raised.value)
     assert process.draw(camera(), BOXES)[RGB].any()
     assert process.pid not in (pid, None)
+
+
+def submit_two(process: RenderProcess) -> list[Future[Images]]:
+    """Submit two pictures to a process that is stopped, and return once both are sent."""
+    futures = [process.submit(replace(camera(), width=width), BOXES) for width in (32, 64)]
+    wait_until(lambda: all(future.running() for future in futures))
+    return futures
+
+
+def test_a_picture_is_sent_while_another_one_is_drawn(process: RenderProcess) -> None:
+    process.draw(camera(), BOXES)
+    assert process.pid is not None
+    os.kill(process.pid, signal.SIGSTOP)
+    try:
+        futures = submit_two(process)
+    finally:
+        os.kill(process.pid, signal.SIGCONT)
+    assert [future.result(PATIENCE)[RGB].shape[1] for future in futures] == [32, 64]
+
+
+def test_of_pictures_that_are_sent_only_the_first_fails_if_the_process_dies() -> None:
+    create(None).close()
+    with RenderProcess(PLANE, models=MODELS) as process:
+        assert process.pid is not None
+        os.kill(process.pid, signal.SIGSTOP)
+        first, second = submit_two(process)
+        os.kill(process.pid, signal.SIGKILL)
+        with pytest.raises(RenderProcessEnded, match="exit code -9"):
+            first.result(PATIENCE)
+        assert second.result(PATIENCE)[RGB].any()
 
 
 def test_a_process_that_dies_again_is_started_again_later(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from typing import TYPE_CHECKING
 
 import pytest
 
-from carla_recap.util.processes import module_command, module_environment, terminate, wait_or_kill
+from carla_recap.util.processes import is_readable, module_command, module_environment, terminate, wait_or_kill
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -38,3 +39,17 @@ def test_a_process_that_ignores_sigterm_is_killed() -> None:
 def test_a_process_that_ends_by_itself_is_waited_for(code: int) -> None:
     with subprocess.Popen([sys.executable, "-c", f"raise SystemExit({code})"]) as process:
         assert wait_or_kill(process, PATIENCE) == code
+
+
+def test_what_is_in_the_buffer_of_a_pipe_is_readable() -> None:
+    theirs, ours = os.pipe()
+    with os.fdopen(theirs, "rb") as pipe, os.fdopen(ours, "wb", buffering=0) as writing:
+        assert not is_readable(pipe, 0.0)
+        writing.write(b"ab")
+        assert is_readable(pipe, 0.0)
+        assert pipe.read(1) == b"a"
+        assert is_readable(pipe, 0.0)
+        assert pipe.read(1) == b"b"
+        assert not is_readable(pipe, 0.0)
+        writing.close()
+        assert is_readable(pipe, 0.0)

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 from math import exp, radians, tan
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from carla_recap.rendering import shaders
+from carla_recap.rendering.sky import Sky
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.rendering.camera import Camera
-    from carla_recap.rendering.sky import Sky
     from carla_recap.scene.instances import Instances
 
     Floats = NDArray[np.float64]
@@ -25,6 +26,8 @@ FAR: Final = 5000.0
 """The distance of the farthest surface that is drawn, in m, along the view axis."""
 _FOG_HEIGHT: Final = 60.0  # m, in which the density of fog falls to a third
 _PERIOD: Final = 64.0  # m after which the grain of surfaces repeats
+
+_light_of: Final = lru_cache(maxsize=8)(Sky.light)  # cameras of a moment have the same weather
 
 
 class CameraView:
@@ -38,14 +41,15 @@ class CameraView:
 
     Attributes:
         camera: The camera.
+        sky: The weather.
         shadow_length: The length of shadows, as a part of the height of what they are of; 0 where there are none.
     """
 
     def __init__(self, camera: Camera, sky: Sky, ground: NDArray[np.float64], before: Camera | None) -> None:
         self.camera = camera
         self._before = before or camera
-        self._sky, self._ground = sky, ground
-        self._light = sky.light()
+        self.sky, self._ground = sky, ground
+        self._light = _light_of(sky)
         rise = max(self._light.sun[2], shaders.LEAST_SUN)
         self.shadow_length = float(np.hypot(*self._light.sun[:2]) / rise) if self._light.shade < 1 else 0.0
         rows = np.array([_projection(camera)[index] for index in (0, 1, 3)]) @ _axes(camera)
@@ -104,16 +108,16 @@ class CameraView:
         block["size"][:3] = width, height, camera.focal_length * height / camera.height
         block["sun"] = (*light.sun, light.shade)
         block["sunlight"] = (*light.sunlight, light.disc)
-        block["skylight"] = (*light.skylight, self._sky.wetness)
+        block["skylight"] = (*light.skylight, self.sky.wetness)
         block["groundlight"][:3] = light.groundlight
-        block["zenith"] = (*light.zenith, self._sky.cloudiness)
+        block["zenith"] = (*light.zenith, self.sky.cloudiness)
         block["haze"][:3] = light.haze
         block["cloud_color"][:3] = light.clouds
         altitude = max(float(camera.location[2] - self._ground[2]), 0.0) / _FOG_HEIGHT
         thinning = (
             (1 - exp(-altitude)) / altitude if altitude > 1e-3 else 1.0
         )  # the mean density from the camera to the ground
-        block["fog"][:3] = self._sky.density * thinning, self._sky.fog_distance, 1.0
+        block["fog"][:3] = self.sky.density * thinning, self.sky.fog_distance, 1.0
         block["world"][:2] = np.mod(camera.location[:2], _PERIOD)
         return block
 

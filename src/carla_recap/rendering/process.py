@@ -1,7 +1,8 @@
 """The renderer in a process of its own: only the caller that needs a picture waits for it.
 
 `RenderProcess` is the client. It starts `python -m carla_recap.rendering.process`, and sends it commands over a pipe, as
-pickles; the images come back through memory that both share. The process ends when its client has gone.
+pickles; the images come back through memory that both share. The next command is sent while a picture is drawn, so that the
+process need not wait for its client. It ends when its client has gone.
 """
 
 from __future__ import annotations
@@ -12,11 +13,11 @@ import pickle
 import subprocess
 import sys
 import tempfile
+from collections import deque
 from concurrent.futures import Future
 from contextlib import suppress
 from functools import cache
-from queue import SimpleQueue
-from select import select
+from queue import Empty, SimpleQueue
 from threading import Lock, Thread, current_thread
 from time import monotonic
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, Self
@@ -28,7 +29,14 @@ from carla_recap.rendering.buffers import image_format
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.rendering.renderer import LARGEST, Quality, Renderer
 from carla_recap.scene.models import MODELS, own_models
-from carla_recap.util.processes import close_pipes, module_command, module_environment, read_commands, wait_or_kill
+from carla_recap.util.processes import (
+    close_pipes,
+    is_readable,
+    module_command,
+    module_environment,
+    read_commands,
+    wait_or_kill,
+)
 from carla_recap.util.signals import ignore_termination
 
 if TYPE_CHECKING:
@@ -52,6 +60,13 @@ _LOAD_MODELS: Final = "--models"
 _END_PATIENCE: Final = 5.0  # s, for the end of the process
 _PAGE: Final = 4096  # bytes between images
 _PAUSES: Final = (1.0, 60.0)  # s without a restart after the first one that was in vain, and at most
+_SENT: Final = 2  # pictures that the process has at a time: it draws one, and finds the next one when that is done
+_KEPT: Final = {"MALLOC_TRIM_THRESHOLD_": str(1 << 28), "MALLOC_MMAP_THRESHOLD_": str(1 << 25)}
+"""Bytes of freed memory, and of the largest part of it, that glibc keeps for the next picture; else each maps it anew."""
+
+
+_Job = tuple[Future["Images"], Any]
+"""A picture to come, and what is to be drawn."""
 
 
 class RenderProcessEnded(RecapError):
@@ -96,7 +111,7 @@ class RenderProcess:
 
         self._setup = setup
         self._loads_models = models is None
-        self._jobs: SimpleQueue[tuple[Future[Images], Any] | None] = SimpleQueue()
+        self._jobs: SimpleQueue[_Job | None] = SimpleQueue()
         self._lock = Lock()  # for what follows
         self._is_closed = False
         self._child: _Child | None = None
@@ -183,30 +198,56 @@ class RenderProcess:
             self._pause = min(2 * self._pause, _PAUSES[1])
 
     def _run(self) -> None:
-        while (job := self._jobs.get()) is not None:
-            future, command = job
-            if self._is_closed:
-                future.cancel()
-            elif future.set_running_or_notify_cancel():
-                self._carry_out(future, command)
+        sent: deque[_Job] = deque()
+        again: deque[_Job] = deque()  # were sent to a process that has ended
+        is_ending = False
+        while not is_ending or again or sent:
+            job = None
+            if again:
+                job = again.popleft()
+            elif not is_ending and len(sent) < _SENT:
+                with suppress(Empty):
+                    job = self._jobs.get(block=not sent)
+                    is_ending = job is None
+            if job is not None:
+                if self._send(*job):
+                    sent.append(job)
+            elif sent and not self._receive(*sent.popleft()):
+                again, sent = sent, again
         if self._child is not None:
             self._child.close()
 
-    def _carry_out(self, future: Future[Images], command: Any) -> None:
+    def _send(self, future: Future[Images], command: Any) -> bool:
+        """Have a picture drawn; return false if it will not be."""
+        if self._is_closed:
+            if not future.cancel():
+                future.set_exception(RecapError("the renderer is closed"))
+        elif future.running() or future.set_running_or_notify_cancel():
+            try:
+                if self._child is None:
+                    self._child = self._restart()
+                self._child.send(command)
+            except Exception as error:
+                future.set_exception(error)
+            else:
+                return True
+        return False
+
+    def _receive(self, future: Future[Images], command: Any) -> bool:
+        """Wait for the picture that was sent first; return false if the process has ended."""
+        assert self._child is not None
         try:
-            if self._child is None:
-                self._child = self._restart()
-            images = self._child.draw(command)
+            images = self._child.receive(command)
             self._pause = _PAUSES[0]
         except RenderProcessEnded as error:
-            if self._child is not None:
-                self._child.close()
+            self._child.close()
             self._child = None
             future.set_exception(error)
         except Exception as error:
             future.set_exception(error)
         else:
             future.set_result(images)
+        return self._child is not None
 
 
 class _Shape(NamedTuple):
@@ -239,20 +280,22 @@ class _Child:
         if os.name != "posix":
             raise RecapError("cameras and videos need Linux or macOS")
         self._setup = setup
-        self._memory = _SharedMemory(_create_memory())
-        descriptor = self._memory.descriptor
+        self._memories = deque(_SharedMemory(_create_memory()) for _ in range(_SENT))  # that of the next picture first
+        self._filled: deque[_SharedMemory] = deque()
+        descriptors = [memory.descriptor for memory in self._memories]
+        options = [_LOAD_MODELS] if loads_models else []
         try:
             self.process = subprocess.Popen(
-                module_command(__name__, str(descriptor), *([_LOAD_MODELS] if loads_models else [])),
+                module_command(__name__, *options, *map(str, descriptors)),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,  # where drivers print remarks
-                env=module_environment(),
-                pass_fds=(descriptor,),
+                env=_KEPT | module_environment(),
+                pass_fds=descriptors,
                 start_new_session=True,
             )
         except OSError as error:
-            self._memory.close()
+            self._close_memories()
             raise RecapError(f"the process that draws cannot be started: {error}") from None
 
     def wait_until_ready(self) -> None:
@@ -268,42 +311,64 @@ class _Child:
             while (line := self.process.stdout.readline()) != _READY:
                 if not line:
                     raise RenderProcessEnded(f"the process that draws has not started: exit code {self.process.wait()}")
-            self._ask(setup)
+            self._write(setup)
+            self._wait()
         except BaseException:
             self.close()
             raise
 
-    def draw(self, command: Any) -> Images:
-        """Draw images.
+    def send(self, command: Any) -> None:
+        """Have images drawn; if the process has ended, that is found when they are received.
+
+        Raises:
+            RecapError: They are too large.
+        """
+        camera, kinds = command[0], command[2]
+        _, size = _layout(kinds, *_checked_size(camera))
+        memory = self._memories[0]
+        memory.grow(size)
+        self._write(pickle.dumps((memory.descriptor, *command), pickle.HIGHEST_PROTOCOL))
+        self._memories.rotate(-1)
+        self._filled.append(memory)
+
+    def receive(self, command: Any) -> Images:
+        """Return the images of the command that was sent first, of those whose images have not been received.
 
         Raises:
             RenderProcessEnded: The process has ended.
             RecapError: They cannot be drawn.
         """
         camera, kinds = command[0], command[2]
-        offsets, size = _layout(kinds, *_checked_size(camera))
-        self._memory.grow(size)
-        self._ask(pickle.dumps(command, pickle.HIGHEST_PROTOCOL))
+        offsets, _ = _layout(kinds, camera.width, camera.height)
+        memory = self._filled.popleft()
+        self._wait()
         images = {}
         for kind, offset in offsets.items():
             shape, dtype = image_format(kind, camera.width, camera.height)
-            images[kind] = np.ndarray(shape, dtype, self._memory.view, offset).copy()
+            images[kind] = np.ndarray(shape, dtype, memory.view, offset).copy()
         return images
 
     def close(self) -> None:
         """End the process."""
         close_pipes(self.process)
         wait_or_kill(self.process, _END_PATIENCE)
-        self._memory.close()
+        self._close_memories()
 
-    def _ask(self, command: bytes) -> None:
-        """Send a command, and wait for its answer; raise the error that it is, if it is one."""
+    def _close_memories(self) -> None:
+        for memory in self._memories:
+            memory.close()
+
+    def _write(self, command: bytes) -> None:
         assert self.process.stdin is not None
-        assert self.process.stdout is not None
-        try:
+        with suppress(OSError):
             self.process.stdin.write(command)
             self.process.stdin.flush()
-            if not select([self.process.stdout], [], [], PATIENCE)[0]:
+
+    def _wait(self) -> None:
+        """Wait for the next answer; raise the error that it is, if it is one."""
+        assert self.process.stdout is not None
+        try:
+            if not is_readable(self.process.stdout, PATIENCE):
                 self.process.kill()
             answer = pickle.load(self.process.stdout)
         except Exception:
@@ -386,16 +451,16 @@ def _layout(kinds: Sequence[ImageKind], width: int, height: int) -> tuple[dict[I
 # --- in the process ----------------------------------------------------------------------------------------------------
 
 
-def serve(commands: BinaryIO, answers: BinaryIO, descriptor: int, models: Sequence[ModelShape] = ()) -> None:
+def serve(commands: BinaryIO, answers: BinaryIO, descriptors: Sequence[int], models: Sequence[ModelShape] = ()) -> None:
     """Draw until there are no more commands.
 
     Args:
-        commands: Pickles: the arguments of the renderer, then those of each picture.
+        commands: Pickles: the arguments of the renderer, then of each picture the memory for it, and its arguments.
         answers: The destination of a pickle for each: None, or an error.
-        descriptor: The shared memory.
+        descriptors: The shared memories.
         models: Models whose indices come before those of the models of the first command.
     """
-    memory = _SharedMemory(descriptor)
+    memories = {descriptor: _SharedMemory(descriptor) for descriptor in descriptors}
     renderer: Renderer | None = None
     for command in read_commands(commands):
         try:
@@ -403,7 +468,7 @@ def serve(commands: BinaryIO, answers: BinaryIO, descriptor: int, models: Sequen
                 town, further, quality, supersampling = command
                 renderer = Renderer(town, models=[*models, *further], quality=quality, supersampling=supersampling)
             else:
-                _draw(renderer, memory, *command)
+                _draw(renderer, memories[command[0]], *command[1:])
             answer = None
         except (MissingExtra, RecapError) as error:
             answer = error
@@ -450,7 +515,8 @@ def main() -> None:
         models: list[ModelShape] = []
         if _LOAD_MODELS in sys.argv:
             models = list(MODELS)  # read now, while the client makes the town
-        serve(sys.stdin.buffer, answers, int(sys.argv[1]), models)
+        descriptors = [int(argument) for argument in sys.argv[1:] if argument != _LOAD_MODELS]
+        serve(sys.stdin.buffer, answers, descriptors, models)
 
 
 if __name__ == "__main__":

@@ -53,6 +53,7 @@ _LARGEST_BUFFER: Final = 16384  # pixels along a side, that OpenGL draws
 _SIZES: Final = 8  # image sizes whose buffers are kept
 _SHADOWED: Final = 12  # pixels: half the size of the smallest actor whose shadow has a shape
 _GRAIN: Final = 256  # pixels of the texture of surfaces and clouds
+_SKY_MAP: Final = 1024  # pixels along a side of the map of the sky
 
 
 class Quality(StrEnum):
@@ -109,9 +110,13 @@ class Renderer:
         noise, linear = _noise(_GRAIN), self._context.LINEAR
         self._noise = self._context.texture((_GRAIN, _GRAIN), 2, noise.tobytes())
         self._noise.build_mipmaps()
-        self._noise.filter = self._context.LINEAR_MIPMAP_LINEAR, linear
+        self._noise.filter = self._context.LINEAR_MIPMAP_NEAREST, linear
         self._clouds = self._context.texture((_GRAIN, _GRAIN), 1, noise[..., 0].tobytes())
         self._clouds.filter = linear, linear
+        self._sky_map = self._context.texture((_SKY_MAP, _SKY_MAP), 4)
+        self._sky_map.filter = linear, linear
+        self._sky_map.repeat_x = self._sky_map.repeat_y = False
+        self._mapped_sky: Sky | None = None
         self._ground = GroundBuffers(self._context, town.tiles if town is not None else ())
         self._lamps = Halos(models)
         self._halos = make(reserve=64 * HALO.itemsize, dynamic=True)
@@ -140,6 +145,7 @@ class Renderer:
                 self._corners,
                 self._noise,
                 self._clouds,
+                self._sky_map,
                 self._halos,
                 *self._ground.buffers,
             ):
@@ -234,7 +240,8 @@ class Renderer:
         self._frame.bind_to_uniform_block(0)
         self._materials.bind_to_uniform_block(1)
         self._noise.use(0)
-        self._clouds.use(2)
+        if ImageKind.RGB in kinds:
+            self._map_sky(view.sky)
         solid, clear = ([group for group in groups if group.is_solid is wanted] for wanted in (True, False))
         framebuffer = targets.framebuffer(kinds)
         framebuffer.use()
@@ -252,6 +259,18 @@ class Renderer:
             self._draw_shadows(targets, view, [*solid, *clear])
             self._draw_clear(targets, clear)
             self._draw_halos(targets, halos)
+
+    def _map_sky(self, sky: Sky) -> None:
+        """Draw the map of the sky, which is the same for all cameras, unless it is that of this weather."""
+        if sky != self._mapped_sky:
+            framebuffer = self._context.framebuffer([self._sky_map])
+            framebuffer.use()
+            self._context.enable_only(self._context.NOTHING)
+            self._clouds.use(2)
+            self._full("sky_map", (ImageKind.RGB,)).render(self._context.TRIANGLE_STRIP)
+            framebuffer.release()
+            self._mapped_sky = sky
+        self._sky_map.use(3)
 
     def _reduce(self, large: ImageBuffers, targets: ImageBuffers, samples: tuple[int, int]) -> None:
         """Average the pixels of an RGB image that is a multiple of another one."""
@@ -394,8 +413,9 @@ class Renderer:
             for block, binding in (("Frame", 0), ("Materials", 1)):
                 if block in program:
                     program[block].binding = binding
-            if "clouds" in program:
-                program["clouds"] = 2
+            for texture, unit in (("clouds", 2), ("sky_map", 3)):
+                if texture in program:
+                    program[texture] = unit
             self._programs[key] = program
         return self._programs[key]
 

@@ -285,20 +285,59 @@ vec3 encoded_depth(float depth) {
 _SKY_VERTEX: Final = """
 in vec2 corner;
 out vec2 v_corner;
+out vec3 v_ray;
 void main() {
     v_corner = corner;
+    v_ray = forward.xyz + corner.x * right.xyz - corner.y * up.xyz;
     gl_Position = vec4(corner, 1.0, 1.0);
 }
 """
 
 _SKY_FRAGMENT: Final = """
 in vec2 v_corner;
+in vec3 v_ray;
+uniform sampler2D sky_map;
+
+void main() {
+#ifdef RGB
+    vec2 place = vec2(v_ray.x + v_ray.y, v_ray.x - v_ray.y) / (abs(v_ray.x) + abs(v_ray.y) + max(v_ray.z, 0.0) + 1e-6);
+    o_rgb = texture(sky_map, place * 0.5 + 0.5);
+#endif
+#ifdef SEMANTIC
+    o_semantic = vec4(0.0, 0.0, SKY / 255.0, 1.0);
+#endif
+#ifdef INSTANCE
+    o_instance = vec4(0.0, 0.0, SKY / 255.0, 1.0);
+#endif
+#ifdef DEPTH
+    o_depth = vec4(1.0);
+#endif
+#ifdef NORMALS
+    o_normals = vec4(0.5, 0.5, 0.5, 1.0);
+#endif
+#ifdef FLOW
+    vec3 before = (previous_clip * vec4(v_ray, 0.0)).xyw;
+    o_flow = before.z > 0.0 ? (v_corner - before.xy / before.z) * vec2(1.0, -1.0) : vec2(0.0);
+#endif
+}
+"""
+
+_SKY_MAP_VERTEX: Final = """
+in vec2 corner;
+out vec2 v_corner;
+void main() {
+    v_corner = corner;
+    gl_Position = vec4(corner, 0.0, 1.0);
+}
+"""
+
+_SKY_MAP_FRAGMENT: Final = """
+in vec2 v_corner;
 uniform sampler2D clouds;
 
 void main() {
-    vec3 ray = forward.xyz + v_corner.x * right.xyz - v_corner.y * up.xyz;
-#ifdef RGB
-    vec3 view = normalize(ray);
+    vec2 level = vec2(v_corner.x + v_corner.y, v_corner.x - v_corner.y) * 0.5;
+    vec3 view = normalize(vec3(level, 1.0 - abs(level.x) - abs(level.y)));
     float height = max(view.z, 0.0);
     float low = 1.0 / (1.0 + height * 2.2);
     vec3 color = mix(zenith.rgb, haze.rgb, low * low * low);
@@ -320,23 +359,6 @@ void main() {
     float disc = smoothstep(0.9997, 0.9999, toward) + 0.35 * toward256 + 0.12 * toward32;
     color += sunlight.w * disc * vec3(1.0, 0.95, 0.85);
     o_rgb = vec4(color.bgr, 1.0);
-#endif
-#ifdef SEMANTIC
-    o_semantic = vec4(0.0, 0.0, SKY / 255.0, 1.0);
-#endif
-#ifdef INSTANCE
-    o_instance = vec4(0.0, 0.0, SKY / 255.0, 1.0);
-#endif
-#ifdef DEPTH
-    o_depth = vec4(1.0);
-#endif
-#ifdef NORMALS
-    o_normals = vec4(0.5, 0.5, 0.5, 1.0);
-#endif
-#ifdef FLOW
-    vec3 before = (previous_clip * vec4(ray, 0.0)).xyw;
-    o_flow = before.z > 0.0 ? (v_corner - before.xy / before.z) * vec2(1.0, -1.0) : vec2(0.0);
-#endif
 }
 """
 
@@ -395,7 +417,11 @@ void main() { o_rgb = vec4(0.0, 0.0, 0.0, 1.0); }
 
 _COVER_VERTEX: Final = """
 in vec2 corner;
-void main() { gl_Position = vec4(corner, 0.0, 1.0); }
+out vec2 v_place;  // from 0 to 1
+void main() {
+    v_place = corner * 0.5 + 0.5;
+    gl_Position = vec4(corner, 0.0, 1.0);
+}
 """
 
 _HALO_VERTEX: Final = """
@@ -422,12 +448,13 @@ void main() {
 """
 
 _REDUCE_FRAGMENT: Final = """
+in vec2 v_place;
 uniform sampler2D image;
 void main() {
-    ivec2 corner = ivec2(gl_FragCoord.xy) * ivec2(COLUMNS, ROWS);
+    vec2 pixel = vec2(COLUMNS, ROWS) / vec2(textureSize(image, 0));
     vec3 sum = vec3(0.0);
     SUM
-    o_rgb = vec4(sum / float(COLUMNS * ROWS), 1.0);
+    o_rgb = vec4(sum / READS, 1.0);
 }
 """
 
@@ -465,11 +492,22 @@ _GRAINS: Final = {
 
 def reducing_sources(columns: int, rows: int) -> tuple[str, str]:
     """Return the source texts of shaders that average rectangles of pixels of an RGB image; see `sources`."""
-    cells = [(x, y) for y in range(rows) for x in range(columns)]
-    terms = " ".join(f"sum += texelFetch(image, corner + ivec2({x}, {y}), 0).rgb;" for x, y in cells)
+    places = [(x, y) for y in _offsets(rows) for x in _offsets(columns)]
+    terms = " ".join(f"sum += texture(image, v_place + pixel * vec2({x}, {y})).rgb;" for x, y in places)
     vertex, fragment = sources("reduce", (ImageKind.RGB,))
-    fragment = fragment.replace("SUM", terms).replace("COLUMNS", str(columns)).replace("ROWS", str(rows))
+    numbers = {"SUM": terms, "COLUMNS": f"{columns}.0", "ROWS": f"{rows}.0", "READS": f"{len(places)}.0"}
+    for name, number in numbers.items():
+        fragment = fragment.replace(name, number)
     return vertex, fragment
+
+
+def _offsets(pixels: int) -> list[float]:
+    """Return where to read an image so as to average so many pixels, from their middle, as parts of them.
+
+    A read between two pixels gives the mean of both.
+    """
+    reads = pixels // 2 if pixels % 2 == 0 else pixels
+    return [(2 * read + 1) / (2 * reads) - 0.5 for read in range(reads)]
 
 
 def material_block() -> NDArray[np.float32]:
@@ -487,13 +525,14 @@ def sources(name: str, kinds: Sequence[ImageKind], *options: str) -> tuple[str, 
     """Return the source texts of a vertex shader and its fragment shader.
 
     Args:
-        name: "surface", "sky", "shadow", "blob", "cover", "halo" or "reduce".
+        name: "surface", "sky", "sky_map", "shadow", "blob", "cover", "halo" or "reduce".
         kinds: The kinds of images that it draws, in the order of the attachments.
         options: INSTANCED, GRAIN, TRANSLUCENT.
     """
     vertex, fragment = {
         "surface": (_LIGHT + _VERTEX, _ENCODED_DEPTH + _FRAGMENT),
         "sky": (_SKY_VERTEX, _SKY_FRAGMENT),
+        "sky_map": (_SKY_MAP_VERTEX, _SKY_MAP_FRAGMENT),
         "shadow": (_SHADOW_VERTEX, _SHADOW_FRAGMENT),
         "blob": (_BLOB_VERTEX, _BLOB_FRAGMENT),
         "cover": (_COVER_VERTEX, _COVER_FRAGMENT),

@@ -67,9 +67,14 @@ class _Pass:
         self.sensors: list[tuple[str, ImageKind]] = []
 
     @property
-    def kinds(self) -> list[ImageKind]:
+    def kinds(self) -> set[ImageKind]:
         """The kinds of images."""
-        return [kind for _, kind in self.sensors]
+        return {kind for _, kind in self.sensors}
+
+    @property
+    def drawn(self) -> set[ImageKind]:
+        """The kinds that are drawn: images of instances have the semantic tags, too."""
+        return self.kinds - {ImageKind.SEMANTIC} if ImageKind.INSTANCE in self.kinds else self.kinds
 
 
 class RigCameras:
@@ -128,11 +133,13 @@ class RigCameras:
     def _drawn(self, view: _Pass, instances: Instances, sky: Sky) -> Callable[[], dict[str, Image]]:
         """Have the images of a view drawn, and return what waits for them."""
         future: Future[dict[ImageKind, Image]] = self._renderer.submit(
-            view.camera, instances, view.kinds, sky, view.previous, without=view.hidden
+            view.camera, instances, tuple(view.drawn), sky, view.previous, without=view.hidden
         )
 
         def images() -> dict[str, Image]:
-            arrays = {kind: decoded(kind, image, instances.ids) for kind, image in future.result().items()}
+            drawn = future.result()
+            of = {kind: drawn.get(kind, drawn.get(ImageKind.INSTANCE)) for kind in view.kinds}
+            arrays = {kind: decoded(kind, image, instances.ids) for kind, image in of.items() if image is not None}
             return {id: arrays[kind] for id, kind in view.sensors}
 
         return images

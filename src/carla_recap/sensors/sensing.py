@@ -503,7 +503,7 @@ class _Caster:
             pose: The pose of the sensor.
         """
         others = ~np.isin(moment.instances.ids, list(moment.carrier))
-        along = (directions * MIRROR) @ rotations(pose).T
+        along = directions @ (MIRROR[:, None] * rotations(pose).T)
         return self._rays.cast(pose[LOCATION], along, self._reach, moment.instances.take(others))
 
 

@@ -9,12 +9,13 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 from select import select
-from typing import TYPE_CHECKING, Any, BinaryIO, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from typing import IO, BinaryIO
 
 _SOURCES: Final = str(Path(__file__).absolute().parents[2])
 """The folder that contains this package."""
@@ -64,16 +65,25 @@ def close_pipes(process: subprocess.Popen[Any]) -> None:
                 pipe.close()
 
 
+def is_readable(pipe: IO[bytes], patience: float) -> bool:
+    """Return whether there is something to read from a pipe, in its buffer or within `patience` seconds, or its end."""
+    os.set_blocking(pipe.fileno(), False)
+    try:
+        has_read = bool(pipe.peek(1))  # type: ignore[attr-defined]
+    finally:
+        os.set_blocking(pipe.fileno(), True)
+    return has_read or bool(select([pipe], [], [], patience)[0])
+
+
 def read_commands(commands: BinaryIO) -> Iterator[Any]:
     """Yield the commands to a child process, in it: pickles, of which None is the last one.
 
-    They end with the pipe, too, and with the parent, since other processes that it has forked may hold the pipe open. A
-    parent sends no command before the one before is carried out.
+    They end with the pipe, too, and with the parent, since other processes that it has forked may hold the pipe open.
     """
     parent = os.getppid()
     while True:
         if commands is sys.stdin.buffer and os.name == "posix":
-            while not select([commands], [], [], _PARENT_CHECK)[0]:
+            while not is_readable(commands, _PARENT_CHECK):
                 if os.getppid() != parent:
                     return
         try:
