@@ -316,3 +316,7 @@ def test_two_recordings_have_an_image_each(chromium: Chrome, tmp_path: Path) -> 
     page.until(lambda: looks(page, RED) and pixel(page, 1)[2] > 180)
     assert page.ask("[...document.querySelectorAll('.camera .letter')].map(each => each.textContent)") == ["A", "B"]
     assert page.errors == []
+    bottom = "document.querySelector(arguments[0]).getBoundingClientRect().bottom"
+    with emulated(chromium, size=(768, 1024)):
+        page = Page(chromium, tmp_path / "page.html", "#t=1.5")
+        assert page.ask(bottom, "#cameras figure:last-child") <= page.ask(bottom, ".stage") + 1
