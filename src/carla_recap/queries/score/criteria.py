@@ -47,6 +47,7 @@ _FAR: Final = 30.0  # m from the route, from which on the hero has left it
 _UNSAFE: Final = _FAR / 2  # m from the route
 _MOST_UNSAFE: Final = 30.0  # % of the route
 _BLOCKED: Final = 180.0  # s
+_UNSURE: Final = 0.5  # s for which a hero that has stopped may seem to move; the evaluator ends where it is blocked
 _PATIENCE: Final = 300.0  # s for a route of no length
 _CRAWLING: Final = 0.1  # of the speed limit
 _USUAL_LIMIT: Final = 30 / 3.6  # m/s, where a map says nothing
@@ -62,6 +63,8 @@ _OUTSIDE: Final = 0.5  # m outside a lane
 _AGAINST_LANE: Final = 120.0  # degrees between the hero and a lane that it enters from a junction
 _TURNED: Final = 150.0  # degrees between a lane and the next one
 _QUARTERS: Final = 4
+_LAST_COUNTS: Final = 2  # how often the last quarter counts: the evaluator ends its criterion twice
+_WITH_PHYSICS: Final = 70.0  # m from the hero within which its traffic manager leaves vehicles to physics
 _ALMOST: Final = 0.95  # of the route, from where on the last quarter counts
 _HIDDEN: Final = 100.0  # m below the hero: an actor of a scenario that has not begun
 
@@ -130,7 +133,9 @@ def _deviation(drive: Drive, route: PlannedRoute) -> Iterator[tuple[int, Infract
 def blocked(drive: Drive) -> Iterator[tuple[int, Infraction]]:
     """Yield when the hero has stood for too long."""
     since = np.maximum.accumulate(np.where(drive.speed >= _STANDS, np.arange(len(drive)), 0))
-    frames = np.flatnonzero((drive.time - drive.time[since] > _BLOCKED) & (drive.speed < _STANDS))
+    stood = np.where(drive.speed < _STANDS, drive.time - drive.time[since], 0.0)
+    stood[-1] += _UNSURE
+    frames = np.flatnonzero(stood > _BLOCKED)
     if len(frames):
         frame = int(frames[0])
         yield frame, _infraction("vehicle_blocked", drive, frame, f"Agent got blocked at {_place(drive, frame)}")
@@ -141,7 +146,8 @@ def _timeout(drive: Drive, route: PlannedRoute, network: RoadNetwork) -> Iterato
     if drive.time[-1] - drive.time[0] <= _PATIENCE:
         return
     limits = network.lanes_at(drive.position, drive.yaw).limit
-    limits = np.where(np.isfinite(limits), limits, _USUAL_LIMIT)
+    known = np.maximum.accumulate(np.where(np.isfinite(limits), np.arange(len(limits)), -1))
+    limits = np.where(known >= 0, limits[known], _USUAL_LIMIT)  # a vehicle keeps the limit that it had last
     driven = np.diff(route.travelled[route.reached(drive, _WIDE_WINDOW)], prepend=0.0)
     allowed = _PATIENCE + np.cumsum(driven / (_CRAWLING * limits))
     late = np.flatnonzero(drive.time - drive.time[0] > allowed)
@@ -300,7 +306,7 @@ def slow_quarters(drive: Drive, route: PlannedRoute, others: Iterable[Trajectory
     for path in others:
         frames = np.minimum(np.searchsorted(drive.time, path.time - 1e-6), len(drive) - 1)
         both = np.abs(drive.time[frames] - path.time) < 1e-6
-        sums += np.bincount(frames[both], ground_speed(path)[both], len(drive))
+        sums += np.bincount(frames[both], _reported_speed(drive, path, frames)[both], len(drive))
         counts += np.bincount(frames[both], minlength=len(drive))
     known = counts > 0
     traffic = np.where(known, sums / np.maximum(counts, 1), 0.0)
@@ -313,7 +319,7 @@ def slow_quarters(drive: Drive, route: PlannedRoute, others: Iterable[Trajectory
         ends.append((first, end))
         first, begin = end, float(travelled[end])
     if travelled[-1] > _ALMOST * route.length:
-        ends.append((first, len(drive)))
+        ends += [(first, len(drive))] * _LAST_COUNTS
     for start, end in ends:
         points, mean = known[start:end].sum(), float(traffic[start:end].sum())
         percentage = round(float(hero[start:end].sum()) / mean * 100, 2) if points and mean else 100.0
@@ -321,6 +327,19 @@ def slow_quarters(drive: Drive, route: PlannedRoute, others: Iterable[Trajectory
             text = f"Average speed is {percentage}% of the surrounding traffic's one"
             frame = min(end, len(drive) - 1)
             yield _infraction("min_speed_infractions", drive, frame, text, share=1 - percentage / 100)
+
+
+def _reported_speed(drive: Drive, path: Trajectory, frames: Integers) -> Floats:
+    """Return the speed of a background vehicle as CARLA says it, at its frames, which are these of the drive.
+
+    The evaluator's traffic manager moves vehicles that are far from the hero without physics. CARLA says that such a vehicle
+    is as fast as when it was near the hero, or has no speed if it never was.
+    """
+    away = np.hypot(path.x - drive.position[frames, 0], path.y - drive.position[frames, 1])
+    has_physics = path.velocity_recorded | (away < _WITH_PHYSICS)
+    row = np.maximum.accumulate(np.where(has_physics, np.arange(len(away)), -1))
+    speed: Floats = np.where(row >= 0, ground_speed(path)[row], 0.0)
+    return speed
 
 
 def not_yielded(drive: Drive, others: Mapping[int, Trajectory], actors: ActorLives) -> Iterator[Infraction]:

@@ -176,7 +176,7 @@ INFRACTIONS: Final[Mapping[str, InfractionKind]] = {
             label="Min speed infractions",
             noun="drive slower than the traffic",
             text="on a quarter of the route, the mean speed of the hero is less than that of all background vehicles; the "
-            "share by which it is less counts",
+            "share by which it is less counts, for the last quarter twice",
             factor=0.7,
             coefficient=0.4,
             by_share=True,

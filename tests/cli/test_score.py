@@ -1,0 +1,91 @@
+"""The command that scores recordings."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from tests.cli.command import answer, error, on_terminal, run, wrote
+
+SAMPLES = Path(__file__).parents[2] / "samples"
+CRASH, AVOIDED, ROUTES = (SAMPLES / name for name in ("crash.mcap", "avoided.mcap", "routes.xml"))
+BY_ROUTE = ("--route", ROUTES, "--route-id", "1")
+
+
+def test_one_recording_is_a_few_lines() -> None:
+    lines = answer("score", CRASH, *BY_ROUTE).splitlines()
+    assert lines[0] == "route 1 of Brickfield: Completed"
+    assert lines[1] == "score 30.00 = 100.00 % x 0.3000, by the formula of Leaderboard 2.0"
+    assert lines[3].startswith("    12.10 s  x0.500   collision with a pedestrian: Agent collided")
+    assert lines[-1] == f"to see the first: carla-recap view '{CRASH}#t=12.10'"
+
+
+def test_the_own_way_needs_no_route() -> None:
+    assert answer("score", CRASH, "--from-drive").startswith("the hero's own way of Brickfield: Completed\n")
+
+
+def test_many_recordings_are_a_table_with_the_mean() -> None:
+    rows = [line.split("\t") for line in answer("score", CRASH, AVOIDED, *BY_ROUTE, "--formula", "2.1").splitlines()]
+    assert [row[2] for row in rows] == ["Score", "37.04", "100.00", "68.52", "44.52"]
+    assert [row[0] for row in rows[1:]] == [str(CRASH), str(AVOIDED), "mean", "deviation"]
+    code, shown, _ = on_terminal("score", CRASH, AVOIDED, *BY_ROUTE)
+    assert code == 0
+    assert "avoided.mcap" in shown
+
+
+def test_json_is_the_form_of_the_leaderboard() -> None:
+    found = json.loads(answer("score", CRASH, AVOIDED, *BY_ROUTE, "--json"))
+    first, second = found["_checkpoint"]["records"]
+    assert (first["route_id"], first["status"], second["status"]) == ("RouteScenario_1_rep0", "Completed", "Perfect")
+    assert first["scores"] == {"score_composed": 30.0, "score_route": 100.0, "score_penalty": 0.3}
+    assert [event["link"] for event in first["events"]] == ["#t=12.10", "#t=15.15"]
+    assert first["recording"] == str(CRASH)
+    overall = found["_checkpoint"]["global_record"]
+    assert overall["scores_mean"] == {"score_composed": 65.0, "score_route": 100.0, "score_penalty": 0.65}
+    assert overall["scores_std_dev"] == {"score_composed": 49.497, "score_route": 0.0, "score_penalty": 0.495}
+    assert overall["infractions"]["collisions_pedestrian"] == pytest.approx(1 / 0.219, abs=0.05)
+    assert found["values"][0] == "65.0"
+
+
+def test_limits_decide_the_exit_code(tmp_path: Path) -> None:
+    junit = tmp_path / "out.xml"
+    done = run("score", CRASH, AVOIDED, *BY_ROUTE, "--min-score", 60, "--max", "red_light=0", "--junit", junit)
+    assert done.returncode == 1
+    assert wrote(done.stderr) == [str(junit)]
+    assert f"carla-recap: {CRASH}: score 30.00, at least 60 was expected; Completed\n" in done.stderr.decode()
+    suite = ElementTree.parse(junit).getroot()[0]
+    assert (suite.get("name"), suite.get("tests"), suite.get("failures")) == ("carla-recap score", "4", "1")
+    assert run("score", CRASH, *BY_ROUTE, "--min-score", 30, "--min-completion", 99, "--max-infractions", 2).returncode == 0
+    assert run("score", CRASH, *BY_ROUTE, "--max-infractions", 1).returncode == 1
+
+
+def test_a_recording_that_cannot_be_scored_is_an_error(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(b"nothing")
+    done = run("score", CRASH, broken, *BY_ROUTE)
+    assert done.returncode == 2
+    assert done.stderr.decode() == f"carla-recap: {broken}: is not a recording (neither CARLA's log nor MCAP)\n"
+    assert b"score 30.00" in done.stdout
+    assert error("score", SAMPLES / "crossing.log", "--from-drive").startswith(
+        f"{SAMPLES / 'crossing.log'}: the map 'Crossing' is unknown, but its roads are needed"
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "One of --route and --from-drive says what the route is."),
+        (("--from-drive", "--route", ROUTES), "One of --route and --from-drive says what the route is."),
+        (("--from-drive", "--route-id", "1"), "--route-id goes with --route."),
+        (("--from-drive", "--junit", "out.xml"), "--junit goes with a limit, such as --min-score."),
+        (("--from-drive", "--max", "red_light"), "'red_light' is no limit; KIND=N was expected, such as red_light=0"),
+        (("--from-drive", "--max", "speeding=0"), "'speeding=0' is no limit"),
+        (("--route", "none.xml"), "none.xml: No such file or directory"),
+        (("--route", ROUTES, "--route-id", "9"), f"{ROUTES}: there is no route '9'; it has 1, 2"),
+    ],
+)
+def test_wrong_options_are_errors(arguments: tuple[object, ...], message: str) -> None:
+    assert message in error("score", CRASH, *arguments)

@@ -1,0 +1,131 @@
+"""Route files: those of both versions of the Leaderboard, and hostile ones."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from carla_recap.errors import RecapError
+from carla_recap.formats import open_reader
+from carla_recap.queries.score import read_routes, route_for
+from carla_recap.queries.score.route_files import repetition
+
+CRASH = Path(__file__).parents[3] / "samples" / "crash.mcap"
+
+
+def position(x: object, y: object = 0.0, z: object = 0.0) -> str:
+    return f'<position x="{x}" y="{y}" z="{z}"/>'
+
+
+def route(*positions: str, id: str = "1", town: str = "Brickfield", inside: str = "") -> str:
+    return f'<route id="{id}" town="{town}"><waypoints>{"".join(positions)}</waypoints>{inside}</route>'
+
+
+def routes(*each: str) -> str:
+    return f"<routes>{''.join(each)}</routes>"
+
+
+TWO = (position(255, -1.75), position(155, -1.75))
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "routes.xml"
+
+
+def test_a_route_has_its_positions_in_right_handed_axes(file: Path) -> None:
+    scenarios = '<scenarios><scenario name="A_1" type="ControlLoss"><trigger_point x="1" y="2"/></scenario></scenarios>'
+    file.write_text(routes(route(*TWO, id="7", inside=scenarios)))
+    (found,) = read_routes(file)
+    assert (found.id, found.town, found.scenarios, found.path) == ("7", "Brickfield", ("ControlLoss",), str(file))
+    assert found.positions.tolist() == [[255.0, 1.75, 0.0], [155.0, 1.75, 0.0]]
+
+
+def test_routes_of_version_1_have_waypoints(file: Path) -> None:
+    waypoints = "".join(f'<waypoint x="{x}" y="2" z="0" pitch="0" roll="0" yaw="90"/>' for x in (1, 2))
+    file.write_text(f'<?xml version="1.0"?><routes><route id="0" town="Town01">{waypoints}</route></routes>')
+    assert read_routes(file)[0].positions.tolist() == [[1.0, -2.0, 0.0], [2.0, -2.0, 0.0]]
+
+
+def bomb() -> str:
+    names = "abcdefghij"
+    each = "".join(f'<!ENTITY {name} "{10 * f"&{before};"}">' for before, name in pairwise(names))
+    return f'<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa">{each}]><routes>&j;</routes>'
+
+
+HOSTILE = {
+    "not XML": ("nothing", "the XML is invalid: syntax error: line 1, column 0"),
+    "another root": ("<OpenDRIVE/>", "the root element is 'OpenDRIVE'"),
+    "no routes": ("<routes/>", "no route is in it"),
+    "cut off": ("<routes><route id='1' town='T'>", "the XML is invalid: no element found: line 1, column 31"),
+    "a billion laughs": (bomb(), "it declares entities, which no route file does"),
+    "an external entity": (
+        '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><routes>&a;</routes>',
+        "it declares entities, which no route file does",
+    ),
+    "no town": (routes(route(*TWO, town="")), "route '1' has no town"),
+    "no positions": (routes(route()), "2 to 2,000 positions of a route, and route '1' has 0"),
+    "a million positions": (
+        routes(route(*[position(1)] * 1_000_000)),
+        "at most 100,000 elements in a route, and one has more",
+    ),
+    "many positions": (routes(route(*[position(1)] * 2_001)), "2 to 2,000 positions of a route, and route '1' has 2,001"),
+    "no number": (routes(route(position("nan"), position(1))), "position 1 of route '1' has a number x of at most"),
+    "a word": (routes(route(position(1), position(1, y="north"))), "position 2 of route '1' has a number y of at most"),
+    "a huge number": (routes(route(position(1), position(1, z="1e300"))), "1,000,000 m, and it is '1e300'"),
+    "a number that is missing": (routes(route('<position x="1"/>', position(1))), "has a number y of at most"),
+    "deep elements": (
+        routes("<route id='1' town='T'>" + "<a>" * 200_000 + "</a>" * 200_000 + "</route>"),
+        "at most 100,000 elements in a route, and one has more",
+    ),
+    "many routes": (routes(*[route(*TWO)] * 10_001), "at most 10,000 routes, and it has more"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_file_is_refused_in_a_line(name: str, file: Path) -> None:
+    text, expected = HOSTILE[name]
+    file.write_text(text)
+    with pytest.raises(RecapError, match=re.escape(expected)) as error:
+        read_routes(file)
+    assert str(error.value).startswith(f"{file}: a route file of CARLA's Leaderboard was expected: ")
+    assert str(error.value).isprintable()
+
+
+def test_a_file_that_cannot_be_read_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(RecapError, match="No such file"):
+        read_routes(tmp_path / "none.xml")
+    with pytest.raises(RecapError, match="is not a regular file"):
+        read_routes(tmp_path)
+
+
+def test_the_route_of_a_recording_is_named_or_the_only_one_of_its_town(file: Path) -> None:
+    file.write_text(routes(route(*TWO, id="3"), route(*TWO, id="4", town="Town01")))
+    reader = open_reader(CRASH)
+    try:
+        assert route_for(read_routes(file), reader).id == "3"
+        assert route_for(read_routes(file), reader, "3").id == "3"
+        with pytest.raises(RecapError, match="there is no route '5'; it has 3, 4"):
+            route_for(read_routes(file), reader, "5")
+        with pytest.raises(RecapError, match=r"is of the map 'Brickfield', and the route of .* is of Town01"):
+            route_for(read_routes(file), reader, "4")
+        file.write_text(routes(route(*TWO, id="3"), route(*TWO, id="4")))
+        with pytest.raises(RecapError, match=r"has 2 routes for .*; --route-id names one of 3, 4"):
+            route_for(read_routes(file), reader)
+    finally:
+        reader.close()
+
+
+def test_the_name_of_a_recording_says_its_route(file: Path, tmp_path: Path) -> None:
+    file.write_text(routes(route(*TWO, id="3"), route(*TWO, id="4")))
+    path = tmp_path / "RouteScenario_4_rep2.mcap"
+    path.write_bytes(CRASH.read_bytes())
+    reader = open_reader(path)
+    try:
+        assert route_for(read_routes(file), reader).id == "4"
+    finally:
+        reader.close()
+    assert (repetition(str(path)), repetition("crash.mcap")) == (2, 0)
