@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import datetime
+import functools
+
 import numpy as np
 import pytest
 
 from carla_recap.fleet.conditions.places import Lanes, Polygon
+from carla_recap.fleet.conditions.reading import keys_of
+from carla_recap.fleet.conditions.table import CONDITIONS
 from carla_recap.fleet.rules import RulesError, make_rules, parse_rules
 from carla_recap.roads.surfaces import build_network
 from tests.roads.straight_road import STRAIGHT_ROAD
@@ -144,3 +149,33 @@ def test_the_largest_polygon_is_examined_at_once():
     corners = [[float(x), float(y)] for x, y in np.stack((np.cos(angle), np.sin(angle)), axis=1) * 100]
     with time_limit():
         make_rules(reaches={"of": "hero", "polygon": corners})
+
+
+DEEP = functools.reduce(lambda inner, _: [inner], range(5000), [])
+ODD = (
+    [],
+    {},
+    float("nan"),
+    -1,
+    "",
+    "x" * 100_000,
+    True,
+    datetime.date(2026, 1, 1),
+    10**400,
+    DEEP,
+    {1: 2},
+    {"\x1b": 3},
+    "\0:a",
+)
+
+
+@pytest.mark.parametrize("kind", CONDITIONS.values(), ids=CONDITIONS)
+def test_whatever_the_value_of_a_key_the_faults_are_a_line_each(kind):
+    for value in (*ODD, *({key.name: value} for key in keys_of(kind.parts) for value in ODD)):
+        try:
+            make_rules(**{kind.name: value})
+        except RulesError as error:
+            for fault in error.faults:
+                assert fault.startswith(f"rules: rule '{kind.name}': {kind.name}")
+                assert fault.isprintable()
+                assert len(fault) < 500

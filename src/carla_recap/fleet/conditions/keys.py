@@ -23,6 +23,7 @@ from carla_recap.fleet.conditions.scope import Scope
 from carla_recap.fleet.conditions.values import ANY, OBJECT, ROLE, UNITS, Bounds, Quantity, Selector
 from carla_recap.model.actors import HERO
 from carla_recap.queries.kinds import KINDS, kind_named
+from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from carla_recap.fleet.conditions.places import Place
     from carla_recap.fleet.conditions.reading import Reading
 
+_LONGEST_PATH: Final = 4096  # characters
 _QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
 _BLUEPRINT: Final = re.compile(r"[\w*?\[\]!-]+(\.[\w*?\[\]!-]+)+")
 _NOUNS: Final = {"s": "time", "m": "distance", "m/s": "speed", "m/s²": "acceleration", "m/s³": "jerk"}
@@ -152,11 +154,11 @@ OF: Final = Key("of", ACTORS, "the actors that are judged", default=Selector())
 
 
 def _baseline(value: Any, reading: Reading) -> str:
-    if not isinstance(value, str) or not value:
+    if not isinstance(value, str) or not 0 < len(value) <= _LONGEST_PATH:
         raise UnexpectedValue(BASELINE.expected)
     path = value if "://" in value else os.path.join(reading.folder, value)  # noqa: PTH118
-    if "://" not in path and not Path(path).exists():
-        reading.faults.append(f"{reading.prefix}: there is no {path}; {BASELINE.expected} was expected")
+    if "://" not in path and not os.path.exists(path):  # noqa: PTH110
+        reading.faults.append(f"{reading.prefix}: there is no {visible(path)}; {BASELINE.expected} was expected")
         raise UnexpectedValue
     return path
 

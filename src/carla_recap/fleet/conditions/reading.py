@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from typing import TYPE_CHECKING, Any, Final
@@ -176,7 +177,7 @@ def keys_of(parts: Iterable[Key | KeyGroup]) -> list[Key]:
 
 def hint(name: str, known: Sequence[str], what: str) -> str:
     """Return what may be meant by an unknown name, and all names that there are."""
-    near = get_close_matches(name[:SHOWN], known, 1)
+    near = get_close_matches(str(name)[:SHOWN], known, 1)
     every = f"{what} are {', '.join(known)}" if len(known) > 1 else f"{what.removesuffix('s')} is {known[0]}"
     return f"did you mean {near[0]}? The {every}" if near else f"the {every}"
 
@@ -187,5 +188,7 @@ def shown(value: Any) -> str:
         return "is missing"
     if type(value) is int and abs(value) > LARGEST_COUNT:
         return "a number of many digits"
-    text = repr(value[:SHOWN] if isinstance(value, (str, list)) else value) if not isinstance(value, dict) else "a table"
+    if isinstance(value, dict):
+        return "a table"
+    text = reprlib.repr(value) if isinstance(value, list) else repr(value[:SHOWN] if isinstance(value, str) else value)
     return visible(text if len(text) <= 2 * SHOWN else f"{text[:SHOWN]}…")
