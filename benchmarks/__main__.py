@@ -10,7 +10,7 @@ import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmarks import core, exports, fleet, measures, page, remote, rendering, roads, sense, server, simulator
+from benchmarks import campaigns, core, exports, fleet, measures, page, remote, rendering, roads, sense, server, simulator
 from benchmarks.hour import FRAMES, cached
 from benchmarks.measuring import Missing, Subject, in_new_process, measure
 from benchmarks.results import RESULTS, Result, current_conditions, load, save
@@ -26,6 +26,7 @@ REAL = Path("../shared/data/carla-logs/carla-0.9.13-lane-center.log")
 ROWS = (
     *core.ROWS,
     *fleet.ROWS,
+    *campaigns.ROWS,
     *remote.ROWS,
     *exports.ROWS,
     *rendering.ROWS,

@@ -91,6 +91,9 @@ def test_a_second_time_only_what_failed_is_run_again(done):
         ([f"{FILE}:drive", "--minimize", "ttc"], "go with --search"),
         ([f"{FILE}:drive", "--search", "--minimize", "ttc"], "a parameter with a range or several values was expected"),
         ([f"{FILE}:drive", "--rules", "gone.toml"], "gone.toml"),
+        ([f"{FILE}:drive", "--measure", "score"], "a score needs --route or --from-drive"),
+        ([f"{FILE}:drive", "--route-id", "1"], "--route-id goes with --route"),
+        ([f"{FILE}:drive", "--route", "gone.xml"], "gone.xml"),
         (["--serve", "gone.py"], "gone.py: is no file"),
         ([f"{FILE}:drive", "--report", FILE], "is a file; a folder was expected"),
     ],
@@ -106,6 +109,15 @@ def test_an_out_folder_that_is_a_file_is_one_line(tmp_path):
     (tmp_path / "file").touch()
     line = error("campaign", f"{FILE}:drive", "--out", tmp_path / "file")
     assert line.endswith("file: is a file; a folder was expected")
+
+
+def test_recordings_are_scored(tmp_path):
+    options = ("--param", "delay=3,6", "--param", "speed=1", "--from-drive", "--measure", "score", "--pages", "0", "--json")
+    done = run("campaign", f"{SAMPLES / 'campaign.py'}:pedestrian", *options, "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    scores = [each["results"]["score"]["value"] for each in json.loads(done.stdout)["runs"]]
+    assert scores == [50.0, 100.0]
+    assert "<h2>Score " in (tmp_path / PAGE).read_text("utf-8")
 
 
 def test_a_search_finds_the_crash_of_the_sample(tmp_path):

@@ -7,18 +7,17 @@ from carla_recap.util.functions import function_in, keywords_of
 
 SOURCE = """
 from functools import partial
-from beside import helper
+from helpers_of_runs import helper
 
 def run(world, delay, speed=3, *, town="a", **more): return (helper(), world, delay, speed, town, more)
 def plain(world): ...
 made = partial(run, delay=4)
-raise_on_import = 1 / 1
 """
 
 
 @pytest.fixture
 def file(tmp_path):
-    (tmp_path / "beside.py").write_text("def helper(): return 'helps'\n")
+    (tmp_path / "helpers_of_runs.py").write_text("def helper(): return 'helps'\n")
     (tmp_path / "file.py").write_text(SOURCE)
     return tmp_path / "file.py"
 

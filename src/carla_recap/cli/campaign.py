@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from carla_recap.fleet.campaign import Campaign, FinishedRun
     from carla_recap.fleet.campaign.plan import ParameterRange, Value
     from carla_recap.fleet.campaign.report import CampaignRow
+    from carla_recap.fleet.campaign.results import Scoring
     from carla_recap.fleet.check import CheckedRecording
     from carla_recap.fleet.rules import RuleSet
     from carla_recap.queries.measures import Measure
@@ -57,6 +58,11 @@ _SHOWN: Final = 5  # of the worst runs, and of failed ones
     "--rules", "rules_file", type=click.Path(), metavar="FILE", help="Check the recordings by the rules of a TOML file."
 )
 @click.option(
+    "--route", "routes_file", type=click.Path(), metavar="FILE", help="Score the recordings along a route of FILE."
+)
+@click.option("--route-id", metavar="ID", help="The id of the route; else the only one of the town.")
+@click.option("--from-drive", is_flag=True, help="Score them along the own way of the hero.")
+@click.option(
     "--measure",
     metavar="NAME",
     help="What the runs are compared by; else the time to collision (see `measures`), or the objective.",
@@ -85,6 +91,9 @@ def campaign(
     workers: int | None,
     dask: str | None,
     rules_file: str | None,
+    routes_file: str | None,
+    route_id: str | None,
+    from_drive: bool,
     measure: str | None,
     is_search: bool,
     minimize: str | None,
@@ -103,7 +112,7 @@ def campaign(
     from carla_recap.errors import RecapError
     from carla_recap.fleet.campaign import Campaign
     from carla_recap.fleet.campaign.report import row_of
-    from carla_recap.fleet.campaign.results import result_named
+    from carla_recap.fleet.campaign.results import SCORE, result_named
     from carla_recap.util.signals import unwind_on_termination
 
     context = click.get_current_context()
@@ -115,6 +124,9 @@ def campaign(
         raise click.UsageError("--minimize and --maximize go with --search.", context)
     objective = minimize or maximize
     compared = result_named(measure or objective or "time_to_collision")
+    scoring = _scoring(routes_file, route_id, road_map, from_drive=from_drive)
+    if compared is SCORE and scoring is None:
+        raise click.UsageError("a score needs --route or --from-drive.", context)
     rules = _rules(rules_file)
     folder = _folder_of_report(report, out)
     values = _parameters(params, is_search=is_search)
@@ -126,6 +138,7 @@ def campaign(
         additional_data=additional_data,
         limit=limit,
         jobs=workers,
+        scoring=scoring,
     )
     rows: list[CampaignRow] = []
     with ExitStack() as stack:
@@ -149,6 +162,20 @@ def campaign(
         + (f"; {counted(broken, 'recording')} of {len(rows) - failed} break rules" if rules is not None else "")
     )
     sys.exit(BAD_INPUT if failed else _BROKEN if broken else 0)
+
+
+def _scoring(routes_file: str | None, route_id: str | None, road_map: str | None, *, from_drive: bool) -> Scoring | None:
+    from carla_recap.fleet.campaign.results import Scoring
+    from carla_recap.queries.score import read_routes
+
+    context = click.get_current_context()
+    if routes_file is not None and from_drive:
+        raise click.UsageError("either --route or --from-drive was expected.", context)
+    if routes_file is None and route_id is not None:
+        raise click.UsageError("--route-id goes with --route.", context)
+    if routes_file is not None:
+        return Scoring(tuple(read_routes(routes_file)), route_id, road_map)
+    return Scoring(None, road_map=road_map) if from_drive else None
 
 
 def _rules(path: str | None) -> RuleSet | None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import ast
 import symtable
 import sys
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from hashlib import sha256
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 from carla_recap.errors import RecapError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
+    from types import ModuleType
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +49,8 @@ class FileFunction:
 
     def __call__(self, *arguments: Any, **keywords: Any) -> Any:
         """Call the function."""
-        return _loaded(self.path, self.name)(*arguments, **keywords)
+        with modules_beside(str(Path(self.path).parent)):
+            return getattr(module_of_file(Path(self.path)), self.name)(*arguments, **keywords)
 
 
 def function_in(place: str) -> tuple[FileFunction, Keywords | None]:
@@ -108,16 +112,39 @@ def _keywords(arguments: ast.arguments) -> Keywords:
     return Keywords(names, frozenset(required), arguments.kwarg is not None)
 
 
-@lru_cache(maxsize=8)
-def _loaded(path: str, name: str) -> Callable[..., Any]:
-    """Return a function of a file, which is run, and can import what is beside it."""
-    folder = str(Path(path).parent)
-    if folder not in sys.path:
-        sys.path.insert(0, folder)
-    spec = spec_from_file_location(Path(path).stem, path)
+def module_of_file(path: Path) -> ModuleType:
+    """Return the module of a file, which is imported anew if it has changed.
+
+    Raises:
+        ImportError: It is no Python file. What the file itself raises is passed on.
+    """
+    status = path.stat()
+    return _imported(path, status.st_mtime_ns, status.st_size)
+
+
+@contextmanager
+def modules_beside(folder: str) -> Iterator[None]:
+    """Let modules of a folder be imported in a `with` block, if there are none of their names elsewhere."""
+    sys.path.append(folder)
+    try:
+        yield
+    finally:
+        with suppress(ValueError):
+            del sys.path[len(sys.path) - 1 - sys.path[::-1].index(folder)]
+
+
+@lru_cache(64)
+def _imported(path: Path, changed: int, size: int) -> ModuleType:
+    """Return the module of a file, under a name of its own, since other folders may have one of the same name."""
+    name = f"{path.stem}_{sha256(f'{path}{changed}{size}'.encode()).hexdigest()[:12]}"
+    spec = spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
-        raise RecapError(f"{path}: a .py file was expected")
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return getattr(module, name)  # type: ignore[no-any-return]
+        raise ImportError(f"{path} is no Python file")
+    module = sys.modules[name] = module_from_spec(spec)
+    try:
+        with modules_beside(str(path.parent)):
+            spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module

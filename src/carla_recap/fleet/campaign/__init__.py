@@ -6,6 +6,7 @@ import os
 import shutil
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from carla_recap.fleet.campaign.plan import Value
+    from carla_recap.fleet.campaign.results import Scoring
 
 _SUFFIX = ".mcap"
 _STAGING = ".running-"
@@ -63,6 +65,7 @@ class Campaign:
         limit: The most seconds for a run, which is ended then; None: any number.
         jobs: The number of worker processes; None: as many as there are processors.
         client: Dask's client, whose cluster is used instead of processes of this machine.
+        scoring: How the recordings are scored; None: they get no score.
     """
 
     function: Callable[..., object] | str | Path
@@ -75,6 +78,7 @@ class Campaign:
     limit: float | None = None
     jobs: int | None = None
     client: Client | None = None
+    scoring: Scoring | None = None
 
     @property
     def folder(self) -> DestinationFolder:
@@ -121,7 +125,7 @@ class Campaign:
         return Simulation(
             function=None if is_script else self.function,  # type: ignore[arg-type]
             script=os.path.abspath(self.function) if is_script else None,  # type: ignore[arg-type]  # noqa: PTH100
-            measure=measured,
+            measure=partial(measured, scoring=self.scoring),
             staging=staging,
             date=seeded_date() if self.date is None else self.date,
             town=self.town,

@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 from carla_recap.fleet.campaign.plan import SEED, text_of
 from carla_recap.fleet.campaign.report import RUNS, address_from, worst_first
-from carla_recap.fleet.campaign.results import BROKEN_RULES, COLLISIONS
+from carla_recap.fleet.campaign.results import BROKEN_RULES, COLLISIONS, SCORE
 from carla_recap.fleet.pages import document
 from carla_recap.util.resources import viewer_folder
 from carla_recap.util.text import visible
@@ -67,9 +67,10 @@ def campaign_page(rows: Sequence[CampaignRow], folder: Path, measure: Measure, t
     said += [f"{counts['error']:,} failed"] if counts["error"] else []
     origin = f"{title} · {datetime.now(UTC):%d %B %Y, %H:%M} UTC · carla-recap {version('carla-recap')}"
     has_rules = any(row.broken is not None for row in rows)
-    shown = [measure, *(each for each in (COLLISIONS, BROKEN_RULES)[: 1 + has_rules] if each is not measure)]
+    others = [COLLISIONS, *[BROKEN_RULES] * has_rules, *[SCORE] * any(SCORE.name in row.results for row in rows)]
+    shown = [measure, *(each for each in others if each is not measure)]
     maps = "".join(_heat_map(rows, folder, each) for each in shown)
-    main = f"{maps}{_table(rows, folder, measure, has_rules=has_rules)}{_failed(rows)}"
+    main = f"{maps}{_table(rows, folder, shown, has_rules=has_rules)}{_failed(rows)}"
     return document(", ".join(said), origin, "", main, style)
 
 
@@ -181,16 +182,17 @@ def _short(label: str) -> str:
 # --- tables --------------------------------------------------------------------------------------------------------------
 
 
-def _table(rows: Sequence[CampaignRow], folder: Path, measure: Measure, *, has_rules: bool) -> str:
+def _table(rows: Sequence[CampaignRow], folder: Path, shown: Sequence[Measure], *, has_rules: bool) -> str:
     """Return the table of the runs that have a recording, the worst first."""
-    ordered = worst_first(rows, measure)
+    ordered = worst_first(rows, shown[0])
     if not ordered:
         return ""
     names = list(dict.fromkeys(name for row in ordered for name in row.parameters))
-    titles = ["seed", *names, measure.title, *([] if measure is COLLISIONS else ["collisions"])]
+    columns = [each for each in shown if each is not BROKEN_RULES]
+    titles = ["seed", *names, *(each.title for each in columns)]
     head = "".join(f'<th scope="col" class="number">{_text(title)}</th>' for title in titles)
     head += '<th scope="col">rules</th>' * has_rules + '<th scope="col">watch</th>'
-    body = "".join(_row(row, names, folder, measure, has_rules=has_rules) for row in ordered[:_MOST_ROWS])
+    body = "".join(_row(row, names, folder, columns, has_rules=has_rules) for row in ordered[:_MOST_ROWS])
     more = len(ordered) - _MOST_ROWS
     rest = f'<p class="nothing">and {more:,} more in {RUNS}</p>\n' if more > 0 else ""
     return (
@@ -199,12 +201,11 @@ def _table(rows: Sequence[CampaignRow], folder: Path, measure: Measure, *, has_r
     )
 
 
-def _row(row: CampaignRow, names: Iterable[str], folder: Path, measure: Measure, *, has_rules: bool) -> str:
+def _row(row: CampaignRow, names: Iterable[str], folder: Path, columns: Iterable[Measure], *, has_rules: bool) -> str:
     cells = [str(row.seed), *(_label(row.parameters[name]) if name in row.parameters else "" for name in names)]
-    found = row.results.get(measure.name)
-    cells.append("none" if found is None else f"{found.value:.3g} {measure.unit}".rstrip())
-    if measure is not COLLISIONS:
-        cells.append(f"{row.results[COLLISIONS.name].value:.0f}" if COLLISIONS.name in row.results else "none")
+    for measure in columns:
+        found = row.results.get(measure.name)
+        cells.append("none" if found is None else f"{found.value:.3g} {measure.unit}".rstrip())
     numbers = "".join(f'<td class="number">{_text(cell[:40])}</td>' for cell in cells)
     rules = f'<td class="fail"><span class="rule">{_text(", ".join(row.broken or ()))}</span></td>' if has_rules else ""
     if row.page is not None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.errors import RecapError
+from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.fleet.scores import score
 from carla_recap.queries.measures import MEASURES, Measure
+from carla_recap.queries.score import Route, route_for
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,8 +25,9 @@ COLLISIONS: Final = Measure(
 BROKEN_RULES: Final = Measure(
     name="broken_rules", unit="", extreme="greatest", text="the number of rules that the recording breaks"
 )
+SCORE: Final = Measure(name="score", unit="", extreme="least", text="the driving score of the Leaderboard")
 RESULTS: Final[Mapping[str, Measure]] = {
-    measure.name: measure for measure in (COLLISIONS, BROKEN_RULES, *MEASURES.values()) if not measure.needs_roads
+    measure.name: measure for measure in (COLLISIONS, BROKEN_RULES, SCORE, *MEASURES.values()) if not measure.needs_roads
 }
 """What the runs of a campaign can be compared by, by name."""
 _SHORT: Final = {
@@ -49,6 +53,31 @@ class Result:
     actor: int | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Scoring:
+    """How the recordings of a campaign are scored.
+
+    Attributes:
+        routes: The routes of a file; None: the own way of the hero is the route.
+        route_id: The id of the route; None: that of the recording's town.
+        road_map: The map, or the folder to look in; None: the usual folders.
+    """
+
+    routes: tuple[Route, ...] | None
+    route_id: str | None = None
+    road_map: str | None = None
+
+    def result(self, recording: Recording) -> Result:
+        """Return the score of a recording, with the time of the first infraction.
+
+        Raises:
+            RecapError: It cannot be scored.
+        """
+        route = None if self.routes is None else route_for(self.routes, recording.reader, self.route_id)
+        found = score(recording, route, road_map=self.road_map)
+        return Result(found.score, found.infractions[0].time if found.infractions else None)
+
+
 def result_named(name: str) -> Measure:
     """Return what runs can be compared by, by its name, such as `time_to_collision`, or the short one, such as `ttc`.
 
@@ -62,11 +91,18 @@ def result_named(name: str) -> Measure:
     return found
 
 
-def measured(recording: Recording) -> dict[str, Result]:
+def measured(recording: Recording, scoring: Scoring | None = None) -> dict[str, Result]:
     """Return the most critical values of the measures of a recording's heroes, or if there is none, of all vehicles.
+
+    Args:
+        recording: The recording.
+        scoring: How to score it; None: it gets no score.
 
     Raises:
         FormatError: The file contradicts its format.
+
+    Warns:
+        RecapWarning: It cannot be scored.
     """
     rows = recording.collisions()
     has_hero = bool(recording.heroes)
@@ -81,4 +117,9 @@ def measured(recording: Recording) -> dict[str, Result]:
         key = MEASURES[row.measure].key
         if row.measure in RESULTS and (best is None or key(row.value) < key(best.value)):
             found[row.measure] = Result(row.value, row.time, row.actor)
+    if scoring is not None:
+        try:
+            found[SCORE.name] = scoring.result(recording)
+        except RecapError as error:
+            warnings.warn(f"{error}; it has no score", RecapWarning, stacklevel=2)
     return found

@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import inspect
 import math
-import sys
 import traceback
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
-from hashlib import sha256
 from importlib import import_module
-from importlib.util import module_from_spec, spec_from_file_location
 from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import NotSetUp, RecapError
 from carla_recap.fleet.conditions.facts import Finding, Needs, Offence
+from carla_recap.util.functions import module_of_file, modules_beside
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Mapping
     from types import ModuleType
 
     from carla_recap.fleet.conditions.facts import Facts
@@ -87,7 +83,7 @@ class FunctionCondition:
         """
         function = self.function()
         try:
-            with _beside(self.folder):
+            with modules_beside(self.folder):
                 answer = function(facts.recording, **self.parameters)
                 found = answer if isinstance(answer, Finding) else list(answer) if _is_iterable(answer) else answer
         except RecapError:
@@ -104,17 +100,6 @@ class FunctionCondition:
             for each in found.offences
         )
         return Finding(bool(found.passes), found.message, offences)
-
-
-@contextmanager
-def _beside(folder: str) -> Iterator[None]:
-    """Let modules of a folder be imported in a `with` block, if there are none of their names elsewhere."""
-    sys.path.append(folder)
-    try:
-        yield
-    finally:
-        with suppress(ValueError):
-            del sys.path[len(sys.path) - 1 - sys.path[::-1].index(folder)]
 
 
 def _is_iterable(answer: Any) -> bool:
@@ -159,8 +144,7 @@ def _module(name: str, folder: str) -> ModuleType:
     path = Path(folder, *name.split(".")).with_suffix(".py")
     try:
         if path.is_file():
-            status = path.stat()
-            return _of_file(path, status.st_mtime_ns, status.st_size)
+            return module_of_file(path)
         return import_module(name)
     except ModuleNotFoundError as error:
         if error.name == name:
@@ -168,20 +152,3 @@ def _module(name: str, folder: str) -> ModuleType:
         raise NotSetUp(f"the module {name} cannot be imported: {_told(error)}") from None
     except (Exception, SystemExit) as error:
         raise NotSetUp(f"the module {name} cannot be imported: {_told(error)}") from None
-
-
-@lru_cache(64)
-def _of_file(path: Path, changed: int, size: int) -> ModuleType:
-    """Return the module of a file, under a name of its own, since other folders may have one of the same name."""
-    name = f"{path.stem}_{sha256(f'{path}{changed}{size}'.encode()).hexdigest()[:12]}"
-    spec = spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"{path} is no Python file")
-    module = sys.modules[name] = module_from_spec(spec)
-    try:
-        with _beside(str(path.parent)):
-            spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
