@@ -86,6 +86,24 @@ def test_the_hardest_moment_is_within_the_given_time() -> None:
     assert np.isnan(detector.hardest(2, 0, 5)).all()
 
 
+@pytest.mark.parametrize(("deceleration", "is_possible"), [(14.9, True), (15.1, False), (60.0, False)])
+def test_brakes_have_a_limit(deceleration: float, is_possible: bool) -> None:
+    detector = detected({1: slowing(deceleration, seconds=0.6, speed=40)})
+    (found,) = detector.finish()
+    assert detector.can_be_braking(1, found.start, found.stop) is is_possible
+    assert detector.can_be_braking(2, found.start, found.stop)  # nothing is known of it
+
+
+def test_braking_before_a_stop_that_no_brakes_can_do_counts() -> None:
+    brakes, crash = slowing(8), slowing(60, 2.0, 0.4, 30)
+    detector = detected({1: lambda time: brakes(time) + crash(time)})
+    (found,) = detector.finish()
+    assert detector.can_be_braking(1, found.start, found.stop)
+    deceleration, time = detector.hardest(1, found.start, found.stop)
+    assert 8 <= deceleration <= 15
+    assert 1.0 <= time <= 2.0
+
+
 def test_a_vehicle_whose_spawn_comes_after_its_records_is_reported() -> None:
     detector = detected({1: slowing(7), 200: slowing(7)})
     assert detector.add_spawns([Spawn(1, ActorKind.VEHICLE), Spawn(5, ActorKind.VEHICLE), Spawn(200, ActorKind.WALKER)])

@@ -218,6 +218,15 @@ def test_hard_braking(tmp_path: Path, suffix: str, recorded: bool, deceleration:
     assert re.fullmatch(r"vehicle.b \(3\) brakes hard at (69|70|71|72) km/h", row.text)
 
 
+def test_what_no_brakes_can_do_is_no_hard_braking(tmp_path: Path, suffix: str) -> None:
+    """Such as faulty velocities; the decelerations that are left are the hardest ones."""
+    faulty = [*[200.0] * 20, *np.linspace(200, 0, 13).tolist(), *[0.0] * 20]
+    path = drive(tmp_path / f"faulty{suffix}", ways([1.0] * len(faulty)), faulty)
+    assert braked(path) == braked(path, start=0.0, stop=3.0) == []
+    (row,) = braked(drive(tmp_path / f"drive{suffix}", ways(slowing(9.0)), slowing(9.0)))
+    assert row.value == pytest.approx(9.0, abs=0.1)
+
+
 def test_the_threshold_is_the_callers(tmp_path: Path) -> None:
     path = drive(tmp_path / "drive.log", ways(slowing(4.0, speed=10)))
     assert [len(braked(path, deceleration=limit)) for limit in (3.5, 4.5)] == [1, 0]

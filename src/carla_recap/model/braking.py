@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.model.motion import LONGEST_STEP, neighbours, possible_step, slope
+from carla_recap.model.motion import FIRMEST_BRAKING, LONGEST_STEP, neighbours, possible_step, runs, slope
 from carla_recap.model.records import CM, ActorKind
 from carla_recap.model.segment import SegmentBuffer, segments
 
@@ -87,7 +87,7 @@ class BrakingDetector:
         self._first = 0  # the number of the block's first frame
         self._done = 0  # the number of the first frame that is not evaluated yet
         self._hard = [np.zeros(0, _HARD)]  # the frames in which vehicles brake hard
-        self._hard_by_id: dict[int, tuple[Floats, Floats]] = {}  # the times and the decelerations
+        self._hard_by_id: dict[int, NDArray[np.void]] = {}  # in the order of time
 
     def add_spawns(self, spawns: Iterable[Spawn]) -> bool:
         """Add the vehicles among spawned actors; return False if one of them had records before, which were left out."""
@@ -118,7 +118,7 @@ class BrakingDetector:
         hard = hard[np.lexsort((hard["frame"], hard["id"]))]
         of_vehicles = np.split(hard, np.flatnonzero(np.diff(hard["id"])) + 1)
         in_time = (rows[np.argsort(rows["time"], kind="stable")] for rows in of_vehicles if len(rows))
-        self._hard_by_id = {rows["id"].item(0): (rows["time"].copy(), rows["deceleration"].copy()) for rows in in_time}
+        self._hard_by_id = {rows["id"].item(0): rows.copy() for rows in in_time}
         first, last = _runs(hard, np.diff(hard["frame"]) == 1)
         lasts = hard["time"][last] - hard["time"][first] >= SHORTEST - _ROUNDING
         lasts &= last - first >= _FEWEST - 1
@@ -130,17 +130,35 @@ class BrakingDetector:
     def hardest(self, id: int, start: float, stop: float) -> tuple[float, float]:
         """Return the greatest deceleration of a vehicle that brakes hard, in m/s², and its time, after `finish`.
 
+        Moments at which no brakes are as firm count only if there are no others for long enough.
+
         Args:
             id: The vehicle.
             start: The elapsed seconds from which on it is looked for.
             stop: The elapsed seconds until which it is looked for.
         """
-        times, decelerations = self._hard_by_id.get(id, (np.zeros(0), np.zeros(0)))
-        first, last = times.searchsorted(start), times.searchsorted(stop, "right")
-        if first >= last:
+        rows = self._hard_of(id, start, stop)
+        rows = rows[possible] if (possible := _can_be_braking(rows)).any() else rows
+        if not len(rows):
             return math.nan, math.nan
-        row = first + decelerations[first:last].argmax()
-        return round(decelerations.item(row), _DIGITS), times.item(row)
+        row = rows[rows["deceleration"].argmax()]
+        return round(row["deceleration"].item(), _DIGITS), row["time"].item()
+
+    def can_be_braking(self, id: int, start: float, stop: float) -> bool:
+        """Return whether brakes can be what slows a vehicle down for long enough; True where its frames are unknown.
+
+        Args:
+            id: See `hardest`.
+            start: See `hardest`.
+            stop: See `hardest`.
+        """
+        rows = self._hard_of(id, start, stop)
+        return not len(rows) or bool(_can_be_braking(rows).any())
+
+    def _hard_of(self, id: int, start: float, stop: float) -> NDArray[np.void]:
+        """Return the frames of a time in which a vehicle brakes hard, after `finish`."""
+        rows = self._hard_by_id.get(id, np.zeros(0, _HARD))
+        return rows[rows["time"].searchsorted(start) : rows["time"].searchsorted(stop, "right")]
 
     def _add(self, buffer: SegmentBuffer, records: NDArray[np.void]) -> int:
         """Add the records of some frames, and return how many are of vehicles."""
@@ -226,6 +244,14 @@ _HARD: Final = np.dtype(
     [("id", "u4"), ("frame", "i8")] + [(name, "f8") for name in ("time", "x", "y", "z", "speed", "deceleration")]
 )
 """A frame in which a vehicle brakes hard."""
+
+
+def _can_be_braking(rows: NDArray[np.void]) -> Booleans:
+    """Return which of a vehicle's frames of hard braking are of a time in which brakes can be as firm, for long enough."""
+    found, times = np.zeros(len(rows), np.bool_), rows["time"]
+    for first, last in runs(rows["deceleration"] <= FIRMEST_BRAKING, np.diff(rows["frame"]) == 1):
+        found[first : last + 1] = times[last] - times[first] >= SHORTEST - _ROUNDING
+    return found
 
 
 def _pieces(values: NDArray[Any], most: int) -> Iterator[NDArray[Any]]:

@@ -25,6 +25,8 @@ TOP_SPEED: Final = 100.0
 """The speed that no actor exceeds, in m/s."""
 GRAVITY: Final = 9.81
 """The acceleration of what falls, in m/s², as Unreal Engine has it."""
+FIRMEST_BRAKING: Final = 15.0
+"""The deceleration in m/s² that no brakes and tyres exceed; a collision does, and faulty records do."""
 LONGEST_STEP: Final = 1.0
 """The longest time between two frames of an actor from which its motion between them follows, in s."""
 

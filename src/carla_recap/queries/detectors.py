@@ -268,7 +268,7 @@ class LongStopIncidents:
 
 
 class HardBrakingIncidents:
-    """Finds vehicles that brake hard, but not because of a contact."""
+    """Finds vehicles that brake hard: not because of a contact, and not harder than brakes can."""
 
     also: Collection[str] = ()
 
@@ -290,6 +290,8 @@ class HardBrakingIncidents:
         found = list(self._apart_from_contacts(self._detector.finish() if self._detector else self._listed or ()))
         detector = self._detector or self._looked_up(found)
         for row, stop in found:
+            if not detector.can_be_braking(row.id, row.start, stop):
+                continue
             value, time = detector.hardest(row.id, row.start, stop)
             yield Incident(
                 "hard braking",

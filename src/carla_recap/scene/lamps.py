@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.motion import FIRMEST_BRAKING
 from carla_recap.model.records import CM
 from carla_recap.replay.events import Spawned
 from carla_recap.replay.selection import NO_IDS, find
@@ -39,7 +40,6 @@ UN Regulation 13-H has them lit whatever slows the vehicle down."""
 _SPAN: Final = 0.3  # s; the time over which a deceleration is a mean
 _LONGEST: Final = 1.0  # s; over a longer step there is no deceleration
 
-_FIRMEST: Final = 13.0  # m/s²: no brakes slow a vehicle down by more; a collision does, and a jump
 _LIT_BY: Final = (
     (Material.HEADLIGHT, _LOW | _HIGH | _FOG),
     (Material.TAIL_LIGHT, _POSITION | _LOW | _HIGH | BRAKE),
@@ -233,7 +233,7 @@ class _Slowing:
                 derived[last] = np.hypot(steps[..., 0], steps[..., 1]) / seconds[:, None]
                 motion[held:, :, 2] = np.where(np.isfinite(motion[held:, :, 2]), motion[held:, :, 2], derived[held:])
                 deceleration = (motion[first, :, 2] - motion[last, :, 2]) / seconds[:, None]
-                slows[last] = (deceleration > DECELERATION) & (deceleration < _FIRMEST)
+                slows[last] = (deceleration > DECELERATION) & (deceleration < FIRMEST_BRAKING)
         kept = min(int(np.searchsorted(time, time[-1] - _SPAN)), len(time) - 1)
         self._time, self._motion, self._latest = time[kept:], motion[kept:], slows[-1:]
         return slows[held:]
