@@ -67,6 +67,14 @@ class Route:
         along = np.dot(point - self.points[nearest], (math.cos(heading), math.sin(heading)))
         return self.distances[nearest] + min(max(along, -1.0), 1.0)
 
+    def passages(self, transform):
+        """Return the distances from the start where the route goes along the lane at a transform."""
+        away = np.hypot(*(self.points - (transform.location.x, transform.location.y)).T)
+        along = np.cos(self.headings - math.radians(transform.rotation.yaw)) > 0.7
+        near = np.flatnonzero((away < 1.5) & along)
+        each = np.split(near, np.flatnonzero(np.diff(near) > 5) + 1)
+        return [self.distances[points[away[points].argmin()]] for points in each if len(points)]
+
     def at(self, distance):
         """Return the points at some distances from the start."""
         return np.stack([np.interp(distance, self.distances, axis) for axis in self.points.T], axis=-1)
@@ -124,22 +132,13 @@ class RouteAgent(AutonomousAgent):
         self._signs = []
         for actor in CarlaDataProvider.get_world().get_actors().filter("traffic.*"):
             if actor.type_id == "traffic.traffic_light":
-                lines = [self._on_route(each.transform) for each in actor.get_stop_waypoints()]
-                self._lights += [(actor, line) for line in lines if line is not None]
+                lines = [self._route.passages(each.transform) for each in actor.get_stop_waypoints()]
+                self._lights += [(actor, line) for each in lines for line in each]
             elif actor.type_id == "traffic.stop":
                 center = actor.get_transform().transform(actor.trigger_volume.location)
                 waypoint = CarlaDataProvider.get_map().get_waypoint(center)
-                line = self._on_route(waypoint.transform)
-                if line is not None:
-                    self._signs.append(line)
+                self._signs += self._route.passages(waypoint.transform)
         self._signs.sort()
-
-    def _on_route(self, transform):
-        """Return the distance from the start of the route at a place on its lane, None if the place is on none."""
-        point = np.array((transform.location.x, transform.location.y))
-        place = self._route.place(point, 0.0, self._route.distances[-1])
-        turned = math.cos(self._route.heading(place) - math.radians(transform.rotation.yaw))
-        return place if np.hypot(*(self._route.at(place) - point)) < 1.5 and turned > 0.7 else None
 
     def _free_acceleration(self, speed):
         """Return the acceleration towards the speed limit."""
