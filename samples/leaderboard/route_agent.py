@@ -239,7 +239,7 @@ class RouteAgent(AutonomousAgent):
             if not 0 < gap + 0.5 < AHEAD:
                 continue
             state = light.state
-            can_stop = speed**2 / (2 * BRAKING) < gap
+            can_stop = speed**2 / (2 * HARDEST) < gap
             if state == carla.TrafficLightState.Red or (state == carla.TrafficLightState.Yellow and can_stop):
                 yield gap
         if self._signs and self._distance > self._signs[0] + 2:
