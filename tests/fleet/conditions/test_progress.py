@@ -163,3 +163,25 @@ def test_rules_from_python_have_axes_and_places() -> None:
         (found,) = check(recording, make_rules(axes="carla", places=places, leaves=leaves))
     assert found.status == "pass"
     assert found.message.startswith("the hero leaves the place start at ")
+
+
+def test_conditions_in_words() -> None:
+    place = {"junction": 9}
+    rules = make_rules(
+        places={"a": place},
+        reaches={"of": "hero", "before": "20 s", **place},
+        leaves={"of": "vehicle", "place": "a"},
+        stays_in={"lanes": "driving", "until": "collision", "during": [0, "9 s"]},
+        stays_out_of={"of": "role:ego", "x": 1, "y": -2.5, "z": 0, "within": "3 m", "after": "a"},
+        passes={"of": "walker", "places": ["a", {"polygon": [[0, 0], [1, 0], [1, 1]]}]},
+        distance={"of": "hero", "min": "1 km", "where": "a"},
+    )
+    assert [rule.description for rule in rules] == [
+        "the hero reaches junction 9 before 20 s",
+        "vehicles leave the place a",
+        "vehicles and walkers stay in the driving lanes from 0 s to 9 s until the first collision",
+        "the actor of the role ego stays out of the place within 3 m of (1, -2.5, 0) after reaching the place a",
+        "walkers pass the place a, then the polygon of 3 corners",
+        "distance of the hero in the place a: at least 1 km",
+    ]
+    assert [rule.kind for rule in rules] == ["reaches", "leaves", "stays_in", "stays_out_of", "passes", "distance"]

@@ -56,7 +56,7 @@ class FunctionCondition:
         """Check that the function is there and takes the parameters.
 
         Raises:
-            ImportError: It is not there.
+            NotSetUp: It is not there.
             TypeError: It does not.
         """
         try:

@@ -65,7 +65,6 @@ class MeasureBounds:
         """See `Condition.judge`."""
         if self.lasting is not None:
             return self._lasts(facts)
-        found: list[Offence] = []
         offences: list[tuple[float, Offence]] = []
         values: list[float] = []
         for value, is_valid, offence in self._over_time(facts) if self._is_over_time else self._extremes(facts):
@@ -78,8 +77,7 @@ class MeasureBounds:
             worst = max(values, key=self._badness)
             return Finding(True, f"the {self._extreme} {self._name} is {self.bounds.written.shown(worst)}")
         offences.sort(key=lambda pair: -pair[0])
-        found = [offence for _, offence in offences]
-        return Finding(False, f"the {self._name} {self._limit}", tuple(found))
+        return Finding(False, f"the {self._name} {self._limit}", tuple(offence for _, offence in offences))
 
     @property
     def _is_over_time(self) -> bool:

@@ -44,7 +44,7 @@ class Reaches:
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"{_subject(self.of)} to reach {self.place}{_before(self.before)}"
+        return f"{_subject(self.of, 'reach', 'reaches')} {self.place}{_before(self.before)}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
@@ -87,7 +87,7 @@ class Leaves:
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"{_subject(self.of)} to leave {self.place}{_before(self.before)}"
+        return f"{_subject(self.of, 'leave', 'leaves')} {self.place}{_before(self.before)}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
@@ -134,7 +134,7 @@ class Stays:
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"{_subject(self.of)} to stay {self._within} {self.place}{self.scope}"
+        return f"{_subject(self.of, 'stay', 'stays')} {self._within} {self.place}{self.scope}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
@@ -179,7 +179,7 @@ class Passes:
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"{_subject(self.of)} to pass {self._order}"
+        return f"{_subject(self.of, 'pass', 'passes')} {self._order}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
@@ -294,8 +294,11 @@ def _each(
     return Finding(True, f"{done} {what}{last}")
 
 
-def _subject(of: Selector) -> str:
-    return "vehicles and walkers" if of.text == ANY else str(of)
+def _subject(of: Selector, plural: str, singular: str) -> str:
+    """Return some actors in words, and a verb."""
+    if of.text == ANY:
+        return f"vehicles and walkers {plural}"
+    return f"{of} {singular if of.text == HERO or of.text.startswith(ROLE) else plural}"
 
 
 def _before(limit: Quantity | None) -> str:
