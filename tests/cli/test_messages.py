@@ -286,7 +286,7 @@ def test_a_table_fits_in_any_terminal():
         ),
         (
             ["export", CRASH, "out.foo"],
-            "'out.foo' does not end in .rrd, .mcap, .csv or .xosc; --to (in Python, to=) names what is a folder: parquet",
+            "'out.foo' does not end in .rrd, .mcap, .csv or .xosc; --to names what is a folder: parquet",
         ),
         (
             ["convert", "ftp://a/b.mcap", "out.log"],
