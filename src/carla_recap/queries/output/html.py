@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from html import escape
+from itertools import islice
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -33,6 +34,10 @@ _MARGIN: Final = 5.0  # m
 _SHORTEST: Final = 0.3  # the short side of the drawing, as a share of its long side, at least
 _FAR: Final = 100_000.0  # m; nothing is farther from the origin of a map
 _LINE, _HERO, _DOT = 1.2, 3.0, 5.0  # pixels
+_MOST_POINTS: Final = 20_000  # of the lines of a drawing: about 250 kB
+_CELLS: Final = (2, 4, 8, 16, 32, 64)  # pixels; the sizes of the cells in which lines that repeat others are left out
+_MOST_DOTS: Final = 1_000  # the first incidents
+_BITS: Final = 12  # of the number of a cell along an axis
 
 
 def recording_html(reader: Reader) -> str:
@@ -58,16 +63,17 @@ def _drawing(reader: Reader, found: Iterable[Incident]) -> str:
     short = np.maximum((high - low).max() * _SHORTEST - (high - low), 0.0) / 2
     low, high = low - short, high + short
     scale = float(min(_SIZE / (high - low)))
+    strips = [(id in heroes, strip) for id, path in paths.items() for strip in _strips(path, low, scale)]
     lines = "".join(
-        f'<polyline points="{strip}" stroke-width="{width}" opacity="{opacity}"/>'
-        for id, path in paths.items()
-        for width, opacity in [(_HERO, 1.0) if id in heroes else (_LINE, 0.5)]
-        for strip in _strips(path, low, scale)
+        f'<polyline points="{points}" stroke-width="{width}" opacity="{opacity}"/>'
+        for is_hero, strip in _thinned(strips)
+        for width, opacity in [(_HERO, 1.0) if is_hero else (_LINE, 0.5)]
+        for points in [" ".join(f"{x:.1f},{y:.1f}" for x, y in strip.tolist())]
     )
     dots = "".join(
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{_DOT}" fill="{KINDS[incident.kind].light}">'
         f"<title>{incident.start:.1f} s: {escape(visible(incident.text))}</title></circle>"
-        for incident in found
+        for incident in islice(found, _MOST_DOTS)
         for x, y in [(scale * (np.array((incident.x, -incident.y)) - low)).tolist()]
         if np.isfinite((x, y)).all()
     )
@@ -99,9 +105,34 @@ def _paths(reader: Reader) -> dict[int, Floats]:
     return {id: path for id, path in joined.items() if len(path)}
 
 
-def _strips(path: Floats, low: Floats, scale: float) -> Iterator[str]:
+def _strips(path: Floats, low: Floats, scale: float) -> Iterator[Floats]:
     """Yield a path as points in pixels, cut where it jumps."""
     jumps = np.linalg.norm(np.diff(path[:, 1:], axis=0), axis=1) > possible_step(np.diff(path[:, 0]))
     for part in np.split(scale * (path[:, 1:] - low), np.flatnonzero(jumps) + 1):
         moved = np.append(True, (np.diff(part.round(), axis=0) != 0).any(axis=1))
-        yield " ".join(f"{x:.1f},{y:.1f}" for x, y in part[moved].tolist())
+        yield part[moved]
+
+
+def _thinned(strips: list[tuple[bool, Floats]]) -> list[tuple[bool, Floats]]:
+    """Return what is drawn of lines, each of a hero or not: if they are too long, not what repeats another line."""
+    for size in _CELLS:
+        if sum(len(points) for _, points in strips) <= _MOST_POINTS:
+            break
+        strips = _without_repeats(strips, size)
+    return strips
+
+
+def _without_repeats(strips: list[tuple[bool, Floats]], size: int) -> list[tuple[bool, Floats]]:
+    """Return lines without the segments within a cell of some pixels, and between two cells that an earlier one joins."""
+    points = np.concatenate([points for _, points in strips])
+    lengths = [len(points) for _, points in strips]
+    is_hero = np.repeat([is_hero for is_hero, _ in strips], lengths)
+    strip = np.repeat(np.arange(len(strips)), lengths)
+    x, y = np.floor(points.T / size).astype(np.int64)
+    cells = x << _BITS | y
+    ends = np.sort(np.stack((cells[:-1], cells[1:])), axis=0)
+    keys = (is_hero[:-1].astype(np.int64) << 2 * _BITS | ends[0]) << 2 * _BITS | ends[1]
+    candidates = np.flatnonzero((strip[:-1] == strip[1:]) & (ends[0] != ends[1]))
+    kept = candidates[np.sort(np.unique(keys[candidates], return_index=True)[1])]
+    runs = np.split(kept, np.flatnonzero(np.diff(kept) != 1) + 1) if len(kept) else []
+    return [(bool(is_hero[run[0]]), points[run[0] : run[-1] + 2]) for run in runs]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import math
 from bisect import bisect_left
+from collections import defaultdict
 from heapq import merge
 from itertools import chain
 from threading import Event, Lock, Thread
@@ -58,7 +59,6 @@ _LEAD: Final = 5.0  # s before a moment that is sought, in which the view of the
 _STEP: Final = 0.02  # s of real time between two sendings
 _LONGEST: Final = 0.25  # s of real time that pass between them at most; a machine that is slower plays more slowly
 _PAUSE: Final = 0.25  # s; the longest wait for a request
-_WELCOME: Final = 0.25  # s between two times that new viewers get the latest messages, which all others then get, too
 _GRACE: Final = 2.0  # s; the SDK waits for viewers that do not read, or have connected without a word, as long as they stay
 _FASTEST: Final = 100.0
 _MOST_WAITING: Final = 1024  # messages that wait for a slow viewer, which loses older ones
@@ -99,7 +99,6 @@ class FoxgloveServer:
         self._requests = type("Listener", (_Requests, ServerListener), {})(timeline)  # with callbacks that do nothing, too
         self._latest: dict[str, tuple[int, bytes]] = {}  # of each topic
         self._time: int | None = None
-        self._welcomed = -math.inf  # when viewers were, in s
         logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # viewers may leave without a word
         self._context = foxglove.Context()
         try:
@@ -156,19 +155,16 @@ class FoxgloveServer:
         self._requests.requested.clear()
 
     def welcome(self) -> None:
-        """Send the latest messages of topics to which viewers have subscribed, and the state, and again after `_WELCOME`."""
-        if monotonic() < self._welcomed + _WELCOME:
-            return
-        topics = self._requests.take_topics()
-        if topics:
-            self._welcomed = monotonic()
-        for topic in topics - {LOG}:  # each message on it is shown, not the latest one
-            if topic in self._latest:
+        """Send viewers the latest messages of the topics to which they have subscribed, and all viewers the state."""
+        wanted = self._requests.take_topics()
+        for client, topics in wanted.items():
+            for topic in topics & self._latest.keys() - {LOG}:  # each message on it is shown, not the latest one
                 time, data = self._latest[topic]
-                self._channels[topic].log(data, log_time=time)
-        if topics and self._timeline is not None:
+                # The SDK counts its sinks as it does clients, unless the process writes files by it.
+                self._channels[topic].log(data, log_time=time, sink_id=client)
+        if wanted and self._timeline is not None:
             self.show(self._timeline.state())
-        elif topics and self._time is not None:
+        elif wanted and self._time is not None:
             self.show_time(self._time)
 
     def show(self, state: PlaybackState) -> None:
@@ -267,19 +263,19 @@ class _Requests:
         self._timeline = timeline
         self._lock = Lock()
         self.requested = Event()
-        self._topics: set[str] = set()
+        self._topics: defaultdict[int, set[str]] = defaultdict(set)  # by client
         self._subscriptions = 0
 
-    def take_topics(self) -> set[str]:
-        """Return the topics that have got new subscribers."""
+    def take_topics(self) -> dict[int, set[str]]:
+        """Return the topics to which clients have subscribed since the last call."""
         with self._lock:
-            topics, self._topics = self._topics, set()
+            topics, self._topics = self._topics, defaultdict(set)
         return topics
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
         with self._lock:
             self._subscriptions += 1
-            self._topics.add(channel.topic)
+            self._topics[client.id].add(channel.topic)
 
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
         with self._lock:
