@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Reaches:
-    """That actors come to a place.
+class PlaceDemand:
+    """That actors do something at a place; the base of `Reaches` and `Leaves`.
 
     Attributes:
         of: The actors, each of which has to.
@@ -38,48 +38,8 @@ class Reaches:
     place: Place
     before: Quantity | None = None
 
-    def needs(self) -> Needs:
-        """See `Condition.needs`."""
-        return Needs(positions=(self.of,), places=(self.place,))
-
-    def text(self) -> str:
-        """See `Condition.text`."""
-        return f"{_subject(self.of, 'reach', 'reaches')} {self.place}{_before(self.before)}"
-
-    def judge(self, facts: Facts) -> Finding:
-        """See `Condition.judge`."""
-        subjects, reached = facts.subjects(self.of), []
-        offences = []
-        for life in subjects:
-            time, outside = facts.positions(life).time, facts.outside(self.place, life)
-            first = facts.first(self.place, life)
-            if _is_before(first, self.before):
-                reached.append(first)
-            elif first < math.inf:
-                offences.append(Offence(f"{life.name} reaches it at {first:.2f} s", first, (life.id,)))
-            else:
-                nearest = int(outside.argmin())
-                away, when = float(outside[nearest]), float(time[nearest])
-                text = f"is {away:.2f} m away at {when:.2f} s, when it is nearest" if away < math.inf else "is never near it"
-                offences.append(Offence(f"{life.name} {text}", when if away < math.inf else None, (life.id,)))
-        return _each(
-            self.of, subjects, offences, ("reach", "reaches"), f"{self.place}{_before(self.before)}", facts, reached
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class Leaves:
-    """That actors that are in a place leave it.
-
-    Attributes:
-        of: The actors, each of which has to be in it, and to leave it.
-        place: The place.
-        before: The latest time, in elapsed seconds; None: any.
-    """
-
-    of: Selector
-    place: Place
-    before: Quantity | None = None
+    verbs: ClassVar[tuple[str, str]]
+    """What several actors have to do, and one."""
 
     def needs(self) -> Needs:
         """See `Condition.needs`."""
@@ -87,26 +47,67 @@ class Leaves:
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"{_subject(self.of, 'leave', 'leaves')} {self.place}{_before(self.before)}"
+        return f"{_subject(self.of, *self.verbs)} {self._what}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
-        subjects, left = facts.subjects(self.of), []
-        offences = []
+        subjects, offences, times = facts.subjects(self.of), [], []
         for life in subjects:
-            time, outside = facts.positions(life).time, facts.outside(self.place, life)
-            entered = facts.first(self.place, life)
-            after = np.flatnonzero((time > entered) & (outside > 0))
-            first = float(time[after[0]]) if len(after) else math.inf
-            if _is_before(first, self.before):
-                left.append(first)
-            elif first < math.inf:
-                offences.append(Offence(f"{life.name} leaves it at {first:.2f} s", first, (life.id,)))
-            elif entered < math.inf:
-                offences.append(Offence(f"{life.name} is in it to the end", float(time[-1]), (life.id,)))
+            time = self._time(facts, life)
+            if _is_before(time, self.before):
+                times.append(time)
+            elif time < math.inf:
+                offences.append(Offence(f"{life.name} {self.verbs[1]} it at {time:.2f} s", time, (life.id,)))
             else:
-                offences.append(Offence(f"{life.name} is never in it", None, (life.id,)))
-        return _each(self.of, subjects, offences, ("leave", "leaves"), f"{self.place}{_before(self.before)}", facts, left)
+                offences.append(self._never(facts, life))
+        return _each(self.of, subjects, offences, self.verbs, self._what, facts, times)
+
+    @property
+    def _what(self) -> str:
+        return f"{self.place}{_before(self.before)}"
+
+    def _time(self, facts: Facts, life: ActorLife) -> float:
+        """Return when an actor does it; inf if it never does."""
+        raise NotImplementedError
+
+    def _never(self, facts: Facts, life: ActorLife) -> Offence:
+        """Return what an actor does that never does it."""
+        raise NotImplementedError
+
+
+class Reaches(PlaceDemand):
+    """That actors come to a place."""
+
+    __slots__ = ()
+    verbs = ("reach", "reaches")
+
+    def _time(self, facts: Facts, life: ActorLife) -> float:
+        return facts.first(self.place, life)
+
+    def _never(self, facts: Facts, life: ActorLife) -> Offence:
+        outside = facts.outside(self.place, life)
+        nearest = int(outside.argmin())
+        away, when = float(outside[nearest]), float(facts.positions(life).time[nearest])
+        if away == math.inf:
+            return Offence(f"{life.name} is never near it", None, (life.id,))
+        return Offence(f"{life.name} is {away:.2f} m away at {when:.2f} s, when it is nearest", when, (life.id,))
+
+
+class Leaves(PlaceDemand):
+    """That actors that are in a place leave it."""
+
+    __slots__ = ()
+    verbs = ("leave", "leaves")
+
+    def _time(self, facts: Facts, life: ActorLife) -> float:
+        time, outside = facts.positions(life).time, facts.outside(self.place, life)
+        after = np.flatnonzero((time > facts.first(self.place, life)) & (outside > 0))
+        return float(time[after[0]]) if len(after) else math.inf
+
+    def _never(self, facts: Facts, life: ActorLife) -> Offence:
+        if facts.first(self.place, life) == math.inf:
+            return Offence(f"{life.name} is never in it", None, (life.id,))
+        return Offence(f"{life.name} is in it to the end", float(facts.positions(life).time[-1]), (life.id,))
 
 
 @dataclass(frozen=True, slots=True)
