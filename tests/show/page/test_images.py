@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from base64 import b64decode
 from dataclasses import replace
 from io import BytesIO
@@ -25,6 +26,7 @@ from carla_recap.show.page import images as module
 from carla_recap.show.page import write_report
 from tests.cli.command import error, run
 from tests.samples import drive
+from tests.sensed import camera
 from tests.sensors.test_messages import HEADER, POSE
 from tests.show.page.conftest import CROSSING, WITHOUT_ROADS, report
 from tests.show.page.test_browser import Page
@@ -89,6 +91,19 @@ def test_a_page_has_the_images_of_the_camera_that_looks_ahead(tmp_path: Path) ->
     assert found["size"] == [480, 240]
     for text, color in zip(found["images"], COLORS.values(), strict=True):
         assert color_of(text) == pytest.approx(color, abs=6)
+
+
+@pytest.mark.parametrize("pose", [{"pitch": -90}, {"yaw": 10**400}, {"yaw": "x"}, {"yaw": math.inf}, {"pitch": None}])
+def test_a_camera_that_looks_down_or_somewhere_does_not_look_ahead(tmp_path: Path, pose: dict[str, Any]) -> None:
+    with McapWriter(tmp_path / "a.mcap", HEADER) as writer:
+        for id, where in (("a", pose), ("b", {"yaw": 30})):
+            topic = camera(id)
+            spec = json.loads(topic.metadata["sensor"]) | where
+            writer.add_topic(replace(topic, metadata={"sensor": json.dumps(spec)}))
+        for frame in drive(1.0, size=1):
+            writer.write(frame)
+    with open_recording(tmp_path / "a.mcap") as recording:
+        assert module.camera_of(recording, None) == "b"
 
 
 def test_a_folder_has_the_images_of_the_camera_that_is_asked_for(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -65,9 +66,12 @@ def camera_of(recording: Recording, camera: str | None) -> str | None:
 
 
 def _angle(sensor: RecordedSensor) -> float:
-    """Return how far a camera is turned to a side, in degrees."""
-    yaw = sensor.spec.get("yaw", 0.0)
-    return abs((yaw + 180) % 360 - 180) if isinstance(yaw, int | float) and np.isfinite(yaw) else 180.0
+    """Return the angle between the axis of a camera and straight ahead, in radians; the largest one if it is not known."""
+    try:
+        yaw, pitch = (math.radians(float(sensor.spec.get(name, 0.0))) for name in ("yaw", "pitch"))
+        return math.acos(math.cos(yaw) * math.cos(pitch))
+    except (TypeError, ValueError, OverflowError):  # of a recording of somebody else; infinity has no cosine
+        return math.pi
 
 
 def page_images(recording: Recording, camera: str, spans: Iterable[tuple[float, float]]) -> PageImages | None:
