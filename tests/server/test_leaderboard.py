@@ -18,11 +18,8 @@ from tests.waiting import PATIENCE
 SAMPLES = Path(__file__).parents[2] / "samples"
 SCRIPT = SAMPLES / "leaderboard.sh"
 PEER = Path(__file__).parents[3] / "shared" / "peer"
-ROOTS = {
-    "LEADERBOARD_ROOT": PEER / "leaderboard",
-    "SCENARIO_RUNNER_ROOT": PEER / "scenario_runner",
-    "CARLA_ROOT": PEER / "carla",
-}
+FOLDERS = {"LEADERBOARD_ROOT": "leaderboard", "SCENARIO_RUNNER_ROOT": "scenario_runner", "CARLA_ROOT": "carla"}
+ROOTS = {name: Path(os.environ.get(name, PEER / folder)) for name, folder in FOLDERS.items()}
 MODULES = (
     "py_trees",
     "dictor",
