@@ -10,7 +10,21 @@ import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from benchmarks import campaigns, core, exports, fleet, measures, page, remote, rendering, roads, sense, server, simulator
+from benchmarks import (
+    campaigns,
+    core,
+    exports,
+    fleet,
+    measures,
+    page,
+    remote,
+    rendering,
+    roads,
+    scores,
+    sense,
+    server,
+    simulator,
+)
 from benchmarks.hour import FRAMES, cached
 from benchmarks.measuring import Missing, Subject, in_new_process, measure
 from benchmarks.results import RESULTS, Result, current_conditions, load, save
@@ -35,6 +49,7 @@ ROWS = (
     *server.ROWS,
     *roads.ROWS,
     *measures.ROWS,
+    *scores.ROWS,
 )
 WIDTHS = (46, 18, 18, 18, 8)
 CALM = 0.5  # processes that use a processor

@@ -119,7 +119,8 @@ class LaneMap:
         segments, points = self._segments[kind], np.asarray(points, np.float64)
         if segments is None:
             return self._nowhere(len(points))
-        found, share = segments.nearest(points)
+        moved = np.append(True, (np.diff(points, axis=0) != 0).any(axis=1))[: len(points)]  # as of a vehicle that may stand
+        found, share = (values[np.cumsum(moved) - 1] for values in segments.nearest(points[moved]))
         known = np.maximum(found, 0)
         start, stop = self._stations[known], self._stations[known + 1]
         places = self._between(known, start + share * (stop - start))

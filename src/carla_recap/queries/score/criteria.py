@@ -198,19 +198,42 @@ def _touched(life: ActorLife | None, *, is_object: bool) -> str:
     return "collisions_vehicle" if "vehicle" in type_id else "collisions_pedestrian" if "walker" in type_id else ""
 
 
-def red_lights(drive: Drive, lines: StopLines, lights: LightHistory) -> Iterator[Infraction]:
-    """Yield where the rear of the hero is above the stop line of a light that is red."""
+class Passage(NamedTuple):
+    """The rear of the hero passes a stop line.
+
+    Attributes:
+        start: When its front end is above the line, in elapsed seconds.
+        stop: When its back end is.
+        line: The line.
+    """
+
+    start: float
+    stop: float
+    line: int
+
+
+def passages(drive: Drive, lines: StopLines) -> list[Passage]:
+    """Return where the rear of the hero passes the stop lines of lights, in order; at the end, it may be above one."""
     near, far = drive.half_length * _REAR[0], drive.half_length + _REAR[1]
     entered, left = (_crossings(drive, lines, drive.behind(each), _WIDER, _NEAR_LIGHT) for each in (near, far))
+    end = float(drive.time[-1])
+    return [
+        Passage(start, min((stop for stop, other in left if other == line and stop >= start), default=end), line)
+        for start, line in entered
+        if not lines.is_stop(line)
+    ]
+
+
+def red_lights(drive: Drive, passed: Iterable[Passage], lines: StopLines, lights: LightHistory) -> Iterator[Infraction]:
+    """Yield where the rear of the hero is above the stop line of a light that is red."""
     latest: int | None = None
-    for time, line in entered:
+    for start, stop, line in passed:
         signal = lines.signal(line)
-        stop = min((end for end, other in left if other == line and end >= time), default=float(drive.time[-1]))
-        light = lights.red_within(signal, time, stop)
+        light = lights.red_within(signal, start, stop)
         if light is not None and light != latest:
             latest = light
             text = f"Agent ran a red light {light} at {_carla(lines.place(signal))}"
-            yield _infraction("red_light", drive, _frame_at(drive, time), text, light, "traffic.traffic_light")
+            yield _infraction("red_light", drive, _frame_at(drive, start), text, light, "traffic.traffic_light")
 
 
 def stop_signs(drive: Drive, lines: StopLines, actors: ActorLives) -> Iterator[Infraction]:
@@ -241,8 +264,8 @@ def _crossings(drive: Drive, lines: StopLines, points: Floats, wider: float, tur
 
 def outside_lanes(drive: Drive, route: PlannedRoute, town: LaneMap) -> Iterator[Infraction]:
     """Yield what the hero drives of the route outside the lanes for cars or on those of the other direction, if anything."""
-    at = town.nearest(drive.position)
-    outside = _outside(drive, town) | _against(drive, at, town)
+    driving, parking = (town.nearest(drive.position, kind) for kind in (DRIVING, PARKING))
+    outside = _outside(drive, driving, parking) | _against(drive, driving, town)
     frames = np.searchsorted(np.cumsum(drive.repeats), np.arange(len(drive.ticks)), "right")
     total = wrong = 0.0
     index, latest = 0, 0
@@ -262,14 +285,12 @@ def outside_lanes(drive: Drive, route: PlannedRoute, town: LaneMap) -> Iterator[
         yield _infraction("outside_route_lanes", drive, latest, text, share=share)
 
 
-def _outside(drive: Drive, town: LaneMap) -> Flags:
+def _outside(drive: Drive, driving: Waypoints, parking: Waypoints) -> Flags:
     """Return in which frames the hero is outside the nearest lane for cars or for parking."""
     best, widths = np.full(len(drive), np.inf), np.zeros(len(drive))
-    for kind in (DRIVING, PARKING):
-        at = town.nearest(drive.position, kind)
+    for at in (parking, driving):
         away = np.where(at.lane == NONE, np.inf, np.linalg.norm(drive.position - at.position, axis=1))
-        nearer = away < best if kind == DRIVING else away <= best
-        best, widths = np.where(nearer, away, best), np.where(nearer, at.width, widths)
+        best, widths = np.where(away < best, away, best), np.where(away < best, at.width, widths)
     outside: Flags = best > widths / 2 + _OUTSIDE
     return outside
 

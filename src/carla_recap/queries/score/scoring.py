@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.queries.score.route_files import Route
+    from carla_recap.roads.network import RoadNetwork
 
 PERFECT, COMPLETED, FAILED = "Perfect", "Completed", "Failed"
 """How a route ends: completed without and with infractions, or not completed."""
@@ -136,13 +137,12 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
     planned = PlannedRoute.of_drive(whole) if route is None else _planned(route, town, path)
     end = criteria.ending(whole, planned, network) if route else criteria.ending_of_drive(whole)
     drive = whole.part(0, end.frame)
-    lines, lights = StopLines(network), LightHistory(source, network)
-    for batch in source.batches(("light_states",)):
-        lights.add(batch)
+    lines = StopLines(network)
+    passed = criteria.passages(drive, lines)
     background = [paths[life.id] for life in actors if life.role_name == criteria.BACKGROUND and life.id in paths]
     found = [
         *criteria.collisions(drive, contacts, actors),
-        *criteria.red_lights(drive, lines, lights),
+        *criteria.red_lights(drive, passed, lines, _lights(source, network, passed)),
         *criteria.stop_signs(drive, lines, actors),
         *criteria.outside_lanes(drive, planned, town),
         *criteria.slow_quarters(drive, planned, background),
@@ -177,6 +177,16 @@ def _drive(source: Reader, drive: Drive | None, options: ScoreOptions) -> Drive:
     return drive.part(rows[0], rows[-1])
 
 
+def _lights(source: Reader, network: RoadNetwork, passed: list[criteria.Passage]) -> LightHistory:
+    """Return the states of traffic lights while the hero passes stop lines."""
+    lights = LightHistory(source, network)
+    if passed:
+        start, stop = passed[0].start - _AROUND, max(passage.stop for passage in passed) + _AROUND
+        for batch in source.batches(("light_states",), start=start, stop=stop):
+            lights.add(batch)
+    return lights
+
+
 def _planned(route: Route, town: LaneMap, path: Path) -> PlannedRoute:
     """Return the points of a route along the lanes of a town."""
     try:
@@ -188,6 +198,7 @@ def _planned(route: Route, town: LaneMap, path: Path) -> PlannedRoute:
     return PlannedRoute(points, at.ahead)
 
 
+_AROUND: Final = 1.0  # s around stop lines in which lights are read
 _DROP: Final = 0.5
 """How far above the road the evaluator has the first point of a route, since it drops the hero there, in m."""
 
