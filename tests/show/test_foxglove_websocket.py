@@ -100,11 +100,14 @@ class Viewer:
 
     def control(self, command: int, speed: float = 1.0, seek: int | None = None, id: str = "me") -> State:
         """Request a change of playback; return the state that the server answers."""
-        request = struct.pack("<BBfBQI", 3, command, speed, seek is not None, seek or 0, len(id)) + id.encode()
         self.states.clear()
-        self._send(request)
+        self.request(command, speed, seek, id)
         self.receive(lambda: any(state[3] == id for state in self.states))
         return next(state for state in self.states if state[3] == id)
+
+    def request(self, command: int, speed: float = 1.0, seek: int | None = None, id: str = "me") -> None:
+        """Request a change of playback, and wait for no answer."""
+        self._send(struct.pack("<BBfBQI", 3, command, speed, seek is not None, seek or 0, len(id)) + id.encode())
 
     def receive(self, is_enough: Callable[[], object], meanwhile: Callable[[], object] = lambda: None) -> None:
         """Receive until a condition is met; meanwhile, call a function again and again."""
@@ -370,7 +373,7 @@ def test_a_recording_that_is_cut_while_it_plays_is_an_error(tmp_path: Path) -> N
     path.write_bytes(CROSSING.read_bytes())
     with viewing(path) as (address, process), connected(address) as viewer:
         os.truncate(path, 0)
-        viewer.control(PLAY, seek=start_of(viewer) + 40 * SECOND)
+        viewer.request(PLAY, seek=start_of(viewer) + 40 * SECOND)
         assert process.wait(PATIENCE) == 2
         assert process.stderr is not None
         said = process.stderr.read().splitlines()
