@@ -12,7 +12,7 @@ import carla_recap
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.sensors.rig import SensorRig
 from tests.rendering.test_renderer import create
-from tests.sensors.test_sensing import AHEAD, GAP, LEFT, RIG, RIGHT, SPEED, STEP, drive
+from tests.sensors.test_sensing import AHEAD, GAP, LEFT, RAISED, RIG, RIGHT, SPEED, STEP, drive
 
 pytest.importorskip("rosbags")
 
@@ -47,7 +47,7 @@ def exported(source: Path, folder: Path, **options: Any) -> Messages:
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     create(None).close()  # skips where there is no driver
     folder = tmp_path_factory.mktemp("rosbag")
-    with carla_recap.open_recording(drive(folder / "cars.mcap")) as recording:
+    with carla_recap.open_recording(drive(folder / "cars.mcap", raised=LEFT)) as recording:
         carla_recap.export(recording, folder / "bag", to="rosbag2", rig=RIG)
     return folder / "bag"
 
@@ -109,7 +109,7 @@ def cloud(message: Any) -> np.ndarray:
 def test_a_car_ahead_is_ahead_in_markers_and_the_others_left_and_right(messages: Messages) -> None:
     frame = to_frame(messages)
     assert corners(messages, AHEAD, frame)[:, 0].min() == pytest.approx(GAP + 2.0, abs=0.01)
-    assert corners(messages, LEFT, frame).mean(axis=0) == pytest.approx((18.0, 7.0, 0.75), abs=0.01)
+    assert corners(messages, LEFT, frame).mean(axis=0) == pytest.approx((18.0, 7.0, 0.75 + RAISED), abs=0.01)
     assert corners(messages, RIGHT, frame).mean(axis=0) == pytest.approx((18.0, -5.0, 0.75), abs=0.01)
 
 
@@ -122,6 +122,8 @@ def test_a_car_ahead_has_its_distance_in_points(messages: Messages) -> None:
     left = cloud(messages["/sensors/semantic_lidar/points"][0][1])
     assert left[left["actor"] == LEFT]["y"].min() > 5
     assert left[left["actor"] == RIGHT]["y"].max() < -3
+    tops = [left[left["actor"] == id]["z"].max() for id in (LEFT, RIGHT)]
+    assert tops[0] - tops[1] == pytest.approx(RAISED, abs=0.3)  # the same car, higher
 
 
 def test_boxes_are_projected_onto_the_pixels_of_their_cars(messages: Messages) -> None:
@@ -136,6 +138,7 @@ def test_boxes_are_projected_onto_the_pixels_of_their_cars(messages: Messages) -
     assert pixels[:, 1].min() == pytest.approx(rows.min(), abs=2)
     assert pixels[:, 1].max() == pytest.approx(rows.max() + 1, abs=2)
     assert np.nonzero(ids == LEFT)[1].max() < np.nonzero(ids == RIGHT)[1].min()
+    assert np.nonzero(ids == LEFT)[0].min() < np.nonzero(ids == RIGHT)[0].min()  # rows are counted from above
 
 
 def test_images_are_those_of_their_encodings(messages: Messages) -> None:

@@ -34,6 +34,7 @@ from tests.sensors.test_sensing import (
     HERO,
     HERO_POSE,
     LEFT,
+    RAISED,
     RAYS,
     RIGHT,
     ROOF,
@@ -116,7 +117,7 @@ def raw_messages(path: Path) -> dict[str, list[tuple[int, bytes]]]:
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of a hero at rest with a car ahead and one on each side."""
-    return drive(tmp_path_factory.mktemp("source") / "cars.mcap", FRAMES)
+    return drive(tmp_path_factory.mktemp("source") / "cars.mcap", FRAMES, raised=LEFT)
 
 
 @pytest.fixture(scope="module")
@@ -281,10 +282,14 @@ def test_a_car_on_each_side_is_on_that_side(topics: Any) -> None:
     middle = CAMERA["width"] / 2
     assert columns[LEFT].max() < middle < columns[RIGHT].min()
     assert columns[AHEAD].mean() == pytest.approx(middle, abs=1.5)
+    tops = {id: np.nonzero(seen(topics, id).any(axis=1))[0].min() for id in (LEFT, RIGHT)}
+    assert tops[LEFT] < tops[RIGHT]  # the left one is higher, and rows are counted from above
     x, y, z = points(topics).T
     beside = y[(x > 10) & (x < 20) & (z > -0.9) & (np.abs(y) > 2)]
     assert beside[beside > 0].min() == pytest.approx(7 - 0.95, abs=0.3)
     assert beside[beside < 0].max() == pytest.approx(-5 + 0.95, abs=0.3)
+    heights = [z[(x > 10) & (x < 20) & (y * side > 2)].max() for side in (1, -1)]
+    assert heights[0] - heights[1] == pytest.approx(RAISED, abs=0.3)
 
 
 def test_the_ids_and_tags_of_images_are_those_of_the_actors(topics: Any) -> None:
