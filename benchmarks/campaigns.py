@@ -49,8 +49,10 @@ def campaign_workers(subject: Subject) -> Iterator[Line]:
     rate = {workers: (count - workers) / seconds for workers, seconds in times.items()}
     gain = rate[2] / rate[1]
     what = f"{count} runs of {SECONDS:g} s with {VEHICLES} vehicles"
-    yield Line(f"{what}, one worker", f"{times[1]:.0f} s", f"{cpu[1] / count:.2f} s of processor time each", "", True)
-    yield Line(f"{what}, two workers", f"{times[2]:.0f} s", f"{gain:.2f} times one worker", "≥ 1.8 times", gain >= 1.8)
+    each = {workers: f"{used / count:.2f} s of processor time each" for workers, used in cpu.items()}
+    yield Line(f"{what}, one worker", f"{times[1]:.0f} s", each[1], "", True)
+    yield Line(f"{what}, two workers", f"{times[2]:.0f} s", each[2], "", True)
+    yield Line("two workers instead of one", f"{gain:.2f} times as fast", "", "≥ 1.8 times", gain >= 1.8)
     start = statistics.median(prepared)
     most = f"at most {max(prepared):.2f} s"
     yield Line("start of a run, the town loaded", f"{start:.3f} s", most, "≤ 0.3 s", start <= 0.3)

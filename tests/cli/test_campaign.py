@@ -117,7 +117,7 @@ def test_recordings_are_scored(tmp_path):
     assert done.returncode == 0, done.stderr
     scores = [each["results"]["score"]["value"] for each in json.loads(done.stdout)["runs"]]
     assert scores == [50.0, 100.0]
-    assert "<h2>Score " in (tmp_path / PAGE).read_text("utf-8")
+    assert '<th scope="col" class="number">score</th>' in (tmp_path / PAGE).read_text("utf-8")
 
 
 def test_a_search_finds_the_crash_of_the_sample(tmp_path):
