@@ -27,6 +27,7 @@ SECONDS: Final = 60.0
 VEHICLES: Final = 30
 MANY: Final = 1000
 KILL: Final = 10.0  # s between two kills
+WORKERS: Final = 2  # of the cluster
 
 
 def drive(world: object, vehicles: int = VEHICLES) -> None:
@@ -60,6 +61,7 @@ def campaign_workers(subject: Subject) -> Iterator[Line]:
 
 def campaign_kills(subject: Subject) -> Iterator[Line]:
     """Short runs on a cluster of two workers, one of which is killed every 10 s."""
+    import dask
     from distributed import LocalCluster
 
     from carla_recap.fleet.campaign import campaign
@@ -67,9 +69,11 @@ def campaign_kills(subject: Subject) -> Iterator[Line]:
 
     count = MANY if subject.frames >= FRAMES else 20
     folder, done, kills = _folder("cluster"), Event(), []
-    options = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
+    options = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "silence_logs": 30}
+    patience = {"distributed.deploy.lost-worker-timeout": "10 minutes"}  # else a slow machine closes the cluster
     with (
-        LocalCluster(n_workers=2, threads_per_worker=1, processes=True, **options) as cluster,
+        dask.config.set(patience),
+        LocalCluster(n_workers=WORKERS, threads_per_worker=1, processes=True, **options) as cluster,
         connect(cluster.scheduler_address) as client,
     ):
         killer = Thread(target=_kill, args=(client, done, kills))
@@ -103,9 +107,10 @@ def _timed(folder: Path, count: int, workers: int) -> Iterator[tuple[float, Fini
 
 def _kill(client: Client, done: Event, kills: list[int]) -> None:
     while not done.wait(KILL):
-        pid = next(iter(client.run(os.getpid).values()))
-        os.kill(pid, signal.SIGKILL)
-        kills.append(pid)
+        workers = [*client.run(os.getpid).values()]
+        if len(workers) == WORKERS:  # else the one that was killed last has not been started again
+            os.kill(workers[0], signal.SIGKILL)
+            kills.append(workers[0])
 
 
 def _children_cpu() -> float:

@@ -15,8 +15,13 @@ __all__ = ["chromium"]
 def cluster():
     """A Dask cluster of two worker processes on this machine."""
     distributed = pytest.importorskip("distributed", reason="the extra `dask` is not installed")
+    dask = pytest.importorskip("dask")
     options = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0", "silence_logs": 50}
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, **options) as cluster:
+    patience = {"distributed.deploy.lost-worker-timeout": f"{PATIENCE} s"}  # for a killed worker to be started again
+    with (
+        dask.config.set(patience),
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, **options) as cluster,
+    ):
         yield cluster
 
 
