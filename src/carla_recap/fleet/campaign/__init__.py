@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from carla_recap.fleet.campaign.plan import Value
     from carla_recap.fleet.campaign.results import Scoring
 
+__all__ = ["Campaign", "FinishedRun", "RunReport", "campaign"]
+
 _SUFFIX = ".mcap"
 _STAGING = ".running-"
 
@@ -39,7 +41,7 @@ class FinishedRun:
     """A run of a campaign, and what became of it.
 
     Attributes:
-        run: The seed, the parameters, and the path or URL of the recording.
+        run: The seed, the parameters, the name of the recording, and its path or URL, the `location`.
         report: What became of it.
         warnings: The warnings, a line each.
     """

@@ -107,8 +107,13 @@ class Simulation:
                 if report.error is not None:
                     return replace(report, seconds=perf_counter() - began)
                 _put(path, address)
-        with open_recording(address) as recording:
-            extent, results = recording.reader.extent(), self.measure(recording)
+        try:
+            with open_recording(address) as recording:
+                extent, results = recording.reader.extent(), self.measure(recording)
+        except (RecapError, OSError, MemoryError):
+            raise
+        except Exception as error:  # whatever a recording causes, the other runs go on
+            return replace(report, error=f"its recording cannot be measured: {_line(error, run)}")
         return replace(
             report,
             seconds=perf_counter() - began,
