@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import math
+import signal
+import subprocess
+import sys
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from benchmarks.measuring import Line, Subject, timed
+from benchmarks.hour import DIRECTORY
+from benchmarks.measuring import COMMAND, Line, Subject, in_new_process, run, timed
+from benchmarks.server import connect, per_second
+from carla_recap.server import running
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,6 +26,7 @@ if TYPE_CHECKING:
 
 RECORDING: Final = Path("samples/crash.mcap")
 LEADERBOARD: Final = Path("samples/rigs/leaderboard.json")
+RIG: Final = Path("samples/rigs/front_camera.json")
 START: Final = 7.0  # s: the hero drives from then on
 IMAGES: Final = 60
 FIRST: Final = 10  # moments that are left out: shaders are compiled, and images are drawn ahead
@@ -43,11 +51,11 @@ def sense(_: Subject) -> Iterator[Line]:
     yield from leaderboard()
 
 
-def cameras(kinds: tuple[str, ...]) -> SensorRig:
+def cameras(kinds: tuple[str, ...], **size: int) -> SensorRig:
     """Return a rig of cameras in one place."""
     from carla_recap.sensors.rig import SensorRig
 
-    return SensorRig.of([{"type": f"sensor.camera.{kind}", "id": kind, **CAMERA} for kind in kinds])
+    return SensorRig.of([{"type": f"sensor.camera.{kind}", "id": kind, **CAMERA, **size} for kind in kinds])
 
 
 def _each(rig: SensorRig, quality: Quality) -> float:
@@ -116,4 +124,78 @@ def leaderboard() -> Iterator[Line]:
     )
 
 
-ROWS: Final = (sense,)
+def sense_memory(subject: Subject) -> Iterator[Line]:
+    """The memory of `sense` for all of a recording, and for a sixth of it, with few and small images."""
+    from carla_recap.sensors.rig import SensorRig
+
+    rig, target, peaks = DIRECTORY / "small.json", DIRECTORY / "sensed.mcap", []
+    sensors = [*cameras(FOUR[:2], width=64, height=48), *SensorRig.load(LEADERBOARD, leaderboard=True)]
+    kept = [sensor.to_dict() for sensor in sensors if sensor.image is None or sensor.id in FOUR]
+    rig.write_text(json.dumps(kept))
+    for seconds in (subject.seconds / 6, subject.seconds):
+        options = "--rig", rig, "--rate", "1", "--quality", "low", "--duration", str(seconds), "--force"
+        peaks.append(run(COMMAND, "sense", subject.mcap, target, *options).peak / 1e6)
+    growth = f"{peaks[1] - peaks[0]:+.0f} MB to a sixth"
+    yield Line(f"memory of sense, {subject.length}", f"{peaks[1]:.0f} MB", growth, "≤ 600 MB", peaks[1] <= 600)
+
+
+def capture_ticks(_subject: Subject) -> Iterator[Line]:
+    """The server's ticks with `capture --rig` beside it, in relation to the same client that listens and does not record."""
+    most = {True: 0.0, False: 0.0}
+    for _ in range(3):
+        for records in most:
+            with running(recordings=DIRECTORY) as port:
+                most[records] = max(most[records], in_new_process(tick_rate_beside, port, records))
+    ratio = most[False] / most[True]
+    yield Line(
+        "sync ticks with capture --rig", f"{most[True]:.0f} a second", f"{ratio:.2f} x listening", "≤ 1.1 x", ratio <= 1.1
+    )
+
+
+def tick_rate_beside(port: int, records: bool) -> float:
+    """Return the ticks a second of a server with a hero, while a client has a rig on it, which it records or listens to."""
+    import carla
+
+    town = connect(port).get_world()
+    town.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
+    model = town.get_blueprint_library().find("vehicle.tesla.model3")
+    model.set_attribute("role_name", "hero")
+    town.spawn_actor(model, town.get_map().get_spawn_points()[0])
+    command: list[str | Path] = [sys.executable, "-m", __name__, str(port)]
+    if records:
+        command = [COMMAND, "capture", DIRECTORY / "captured.mcap", "--rig", RIG, "--port", str(port), "--force"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as client:
+        sensors = 0
+        while sensors < len(json.loads(RIG.read_text())) and client.poll() is None:
+            town.tick()
+            sensors = len(town.get_actors().filter("sensor.*")) - len(town.get_actors().filter("*.collision"))
+        for _ in range(20):
+            town.tick()
+        rate = per_second(town.tick, 25)
+        client.send_signal(signal.SIGINT)
+        while client.poll() is None:
+            town.tick()
+    town.apply_settings(carla.WorldSettings())
+    return rate
+
+
+def listen(port: int) -> None:
+    """Spawn a rig on the hero and listen to it, until Ctrl-C."""
+    from carla_recap.capture.observer import Observer
+    from carla_recap.capture.rig import RigSensors
+    from carla_recap.sensors.rig import SensorRig
+
+    with (
+        Observer("127.0.0.1", port, additional_data=False, attach=True) as observer,
+        observer.until_signal(),
+        RigSensors(observer, SensorRig.load(RIG)) as sensors,
+    ):
+        sensors.listen(lambda frame: None)
+        for _ in observer.observations():
+            pass
+
+
+ROWS: Final = (sense, sense_memory, capture_ticks)
+
+if __name__ == "__main__":
+    listen(int(sys.argv[1]))

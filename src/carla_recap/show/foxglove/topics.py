@@ -265,7 +265,7 @@ class RecordingMessages:
         for batch in self._player.batches(progress):
             for part in self._messages.of(batch):
                 yield part
-                self._elapsed.append(part.elapsed)
+                self._elapsed.append(part.elapsed.copy())  # which, as a view, would keep all of the recording in memory
                 self._times.append(part.times)
         yield self._messages.end()
 
