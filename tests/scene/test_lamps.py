@@ -10,7 +10,15 @@ import pytest
 from carla_recap import open_recording
 from carla_recap.replay import Player
 from carla_recap.scene.actors import SceneActors
-from carla_recap.scene.lamps import BRAKE, LEFT_BLINKER, REVERSE, VehicleLamps, lamps_of_vehicles
+from carla_recap.scene.lamps import (
+    BRAKE,
+    LEFT_BLINKER,
+    REVERSE,
+    VehicleLamps,
+    lamps_of_lights,
+    lamps_of_vehicles,
+    state_of_lamps,
+)
 from carla_recap.scene.materials import Material
 from tests.replay.scripts import pose, spawn, write
 
@@ -159,3 +167,7 @@ def test_the_lamps_of_a_running_simulation_are_held_too():
 
 def test_lamps_of_unknown_bits_are_off():
     assert int(lamps_of_vehicles(np.array([1 << 20], np.uint32))[0]) == 0
+
+
+def test_the_state_of_a_traffic_light_is_known_by_its_lamps():
+    assert [state_of_lamps(int(lamps)) for lamps in lamps_of_lights(np.arange(5))] == [0, 1, 2, 3, 3]

@@ -42,6 +42,7 @@ from carla_recap.roads import load_map
 from carla_recap.scene import style
 from carla_recap.scene.actors import described_instances
 from carla_recap.scene.description import SceneDescriber
+from carla_recap.scene.lamps import state_of_lamps
 from carla_recap.scene.marks import MARK_RADIUS
 from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.util.files import check_folder, new_folder
@@ -95,8 +96,6 @@ _FOREVER: Final = QosTime(9_223_372_036, 854_775_807)
 _LATEST: Final = (1 << 31) * SECOND  # ns since 1970, which ROS counts in 32 bits
 _ADD, _DELETE, _DELETE_ALL = 0, 2, 3
 _CUBE, _CYLINDER, _LINES = 1, 3, 5
-_LAMPS: Final = (Material.RED_LAMP, Material.YELLOW_LAMP, Material.GREEN_LAMP)  # in the order of the states
-_OFF: Final = 3
 _FIELD_TYPES: Final = {1: 2, 2: 1, 3: 4, 4: 3, 5: 6, 6: 5, 7: 7, 8: 8}  # Foxglove's numbers of types, and ROS's
 _NO_TURN: Final = (0.0, 0.0, 0.0, 1.0)
 
@@ -310,7 +309,7 @@ class _Export:
             is_light = life.kind == "traffic_light"
             color = found.colors[row].tolist()
             if is_light:
-                color = style.light(next((state for state, lamp in enumerate(_LAMPS) if lamps >> lamp & 1), _OFF))[1]
+                color = style.light(state_of_lamps(lamps))[1]
             marker = _marker(
                 life.kind,
                 id,

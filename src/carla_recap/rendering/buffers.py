@@ -8,7 +8,7 @@ import numpy as np
 
 from carla_recap.rendering import shaders
 from carla_recap.rendering.camera import ImageKind
-from carla_recap.scene.materials import LAMPS, MATERIALS, Material
+from carla_recap.scene.materials import LAMP_BITS, MATERIALS, Material
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -245,7 +245,7 @@ def instance_table(seen: Instances, offsets: NDArray[np.float64]) -> NDArray[np.
         offsets: Their centres relative to the camera.
     """
     table = np.zeros(len(seen), shaders.INSTANCE)
-    lamps = seen.lamps & LAMPS
+    lamps = seen.lamps & LAMP_BITS
     table["location"] = offsets
     table["rotation"] = np.swapaxes(seen.rotations, 1, 2).reshape(-1, 9)
     table["extents"][:, :3] = seen.half_extents
@@ -277,7 +277,7 @@ class Halos:
             offsets: Their centres relative to the camera.
             strength: The brightness of the halos: 1 at night.
         """
-        lit = np.flatnonzero((seen.lamps & LAMPS != 0) & ((offsets**2).sum(axis=1) < _HALO_REACH**2))
+        lit = np.flatnonzero((seen.lamps & LAMP_BITS != 0) & ((offsets**2).sum(axis=1) < _HALO_REACH**2))
         parts = [
             self._of_model(model, seen, offsets, lit[seen.models[lit] == model]) for model in np.unique(seen.models[lit])
         ]

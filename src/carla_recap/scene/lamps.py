@@ -10,7 +10,7 @@ from carla_recap.model.motion import FIRMEST_BRAKING
 from carla_recap.model.records import CM
 from carla_recap.replay.events import Spawned
 from carla_recap.replay.selection import NO_IDS, find
-from carla_recap.scene.materials import Material
+from carla_recap.scene.materials import SIGNAL_LAMPS, Material
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -50,7 +50,8 @@ _LIT_BY: Final = (
     (Material.BEACON, _SPECIAL),
 )
 """The lamps, and the bits of CARLA's VehicleLightState of which any lights them."""
-_STATES: Final = np.array([1 << Material.RED_LAMP, 1 << Material.YELLOW_LAMP, 1 << Material.GREEN_LAMP, 0, 0], np.uint64)
+_STATES: Final = np.array([*(1 << lamp for lamp in SIGNAL_LAMPS), 0, 0], np.uint64)
+_OFF: Final = 3
 _KNOWN_BITS: Final = 0xFFF
 _LAMPS_OF_FLAGS: Final = np.array(
     [sum(1 << material for material, bits in _LIT_BY if flags & bits) for flags in range(_KNOWN_BITS + 1)], np.uint64
@@ -67,6 +68,11 @@ def lamps_of_lights(states: NDArray[np.integer]) -> NDArray[np.uint64]:
     """Return the lit lamps of traffic lights, by CARLA's states: 0 red, 1 yellow, 2 green, none of others."""
     lamps: NDArray[np.uint64] = _STATES[np.where((states >= 0) & (states < len(_STATES)), states, -1)]
     return lamps
+
+
+def state_of_lamps(lamps: int) -> int:
+    """Return CARLA's state of a traffic light by its lit lamps, the inverse of `lamps_of_lights`; 3 (off) without any."""
+    return next((state for state, lamp in enumerate(SIGNAL_LAMPS) if lamps >> lamp & 1), _OFF)
 
 
 class VehicleLamps:

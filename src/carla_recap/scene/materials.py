@@ -213,8 +213,12 @@ MATERIALS: Final[dict[Material, Finish]] = {
     _M.FENCE: Finish((84, 92, 88), Tag.FENCES),
 }
 """All materials."""
-LAMPS: Final = np.uint64(sum(1 << material for material, finish in MATERIALS.items() if finish.glow))
-"""The bits of all lamps in `Instances.lamps`."""
+LAMPS: Final = tuple(material for material, finish in MATERIALS.items() if finish.glow)
+"""The materials that are lamps."""
+LAMP_BITS: Final = np.uint64(sum(1 << lamp for lamp in LAMPS))
+"""Their bits in `Instances.lamps`."""
+SIGNAL_LAMPS: Final = (_M.RED_LAMP, _M.YELLOW_LAMP, _M.GREEN_LAMP)
+"""The lamps of traffic lights, in the order of CARLA's states."""
 
 
 def palette() -> NDArray[np.uint8]:

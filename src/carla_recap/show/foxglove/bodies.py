@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.scene import style
+from carla_recap.scene import materials, style
 from carla_recap.scene.appearance import Look, look_of_present
-from carla_recap.scene.materials import MATERIALS, Material
+from carla_recap.scene.lamps import state_of_lamps
+from carla_recap.scene.materials import Material
 from carla_recap.scene.models import MODELS
 from carla_recap.show.foxglove import shapes
 from carla_recap.show.foxglove.messages import (
@@ -46,7 +47,6 @@ TIMESTAMP: Final = timestamp(SceneEntity.TIMESTAMP_FIELD_NUMBER)
 """The end of an entity, the only part of it that differs from message to message."""
 
 _ANY_COLOR: Final = (0, 0, 0)
-_LAMPS: Final = tuple(material for material, finish in MATERIALS.items() if finish.glow is not None)
 _MARGIN: Final = 0.03  # m by which a lit lamp is larger than the unlit one, within which it is
 _SIGNAL: Final = 0.46  # m; the diameter of a lit lamp of a traffic light, which is seen from far away
 _SIGNAL_HEIGHT: Final = 1.1  # m; from the lowest to the highest lamp's edge
@@ -56,7 +56,6 @@ _RING_WIDTH: Final = 0.1  # m
 _RING_POINTS: Final = 32
 _LABEL: Final = 0.5  # m above the ring
 _FONT: Final = 14.0  # pixels
-_SIGNAL_LAMPS: Final = (Material.RED_LAMP, Material.YELLOW_LAMP, Material.GREEN_LAMP)
 
 
 def frame_of(id: int) -> str:
@@ -104,7 +103,7 @@ def lit_lamps(actor: ActorLife, look: Look, lamps: int) -> bytes:
     """
     if actor.kind != "traffic_light":
         return entity(actor, lamps_id(actor), _lit_shape(look._replace(color=_ANY_COLOR), lamps))
-    state = next(state for state, lamp in enumerate(_SIGNAL_LAMPS) if lamps >> lamp & 1)
+    state = state_of_lamps(lamps)
     return entity(actor, lamps_id(actor), _signal_shape(look, state), state=style.light(state)[0])
 
 
@@ -171,16 +170,17 @@ def _box(look: Look) -> bytes:
 def _lit_shape(look: Look, lamps: int) -> bytes:
     vertices = vertices_of(look)
     return b"".join(
-        shapes.box(middle, size + _MARGIN, MATERIALS[part.material].glow or MATERIALS[part.material].color)
+        shapes.box(middle, size + _MARGIN, finish.glow or finish.color)
         for part in _surfaces(look.model)
-        if part.material in _LAMPS and lamps >> part.material & 1
+        for finish in [materials.MATERIALS[part.material]]
+        if part.material in materials.LAMPS and lamps >> part.material & 1
         for middle, size in shapes.boxes(part, vertices)
     )
 
 
 @lru_cache(maxsize=64)
 def _signal_shape(look: Look, state: int) -> bytes:
-    vertices = vertices_of(look)[MODELS[look.model].mesh.materials == _SIGNAL_LAMPS[state]]
+    vertices = vertices_of(look)[MODELS[look.model].mesh.materials == materials.SIGNAL_LAMPS[state]]
     if not len(vertices):
         return b""
     x, y, z = ((vertices.min(axis=0) + vertices.max(axis=0)) / 2).tolist()

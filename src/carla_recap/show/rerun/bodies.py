@@ -14,7 +14,7 @@ from carla_recap.model.blueprints import box_of
 from carla_recap.replay import Destroyed, Spawned, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION
 from carla_recap.scene import style
-from carla_recap.scene.materials import MATERIALS, Material
+from carla_recap.scene.materials import LAMPS, MATERIALS, Material
 from carla_recap.show.rerun import entities
 from carla_recap.show.rerun.followed import CameraAxes
 from carla_recap.show.rerun.meshes import drawn, lamps_of, model_mesh, unlit
@@ -47,18 +47,6 @@ _NAME: Final = (240, 242, 246)
 _BEHIND: Final = 0.8  # m; of names behind actors
 
 _WITH_LAMPS: Final = ("vehicle", "traffic_light")
-_LAMPS: Final = (
-    Material.BRAKE_LIGHT,
-    Material.TAIL_LIGHT,
-    Material.LEFT_INDICATOR,
-    Material.RIGHT_INDICATOR,
-    Material.REVERSE_LIGHT,
-    Material.HEADLIGHT,
-    Material.BEACON,
-    Material.RED_LAMP,
-    Material.YELLOW_LAMP,
-    Material.GREEN_LAMP,
-)
 
 
 class ActorWriter:
@@ -326,7 +314,7 @@ class LampWriter:
     def _change(self, id: int, lamps: int, time: TimePoint) -> None:
         """Note the lit lamps of an actor, given as bits `1 << material`."""
         changed, self._lit[id] = self._lit[id] ^ lamps, lamps
-        for material in _LAMPS:
+        for material in LAMPS:
             if changed >> material & 1 and (path := self._drawn_lamps(id, material, time)) is not None:
                 finish = MATERIALS[material]
                 color = finish.glow if lamps >> material & 1 else None

@@ -16,7 +16,7 @@ from carla_recap.scene.ahead import NO_LIGHT
 from carla_recap.scene.appearance import look_of
 from carla_recap.scene.captions import EventText, Level, incident_lines
 from carla_recap.scene.marks import MARK_RADIUS
-from carla_recap.scene.materials import Material
+from carla_recap.scene.materials import SIGNAL_LAMPS
 from carla_recap.show.rerun import entities
 from carla_recap.show.rerun.meshes import circle, model_mesh
 from carla_recap.show.rerun.stream import HeldRows, TimeColumns
@@ -49,7 +49,6 @@ _MARK_CORNERS: Final = 24
 
 _NONE: Final = "none"
 _NO_COLOR: Final = (38, 42, 50)
-_LAMPS: Final = (Material.RED_LAMP, Material.YELLOW_LAMP, Material.GREEN_LAMP)
 _RING: Final = 1.0  # m; the radius of the ring around the light ahead
 _RING_WIDTH: Final = 0.12  # m
 _RING_CORNERS: Final = 32
@@ -225,7 +224,7 @@ def _middle_of_lamps() -> Floats:
     look = look_of("traffic.traffic_light", ActorKind.TRAFFIC_LIGHT, {})
     assert look is not None
     mesh = model_mesh(look)
-    return np.asarray(mesh.vertices[np.isin(mesh.materials, _LAMPS)].mean(axis=0), np.float64)
+    return np.asarray(mesh.vertices[np.isin(mesh.materials, SIGNAL_LAMPS)].mean(axis=0), np.float64)
 
 
 def _ring(center: Floats, seen_from: Floats, text: str, color: style.Color) -> list[rr.AsComponents]:
