@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 pytest.importorskip("foxglove_schemas_protobuf")
 
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
@@ -120,7 +123,28 @@ def test_points_beyond_their_data_are_an_error(tmp_path: Path) -> None:
     damaged(path, "/sensors/own/points", PointCloud(point_stride=16, data=bytes(64)).SerializeToString())
 
 
-def test_an_image_that_is_none_is_an_error(tmp_path: Path) -> None:
+def short_png(width: int, height: int) -> bytes:
+    """Return a PNG whose header has a size, with hardly any pixels."""
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    found = b"\x89PNG\r\n\x1a\n"
+    for name, data in ((b"IHDR", header), (b"IDAT", zlib.compress(bytes(100)))):
+        found += struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"no image", "is neither a JPEG nor a PNG or WebP"),
+        (short_png(65_000, 65_000), "far too many pixels; 4096 pixels a side at most were expected"),
+        (short_png(10_000, 9_500), "far too many pixels; 4096 pixels a side at most were expected"),
+        (short_png(5_000, 10), "5000 x 10 pixels; 4096 pixels a side at most were expected"),
+        (short_png(64, 48), "image file is truncated"),
+        (short_png(64, 48) + bytes((0, 0, 0, 4)) + b"\xff" * 12, "broken PNG file"),
+    ],
+    ids=["none", "bomb", "large", "wide", "cut", "broken"],
+)
+def test_an_image_that_is_none_is_an_error(tmp_path: Path, data: bytes, message: str) -> None:
     spec = sample("sensor.camera.rgb", picture()).spec
     with McapWriter(tmp_path / "bad.mcap", HEADER) as writer:
         messages = SensorMessages(SensorRig((spec,)), HEADER)
@@ -128,9 +152,31 @@ def test_an_image_that_is_none_is_an_error(tmp_path: Path) -> None:
             writer.add_topic(topic)
         for frame in drive(1.0):
             writer.write(frame)
-        body = CompressedImage(data=b"no image", format="jpeg", frame_id="own").SerializeToString()
+        body = CompressedImage(data=data, format="jpeg", frame_id="own").SerializeToString()
         writer.write_message("/sensors/own/image", 0.5, body)
     with open_recording(tmp_path / "bad.mcap") as recording:
         images = StoredImages(recording.reader, "own")
-        with pytest.raises(FormatError, match=r"an image of /sensors/own/image at 0.5 s"):
+        with pytest.raises(FormatError, match=rf"an image of /sensors/own/image at 0.5 s: {message}"):
             images.at(0.6)
+
+
+def test_a_video_with_an_empty_packet_goes_on(tmp_path: Path) -> None:
+    pytest.importorskip("av")
+    spec = sample("sensor.camera.rgb", picture()).spec
+    source = recorded(
+        tmp_path / "video.mcap", [Sample(spec, 0.1 * index, POSE, picture()) for index in range(3)], video=True
+    )
+    with open_recording(source) as recording:
+        packets = [each.data for each in recording.reader.further_messages(["/sensors/own/video"])]
+    packets.insert(1, CompressedVideo(format="h264", frame_id="own").SerializeToString())
+    with McapWriter(tmp_path / "empty.mcap", HEADER) as writer:
+        for topic in SensorMessages(SensorRig((spec,)), HEADER, video=True).topics:
+            writer.add_topic(topic)
+        for frame in drive(1.0):
+            writer.write(frame)
+        for index, packet in enumerate(packets):
+            writer.write_message("/sensors/own/video", 0.1 * index, packet)
+    with open_recording(tmp_path / "empty.mcap") as recording:
+        images = StoredImages(recording.reader, "own")
+        assert images.at(0.9) is not None
+        assert images.time == pytest.approx(0.3)

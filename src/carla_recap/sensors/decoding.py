@@ -6,6 +6,7 @@ times its own size, or that of the largest image.
 
 from __future__ import annotations
 
+import warnings
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -279,7 +280,7 @@ class StoredImages:
         assert isinstance(stored, EncodedImage)
         try:
             image = decode(stored.data)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, EOFError) as error:
             text = f"an image of {message.topic:.200} at {message.elapsed:g} s: {' '.join(str(error).split()):.200}"
             raise FormatError(self._location, None, text) from None
         if image is not None:
@@ -287,15 +288,33 @@ class StoredImages:
 
 
 def _picture(data: bytes) -> Image:
-    """Return a JPEG, PNG or WebP as an array."""
+    """Return a JPEG, PNG or WebP as an array.
+
+    Raises:
+        MissingExtra: Pillow is not installed.
+        OSError: It is damaged.
+        ValueError: It is damaged, too large, or no such image.
+    """
     try:
         from PIL import Image as Pillow
+        from PIL import UnidentifiedImageError
     except ImportError:
         raise MissingExtra("the images of a camera", "video") from None
-    with Pillow.open(BytesIO(data), formats=("JPEG", "PNG", "WEBP")) as image:
-        if max(image.size) > LARGEST_SIDE:
-            raise ValueError(f"{image.size[0]} x {image.size[1]} pixels; {LARGEST_SIDE} a side at most were expected")
-        return np.asarray(image.convert("RGB"))
+    too_large = f"{LARGEST_SIDE} pixels a side at most were expected"
+    try:
+        with (
+            warnings.catch_warnings(action="error", category=Pillow.DecompressionBombWarning),
+            Pillow.open(BytesIO(data), formats=("JPEG", "PNG", "WEBP")) as image,
+        ):
+            if max(image.size) > LARGEST_SIDE:
+                raise ValueError(f"{image.size[0]} x {image.size[1]} pixels; {too_large}")
+            return np.asarray(image.convert("RGB"))
+    except (Pillow.DecompressionBombError, Pillow.DecompressionBombWarning):
+        raise ValueError(f"far too many pixels; {too_large}") from None
+    except UnidentifiedImageError:
+        raise ValueError("is neither a JPEG nor a PNG or WebP") from None
+    except SyntaxError as error:  # of a PNG
+        raise ValueError(str(error)) from None
 
 
 class _Video:
@@ -313,9 +332,9 @@ class _Video:
         self._has_begun = False
 
     def decode(self, data: bytes) -> Image | None:
-        """Return the image of a packet; None before the first key frame."""
+        """Return the image of a packet; None before the first key frame, and of an empty one, which would end the video."""
         self._has_begun = self._has_begun or _begins(data)
-        if not self._has_begun:
+        if not data or not self._has_begun:
             return None
         image = None
         for frame in self._context.decode(self._packet(data)):
