@@ -112,6 +112,29 @@ def test_without_measures_the_events_are_read_alone_and_with_them_later(tmp_path
     assert counts(write_index([SAMPLES / "crash.mcap"], tmp_path / "index", jobs=1)) == (0, 0, 1, 0)
 
 
+def test_recordings_are_scored_by_a_route_file(tmp_path):
+    routes, index = tmp_path / "routes.xml", tmp_path / "index"
+    one = (SAMPLES / "routes.xml").read_text().partition('<route id="2"')[0] + "</routes>"
+    routes.write_text(one)
+    sources = [SAMPLES / "crash.mcap", SAMPLES / "avoided.mcap", SAMPLES / "crossing.log"]
+    write_index(sources[:1], index, jobs=1, measures=True)
+    assert recordings(index)["crash.mcap"]["score"] is None
+    for expected in ((3, 0, 0, 0), (0, 0, 3, 0)):
+        assert counts(write_index(sources, index, jobs=1, route=routes)) == expected
+    found = recordings(index)
+    assert {name: row["score"] for name, row in found.items()} == {
+        "crash.mcap": 30,
+        "avoided.mcap": 100,
+        "crossing.log": None,
+    }
+    assert "is of the map 'Crossing', and the route of" in found["crossing.log"]["warning"]
+    assert {row["route_file"] for row in found.values()} == {str(routes)}
+    assert found["crash.mcap"]["measured"]
+    other = tmp_path / "other.xml"
+    other.write_text(one)
+    assert counts(write_index(sources[:1], index, jobs=1, route=other)) == (1, 0, 0, 0)
+
+
 def test_near_misses_are_incidents_of_recordings_that_are_measured(tmp_path):
     cars = [Spawn(id, ActorKind.VEHICLE, type_id="vehicle.audi.tt") for id in (3, 5)]
     boxes = [(id, 0.0, 0.0, 75.0, 200.0, 100.0, 75.0) for id in (3, 5)]

@@ -53,6 +53,7 @@ _ENCODER: Final = JSONEncoder(ensure_ascii=False)
     "--measures", is_flag=True, help="Read every frame, for near misses, the measures of heroes and incidents of the road."
 )
 @options.road_map
+@click.option("--route", type=click.Path(), metavar="FILE", help="Score recordings by this Leaderboard route file.")
 @click.option("--prune", is_flag=True, help="Remove recordings from INDEX that no SOURCE means.")
 @click.option("--retry", is_flag=True, help="Read recordings again that could not be read, also unchanged ones.")
 @click.option("--all", "again", is_flag=True, help="Read all recordings again, also unchanged ones.")
@@ -64,6 +65,7 @@ def index(
     dask: str | None,
     measures: bool,
     road_map: str | None,
+    route: str | None,
     prune: bool,
     retry: bool,
     again: bool,
@@ -102,6 +104,7 @@ def index(
             client=client,
             measures=measures,
             road_map=road_map,
+            route=route,
             prune=prune,
             retry=retry,
             again=again,

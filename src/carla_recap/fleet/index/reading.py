@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import warnings
 from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from carla_recap.errors import RecapError
+from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.fleet.index.tables import CHILDREN
 from carla_recap.formats import open_reader
 from carla_recap.model.actors import ROAD_USERS
@@ -22,18 +23,20 @@ from carla_recap.queries.collisions import collisions
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.queries.measures import measures
+from carla_recap.queries.score import ScoreOptions, route_for, score
 from carla_recap.recording import Recording
 from carla_recap.roads import find_road_network, load_road_network
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.formats.base import Reader
     from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
     from carla_recap.model.stationary import BlockedRow
+    from carla_recap.queries.score import Route
     from carla_recap.roads.network import RoadNetwork
 
 Columns = list[list[Any]]
@@ -60,7 +63,11 @@ _box = attrgetter("x", "y", "z", "extent_x", "extent_y", "extent_z")
 
 
 def read_recording(
-    source: SourceFile, *, measured: bool = False, road_map: str | None = None
+    source: SourceFile,
+    *,
+    measured: bool = False,
+    road_map: str | None = None,
+    routes: Sequence[Route] | None = None,
 ) -> tuple[dict[str, Any], list[Columns]]:
     """Return the fields of a recording's row that its content determines, and the columns of each of `CHILDREN`.
 
@@ -68,20 +75,23 @@ def read_recording(
         source: The recording.
         measured: Whether to read every frame, for measures and incidents of the road; else its events are read alone.
         road_map: The map, or the folder to look in; None: the usual folders.
+        routes: The routes by which it is scored; None: it is not.
 
     Raises:
         RecapError: The recording cannot be read.
     """
     try:
         with Recording(open_reader(source.location)) as recording:
-            return _content(recording, measured, road_map)
+            return _content(recording, measured, road_map, routes)
     except (RecapError, OSError, MemoryError):
         raise
     except Exception as error:  # a file that no check has foreseen must not end the reading of thousands
         raise RecapError(f"{source.location}: cannot be read: {type(error).__name__}: {error}") from error
 
 
-def _content(recording: Recording, measured: bool, road_map: str | None) -> tuple[dict[str, Any], list[Columns]]:
+def _content(
+    recording: Recording, measured: bool, road_map: str | None, routes: Sequence[Route] | None
+) -> tuple[dict[str, Any], list[Columns]]:
     info, reader = recording.info, cast("Reader", _ReadOnce(recording.reader))
     found = actors(reader)
     roads = _roads(info.map_name, road_map) if measured else None
@@ -109,8 +119,19 @@ def _content(recording: Recording, measured: bool, road_map: str | None) -> tupl
         "actors": len(found),
         "heroes": sum(actor.is_hero for actor in found),
         "parameters": list(recording.header.parameters.items()),
+        "route_file": routes[0].path if routes else None,
+        "score": _score(recording, routes, road_map) if routes else None,
     }
     return fields, children
+
+
+def _score(recording: Recording, routes: Sequence[Route], road_map: str | None) -> float | None:
+    """Return the driving score of a recording; None, and a warning, if it cannot be scored."""
+    try:
+        return score(recording.reader, route_for(routes, recording.reader), ScoreOptions(road_map=road_map)).score
+    except RecapError as error:
+        warnings.warn(str(error), RecapWarning, stacklevel=2)
+        return None
 
 
 def _roads(map_name: str, road_map: str | None) -> RoadNetwork | None:

@@ -44,6 +44,8 @@ class RecordingRow:
         actors: The number of actors.
         heroes: The number of heroes.
         parameters: What the simulation was run with; see `Header.parameters`.
+        route_file: The route file by which it was scored; None: it was not.
+        score: Its driving score; None if it could not be scored, which `warning` says.
     """
 
     size: int | None
@@ -62,6 +64,8 @@ class RecordingRow:
     actors: int | None = None
     heroes: int | None = None
     parameters: dict[str, str] | None = None
+    route_file: str | None = None
+    score: float | None = None
 
     @property
     def lacks_roads(self) -> bool:

@@ -18,6 +18,7 @@ from carla_recap.fleet.index.database import create_index
 from carla_recap.fleet.index.reading import read_recording
 from carla_recap.fleet.index.tables import CHILDREN, RECORDING, RECORDINGS, TABLES, RecordingRow
 from carla_recap.fleet.sources import find_sources
+from carla_recap.queries.score import read_routes
 from carla_recap.roads import find_map
 from carla_recap.util.files import check_path
 
@@ -72,6 +73,7 @@ def write_index(
     client: Client | None = None,
     measures: bool = False,
     road_map: Path | str | None = None,
+    route: Path | str | None = None,
     prune: bool = False,
     retry: bool = False,
     again: bool = False,
@@ -93,6 +95,8 @@ def write_index(
             heroes, and for incidents of the road where the map is known; also of recordings whose map was unknown then, and
             is known now. Else their events are read alone.
         road_map: The map, or the folder with maps to look in; None: the usual folders.
+        route: A route file, by which recordings are scored, those too that have not changed, but were scored by another one
+            or not at all; None: those that are read get no score.
         prune: Remove all recordings from the index that the sources do not mean.
         retry: Read recordings again that could not be read, even if they have not changed.
         again: Read all recordings again.
@@ -110,16 +114,23 @@ def write_index(
     written.verify()
     known = {row.pop(RECORDING): RecordingRow(**row) for row in written.table(RECORDINGS.name).to_pylist()}
     maps = None if road_map is None else str(Path(road_map).absolute())
+    routes = None if route is None else read_routes(Path(route).absolute())
+    route_file = None if routes is None else routes[0].path
     finds = _finder(maps)
     changed = {
         key: source
         for key, source in meant.items()
-        if again or key not in known or not _suffices(known[key], source, finds, retry=retry, measured=measures)
+        if again
+        or key not in known
+        or (route_file is not None and known[key].error is None and known[key].route_file != route_file)
+        or not _suffices(known[key], source, finds, retry=retry, measured=measures)
     }
+    if route_file is not None:  # what is read again for its score alone keeps its measures
+        measures |= any(known[key].measured for key in changed if key in known)
     kept = [known[key] for key in meant.keys() - changed.keys()]
     without_roads = {each.map or "" for each in kept if measures and each.lacks_roads}
     writing = _Writing(written)
-    read = partial(read_recording, measured=measures, road_map=maps)
+    read = partial(read_recording, measured=measures, road_map=maps, routes=routes)
     outcomes: Iterable[Outcome[Reading]] = map_sources(read, changed.values(), jobs=jobs, client=client)
     watched = progress(outcomes, len(changed)) if progress else outcomes
     failed = 0
