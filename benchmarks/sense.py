@@ -7,6 +7,7 @@ import math
 import signal
 import subprocess
 import sys
+import time
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -31,6 +32,7 @@ START: Final = 7.0  # s: the hero drives from then on
 IMAGES: Final = 60
 FIRST: Final = 10  # moments that are left out: shaders are compiled, and images are drawn ahead
 SECONDS: Final = 8.0
+BEGINNING: Final = 10.0  # s after which a client that has spawned its sensors listens to them
 CAMERA: Final[dict[str, Any]] = {"x": 1.5, "y": 0.0, "z": 1.6, "width": 800, "height": 600, "fov": 100}
 FOUR: Final = ("rgb", "depth", "semantic_segmentation", "instance_segmentation")
 
@@ -169,7 +171,8 @@ def tick_rate_beside(port: int, records: bool) -> float:
         while sensors < len(json.loads(RIG.read_text())) and client.poll() is None:
             town.tick()
             sensors = len(town.get_actors().filter("sensor.*")) - len(town.get_actors().filter("*.collision"))
-        for _ in range(20):
+        deadline = time.monotonic() + BEGINNING
+        while time.monotonic() < deadline:
             town.tick()
         rate = per_second(town.tick, 25)
         client.send_signal(signal.SIGINT)
