@@ -13,6 +13,7 @@ from carla_recap import ActorKind, Spawn, attributes, check, create_recording, l
 from carla_recap.errors import RecapError
 from carla_recap.fleet.rules import RulesError, make_rules, parse_rules
 from carla_recap.formats.mcap.reader import McapReader
+from carla_recap.queries.measures import MEASURES, SHORT_NAMES
 from carla_recap.recording import Recording
 from tests.samples import carla_log, save, warnings_ignored
 from tests.waiting import PATIENCE, time_limit
@@ -536,3 +537,10 @@ def test_baselines_that_are_missing_are_faults_of_the_file(tmp_path):
         load_rules(path)
     expected = "the path of a recording, or of a folder of recordings, was expected"
     assert caught.value.faults == (f"{path}: rule 'a': same_as.baseline: there is no {tmp_path / 'absent'}; {expected}",)
+
+
+@pytest.mark.parametrize(("short", "name"), SHORT_NAMES.items())
+def test_a_measure_has_a_short_name(short, name):
+    bound = "min" if MEASURES[name].extreme == "least" else "max"
+    rules = [parse_rules(f"[rules.close]\n{each} = {{ {bound} = 1 }}").rules for each in (short, name)]
+    assert rules[0] == rules[1]

@@ -25,6 +25,7 @@ from carla_recap.fleet.conditions.places import NamedPlace
 from carla_recap.fleet.conditions.reading import Reading, hint, shown
 from carla_recap.fleet.conditions.table import CONDITIONS
 from carla_recap.queries.kinds import KINDS
+from carla_recap.queries.measures import SHORT_NAMES
 from carla_recap.tables.trajectories import Axes
 from carla_recap.util.text import visible
 
@@ -286,16 +287,17 @@ def _rule(name: str, table: Any, reading: Reading) -> Rule | None:
     if description is not None and not isinstance(description, str):
         reading.of(f"{prefix}: description").refuse(description, "a text")
     given = {key: value for key, value in table.items() if key != "description"}
-    unknown = [key for key in given if key not in CONDITIONS]
+    kinds = {key: kind for key in given if (kind := CONDITIONS.get(SHORT_NAMES.get(key, key))) is not None}
+    unknown = [key for key in given if key not in kinds]
     faults += [f"{prefix}: unknown condition {shown(key)}; {hint(key, list(CONDITIONS), 'conditions')}" for key in unknown]
-    known = [key for key in given if key in CONDITIONS]
-    if len(known) != 1 and not unknown:
+    if len(kinds) != 1 and not unknown:
         several, none = (
-            f"has the conditions {' and '.join(known)}; one alone",
+            f"has the conditions {' and '.join(kinds)}; one alone",
             f"has no condition; one of {', '.join(CONDITIONS)}",
         )
-        faults.append(f"{prefix}: {several if known else none} was expected")
-    found = [CONDITIONS[key].read(given[key], reading.of(f"{prefix}: {key}")) for key in known]
+        faults.append(f"{prefix}: {several if kinds else none} was expected")
+    found = [kind.read(given[key], reading.of(f"{prefix}: {key}")) for key, kind in kinds.items()]
     if len(faults) > count or found[0] is None:
         return None
-    return Rule(name, found[0], " ".join((description or found[0].text()).split()), known[0])
+    (kind,) = kinds.values()
+    return Rule(name, found[0], " ".join((description or found[0].text()).split()), kind.name)

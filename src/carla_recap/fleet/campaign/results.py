@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.fleet.scores import score
-from carla_recap.queries.measures import MEASURES, Measure
+from carla_recap.queries.measures import MEASURES, SHORT_NAMES, Measure
 from carla_recap.queries.score import Route, route_for
 
 if TYPE_CHECKING:
@@ -30,12 +30,6 @@ RESULTS: Final[Mapping[str, Measure]] = {
     measure.name: measure for measure in (COLLISIONS, BROKEN_RULES, SCORE, *MEASURES.values()) if not measure.needs_roads
 }
 """What the runs of a campaign can be compared by, by name."""
-_SHORT: Final = {
-    "ttc": "time_to_collision",
-    "pet": "post_encroachment_time",
-    "thw": "time_headway",
-    "drac": "required_deceleration",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +79,7 @@ def result_named(name: str) -> Measure:
         RecapError: There is none of that name.
     """
     plain = name.lower().replace("-", "_")
-    found = RESULTS.get(_SHORT.get(plain, plain))
+    found = RESULTS.get(SHORT_NAMES.get(plain, plain))
     if found is None:
         raise RecapError(f"{name[:100]!r}: is no measure of a run; one of {', '.join(RESULTS)} was expected")
     return found

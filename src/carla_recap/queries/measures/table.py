@@ -175,6 +175,7 @@ class Measure:
         needs_roads: Whether the roads of the map are needed.
         two_sided: Whether every value counts, so that a bound on the other side makes sense, too, such as a least speed.
         of_events: Whether its values are those of events, such as crossing paths, not of all frames.
+        short: The short name, such as `ttc`, which files of rules and commands take, too.
     """
 
     name: str
@@ -186,6 +187,7 @@ class Measure:
     needs_roads: bool = False
     two_sided: bool = False
     of_events: bool = False
+    short: str = ""
 
     @property
     def title(self) -> str:
@@ -228,6 +230,7 @@ MEASURES: Final = _named(
         ),
         Measure(
             name="time_to_collision",
+            short="ttc",
             unit="s",
             extreme="least",
             text="the time until the boxes touch if both keep their velocity, up to 10 s [1, 2]; less than 3 s count if "
@@ -246,6 +249,7 @@ MEASURES: Final = _named(
         ),
         Measure(
             name="time_headway",
+            short="thw",
             unit="s",
             extreme="least",
             text="the same, divided by the speed; without a value at rest [1]",
@@ -255,6 +259,7 @@ MEASURES: Final = _named(
         ),
         Measure(
             name="required_deceleration",
+            short="drac",
             unit="m/s²",
             extreme="greatest",
             text="the squared difference of speeds over twice the distance to the leader (DRAC) [1]; it grows without "
@@ -264,6 +269,7 @@ MEASURES: Final = _named(
         ),
         Measure(
             name="post_encroachment_time",
+            short="pet",
             unit="s",
             extreme="least",
             of_events=True,
@@ -332,3 +338,6 @@ MEASURES: Final = _named(
     )
 )
 """The measures by name, in the order of the rows of an answer."""
+
+SHORT_NAMES: Final = {measure.short: measure.name for measure in MEASURES.values() if measure.short}
+"""The names of measures by short names."""
