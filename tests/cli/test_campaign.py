@@ -91,6 +91,8 @@ def test_a_second_time_only_what_failed_is_run_again(done):
         ([f"{FILE}:drive", "--minimize", "ttc"], "go with --search"),
         ([f"{FILE}:drive", "--search", "--minimize", "ttc"], "a parameter with a range or several values was expected"),
         ([f"{FILE}:drive", "--rules", "gone.toml"], "gone.toml"),
+        ([f"{FILE}:drive", "--town", "Nowhere"], "Nowhere"),
+        ([f"{FILE}:drive", "--town", "gone.xodr"], "gone.xodr"),
         ([f"{FILE}:drive", "--measure", "score"], "a score needs --route or --from-drive"),
         ([f"{FILE}:drive", "--route-id", "1"], "--route-id goes with --route"),
         ([f"{FILE}:drive", "--route", "gone.xml"], "gone.xml"),

@@ -113,6 +113,7 @@ def campaign(
     from carla_recap.fleet.campaign import Campaign
     from carla_recap.fleet.campaign.report import row_of
     from carla_recap.fleet.campaign.results import SCORE, result_named
+    from carla_recap.sim import load_town
     from carla_recap.util.signals import unwind_on_termination
 
     context = click.get_current_context()
@@ -128,6 +129,8 @@ def campaign(
     if compared is SCORE and scoring is None:
         raise click.UsageError("a score needs --route or --from-drive.", context)
     rules = _rules(rules_file)
+    if town is not None:
+        load_town(town)  # whose error would be that of each run
     folder = _folder_of_report(report, out)
     values = _parameters(params, is_search=is_search)
     made = Campaign(

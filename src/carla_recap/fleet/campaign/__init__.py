@@ -123,6 +123,8 @@ class Campaign:
                     yield FinishedRun(outcome.source, report, tuple(map(visible, outcome.warnings)))
 
     def _simulation(self, staging: str | None) -> Simulation:
+        from carla_recap.sim import World  # noqa: F401 - which is an error here, and not in each run, without its extra
+
         is_script = isinstance(self.function, (str, os.PathLike))
         return Simulation(
             function=None if is_script else self.function,  # type: ignore[arg-type]
