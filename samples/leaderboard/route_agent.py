@@ -22,6 +22,9 @@ TIMES = np.arange(0.0, 4.1, 0.5)  # s from now, for which the motion of others i
 MARGIN = 0.4  # m beside the vehicle that stay free
 STOREY = 3.0  # m up or down, where others are on another road, or hidden below it by a scenario
 FLAT = 0.2  # m, the height of what is driven over, such as debris
+PATIENCE = 4.0  # s of waiting after which one second less of their motion counts
+SOONEST = 1.0  # s of it that always count
+UNDER_WAY = 3.0  # m/s, at which nobody waits any more
 BESIDE = 4.0  # m before and behind the vehicle that nobody else will drive through
 MOVING = 0.3  # m/s: whoever is slower stays where it is
 SIGHT = 80.0  # m around the vehicle in which others count
@@ -128,6 +131,7 @@ class RouteAgent(AutonomousAgent):
         self._steering = math.radians(wheels[0].max_steer_angle)
         self._wheelbase = max(abs(wheels[0].position.x - wheels[2].position.x) / 100, 2.5)
         self._distance = 0.0
+        self._waited = 0.0  # s, for others who might cross the route
         self._lights = []
         self._signs = []
         for actor in CarlaDataProvider.get_world().get_actors().filter("traffic.*"):
@@ -166,6 +170,8 @@ class RouteAgent(AutonomousAgent):
         soonest, latest = speed * TIMES, speed * TIMES + 0.5 * ACCELERATION * TIMES**2
         near, far = (soonest - self._length - BESIDE)[:, None], (latest + self._length + BESIDE)[:, None]
         reached = (ahead > near) & (ahead < far)  # which points the vehicle may be at, at each of the times
+        foreseen = max(TIMES[-1] - self._waited / PATIENCE, SOONEST) >= TIMES
+        waits = False
         for actor in self._others(own.location):
             transform, velocity = actor.get_transform(), actor.get_velocity()
             touched = self._touched(points, actor, transform, velocity)
@@ -174,9 +180,15 @@ class RouteAgent(AutonomousAgent):
                 along = math.cos(heading[first]) * velocity.x + math.sin(heading[first]) * velocity.y
                 yield first - self._length, max(along, 0.0)
             elif math.hypot(velocity.x, velocity.y) > MOVING and not self._is_behind(own, transform):
-                meets = (touched & reached).any(axis=1)
+                meets = (touched & reached).any(axis=1) & foreseen
                 if meets.any():
+                    waits = True
                     yield max(touched[meets.argmax()].argmax() - self._length, 0.5), 0.0
+
+        if speed > UNDER_WAY:
+            self._waited = 0.0
+        elif waits:
+            self._waited += CarlaDataProvider.get_world().get_snapshot().timestamp.delta_seconds
 
     def _others(self, location):
         """Yield the actors around a location that are obstacles."""
