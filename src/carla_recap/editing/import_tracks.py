@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
     from carla_recap.model.frame import Extent
     from carla_recap.model.layout import Records
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
     Indices = NDArray[np.int64]
 
 TimeUnit = Literal["s", "ms", "us", "ns"]

@@ -33,15 +33,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from carla_recap.files.labels import ImageLabel, LabelledActor
     from carla_recap.recording import Recording
     from carla_recap.replay.player import Progress
     from carla_recap.sensors.rig import SensorSpec
     from carla_recap.sensors.sensing import Sample, SensedFrame
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 TRAIN: Final = "train"
 """The split that recordings are in unless another one is asked for."""

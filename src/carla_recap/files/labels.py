@@ -24,9 +24,8 @@ if TYPE_CHECKING:
 
     from carla_recap.rendering.camera import Camera
     from carla_recap.sensors.sensing import SensedFrame
+    from carla_recap.util.arrays import Booleans, Floats
 
-    Floats = NDArray[np.float64]
-    Booleans = NDArray[np.bool_]
     Ids = NDArray[np.uint32]
 
 _NEAREST: Final = 0.05  # m along the axis of view; what is nearer is behind the image

@@ -23,13 +23,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
-
     from carla_recap.files.datasets import DatasetPart, LabelledFrame, PartToWrite
     from carla_recap.files.labels import LabelledActor
     from carla_recap.sensors.sensing import Sample
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 VERSION: Final = "v1.0-carla"
 """The folder of the tables, which is the version that nuscenes-devkit is asked for."""

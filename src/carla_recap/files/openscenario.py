@@ -24,14 +24,12 @@ from carla_recap.util.files import WholeFile
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.model.actors import ActorLife
     from carla_recap.recording import Recording
     from carla_recap.replay.player import Progress
     from carla_recap.scene.appearance import Look
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 _CATEGORIES: Final = {Tag.TRUCK: "truck", Tag.BUS: "bus", Tag.MOTORCYCLE: "motorbike", Tag.BICYCLE: "bicycle"}
 _SAME: Final = 1e-6  # m and radians; an actor that moves by less between two frames stands

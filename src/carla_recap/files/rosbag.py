@@ -80,8 +80,8 @@ if TYPE_CHECKING:
     from carla_recap.replay import Scene
     from carla_recap.replay.player import Progress
     from carla_recap.scene.description import SceneDescription
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
     Sensed = tuple[str, float, bytes]  # topic, elapsed seconds, message
 
 MAP: Final = "map"

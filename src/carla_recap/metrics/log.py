@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from carla_recap.model.actors import ActorLife
     from carla_recap.model.records import Physics
     from carla_recap.tables.trajectories import ActorRows, Trajectory
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 _EVENTS: Final = (
     *ACTOR_TYPES,

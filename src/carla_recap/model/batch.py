@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.model.records import RecordType
-
-    Floats = NDArray[np.float64]
+    from carla_recap.util.arrays import Floats
 
 
 _FIRST_STEP: Final = 128  # rows that are compared at once, at first

@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 
     from carla_recap.model.batch import Batch
     from carla_recap.model.records import Spawn
+    from carla_recap.util.arrays import Booleans, Floats
 
-    Booleans = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
     Ids = NDArray[np.uint32]
 
 HARD: Final = 6.0

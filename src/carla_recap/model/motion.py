@@ -11,11 +11,8 @@ from carla_recap.model.records import CM
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
+    from carla_recap.util.arrays import Booleans, Floats, Indices
 
-    Booleans = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
-    Indices = NDArray[np.intp]
 
 Value = TypeVar("Value", float, "Floats")
 

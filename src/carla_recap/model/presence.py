@@ -22,10 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.model.actors import ActorLife
+    from carla_recap.util.arrays import Booleans, Floats, Integers
 
-    Booleans = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
 
 LEVEL: Final = 30.0
 """The height in m between roads above each other, at most: more than that of a bridge, less than what scenarios hide by."""

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Booleans = NDArray[np.bool_]
+    from carla_recap.util.arrays import Booleans, Indices
+
     Ids = NDArray[np.integer[Any]]
-    Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -20,11 +20,9 @@ if TYPE_CHECKING:
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame, Packet
     from carla_recap.model.records import Table
+    from carla_recap.util.arrays import Booleans, Floats, Indices
 
-    Booleans = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
     Ids = NDArray[np.integer[Any]]
-    Indices = NDArray[np.intp]
 
 MIN_TIME: Final = 30.0  # s
 MIN_DISTANCE: Final = 10.0  # cm

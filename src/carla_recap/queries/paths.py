@@ -24,11 +24,9 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.model.actors import ActorLives
     from carla_recap.model.batch import Batch
+    from carla_recap.util.arrays import Booleans, Floats, Indices
 
-    Booleans = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
     Ids = NDArray[np.integer[Any]]
-    Indices = NDArray[np.intp]
 
 _TYPES: Final = ("transforms", "light_states")
 _FRAMES: Final = 1024  # that are handled at once

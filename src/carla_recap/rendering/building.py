@@ -14,9 +14,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.scene.materials import Material
+    from carla_recap.util.arrays import Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
 
 _CELL: Final = 4.0  # m
 _MOST_CELLS: Final = 4_000_000

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 Quality = Literal["low", "epic"]
 """The quality of images: low has neither shadows nor smooth edges, epic has both."""

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from carla_recap.rendering.camera import Camera
     from carla_recap.scene.instances import Instances
 
-    Floats = NDArray[np.float64]
 
 NEAR: Final = 0.1
 """The distance of the nearest surface that is drawn, in m, along the view axis."""

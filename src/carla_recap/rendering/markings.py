@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     from carla_recap.rendering.building import MeshBuilder, TriangleGrid
     from carla_recap.rendering.road_surfaces import SampledSection
     from carla_recap.roads.opendrive import Marking, Road, RoadObject
+    from carla_recap.util.arrays import Booleans, Floats
 
-    Floats = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
 
 _THICKNESS: Final = 0.2  # of the height of a letter
 _GAP: Final = 0.35  # of the width of a letter, between two
@@ -196,7 +195,7 @@ def _inner(section: SampledSection) -> Floats:
     return points
 
 
-def _repeated(corners: Floats, owners: NDArray[np.int64], materials: NDArray[np.uint8]) -> Flags:
+def _repeated(corners: Floats, owners: NDArray[np.int64], materials: NDArray[np.uint8]) -> Booleans:
     """Return which quadrangles are beside one of the same material of a road with a lower number."""
     x, y, z = (np.rint(corners.mean(axis=1) / _SAME_LINE).astype(np.int64) & 0x3FFFFF).T
     cells = (x << 40) | (y << 18) | ((z & 0xFFF) << 6) | materials
@@ -205,20 +204,20 @@ def _repeated(corners: Floats, owners: NDArray[np.int64], materials: NDArray[np.
     _, numbers = np.unique(every, return_inverse=True)
     lowest = np.full(numbers.max() + 1, np.iinfo(np.int64).max)
     np.minimum.at(lowest, numbers[: len(cells)], owners)
-    repeated: Flags = lowest[numbers[len(cells) :].reshape(-1, len(around))].min(axis=1) < owners
+    repeated: Booleans = lowest[numbers[len(cells) :].reshape(-1, len(around))].min(axis=1) < owners
     return repeated
 
 
-def _long(corners: Floats, kept: Flags) -> Flags:
+def _long(corners: Floats, kept: Booleans) -> Booleans:
     """Return which of the quadrangles kept are in a row that is not too short."""
     joined = kept[1:] & kept[:-1] & (np.abs(corners[1:, 0] - corners[:-1, 1]).max(axis=1) < _TOUCH)
     rows = np.cumsum(np.concatenate(([True], ~joined)))
     lengths = np.bincount(rows, np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1))
-    long: Flags = kept & (lengths[rows] > _SHORTEST)
+    long: Booleans = kept & (lengths[rows] > _SHORTEST)
     return long
 
 
-def _on_others(corners: Floats, owners: NDArray[np.int64], driving: TriangleGrid) -> Flags:
+def _on_others(corners: Floats, owners: NDArray[np.int64], driving: TriangleGrid) -> Booleans:
     """Return whether lanes of other roads are on each side of quadrangles, (2, n)."""
     middles = corners.mean(axis=1)
     aside = (corners[:, 3] - corners[:, 0])[:, :2]
@@ -252,7 +251,15 @@ def _lines(section: SampledSection, *, fine: bool) -> Iterator[_Line]:
 
 
 def _painted(
-    section: SampledSection, border: int, mark: Marking, start: float, end: float, wide: Flags, *, reverse: bool, fine: bool
+    section: SampledSection,
+    border: int,
+    mark: Marking,
+    start: float,
+    end: float,
+    wide: Booleans,
+    *,
+    reverse: bool,
+    fine: bool,
 ) -> Iterator[_Line]:
     """Yield the lines of a marking."""
     styles = [style for style in mark.kind.replace("botts dots", "broken").split() if style in ("solid", "broken")][:2]
@@ -292,7 +299,7 @@ def _quads(
     style: str,
     start: float,
     end: float,
-    wide: Flags,
+    wide: Booleans,
     shift: float,
     half: float,
     spacing: float | None,

@@ -20,9 +20,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.scene.instances import Instances
+    from carla_recap.util.arrays import Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
 
 _PARALLEL: Final = 1e-12  # instead of 0, for a ray along a side of a box
 _MOST_PAIRS: Final = 1 << 16  # of rays and boxes that are compared at once: few enough for one thread of BLAS

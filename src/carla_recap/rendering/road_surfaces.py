@@ -17,14 +17,11 @@ from carla_recap.scene.materials import Material
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.rendering.building import MeshBuilder
     from carla_recap.roads.cells import Areas
     from carla_recap.roads.opendrive import Road, RoadLane, RoadSection, SparseSection
+    from carla_recap.util.arrays import Booleans, Floats
 
-    Floats = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
 
 KERB_HEIGHT: Final = 0.12
 """The height of sidewalks above the road, in m."""
@@ -222,13 +219,13 @@ def add_lanes(builder: MeshBuilder, sections: Sequence[SampledSection], driving:
                 _add_kerbs(builder, section, lane, wanted)
 
 
-def _wide(section: SampledSection, lane: int) -> Flags:
+def _wide(section: SampledSection, lane: int) -> Booleans:
     wide = section.widths(lane) > _NARROW
-    parts: Flags = wide[1:] | wide[:-1]
+    parts: Booleans = wide[1:] | wide[:-1]
     return parts
 
 
-def _on_lanes(section: SampledSection, lane: int, driving: TriangleGrid) -> Flags:
+def _on_lanes(section: SampledSection, lane: int, driving: TriangleGrid) -> Booleans:
     """Return which parts of a lane are on lanes for cars of other roads."""
     middles = (section.borders[lane] + section.borders[lane + 1]) / 2
     middles = (middles[1:] + middles[:-1]) / 2
@@ -239,7 +236,7 @@ def _on_lanes(section: SampledSection, lane: int, driving: TriangleGrid) -> Flag
     return on
 
 
-def _add_kerbs(builder: MeshBuilder, section: SampledSection, lane: int, wanted: Flags) -> None:
+def _add_kerbs(builder: MeshBuilder, section: SampledSection, lane: int, wanted: Booleans) -> None:
     """Add the vertical faces of a raised lane on both sides and at its ends."""
     for border, beside, outwards in ((lane, lane - 1, section.lefts), (lane + 1, lane + 1, -section.lefts)):
         free = section.raised(beside) < KERB_HEIGHT / 2
@@ -323,14 +320,14 @@ def _fill(builder: MeshBuilder, low: Floats, high: Floats, cell: float, surfaces
         builder.add_quads(np.array(boxes), UP, Material.JUNCTION)
 
 
-def _gaps(empty: Flags, on_road: Flags, most: float) -> Flags:
+def _gaps(empty: Booleans, on_road: Booleans, most: float) -> Booleans:
     """Return the cells of empty areas that are enclosed, not too large, and mostly beside pavement."""
     areas = find_areas(empty)
     wanted = areas.enclosed & (areas.sizes <= most) & (_shares_of_rims(areas, on_road) >= _ASPHALT)
     return areas.cells(wanted)
 
 
-def _shares_of_rims(areas: Areas, on_road: Flags) -> Floats:
+def _shares_of_rims(areas: Areas, on_road: Booleans) -> Floats:
     """Return which share of the cells beside each area is on the road."""
     padded = np.pad(areas.numbers, 1, constant_values=NO_AREA)
     columns, rows = on_road.shape
@@ -346,14 +343,14 @@ def _shares_of_rims(areas: Areas, on_road: Flags) -> Floats:
     return shares
 
 
-def _squares(corners: Flags) -> Flags:
+def _squares(corners: Booleans) -> Booleans:
     """Return the squares of a grid of which all corners are set."""
     return corners[:-1, :-1] & corners[1:, :-1] & corners[:-1, 1:] & corners[1:, 1:]
 
 
-def _grown(cells: Flags) -> Flags:
+def _grown(cells: Booleans) -> Booleans:
     padded = np.pad(cells, 1)
-    grown: Flags = cells.copy()
+    grown: Booleans = cells.copy()
     for i in range(3):
         for j in range(3):
             grown |= padded[i : i + cells.shape[0], j : j + cells.shape[1]]
@@ -371,7 +368,7 @@ def _spread(heights: Floats) -> Floats:
     return filled
 
 
-def _boxes(cells: Flags, longest: int) -> Iterator[tuple[int, int, int, int]]:
+def _boxes(cells: Booleans, longest: int) -> Iterator[tuple[int, int, int, int]]:
     """Yield boxes that cover cells: the first cell and the one after the last along both axes."""
     growing: dict[tuple[int, int], int] = {}  # where the boxes of the row before begin
     for j in range(cells.shape[1] + 1):

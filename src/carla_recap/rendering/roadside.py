@@ -26,9 +26,8 @@ if TYPE_CHECKING:
     from carla_recap.rendering.terrain import Terrain
     from carla_recap.roads.lanes import LaneGeometry
     from carla_recap.roads.opendrive import Road
+    from carla_recap.util.arrays import Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
 
 _MOST_SIGNS: Final = 20_000
 _PLATE_HEIGHT: Final = 2.4  # m from the ground to the middle of a plate

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 _PLEASANT_AZIMUTH: Final = 230.0  # degrees, where the weather leaves it to the map
 

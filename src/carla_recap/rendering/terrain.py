@@ -14,13 +14,10 @@ from carla_recap.scene.materials import Material
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.rendering.building import MeshBuilder, TriangleGrid
     from carla_recap.rendering.road_surfaces import SampledSection
+    from carla_recap.util.arrays import Booleans, Floats
 
-    Floats = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
 
 _CELLS: Final = 5  # along a side of a tile
 _AROUND: Final = 300.0  # m of ground around the roads
@@ -68,10 +65,10 @@ class Terrain:
         heights: Floats = (1 - u) * ((1 - v) * h[i, j] + v * h[i, j + 1]) + u * ((1 - v) * h[i + 1, j] + v * h[i + 1, j + 1])
         return heights
 
-    def _near(self, roads: Flags) -> Flags:
+    def _near(self, roads: Booleans) -> Booleans:
         """Return which tiles have ground: all, or in a wide town those near the cells that have roads."""
         columns, rows = self._tiles.tolist()
-        near: Flags = np.logical_or.reduce(roads.reshape(columns, _CELLS, rows, _CELLS), axis=(1, 3))
+        near: Booleans = np.logical_or.reduce(roads.reshape(columns, _CELLS, rows, _CELLS), axis=(1, 3))
         if columns * rows <= _MANY_TILES:
             return np.ones_like(near)
         margin = int(np.ceil(_AROUND / self._tile))
@@ -100,7 +97,7 @@ class Terrain:
         twist = abs(part[0, 0] + part[-1, -1] - part[-1, 0] - part[0, -1])
         return float(np.abs(part - sides).max() + twist)
 
-    def _add_tile(self, builder: MeshBuilder, i: int, j: int, flat: Flags) -> None:
+    def _add_tile(self, builder: MeshBuilder, i: int, j: int, flat: Booleans) -> None:
         heights = self._part(i, j)[:: _CELLS if flat[i, j] else 1, :: _CELLS if flat[i, j] else 1].copy()
         n = len(heights)
         if n > 2:  # no gaps beside flat tiles, whose sides are straight
@@ -205,7 +202,7 @@ def add_edges(builder: MeshBuilder, sections: Sequence[SampledSection], terrain:
         )
 
 
-def _covered(points: Floats, surfaces: TriangleGrid) -> Flags:
+def _covered(points: Floats, surfaces: TriangleGrid) -> Booleans:
     """Return which points are on surfaces at about their height."""
     index, heights, _ = surfaces.hits(points)
     covered = np.zeros(len(points), np.bool_)
@@ -214,7 +211,7 @@ def _covered(points: Floats, surfaces: TriangleGrid) -> Flags:
 
 
 def _add_verge(
-    builder: MeshBuilder, edge: Floats, outwards: Floats, up: Floats, wanted: Flags, surfaces: TriangleGrid
+    builder: MeshBuilder, edge: Floats, outwards: Floats, up: Floats, wanted: Booleans, surfaces: TriangleGrid
 ) -> None:
     if not wanted.any():
         return
@@ -238,7 +235,7 @@ def _add_verge(
         builder.add_strip(left, right, normals, Material.GRASS, wanted)
 
 
-def _add_side(builder: MeshBuilder, edge: Floats, outwards: Floats, up: Floats, wanted: Flags) -> None:
+def _add_side(builder: MeshBuilder, edge: Floats, outwards: Floats, up: Floats, wanted: Booleans) -> None:
     """Add the side of a bridge, with a parapet."""
     if not wanted.any():
         return

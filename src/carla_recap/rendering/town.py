@@ -34,12 +34,10 @@ from carla_recap.util import cache
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
     from carla_recap.recording import Recording
     from carla_recap.roads import RoadMap
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 _KEPT: Final = 4  # towns in memory
 _SOURCES: Final = ("rendering", "roads")  # the folders of the modules that a town is made by

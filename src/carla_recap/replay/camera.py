@@ -13,9 +13,10 @@ import numpy as np
 from carla_recap.replay.pose import LOCATION, YAW, wrap
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Floats = NDArray[np.float64]
+    from carla_recap.util.arrays import Floats
+
 
 CHASE_BACK: Final = 1000.0  # cm
 CHASE_UP: Final = 500.0  # cm

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.model.frame import Frame
     from carla_recap.replay.selection import Ids
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
     Progress = Callable[[Iterable[Scene], "Player"], Iterable[Scene]]
 
 FAST: Final = 2.0

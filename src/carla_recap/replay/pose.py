@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.model.frame import Frame
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 F = TypeVar("F", bound=np.floating)
 

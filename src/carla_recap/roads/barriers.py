@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.roads.lanes import LaneGeometry
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 SIDEWALK: Final = "sidewalk"
 _NO_LANE: Final = "none"

@@ -7,11 +7,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from carla_recap.util.arrays import Booleans, Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
-    Integers = NDArray[np.int64]
 
 LARGEST_GAP: Final = 100.0
 """The largest area between the lanes of a junction that is road, too, in m²; the island of a roundabout is larger."""
@@ -31,14 +28,14 @@ class Areas(NamedTuple):
 
     numbers: Integers
     sizes: Integers
-    enclosed: Flags
+    enclosed: Booleans
 
-    def cells(self, wanted: Flags) -> Flags:
+    def cells(self, wanted: Booleans) -> Booleans:
         """Return the cells of some areas, (columns, rows), by whether each area is wanted, (areas,)."""
         return np.append(wanted, False)[self.numbers]
 
 
-def find_areas(cells: Flags) -> Areas:
+def find_areas(cells: Booleans) -> Areas:
     """Return the connected areas of cells, (columns, rows)."""
     edges = np.diff(cells.astype(np.int8), axis=1, prepend=0, append=0)  # a run of cells begins at 1 and ends at -1
     column, first = np.nonzero(edges > 0)

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Floats = NDArray[np.float64]
+    from carla_recap.util.arrays import Floats
+
 
 LANE_WIDTH: Final = 3.5
 """The width of a corridor, in m."""

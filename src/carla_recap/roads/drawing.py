@@ -20,11 +20,9 @@ from carla_recap.roads.stop_lines import drawn_stop_lines
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
-
     from carla_recap.roads.lanes import LaneGeometry
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 _NOT_DRAWN: Final = "none"
 _NARROW: Final = 0.3  # m; lanes that are nowhere wider are not drawn

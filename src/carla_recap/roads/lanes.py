@@ -18,11 +18,9 @@ from carla_recap.roads.opendrive import LIGHT, SPEED_LIMIT, RoadSignal, in_carla
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.roads.opendrive import OpenDrive, Road, RoadLane, RoadObject, RoadSection
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
     Name = tuple[int, int, int]
 
 DRIVING: Final = "driving"

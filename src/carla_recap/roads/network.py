@@ -17,9 +17,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
-    Flags = NDArray[np.bool_]
+    from carla_recap.util.arrays import Booleans, Floats, Integers
+
 
 DRIVING, BOTH_WAYS, PARKING, SHOULDER, GAP = range(5)
 """The kinds of lanes: for cars, for cars in both directions, to park on, paved otherwise; and a gap between lanes of a
@@ -98,7 +97,7 @@ class LanePositions:
     beside: Floats
     heading: Floats
     limit: Floats
-    in_junction: Flags
+    in_junction: Booleans
     outside: Floats
 
     def taken(self, index: Integers) -> LanePositions:
@@ -106,7 +105,7 @@ class LanePositions:
         return LanePositions(**{name: values[index] for name, values in vars(self).items()})
 
     @property
-    def on_road(self) -> Flags:
+    def on_road(self) -> Booleans:
         """Whether each point is on a paved lane or in a junction."""
         return self.outside <= 0
 
@@ -160,11 +159,11 @@ class RoadNetwork:
             outside=found["outside"],
         )
 
-    def on_road(self, points: Floats) -> Flags:
+    def on_road(self, points: Floats) -> Booleans:
         """Return whether points, (n, 2) or (n, 3), are on paved lanes or in junctions."""
         return np.asarray(self._near.find(np.asarray(points, np.float64), None)["outside"] <= 0)
 
-    def only(self, lanes: Flags) -> RoadNetwork:
+    def only(self, lanes: Booleans) -> RoadNetwork:
         """Return the network without the pieces of other lanes, where `LanePositions.outside` is in relation to these alone.
 
         Args:

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    Floats = NDArray[np.float64]
+    from carla_recap.util.arrays import Floats
+
     Coefficients = tuple[float, float, float, float]
     Rounding = Callable[[ArrayLike], Floats]
 

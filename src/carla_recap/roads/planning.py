@@ -21,12 +21,9 @@ from carla_recap.roads.waypoints import NONE, Waypoints
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.roads.waypoints import LaneMap
+    from carla_recap.util.arrays import Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
     Node = tuple[float, float, float]
     Place = tuple[int, float]  # a lane and a station
 

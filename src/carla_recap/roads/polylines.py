@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
+    from carla_recap.util.arrays import Floats, Integers
+
     Corner = tuple[int, int]
 
 TOLERANCE: Final = 0.03  # m

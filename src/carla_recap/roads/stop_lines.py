@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.roads.opendrive import Road, RoadObject, RoadSection, RoadSignal
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 _SIGNALS: Final = {opendrive.LIGHT: roads.LIGHT, opendrive.STOP: roads.STOP, opendrive.YIELD: roads.YIELD}
 _MOST_LINES: Final = 20_000

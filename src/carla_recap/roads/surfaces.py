@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
     from carla_recap.roads.drawing import RoadMap
     from carla_recap.roads.opendrive import Road, RoadLane, RoadSection, SparseSection
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
     Lane = tuple[int, int, int]
 
 _SPACING: Final = 1.0  # m between the points at which the course of a road is examined

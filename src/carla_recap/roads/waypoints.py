@@ -14,13 +14,9 @@ from carla_recap.roads.lanes import DRIVING, NO_JUNCTION
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.roads.lanes import LaneGeometry, TownRoads
+    from carla_recap.util.arrays import Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
-    Flags = NDArray[np.bool_]
 
 PARKING: Final = "parking"
 NONE: Final = -1

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from carla_recap.replay.player import Player
     from carla_recap.scene.description import LookColumns, SceneDescription
     from carla_recap.scene.falls import Fall
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 __all__ = ["Look", "SceneActors", "described_instances", "instances", "instances_of", "look_of"]
 

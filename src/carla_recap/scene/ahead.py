@@ -17,9 +17,8 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.model.frame import Frame
     from carla_recap.replay import SceneBatch
+    from carla_recap.util.arrays import Floats, Indices
 
-    Floats = NDArray[np.float64]
-    Indices = NDArray[np.intp]
     StopPoints = Mapping[int, Floats]
 
 NO_LIGHT: Final = -1

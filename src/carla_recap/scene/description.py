@@ -30,11 +30,8 @@ if TYPE_CHECKING:
     from carla_recap.replay.selection import Ids
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.falls import Fall
+    from carla_recap.util.arrays import Booleans, Floats, Indices, Integers
 
-    Booleans = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
-    Indices = NDArray[np.intp]
-    Integers = NDArray[np.int64]
     Lamps = NDArray[np.uint64]
 
 _STEERED: Final = math.radians(40)  # of the front wheels at full steering

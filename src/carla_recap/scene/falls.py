@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
     from carla_recap.replay import SceneBatch
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 _KNOCKED: Final = 1.5  # m/s: from this speed on, a vehicle knocks a walker down
 _UPRIGHT: Final = 45.0  # degrees; the recorded pose of one that leans more is shown as it is

@@ -25,17 +25,13 @@ from carla_recap.scene.ahead import NO_LIGHT, LightAheadFinder, add_stop_points
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.model.frame import Frame
     from carla_recap.recording import Recording
     from carla_recap.replay import Scene, SceneBatch
     from carla_recap.replay.follow import Follow
     from carla_recap.scene.ahead import StopPoints
+    from carla_recap.util.arrays import Booleans, Floats, Indices
 
-    Flags = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
-    Indices = NDArray[np.intp]
 
 CONTROLS: Final = ("throttle", "brake", "steer")
 """The recorded controls that are shown."""
@@ -74,7 +70,7 @@ class FollowedRecords:
         return len(self.time)
 
     @property
-    def known(self) -> Flags:
+    def known(self) -> Booleans:
         """Whether the actor has a pose of finite numbers, (scenes,)."""
         return np.asarray(np.isfinite(self.poses).all(axis=1))
 
@@ -102,7 +98,7 @@ class FollowedSeries(FollowedRecords):
             (scenes, 2).
     """
 
-    jumped: Flags
+    jumped: Booleans
     camera: Floats
     acceleration: Floats
     pedals: Floats
@@ -301,7 +297,7 @@ class _PathPart:
     """A part of an actor's path: see `FollowedSeries`; the speed is that of its steps within the part."""
 
     camera: Floats
-    jumped: Flags
+    jumped: Booleans
     speed: Floats
 
 
@@ -345,7 +341,7 @@ class CalmPath:
             self._camera, self._is_known = camera[-1], bool(known[-1])
         return _PathPart(camera[np.cumsum(known)], jumped, speed)
 
-    def _headings(self, time: Floats, yaws: Floats, jumped: Flags) -> Floats:
+    def _headings(self, time: Floats, yaws: Floats, jumped: Booleans) -> Floats:
         """Return the headings of the camera at poses with these yaws; the first time is that of the pose before them."""
         starts = np.flatnonzero(jumped) + 1
         runs = zip(np.split(time, starts), np.split(np.append(self._camera[YAW], yaws), starts), strict=True)

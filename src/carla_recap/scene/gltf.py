@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Floats = NDArray[np.float64]
+    from carla_recap.util.arrays import Floats
+
 
 MOST_TRIANGLES: Final = 500_000
 MOST_BYTES: Final = 64 << 20

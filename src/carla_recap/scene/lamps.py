@@ -20,11 +20,8 @@ if TYPE_CHECKING:
     from carla_recap.model.actors import ActorLife
     from carla_recap.replay import SceneBatch
     from carla_recap.replay.selection import Ids
+    from carla_recap.util.arrays import Booleans, Floats, Indices, Integers
 
-    Booleans = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
-    Indices = NDArray[np.intp]
-    Integers = NDArray[np.int64]
 
 BRAKE, RIGHT_BLINKER, LEFT_BLINKER, REVERSE = 8, 16, 32, 64
 """Bits of CARLA's VehicleLightState."""

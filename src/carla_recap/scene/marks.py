@@ -14,11 +14,9 @@ from carla_recap.scene.appearance import look_of_present
 from carla_recap.scene.falls import is_new
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.replay import SceneBatch
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 MARKED: Final = 5.0
 """The time in s for which a collision is marked after the last contact."""

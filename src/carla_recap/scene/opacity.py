@@ -14,14 +14,10 @@ from carla_recap.replay.pose import LOCATION, YAW, rotations
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.scene.description import LookColumns, SceneDescription
     from carla_recap.scene.follow import FollowedSeries
+    from carla_recap.util.arrays import Booleans, Floats, Indices
 
-    Flags = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
-    Indices = NDArray[np.intp]
     Triple = tuple[float, float, float]
 
 SEE_THROUGH: Final = 0.4
@@ -53,12 +49,12 @@ class SeenBoxes(NamedTuple):
     half_extents: Floats
 
 
-def is_flat(half_extents: Floats) -> Flags:
+def is_flat(half_extents: Floats) -> Booleans:
     """Return whether boxes are too low to hide anything, and need not be seen, given half their sizes, (…, 3)."""
     return np.asarray(2 * half_extents[..., 2] < _FLAT)
 
 
-def is_near(locations: Floats, eyes: Floats) -> Flags:
+def is_near(locations: Floats, eyes: Floats) -> Booleans:
     """Return whether locations are near enough to a camera to matter; both in m, (…, 3)."""
     with np.errstate(invalid="ignore", over="ignore"):
         return np.asarray(((locations - eyes) ** 2).sum(axis=-1) < _REACH**2)
@@ -99,7 +95,7 @@ def _projected(boxes: SeenBoxes, eyes: Floats, axes: Floats) -> tuple[Floats, Fl
     return seen[..., 0], slopes.min(axis=1), slopes.max(axis=1)
 
 
-def _blocks(eyes: Floats, targets: Floats, boxes: SeenBoxes) -> Flags:
+def _blocks(eyes: Floats, targets: Floats, boxes: SeenBoxes) -> Booleans:
     """Return whether boxes are between points, or so near to the line between them that they have the eye inside."""
     from_centre = np.einsum("nij,ni->nj", boxes.rotations, eyes - boxes.locations)
     along = np.einsum("nij,ni->nj", boxes.rotations, targets - eyes)
@@ -124,7 +120,7 @@ class _Moments(NamedTuple):
     rows: Indices
     actors: LookColumns
     poses: Floats
-    shown: Flags
+    shown: Booleans
 
 
 class SteppedOpacity:
@@ -200,7 +196,7 @@ class SteppedOpacity:
                 yield OpacityChange(row, id, 1.0)
 
     def _wanted(
-        self, actors: LookColumns, poses: Floats, shown: Flags, camera: Floats, eye: Floats, pitch: float
+        self, actors: LookColumns, poses: Floats, shown: Booleans, camera: Floats, eye: Floats, pitch: float
     ) -> dict[int, dict[int, float]]:
         """Return the opacities below 1 by id, by the position of the scene, given the axes of the camera in each."""
         eyes = camera[:, LOCATION] + rotations(camera) @ eye

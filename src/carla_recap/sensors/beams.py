@@ -17,13 +17,10 @@ from carla_recap.sensors.noise import generator
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from carla_recap.rendering.rays import SurfaceHits
     from carla_recap.sensors.noise import Numbers
+    from carla_recap.util.arrays import Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
     Warn = Callable[[str], None]
 
 MOST_LIDAR_RAYS: Final = 200_000

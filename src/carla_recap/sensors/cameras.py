@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from carla_recap.replay import Scene
     from carla_recap.scene.instances import Instances
     from carla_recap.sensors.rig import SensorSpec
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
     Image = NDArray[Any]
 
 _DEPTH_STEPS: Final = (1 << 24) - 1

@@ -14,12 +14,9 @@ from carla_recap.replay.selection import find, numbers
 from carla_recap.tables.trajectories import actor_rows
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.recording import Recording
     from carla_recap.replay import Scene
-
-    Floats = NDArray[np.float64]
+    from carla_recap.util.arrays import Floats
 
 
 class Motion(NamedTuple):

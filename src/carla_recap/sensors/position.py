@@ -19,11 +19,9 @@ from carla_recap.sensors.noise import Noise
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.sensors.noise import Numbers
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 UPWARDS: Final = (0.0, 0.0, GRAVITY)
 """The acceleration that an actor at rest measures, in m/s²."""

@@ -53,8 +53,8 @@ if TYPE_CHECKING:
     from carla_recap.scene.instances import Instances
     from carla_recap.sensors.motion import Motion
     from carla_recap.sensors.rig import SensorRig, SensorSpec
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 POINT: Final = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4")])
 """A point of a lidar: x forward, y left, z up in m; the intensity from 0 to 1."""

@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
+    from carla_recap.util.arrays import Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
 
 Axes = Literal["right-handed", "carla"]
 """Right-handed: x forward, y left, z up, as in ROS, Rerun and Foxglove. CARLA's own: y right, yaw and pitch reversed."""

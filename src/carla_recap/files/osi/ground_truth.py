@@ -19,13 +19,11 @@ from carla_recap.scene.materials import Tag
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from carla_recap.model.actors import ActorLife
     from carla_recap.replay.scene import SceneBatch
     from carla_recap.scene.appearance import Look
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 # Values of OSI's enumerations.
 _VEHICLE, _PEDESTRIAN = 2, 3

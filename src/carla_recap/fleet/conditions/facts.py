@@ -24,8 +24,6 @@ from carla_recap.tables.trajectories import Trajectory, trajectories
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.fleet.conditions.places import Place
     from carla_recap.fleet.conditions.values import Selector
     from carla_recap.model.actors import ActorLife
@@ -35,9 +33,8 @@ if TYPE_CHECKING:
     from carla_recap.recording import Recording
     from carla_recap.roads.network import RoadNetwork
     from carla_recap.tables.trajectories import Trajectories
+    from carla_recap.util.arrays import Booleans, Floats
 
-    Booleans = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
     Occasion = str | Place
 
 T = TypeVar("T")

@@ -18,15 +18,12 @@ from carla_recap.queries.measures.series import NO_OTHER
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from carla_recap.fleet.conditions.facts import Facts
     from carla_recap.fleet.conditions.scope import Scope
     from carla_recap.fleet.conditions.values import Bounds, Quantity, Selector
     from carla_recap.model.actors import ActorLife
     from carla_recap.queries.measures import MeasureValues
-
-    Booleans = NDArray[np.bool_]
+    from carla_recap.util.arrays import Booleans
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,12 +15,10 @@ from carla_recap.roads.polylines import distances_to
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from carla_recap.fleet.conditions.values import Quantity
     from carla_recap.roads.network import RoadNetwork
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
     Roads = Callable[[frozenset[str] | None], RoadNetwork]
 
 FOR_CARS: Final = "driving"

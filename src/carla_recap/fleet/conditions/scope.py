@@ -10,15 +10,12 @@ import numpy as np
 from carla_recap.queries.kinds import KINDS
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.fleet.conditions.facts import Facts
     from carla_recap.fleet.conditions.places import Place
     from carla_recap.fleet.conditions.values import Quantity
     from carla_recap.model.actors import ActorLife
+    from carla_recap.util.arrays import Booleans, Floats
 
-    Booleans = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
     Occasion = str | Place
     """What begins or ends a scope: the first incident of a kind with the actor, or its first time in a place."""
 

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
-    Booleans = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
+    from carla_recap.util.arrays import Booleans, Floats
+
 
 _CORNERS: Final = ((1, 1), (1, -1), (-1, -1), (-1, 1))
 

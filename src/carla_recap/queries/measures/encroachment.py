@@ -12,13 +12,9 @@ from carla_recap.queries.measures.motion import MARGIN
 from carla_recap.queries.measures.pairs import FRAMES
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.util.arrays import Booleans, Floats, Indices
 
-    Booleans = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
-    Indices = NDArray[np.intp]
 
 CROSSING: Final = 30.0
 """The least angle between paths that cross, in degrees; actors on paths with a smaller one follow each other, or meet."""

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from carla_recap.queries.measures.series import Criticality
     from carla_recap.queries.measures.table import Measure, MeasureSeries
     from carla_recap.roads.network import RoadNetwork
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 POST_ENCROACHMENT_TIME: Final = 3.0
 """The longest post-encroachment time that is measured, in s."""

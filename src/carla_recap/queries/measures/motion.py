@@ -21,9 +21,8 @@ if TYPE_CHECKING:
 
     from carla_recap.model.actors import ActorLife, ActorLives
     from carla_recap.model.batch import Batch
+    from carla_recap.util.arrays import Booleans, Floats
 
-    Booleans = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
     Ids = NDArray[np.integer[Any]]
 
 TYPES: Final = ("transforms", "velocities")

@@ -21,17 +21,13 @@ from carla_recap.queries.measures.motion import MARGIN, TYPES, MotionCollector
 from carla_recap.queries.measures.pairs import PairFrames, near_pairs
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.model.actors import ActorLives
     from carla_recap.model.batch import Batch
     from carla_recap.model.contacts import Contacts
     from carla_recap.queries.measures.motion import MotionBlock
     from carla_recap.queries.measures.over_time import SeriesCollector
+    from carla_recap.util.arrays import Floats, Indices
 
-    Booleans = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
-    Indices = NDArray[np.intp]
 
 __all__ = ["TYPES", "NearMiss", "NearMissDetector"]
 

@@ -12,13 +12,9 @@ from carla_recap.queries.measures.boxes import Boxes, gap, time_to_collision
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.util.arrays import Booleans, Floats, Indices
 
-    Booleans = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
-    Indices = NDArray[np.intp]
 
 FRAMES: Final = 64
 """The number of frames for which near pairs are looked for at once."""

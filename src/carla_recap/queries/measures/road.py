@@ -30,10 +30,9 @@ if TYPE_CHECKING:
     from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
     from carla_recap.roads.network import LanePositions, RoadNetwork
+    from carla_recap.util.arrays import Booleans, Floats
 
-    Floats = NDArray[np.float64]
     Indices = NDArray[np.int64]
-    Flags = NDArray[np.bool_]
 
 TYPES: Final = ("transforms", "light_states")
 """The record types that are read."""
@@ -213,7 +212,7 @@ class RoadSearch:
         self,
         kind: str,
         motion: _Motion,
-        flags: Flags,
+        flags: Booleans,
         values: Floats,
         limits: Floats | None = None,
         *,
@@ -294,7 +293,7 @@ class RoadSearch:
             if len(standing):
                 self._slow[int(self._vehicles[motion.vehicle[first]])] = tuple(points[0][first + standing[-1]].tolist())
 
-    def _stood(self, motion: _Motion, row: int, slow: Flags, fronts: Floats, id: int) -> tuple[float, ...] | None:
+    def _stood(self, motion: _Motion, row: int, slow: Booleans, fronts: Floats, id: int) -> tuple[float, ...] | None:
         """Return where the front of a vehicle was when it last stood before a sample; None if it never did."""
         first = int(np.searchsorted(motion.vehicle, motion.vehicle[row]))
         standing = np.flatnonzero(slow[first:row])
@@ -380,7 +379,7 @@ class _Motion:
         seconds, dx, dy, distance, speed: The time and the way from the one before; NaN where it does not continue.
     """
 
-    def __init__(self, samples: NDArray[np.void], is_new: Flags) -> None:
+    def __init__(self, samples: NDArray[np.void], is_new: Booleans) -> None:
         self.samples, self.is_new = samples, is_new
         self.vehicle, self.time = samples["vehicle"], samples["time"]
         same = np.diff(self.vehicle, prepend=-1) == 0
@@ -408,12 +407,12 @@ class _Motion:
         ends = np.flatnonzero(self.is_last) + 1
         yield from zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True)
 
-    def firsts(self, flags: Flags) -> Iterator[int]:
+    def firsts(self, flags: Booleans) -> Iterator[int]:
         """Yield the first sample of each vehicle that is flagged."""
         rows = np.flatnonzero(flags)
         yield from rows[np.diff(self.vehicle[rows], prepend=-1) != 0].tolist()
 
-    def runs(self, flags: Flags) -> Iterator[tuple[int, int]]:
+    def runs(self, flags: Booleans) -> Iterator[tuple[int, int]]:
         """Return the first and the last of consecutive new samples of a vehicle that are flagged."""
         return runs(flags & self.is_new, self.continues[1:])
 

@@ -11,13 +11,9 @@ from carla_recap.queries.measures.boxes import required_deceleration, time_headw
 from carla_recap.queries.measures.pairs import FRAMES, PairFrames, ahead, near_pairs
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.util.arrays import Floats, Indices
 
-    Booleans = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
-    Indices = NDArray[np.intp]
 
 RANGE: Final = 100.0
 """The distance of centres up to which others count, in m."""

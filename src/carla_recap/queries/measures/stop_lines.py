@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.roads.network import RoadNetwork
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
     Indices = NDArray[np.int64]
 
 _CELL: Final = 8.0  # m, of the grid of stop lines

@@ -19,10 +19,9 @@ if TYPE_CHECKING:
     from carla_recap.model.actors import ActorLife
     from carla_recap.queries.measures.motion import MotionBlock
     from carla_recap.queries.measures.series import Criticality
+    from carla_recap.util.arrays import Floats, Indices
 
-    Floats = NDArray[np.float64]
     Ids = NDArray[np.int64]
-    Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)

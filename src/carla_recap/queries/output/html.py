@@ -21,12 +21,10 @@ from carla_recap.util.text import visible
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
-
     from carla_recap.formats.base import Reader
     from carla_recap.queries.incidents import Incident
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 _STEP: Final = 0.5  # s between two points of a path
 _SIZE: Final = (640, 400)  # pixels of the drawing, at most

@@ -18,8 +18,6 @@ from carla_recap.roads.waypoints import NONE, PARKING
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.model.actors import ActorLife, ActorLives
     from carla_recap.model.contacts import Contact
     from carla_recap.queries.measures.stop_lines import StopLines
@@ -28,10 +26,8 @@ if TYPE_CHECKING:
     from carla_recap.roads.network import RoadNetwork
     from carla_recap.roads.waypoints import LaneMap, Waypoints
     from carla_recap.tables.trajectories import Trajectory
+    from carla_recap.util.arrays import Booleans, Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
-    Flags = NDArray[np.bool_]
 
 BACKGROUND: Final = "background"
 """The role_name of the vehicles whose speed is that of the traffic."""
@@ -285,17 +281,17 @@ def outside_lanes(drive: Drive, route: PlannedRoute, town: LaneMap) -> Iterator[
         yield _infraction("outside_route_lanes", drive, latest, text, share=share)
 
 
-def _outside(drive: Drive, driving: Waypoints, parking: Waypoints) -> Flags:
+def _outside(drive: Drive, driving: Waypoints, parking: Waypoints) -> Booleans:
     """Return in which frames the hero is outside the nearest lane for cars or for parking."""
     best, widths = np.full(len(drive), np.inf), np.zeros(len(drive))
     for at in (parking, driving):
         away = np.where(at.lane == NONE, np.inf, np.linalg.norm(drive.position - at.position, axis=1))
         best, widths = np.where(away < best, away, best), np.where(away < best, at.width, widths)
-    outside: Flags = best > widths / 2 + _OUTSIDE
+    outside: Booleans = best > widths / 2 + _OUTSIDE
     return outside
 
 
-def _against(drive: Drive, at: Waypoints, town: LaneMap) -> Flags:
+def _against(drive: Drive, at: Waypoints, town: LaneMap) -> Booleans:
     """Return in which frames the hero is on a lane of the other direction, as it is when it changes to one."""
     flags = np.zeros(len(drive), np.bool_)
     last, was_in_junction, last_heading, is_against = (-1, 0), False, 0.0, False

@@ -13,13 +13,10 @@ from carla_recap.model.blueprints import box_of
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
-
     from carla_recap.model.actors import ActorLife
     from carla_recap.tables.trajectories import Trajectory
+    from carla_recap.util.arrays import Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
 
 TICK: Final = 0.05
 """The time between two updates of the evaluator's criteria, in s; frames that are farther apart count several times."""

@@ -20,11 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from xml.etree.ElementTree import Element
 
-    from numpy.typing import NDArray
-
     from carla_recap.formats.base import Reader
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 _ROUTES: Final = DocumentShape(
     root="routes",

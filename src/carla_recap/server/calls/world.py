@@ -20,11 +20,9 @@ from carla_recap.sim.validation import expect_place
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from carla_recap.sim.world import World
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 _ANY: Final = 255
 """The semantic class that stands for all."""

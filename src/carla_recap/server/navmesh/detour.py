@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.server.navmesh.walkways import WalkableSurface
+    from carla_recap.util.arrays import Integers
 
-    Integers = NDArray[np.int64]
 
 MOST: Final = 0xFFFF
 """The most corners, and the most polygons, of a tile: their indices have 16 bits."""

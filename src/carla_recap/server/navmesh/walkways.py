@@ -13,13 +13,11 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.sim.town.sidewalks import WalkwayGraph
     from carla_recap.sim.town.town import Town
+    from carla_recap.util.arrays import Floats
 
     Point = list[float]
-    Floats = NDArray[np.float64]
 
 SIDEWALK, CROSSWALK, ROAD = 1, 2, 3
 """Areas as carla/nav/Navigation.h of LibCarla 0.9.16 numbers them, in the order of preference."""

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from carla_recap.server.sensors.feed import Feed, FeedContext
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.geometry import Location, Transform
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 # horizontal angle in radians, channels; then the number of points of each channel
 _LIDAR_HEADER: Final = struct.Struct("<fI")

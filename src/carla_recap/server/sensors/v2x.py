@@ -24,13 +24,11 @@ from carla_recap.sim.actors.sensor_blueprints import CUSTOM_V2X_SENSOR, V2X_SENS
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
     from carla_recap.server.sensors.feed import Feed, FeedContext
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.geometry import Location, Vector
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 _VERSION: Final = 2
 _CAM, _CUSTOM = 2, 0  # message ids

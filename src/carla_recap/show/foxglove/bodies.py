@@ -30,12 +30,10 @@ from carla_recap.show.foxglove.messages import (
 )
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.model.actors import ActorLife
     from carla_recap.scene.falls import Fall
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 VEHICLES: Final = "/scene/vehicles"
 WALKERS: Final = "/scene/walkers"

@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from carla_recap.replay import Event
     from carla_recap.replay.scene import SceneBatch
     from carla_recap.scene.follow import FollowedSeries
-    from carla_recap.show.foxglove.messages import Floats, Indices, ShownScenes, Stamps
+    from carla_recap.show.foxglove.messages import ShownScenes, Stamps
+    from carla_recap.util.arrays import Floats, Indices
 
 TRANSFORMS: Final = "/tf"
 HERO: Final = "/hero"

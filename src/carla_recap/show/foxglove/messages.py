@@ -48,9 +48,8 @@ if TYPE_CHECKING:
 
     from carla_recap.scene.description import SceneDescription
     from carla_recap.scene.follow import FollowedSeries
+    from carla_recap.util.arrays import Indices
 
-    Floats = NDArray[np.float64]
-    Indices = NDArray[np.intp]
     Stamps = NDArray[np.uint8]
     Times = NDArray[np.uint64]
 

@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.description import LookColumns, SceneDescription
     from carla_recap.scene.falls import Fall
-    from carla_recap.show.foxglove.messages import Floats, Indices, ShownScenes, Stamps
+    from carla_recap.show.foxglove.messages import ShownScenes, Stamps
+    from carla_recap.util.arrays import Floats, Indices
 
 MOVED: Final = "/tf/actors"
 STILL: Final = "/tf/still"

@@ -39,7 +39,8 @@ if TYPE_CHECKING:
     from carla_recap.scene.captions import Line
     from carla_recap.scene.description import SceneDescription, Uncut
     from carla_recap.scene.follow import FollowedSeries
-    from carla_recap.show.foxglove.messages import Floats, Indices, Times, TopicMessages
+    from carla_recap.show.foxglove.messages import Times, TopicMessages
+    from carla_recap.util.arrays import Floats, Indices
 
 LOG: Final = "/log"
 _PROTOBUF: Final = "protobuf"

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from carla_recap.replay import Player
     from carla_recap.roads import RoadMap
     from carla_recap.scene.description import SceneDescription
-    from carla_recap.show.foxglove.messages import Floats, Stamps, TopicMessages
+    from carla_recap.show.foxglove.messages import Stamps, TopicMessages
+    from carla_recap.util.arrays import Floats
 
 MAP: Final = "/map"
 MARKS: Final = "/scene/marks"

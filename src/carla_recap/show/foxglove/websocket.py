@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
     from carla_recap.roads.network import RoadNetwork
-    from carla_recap.show.foxglove.messages import Floats
+    from carla_recap.util.arrays import Floats
 
     Sent = tuple[int, str, bytes]
     """Time in ns since 1970, topic and data of a message."""

@@ -15,14 +15,11 @@ from carla_recap.scene.materials import Material
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.rendering.town import TownMesh
     from carla_recap.scene.mesh import Mesh
     from carla_recap.show.page.samples import SampledReplay
+    from carla_recap.util.arrays import Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
 
 PATH_WIDTH: Final = 3.2  # m
 STEP: Final = 1.0  # m between points of a path

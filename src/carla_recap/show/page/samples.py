@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from carla_recap.replay.scene import Scene, SceneBatch
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.description import SceneDescription
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 BLOCK: Final = 128  # samples that are handled together
 STILL: Final = 0.01  # m

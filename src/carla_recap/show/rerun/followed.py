@@ -34,9 +34,8 @@ if TYPE_CHECKING:
     from carla_recap.scene.follow import FollowedSeries
     from carla_recap.scene.style import Color
     from carla_recap.show.rerun.stream import Stream, TimePoint
+    from carla_recap.util.arrays import Floats
 
-    Flags = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
 
 Triple = tuple[float, float, float]
 

@@ -29,9 +29,8 @@ if TYPE_CHECKING:
     from carla_recap.replay import SceneBatch
     from carla_recap.replay.selection import Ids
     from carla_recap.scene.description import SceneDescription
+    from carla_recap.util.arrays import Booleans, Floats
 
-    Flags = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
 
 V = TypeVar("V")
 
@@ -218,8 +217,8 @@ class PoseBlock:
     times: TimeColumns
     ids: Ids
     poses: Floats
-    present: Flags
-    written: Flags
+    present: Booleans
+    written: Booleans
 
     def write(self, stream: Stream, shown: Container[int], path: Callable[[int], str] = entities.actor) -> None:
         """Write the transforms of the actors that are shown, at the paths that a function returns for their ids."""
@@ -254,7 +253,7 @@ class PoseBuffer:
 
     def __init__(self) -> None:
         self._times: list[TimeColumns] = []
-        self._pieces: list[tuple[Ids, Floats, Flags]] = []
+        self._pieces: list[tuple[Ids, Floats, Booleans]] = []
         self._spawned: list[tuple[int, int]] = []  # row, id
         self._rows = self._count = 0
         self._before: PoseBlock | None = None
@@ -300,7 +299,7 @@ class PoseBuffer:
         self._times, self._pieces, self._spawned, self._rows, self._count = [], [], [], 0, 0
         return block
 
-    def _joined(self) -> tuple[Ids, Floats, Flags, Flags]:
+    def _joined(self) -> tuple[Ids, Floats, Booleans, Booleans]:
         """Return the ids, poses and presence of a block, and whether the poses of row 0 have been written."""
         before = self._before
         held = before.ids[before.present[-1]] if before else NO_IDS

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from carla_recap.rendering.town import TownMesh
     from carla_recap.roads import RoadMap
     from carla_recap.show.rerun.stream import PoseBlock, Stream
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 _AROUND: Final = 60.0  # m; the distance from the actors up to which roads are on the map
 _FINE: Final = 5.0  # m between points where roads end on the map

@@ -24,15 +24,13 @@ from carla_recap.show.rerun.stream import HeldRows, TimeColumns
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.queries.incidents import Incident
     from carla_recap.scene.captions import Line
     from carla_recap.scene.description import SceneDescription
     from carla_recap.scene.follow import FollowedRecords
     from carla_recap.show.rerun.stream import Stream, TimePoint
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 _LEVELS: Final = {
     Level.DEBUG: rr.TextLogLevel.DEBUG,

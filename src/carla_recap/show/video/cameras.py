@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from carla_recap.scene.follow import FollowedSeries
     from carla_recap.scene.instances import Instances
     from carla_recap.show.video.encoding import Size
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 VideoView = Literal["chase", "top", "driver"] | int
 """The view of a video: from behind, from above, that of the driver, or that of a recorded camera, by its id."""

@@ -12,15 +12,14 @@ from carla_recap.sim.town.junctions import SignalKind
 from carla_recap.sim.validation import LARGEST, expect_between
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from carla_recap.sim.actors.blueprints import Blueprint
     from carla_recap.sim.actors.registry import ActorRegistry
     from carla_recap.sim.town.junctions import Signal
     from carla_recap.sim.town.town import Town
+    from carla_recap.util.arrays import Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
 
 RED, YELLOW, GREEN, OFF, UNKNOWN = range(5)
 GREEN_TIME, YELLOW_TIME, RED_TIME = 10.0, 3.0, 2.0

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carla_recap.errors import MissingExtra
 from carla_recap.model.motion import GRAVITY
 from carla_recap.sim.columns import StructOfArrays, column
+from carla_recap.util.arrays import Floats
 
 try:
     import pymunk
@@ -18,9 +18,10 @@ except ModuleNotFoundError:
     raise MissingExtra("the simulator", "sim") from None
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from carla_recap.sim.physics.plane import Plane
 
-Floats = NDArray[np.float64]
 Height = Callable[[Floats, Floats, Floats], Floats]
 """Returns the height of the road at x and y of what stands there at z."""
 _REACH: Final = 3.0  # m: actors that are farther from the road are not put on it

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.sim.geometry import Box
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 Curve = tuple[tuple[float, float], ...]
 

@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    Floats = NDArray[np.float64]
+    from carla_recap.util.arrays import Floats
+
     Heights = tuple[float, float]
     """The lowest and the highest z of something, in m."""
 

@@ -26,10 +26,8 @@ if TYPE_CHECKING:
     from carla_recap.sim.physics.moving_bodies import Height
     from carla_recap.sim.physics.physics_control import PhysicsControl
     from carla_recap.sim.physics.plane import Plane
+    from carla_recap.util.arrays import Booleans, Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
-    Integers = NDArray[np.int64]
 
 _STILL: Final = 0.02  # m/s and rad/s: slower vehicles stand
 _ROLLING: Final = 0.013  # rolling resistance of car tyres on asphalt, as a share of the weight
@@ -53,21 +51,21 @@ class Vehicles(MovingBodies):
     """The steering, -1 (left) to 1 (right), relative to `steer_limit`."""
     brake: Floats = column(0.0)
     """The brake, 0 to 1."""
-    hand_brake: Flags = column(False)
+    hand_brake: Booleans = column(False)
     """Whether the hand brake is drawn, which locks the rear wheels."""
-    reverse: Flags = column(False)
+    reverse: Booleans = column(False)
     """Whether the throttle drives backwards."""
     gear: NDArray[np.int64] = column(np.int64(1))
     """The gear as reported: from 1, 0 neutral, -1 reverse."""
-    manual: Flags = column(False)
+    manual: Booleans = column(False)
     """Whether `gear` is part of the control; else the gearbox is automatic."""
     light_state: NDArray[np.uint32] = column(np.uint32(0))
     """CARLA's light bits."""
-    autopilot: Flags = column(False)
+    autopilot: Booleans = column(False)
     """Whether the autopilot drives."""
-    sticky: Flags = column(True)
+    sticky: Booleans = column(True)
     """Whether a control holds until the next one; else it holds for a tick."""
-    controlled: Flags = column(False)
+    controlled: Booleans = column(False)
     """Whether a control was applied since the latest tick."""
     speed: Floats = column(0.0)
     """The speed forward in m/s; negative backwards."""
@@ -79,7 +77,7 @@ class Vehicles(MovingBodies):
     """The angle of the front wheels in radians, positive to the right."""
     steer_limit: Floats = column(1.0)
     """The angle of the front wheels at full steering and the present speed, in radians."""
-    awake: Flags = column(False)
+    awake: Booleans = column(False)
     """Whether it moves, or is about to."""
     force: Floats = column(np.zeros(2))
     """The external force of the next tick, in N, (n, 2)."""
@@ -150,7 +148,7 @@ class Vehicles(MovingBodies):
         self.manual[rows] = False
         self.controlled[rows] = True
 
-    def pedals(self, rows: Integers, acceleration: Floats, backwards: Flags | bool = False) -> tuple[Floats, Floats]:
+    def pedals(self, rows: Integers, acceleration: Floats, backwards: Booleans | bool = False) -> tuple[Floats, Floats]:
         """Return throttle and brake, 0 to 1 each, for accelerations of vehicles; one of the two is 0.
 
         Args:
@@ -268,10 +266,10 @@ class Vehicles(MovingBodies):
         self.rotation[rows, 0] = np.degrees(np.arctan2(high - low, wheelbase))[near]
         self.rotation[rows, 2] = 0
 
-    def _in_motion(self) -> Flags:
+    def _in_motion(self) -> Booleans:
         moving = (np.abs(self.speed) > _STILL) | (np.abs(self.sideways) > _STILL)
         moving |= (np.abs(self.turning) > _STILL) | (self.throttle > 0)
-        in_motion: Flags = moving & self.simulated
+        in_motion: Booleans = moving & self.simulated
         return in_motion
 
 

@@ -14,8 +14,9 @@ from carla_recap.sim.physics.plane import WALKER
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.sim.physics.moving_bodies import Floats, Height
+    from carla_recap.sim.physics.moving_bodies import Height
     from carla_recap.sim.physics.plane import Plane
+    from carla_recap.util.arrays import Floats
 
 _STILL: Final = 0.01  # m/s
 _SLIDING: Final = 5.0  # m/s²: so fast a fallen walker comes to rest

@@ -19,16 +19,14 @@ from carla_recap.sim.replaying.actor_mapping import TRAFFIC
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from carla_recap.model.actors import ActorLife
     from carla_recap.replay import Collided, Scene
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.replaying.actor_mapping import ActorMapping
     from carla_recap.sim.replaying.kinematic import KinematicReplay
     from carla_recap.sim.world import World
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 _SAME_CONTACT: Final = 0.25  # s of the recording between two collisions of the same actors
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from carla_recap.sim.physics.moving_bodies import MovingBodies
     from carla_recap.sim.replaying.actor_mapping import ActorMapping
     from carla_recap.sim.world import World
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
     Ids = NDArray[np.int64]
     Rows = NDArray[np.intp]
 

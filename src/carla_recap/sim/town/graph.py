@@ -13,10 +13,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
+    from carla_recap.util.arrays import Floats, Integers
 
 
 def reached(neighbours: Sequence[Sequence[int]], start: int, seen: set[int]) -> list[int]:

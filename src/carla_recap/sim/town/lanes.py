@@ -14,12 +14,11 @@ from carla_recap.roads.lanes import NO_JUNCTION
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from carla_recap.roads.lanes import LaneGeometry
+    from carla_recap.util.arrays import Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
     Turn = Literal["straight", "left", "right"]
 
 _SPACING: Final = 1.0  # m between points

@@ -12,12 +12,9 @@ from carla_recap.sim.town.junctions import SignalKind
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
     from carla_recap.sim.town.town import Town
+    from carla_recap.util.arrays import Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
 
 _REACH: Final = 12.0  # m before the stop line: enough to stop comfortably at 40 km/h
 NO_LIGHT: Final = -1

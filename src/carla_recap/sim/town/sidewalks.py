@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.roads.lanes import LaneGeometry, TownRoads
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
     Ends = tuple[int, int]
 
 

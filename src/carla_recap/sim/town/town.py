@@ -25,14 +25,13 @@ from carla_recap.sim.town.sidewalks import make_walks
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from carla_recap.sim.town.junctions import Junction, Signal
     from carla_recap.sim.town.lanes import Lane
     from carla_recap.sim.town.sidewalks import WalkwayGraph
+    from carla_recap.util.arrays import Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
 
 BUILT_IN: Final = "Brickfield"
 """The name of the town that comes with this package."""

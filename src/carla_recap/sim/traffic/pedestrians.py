@@ -15,14 +15,11 @@ from carla_recap.sim.geometry import Location
 from carla_recap.sim.town.graph import Paths
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.sim.actors.moving import Walker
     from carla_recap.sim.actors.registry import ActorRegistry
     from carla_recap.sim.physics.vehicles import Vehicles
+    from carla_recap.util.arrays import Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
     Waypoint = tuple[float, float]
 
 _SPEED_BY_AGE: Final = {"child": 1.3}  # m/s, of walkers whose attribute `speed` is 0; that of all others:

@@ -21,14 +21,10 @@ from carla_recap.sim.traffic.autopilot.routes import (
 )
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.sim.actors.registry import ActorRegistry
     from carla_recap.sim.traffic.autopilot.perception import Perception
+    from carla_recap.util.arrays import Booleans, Floats, Integers
 
-    Flags = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
 
 _DECISION_INTERVAL: Final = 0.1  # s between two decisions of the drivers
 _STRAY: Final = 4.0  # m off its route, from where on a vehicle begins a new one
@@ -84,9 +80,9 @@ class Autopilot:
         set_pedals(cars, drivers, vehicles, self._desired, delta)
         set_steering(cars, drivers, routes, network, vehicles)
 
-    def _driven(self) -> Flags:
+    def _driven(self) -> Booleans:
         vehicles = self._registry.vehicles
-        driven: Flags = vehicles.autopilot & vehicles.simulated
+        driven: Booleans = vehicles.autopilot & vehicles.simulated
         return driven
 
     def _change_drivers(self, rows: Integers) -> None:
@@ -175,7 +171,7 @@ class Autopilot:
             self._change_lane(cars, row, lane)
         return perception
 
-    def _queue_ends(self, cars: DrivenVehicles, driven: Flags) -> QueueEnds:
+    def _queue_ends(self, cars: DrivenVehicles, driven: Booleans) -> QueueEnds:
         """Return the last vehicles on the lanes, driven by the autopilot or not."""
         routes, vehicles, others = self._routes, self._registry.vehicles, np.flatnonzero(~driven)
         lane, s = routes.lanes[:, 0], routes.position - routes.starts[:, 0]

@@ -11,14 +11,12 @@ from carla_recap.sim.traffic.autopilot.drivers import EMERGENCY_BRAKING, STANDIN
 from carla_recap.sim.traffic.autopilot.routes import CURVE_BRAKING, shift_poses, transition_progress
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.sim.traffic.autopilot.drivers import DrivenVehicles, Drivers
     from carla_recap.sim.traffic.autopilot.perception import Perception
     from carla_recap.sim.traffic.autopilot.routes import LaneNetwork, Routes
+    from carla_recap.util.arrays import Floats
 
-    Floats = NDArray[np.float64]
 
 _OWN_LIGHTS: Final = np.uint32(BRAKE | RIGHT_BLINKER | LEFT_BLINKER)
 _INDICATION: Final = 30.0  # m before a turn

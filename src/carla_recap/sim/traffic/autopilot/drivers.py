@@ -13,13 +13,9 @@ import numpy as np
 from carla_recap.sim.columns import StructOfArrays, column
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.sim.physics.vehicles import Vehicles
+    from carla_recap.util.arrays import Booleans, Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Flags = NDArray[np.bool_]
-    Integers = NDArray[np.int64]
 
 NONE: Final = -1
 """The index that stands for no lane, junction, signal or driver."""
@@ -90,9 +86,9 @@ class Drivers(StructOfArrays):
     """The acceleration that was last asked of the vehicle, in m/s²."""
     standing_time: Floats = column(0.0)
     """How long the vehicle has been standing, in s."""
-    off_road: Flags = column(False)
+    off_road: Booleans = column(False)
     """Whether no lane is near enough to drive on."""
-    returning: Flags = column(False)
+    returning: Booleans = column(False)
     """Whether the vehicle has to return to the road."""
     lateral_offset: Floats = column(0.0)
     """The offset of the vehicle to the right of the lane's centre, in m."""
@@ -108,9 +104,9 @@ class Drivers(StructOfArrays):
     """The position of the next stop line; infinity if there is none."""
     signal: Integers = column(np.int64(NONE))
     """The index of the signal in force there, or `NONE`."""
-    must_stop: Flags = column(False)
+    must_stop: Booleans = column(False)
     """Whether there is a stop sign at which the vehicle has not stopped yet."""
-    has_reservation: Flags = column(False)
+    has_reservation: Booleans = column(False)
     """Whether the vehicle may pass the stop line."""
     waiting_since: Floats = column(np.inf)
     """The time at which it first asked for that, in s; infinity if it has not."""

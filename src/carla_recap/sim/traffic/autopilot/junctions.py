@@ -21,16 +21,13 @@ from carla_recap.sim.traffic.autopilot.perception import UNCONTROLLED
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from numpy.typing import NDArray
-
     from carla_recap.sim.town.junctions import Conflict
     from carla_recap.sim.town.town import Town
     from carla_recap.sim.traffic.autopilot.drivers import Drivers
     from carla_recap.sim.traffic.autopilot.perception import Perception
     from carla_recap.sim.traffic.autopilot.routes import LaneNetwork, Routes
+    from carla_recap.util.arrays import Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
     FreeLength = Callable[["StopLine"], float]
 
 _PASSED: Final = 0.3  # m beyond a line, from where on a vehicle goes on

@@ -12,17 +12,13 @@ from carla_recap.sim.traffic.autopilot.drivers import NONE
 from carla_recap.sim.traffic.autopilot.routes import shift_poses
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.sim.actors.registry import ActorRegistry
     from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.sim.physics.walkers import Walkers
     from carla_recap.sim.traffic.autopilot.drivers import DrivenVehicles, Drivers
     from carla_recap.sim.traffic.autopilot.routes import LaneNetwork, Routes
+    from carla_recap.util.arrays import Booleans, Floats, Integers
 
-    Flags = NDArray[np.bool_]
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
 
 UNCONTROLLED: Final = -2
 """Instead of a leader: an obstacle that moves on, but that no driver of the autopilot moves."""
@@ -105,7 +101,7 @@ class ObstacleTracker:
         self._props_due = 0.0
         self._actors = 0
 
-    def obstacles(self, driven: Flags) -> Obstacles:
+    def obstacles(self, driven: Booleans) -> Obstacles:
         """Return all obstacles: the vehicles, in their order, then walkers, then props.
 
         Those that the autopilot does not drive include the area that they will be in soon.

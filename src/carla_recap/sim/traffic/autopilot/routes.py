@@ -23,11 +23,9 @@ if TYPE_CHECKING:
     from carla_recap.sim.town.lanes import Lane
     from carla_recap.sim.town.town import Town
     from carla_recap.sim.traffic.autopilot.drivers import DrivenVehicles, Drivers
+    from carla_recap.util.arrays import Booleans, Floats, Integers
 
-    Floats = NDArray[np.float64]
-    Integers = NDArray[np.int64]
     Points = tuple[Integers, Floats]
-    Flags = NDArray[np.bool_]
 
 CURVE_BRAKING: Final = 1.8  # m/s², before a curve or a lower limit
 _CURVE_ACCELERATION: Final = 2.4  # m/s² sideways: what drivers of cars accept in town
@@ -352,7 +350,7 @@ def lane_changes(
     """
     lane = routes.lanes[:, 0]
     left, right = network.left[lane], network.right[lane]
-    able: Flags = (np.arange(len(lane)) + decision) % _TURNS == 0
+    able: Booleans = (np.arange(len(lane)) + decision) % _TURNS == 0
     able &= ((left != NONE) | (right != NONE)) & (transition_progress(drivers, routes.position) >= 1)
     able = able & (drivers.stop_line - routes.position - cars.half_length > _BEFORE_STOP_LINE)
     able = (
@@ -367,11 +365,11 @@ def lane_changes(
                 break
 
 
-def _is_straight(routes: Routes, network: LaneNetwork) -> Flags:
+def _is_straight(routes: Routes, network: LaneNetwork) -> Booleans:
     """Return for each route whether it is straight for some distance ahead."""
     ahead = np.broadcast_to(_PREVIEW, (len(routes), len(_PREVIEW)))
     curvature = np.abs(network.curvature(network.points(*routes.locate(ahead)))).max(axis=1)
-    straight: Flags = curvature < _STRAIGHT
+    straight: Booleans = curvature < _STRAIGHT
     return straight
 
 

@@ -1,0 +1,12 @@
+"""Names of types of arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+"""Integers of the size that indices have, as `np.flatnonzero` returns them."""
