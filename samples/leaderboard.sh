@@ -34,11 +34,11 @@ if answers; then
     echo "$0: port $port is taken; set PORT to another one" >&2
     exit 2
 fi
-"$python" -m carla_recap serve --port "$port" --recordings "$records" > "$RESULTS/server.log" 2>&1 &
+"$python" -m carla_recap serve --port "$port" --recordings "$records" > "$RESULTS/server.txt" 2>&1 &
 server=$!
 trap 'kill "$server" 2> /dev/null || true; wait "$server" || true' EXIT
 until answers; do
-    kill -0 "$server" 2> /dev/null || { cat "$RESULTS/server.log" >&2; exit 2; }
+    kill -0 "$server" 2> /dev/null || { cat "$RESULTS/server.txt" >&2; exit 2; }
     sleep 0.2
 done
 
@@ -49,8 +49,8 @@ PYTHONPATH=$modules${PYTHONPATH:+:$PYTHONPATH} SDL_VIDEODRIVER=dummy "$python" -
     --routes="$routes" --routes-subset="${ROUTES_SUBSET:-}" --repetitions="${REPETITIONS:-1}" \
     --track="$CHALLENGE_TRACK_CODENAME" --agent="$agent" --agent-config="${TEAM_CONFIG:-}" \
     --checkpoint="$checkpoint" --debug-checkpoint="$RESULTS/live.txt" --record="$records" \
-    > "$RESULTS/evaluator.log" 2>&1 || code=$?
+    > "$RESULTS/evaluator.txt" 2>&1 || code=$?
 
-"$python" "$here/leaderboard/print_results.py" "$checkpoint" || { tail -n 20 "$RESULTS/evaluator.log" >&2; exit 2; }
+"$python" "$here/leaderboard/print_results.py" "$checkpoint" || { tail -n 20 "$RESULTS/evaluator.txt" >&2; exit 2; }
 echo "logs: $RESULTS; recordings: $records"
 exit "$code"

@@ -30,7 +30,7 @@ def test_the_own_way_needs_no_route() -> None:
 def test_many_recordings_are_a_table_with_the_mean() -> None:
     rows = [line.split("\t") for line in answer("score", CRASH, AVOIDED, *BY_ROUTE, "--formula", "2.1").splitlines()]
     assert [row[2] for row in rows] == ["Score", "37.04", "100.00", "68.52", "44.52"]
-    assert [row[0] for row in rows[1:]] == [str(CRASH), str(AVOIDED), "mean", "deviation"]
+    assert [row[0] for row in rows[1:]] == [str(CRASH), str(AVOIDED), "mean", "std. deviation"]
     code, shown, _ = on_terminal("score", CRASH, AVOIDED, *BY_ROUTE)
     assert code == 0
     assert "avoided.mcap" in shown
@@ -72,6 +72,13 @@ def test_a_recording_that_cannot_be_scored_is_an_error(tmp_path: Path) -> None:
     assert error("score", SAMPLES / "crossing.log", "--from-drive").startswith(
         f"{SAMPLES / 'crossing.log'}: the map 'Crossing' is unknown, but its roads are needed"
     )
+
+
+def test_several_route_files_have_the_routes_of_all(tmp_path: Path) -> None:
+    text = ROUTES.read_text("utf-8")
+    (other := tmp_path / "other.xml").write_text(text.replace('id="1"', 'id="7"').replace('id="2"', 'id="8"'), "utf-8")
+    lines = answer("score", CRASH, "--route", ROUTES, "--route", other, "--route-id", "7").splitlines()
+    assert lines[0] == "route 7 of Brickfield: Completed"
 
 
 @pytest.mark.parametrize(

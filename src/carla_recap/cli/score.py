@@ -45,9 +45,16 @@ class _Limit(click.ParamType[Any]):
 
 @click.command(epilog="Each SOURCE is a recording, a folder, a glob in quotes, or a URL; - is a list of them on stdin.")
 @options.sources
-@click.option("--route", "routes_file", type=click.Path(), metavar="FILE", help="The route, in a Leaderboard route file.")
-@click.option("--route-id", metavar="ID", help="The route of the file; else the one that the recording's name or town says.")
-@click.option("--from-drive", is_flag=True, help="Take the way that the hero has driven as the route.")
+@click.option(
+    "--route",
+    "route_files",
+    type=click.Path(),
+    multiple=True,
+    metavar="FILE",
+    help="The route, in a Leaderboard route file; several files may be given.",
+)
+@click.option("--route-id", metavar="ID", help="Its id; else the one that the recording's name or town says.")
+@click.option("--from-drive", is_flag=True, help="Score without a route: the infractions along the driven path.")
 @click.option(
     "--formula",
     type=click.Choice(_FORMULAS),
@@ -70,7 +77,7 @@ class _Limit(click.ParamType[Any]):
 @options.text
 def score(
     sources: tuple[str, ...],
-    routes_file: str | None,
+    route_files: tuple[str, ...],
     route_id: str | None,
     from_drive: bool,
     formula: Formula,
@@ -96,14 +103,14 @@ def score(
     from carla_recap.util.files import prepare_file
     from carla_recap.util.signals import unwind_on_termination
 
-    if (routes_file is None) != from_drive:
+    if bool(route_files) == from_drive:
         raise click.UsageError("One of --route and --from-drive says what the route is.", click.get_current_context())
     if route_id is not None and from_drive:
         raise click.UsageError("--route-id goes with --route.", click.get_current_context())
     allowed = ScoreLimits(score=min_score, completion=min_completion, infractions=max_infractions, of_kind=dict(limits))
     if junit and not allowed:
         raise click.UsageError("--junit goes with a limit, such as --min-score.", click.get_current_context())
-    routes = None if routes_file is None else read_routes(routes_file)
+    routes = read_routes(*route_files) if route_files else None
     wanted = ScoreOptions(formula=formula, actor=actor, road_map=road_map)
     if junit:
         prepare_file(junit)
@@ -190,7 +197,7 @@ def _print_table(scores: Sequence[Score], form: str | None) -> None:
         for each in scores
     ]
     averages = means(scores)
-    for word, number in (("mean", 0), ("deviation", 1)):
+    for word, number in (("mean", 0), ("std. deviation", 1)):
         score, completion, penalty = (averages[name][number] for name in ("score", "completion", "penalty"))
         rows.append((word, "", f"{score:.2f}", f"{completion:.2f}", f"{penalty:.3f}", "", "", ""))
     if form is None and sys.stdout.isatty():

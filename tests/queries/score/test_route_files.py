@@ -126,6 +126,29 @@ def test_the_name_of_a_recording_says_its_route(file: Path, tmp_path: Path) -> N
     reader = open_reader(path)
     try:
         assert route_for(read_routes(file), reader).id == "4"
+        file.write_text(routes(route(*TWO, id="5")))
+        with pytest.raises(RecapError, match=r"RouteScenario_4_rep2.mcap: the name says route '4'; .*routes.xml has 5"):
+            route_for(read_routes(file), reader)
+        assert route_for(read_routes(file), reader, "5").id == "5"
     finally:
         reader.close()
     assert (repetition(str(path)), repetition("crash.mcap")) == (2, 0)
+
+
+def test_of_several_files_that_of_the_town_or_beside_the_recording_counts(file: Path, tmp_path: Path) -> None:
+    file.write_text(routes(route(*TWO, id="3")))
+    for name, town in (("other", "Brickfield"), ("again", "Brickfield"), ("far", "Town01")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "routes.xml").write_text(routes(route(*TWO, id="3", town=town)))
+    other, again, far = (tmp_path / name / "routes.xml" for name in ("other", "again", "far"))
+    path = tmp_path / "drive.mcap"
+    path.write_bytes(CRASH.read_bytes())
+    reader = open_reader(path)
+    try:
+        assert route_for(read_routes(other, file, far), reader).path == str(file)
+        assert route_for(read_routes(other, far), reader, "3").path == str(other)
+        assert len(read_routes(file, file)) == 1
+        with pytest.raises(RecapError, match=re.escape(f"route '3' is there 2 times: in {other}, {again}")):
+            route_for(read_routes(other, again), reader)
+    finally:
+        reader.close()

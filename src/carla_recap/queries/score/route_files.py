@@ -61,14 +61,17 @@ class Route:
     path: str = ""
 
 
-def read_routes(path: Path | str) -> list[Route]:
-    """Return the routes of a route file, of Leaderboard 1.0 or 2.
+def read_routes(*paths: Path | str) -> list[Route]:
+    """Return the routes of route files, of Leaderboard 1.0 or 2.
 
     Raises:
-        RecapError: The file cannot be read.
-        FormatError: It is no route file, or something in it is wrong.
+        RecapError: A file cannot be read.
+        FormatError: One is no route file, or something in it is wrong.
     """
-    path = Path(path)
+    return [route for path in dict.fromkeys(map(Path, paths)) for route in _routes(path)]
+
+
+def _routes(path: Path) -> list[Route]:
     with expecting(path, _EXPECTED):
         routes: list[Route] = []
         for element in read_elements(read_parts(path, _ROUTES.file), _ROUTES):
@@ -83,29 +86,39 @@ def read_routes(path: Path | str) -> list[Route]:
 def route_for(routes: Sequence[Route], source: Reader, id: str | None = None) -> Route:
     """Return the route that a recording is scored by.
 
+    If routes of several files fit, that of the file in the recording's folder is taken.
+
     Args:
-        routes: The routes of a file.
+        routes: The routes of files.
         source: The recording.
-        id: The id of the route; None: the one that the name of the recording names, as the evaluator's do, else the only
+        id: The id of the route; None: the one that the name of the recording says, as the evaluator's do, else the only
             one of its town.
 
     Raises:
         RecapError: There is none, or it is of another town.
     """
-    path, location = routes[0].path, source.location
-    if id is None:
-        named = _RECORDED.search(Path(location).name)
-        id = named[1] if named and any(route.id == named[1] for route in routes) else None
+    files, location = first_of(list(dict.fromkeys(route.path for route in routes))), source.location
+    named = _RECORDED.search(Path(location).name) if id is None else None
+    wanted = named[1] if named else id
     town = plain_name(source.header.map_name)
-    fitting = [route for route in routes if (route.id == id if id is not None else _is_of(route, town))]
-    if not fitting and id is not None:
-        raise RecapError(f"{path}: there is no route {visible(id)!r}; it has {_listed(routes)}")
-    if len(fitting) > 1:
-        raise RecapError(f"{path}: has {len(fitting)} routes for {location}; --route-id names one of {_listed(fitting)}")
-    if not fitting or not _is_of(fitting[0], town):
-        towns = first_of(sorted({visible(route.town) for route in fitting or routes}))
-        raise RecapError(f"{location}: is of the map {visible(town)!r}, and the route of {path} is of {towns}")
-    return fitting[0]
+    fitting = routes if wanted is None else [route for route in routes if route.id == wanted]
+    if not fitting and named:
+        raise RecapError(
+            f"{location}: the name says route {visible(named[1])!r}; {files} has {_listed(routes)}; --route-id names another"
+        )
+    if not fitting:
+        raise RecapError(f"{files}: there is no route {visible(wanted or '')!r}; it has {_listed(routes)}")
+    if not (of_town := [route for route in fitting if _is_of(route, town)]):
+        towns = first_of(sorted({visible(route.town) for route in fitting}))
+        raise RecapError(f"{location}: is of the map {visible(town)!r}, and the route of {files} is of {towns}")
+    folder = Path(location).absolute().parent
+    found = [route for route in of_town if Path(route.path).absolute().parent == folder] or of_town
+    if len({route.id for route in found}) > 1:
+        raise RecapError(f"{files}: has {len(found)} routes for {location}; --route-id names one of {_listed(found)}")
+    if len(found) > 1:
+        stands = first_of([route.path for route in found])
+        raise RecapError(f"{location}: route {visible(found[0].id)!r} is there {len(found)} times: in {stands}")
+    return found[0]
 
 
 def repetition(location: str) -> int:
