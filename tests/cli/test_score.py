@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
+from carla_recap import open_recording, score
+from carla_recap.cli.score import _lines
 from tests.cli.command import answer, error, on_terminal, run, wrote
 
 SAMPLES = Path(__file__).parents[2] / "samples"
@@ -19,12 +22,30 @@ def test_one_recording_is_a_few_lines() -> None:
     lines = answer("score", CRASH, *BY_ROUTE).splitlines()
     assert lines[0] == "route 1 of Brickfield: Completed"
     assert lines[1] == "score 30.00 = 100.00 % x 0.3000, by the formula of Leaderboard 2.0"
-    assert lines[3].startswith("    12.10 s  x0.500   collision with a pedestrian: Agent collided")
-    assert lines[-1] == f"to see the first: carla-recap view '{CRASH}#t=12.10'"
+    assert lines[3].startswith("    12.10 s  x0.500   Collisions with pedestrians (collisions_pedestrian): Agent collided")
+    assert lines[-3:] == [
+        f"to see the first: carla-recap view '{CRASH}#t=12.10'",
+        f"as a picture: carla-recap snapshot '{CRASH}#t=12.10' moment.png",
+        f"as a page, at page.html#t=12.10: carla-recap report {CRASH} page.html",
+    ]
 
 
-def test_the_own_way_needs_no_route() -> None:
-    assert answer("score", CRASH, "--from-drive").startswith("the hero's own way of Brickfield: Completed\n")
+def test_without_a_route_there_is_no_completion() -> None:
+    lines = answer("score", CRASH, "--from-drive").splitlines()
+    assert lines[0] == "no route of Brickfield: Driven"
+    assert lines[1].startswith("score 30.00 = 100 x 0.3000, without completion, by the formula")
+    rows = [line.split("\t") for line in answer("score", CRASH, AVOIDED, "--from-drive").splitlines()]
+    assert [(row[3], row[6]) for row in rows[1:]] == [("", "Driven"), ("", "Driven"), ("", ""), ("", "")]
+    assert rows[1][7] == "1 x collisions_pedestrian, 1 x collisions_vehicle"
+
+
+def test_an_infraction_that_counts_twice_is_one_line() -> None:
+    with open_recording(CRASH) as recording:
+        found = score(recording, ROUTES, route_id="1")
+    first, second = found.infractions
+    lines = list(_lines(replace(found, infractions=(first, second, second))))
+    assert [line.endswith(", counted twice\n") for line in lines[3:5]] == [False, True]
+    assert lines[5].startswith("to see the first")
 
 
 def test_many_recordings_are_a_table_with_the_mean() -> None:
@@ -87,6 +108,7 @@ def test_several_route_files_have_the_routes_of_all(tmp_path: Path) -> None:
         ((), "One of --route and --from-drive says what the route is."),
         (("--from-drive", "--route", ROUTES), "One of --route and --from-drive says what the route is."),
         (("--from-drive", "--route-id", "1"), "--route-id goes with --route."),
+        (("--from-drive", "--min-completion", "1"), "--min-completion goes with --route."),
         (("--from-drive", "--junit", "out.xml"), "--junit goes with a limit, such as --min-score."),
         (("--from-drive", "--max", "red_light"), "'red_light' is no limit; KIND=N was expected, such as red_light=0"),
         (("--from-drive", "--max", "speeding=0"), "'speeding=0' is no limit"),

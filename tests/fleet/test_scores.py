@@ -22,7 +22,7 @@ def of_crash(**options: str) -> Score:
         return score(recording, ROUTES, route_id="1", **options)
 
 
-def test_a_recording_is_scored_by_a_file_a_route_or_its_own_way() -> None:
+def test_a_recording_is_scored_by_a_file_a_route_or_without_one() -> None:
     found = of_crash()
     assert (found.status, found.score, found.completion, found.penalty) == ("Completed", 30.0, 100.0, 0.3)
     assert [(each.kind, each.time) for each in found.infractions] == [
@@ -32,7 +32,7 @@ def test_a_recording_is_scored_by_a_file_a_route_or_its_own_way() -> None:
     with open_recording(CRASH) as recording:
         assert score(recording, read_routes(ROUTES)[0]) == found
         own = score(recording)
-    assert (own.route, own.status, own.penalty) == ("", "Completed", 0.3)
+    assert (own.route, own.status, own.penalty) == ("", "Driven", 0.3)
 
 
 def test_the_formula_is_an_option() -> None:

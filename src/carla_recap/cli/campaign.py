@@ -61,7 +61,7 @@ _SHOWN: Final = 5  # of the worst runs, and of failed ones
     "--route", "routes_file", type=click.Path(), metavar="FILE", help="Score the recordings along a route of FILE."
 )
 @click.option("--route-id", metavar="ID", help="The id of the route; else the only one of the town.")
-@click.option("--from-drive", is_flag=True, help="Score them along the own way of the hero.")
+@click.option("--from-drive", is_flag=True, help="Score them without a route, along the driven path.")
 @click.option(
     "--measure",
     metavar="NAME",

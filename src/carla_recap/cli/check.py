@@ -38,7 +38,7 @@ _STYLES: Final = {"pass": "green", "fail": "red", "error": "magenta"}
 @options.jobs
 @options.dask
 @options.json
-@options.text
+@options.plain
 def check(
     sources: tuple[str, ...],
     rules_file: str,

@@ -39,7 +39,7 @@ DIFFERENT: Final = 1
 @options.road_map
 @options.force
 @options.json
-@options.form("text", "Print text, as in a pipe.")
+@options.plain
 def diff(
     first: str,
     second: str,

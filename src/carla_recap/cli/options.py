@@ -255,6 +255,7 @@ written = click.option(
     help="Print what was written as JSON.",
 )
 text = form("text", "Print CARLA's text, as in a pipe.")
+plain = form("text", "Print text, as in a pipe.")
 compat = click.option(
     "--compat",
     is_flag=True,

@@ -6,6 +6,7 @@ import json
 import shlex
 import sys
 from contextlib import ExitStack, closing
+from itertools import groupby
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import click
@@ -74,7 +75,7 @@ class _Limit(click.ParamType[Any]):
 @options.jobs
 @options.dask
 @options.json
-@options.text
+@options.plain
 def score(
     sources: tuple[str, ...],
     route_files: tuple[str, ...],
@@ -105,6 +106,8 @@ def score(
 
     if bool(route_files) == from_drive:
         raise click.UsageError("One of --route and --from-drive says what the route is.", click.get_current_context())
+    if min_completion is not None and from_drive:
+        raise click.UsageError("--min-completion goes with --route.", click.get_current_context())
     if route_id is not None and from_drive:
         raise click.UsageError("--route-id goes with --route.", click.get_current_context())
     allowed = ScoreLimits(score=min_score, completion=min_completion, infractions=max_infractions, of_kind=dict(limits))
@@ -154,19 +157,27 @@ def _show(scores: Sequence[Score], form: str | None) -> None:
 
 
 def _lines(score: Score) -> Iterator[str]:
-    """Yield a score in words, and its infractions, a line each."""
+    """Yield a score in words, its infractions, a line each, and how to see the first of them."""
     from carla_recap.queries.score import INFRACTIONS
 
-    name = f"route {score.route}" if score.route else "the hero's own way"
-    product = f"{score.score:.2f} = {score.completion:.2f} % x {score.penalty:.4f}"
+    name, of_route = "no route", ""
+    product = f"{score.score:.2f} = 100 x {score.penalty:.4f}, without completion"
+    if score.route:
+        name, of_route = f"route {score.route}", f", along a route of {score.route_length:.0f} m"
+        product = f"{score.score:.2f} = {score.completion:.2f} % x {score.penalty:.4f}"
     yield f"{visible(name)} of {visible(score.town)}: {score.status}\n"
     yield f"score {product}, by the formula of Leaderboard {score.formula}\n"
-    yield f"{score.driven:.0f} m driven in {score.duration:.1f} s, along a route of {score.route_length:.0f} m\n"
-    for each in score.infractions:
-        noun, cost = INFRACTIONS[each.kind].noun, _cost(each.kind, each.share, score.formula)
-        yield f"{each.time:9.2f} s  {cost:7}  {noun}: {visible(each.text)}\n"
+    yield f"{score.driven:.0f} m driven in {score.duration:.1f} s{of_route}\n"
+    for each, same in groupby(score.infractions):
+        cost, count = _cost(each.kind, each.share, score.formula), len(list(same))
+        times = "" if count == 1 else ", counted twice" if count == 2 else f", counted {count} times"
+        yield f"{each.time:9.2f} s  {cost:7}  {INFRACTIONS[each.kind].label} ({each.kind}): {visible(each.text)}{times}\n"
     if score.infractions:
-        yield f"to see the first: carla-recap view {shlex.quote(score.recording + score.infractions[0].link)}\n"
+        link = score.infractions[0].link
+        moment, recording = shlex.quote(score.recording + link), shlex.quote(score.recording)
+        yield f"to see the first: carla-recap view {moment}\n"
+        yield f"as a picture: carla-recap snapshot {moment} moment.png\n"
+        yield f"as a page, at page.html{link}: carla-recap report {recording} page.html\n"
 
 
 def _cost(kind: str, share: float, formula: Formula) -> str:
@@ -188,7 +199,7 @@ def _print_table(scores: Sequence[Score], form: str | None) -> None:
             visible(each.recording),
             visible(each.route),
             f"{each.score:.2f}",
-            f"{each.completion:.2f}",
+            f"{each.completion:.2f}" if each.route else "",
             f"{each.penalty:.3f}",
             f"{each.duration:.1f}",
             each.status,
@@ -199,7 +210,8 @@ def _print_table(scores: Sequence[Score], form: str | None) -> None:
     averages = means(scores)
     for word, number in (("mean", 0), ("std. deviation", 1)):
         score, completion, penalty = (averages[name][number] for name in ("score", "completion", "penalty"))
-        rows.append((word, "", f"{score:.2f}", f"{completion:.2f}", f"{penalty:.3f}", "", "", ""))
+        completed = f"{completion:.2f}" if any(each.route for each in scores) else ""
+        rows.append((word, "", f"{score:.2f}", completed, f"{penalty:.3f}", "", "", ""))
     if form is None and sys.stdout.isatty():
         from rich.console import Console
 
@@ -224,8 +236,8 @@ _LOOKS: Final[Mapping[str, Any]] = {
 
 
 def _counts(score: Score) -> str:
-    """Return the numbers of infractions by kind, in words."""
+    """Return the numbers of infractions by kind."""
     from carla_recap.queries.score import INFRACTIONS
 
-    counts = {kind.noun: score.count(name) for name, kind in INFRACTIONS.items()}
-    return ", ".join(f"{count} x {noun}" for noun, count in counts.items() if count)
+    counts = {name: score.count(name) for name in INFRACTIONS}
+    return ", ".join(f"{count} x {name}" for name, count in counts.items() if count)

@@ -36,7 +36,7 @@ def score(
 
     Args:
         recording: The recording.
-        route: A route, or a route file; None: the own way of the vehicle is the route, which is completed then.
+        route: A route, or a route file; None: infractions are judged along the driven path.
         route_id: The id of the route in the file; None: the one that the name of the recording names, as the evaluator's
             do (`RouteScenario_3_rep0.log`), else the only one of its town.
         options: The fields of `ScoreOptions`: `formula`, "1.0", "2.0" or "2.1"; `actor`; `road_map`; `start` and `stop`.
@@ -63,7 +63,7 @@ def score_sources(
 
     Args:
         sources: The recordings.
-        routes: The routes of a file; None: the own way of each vehicle.
+        routes: The routes of files; None: the driven path of each vehicle.
         options: How to score.
         route_id: See `score`.
         jobs: See `map_sources`.

@@ -111,7 +111,7 @@ def test_a_collision_is_of_the_kind_of_the_other_actor(drives: Drives, spawn: Sp
     (collision,) = found.infractions
     assert (collision.kind, collision.actor, collision.type_id) == (kind, OTHER, spawn.type_id)
     assert (collision.time, collision.link) == (pytest.approx(80 * TICK), "#t=4.00")
-    assert collision.x == pytest.approx(START - 10.0 * 81 * TICK)
+    assert collision.x == pytest.approx(START - 10.0 * 80 * TICK)  # in the frame before
 
 
 def test_a_collision_with_a_building_is_one_with_the_layout(drives: Drives) -> None:
@@ -260,12 +260,12 @@ def test_an_emergency_vehicle_that_stays_behind_was_not_let_pass(drives: Drives)
     assert kinds(drives(WHOLE, others={OTHER: (other, behind)})) == []
 
 
-# --- the own way ---------------------------------------------------------------------------------------------------------
+# --- without a route -----------------------------------------------------------------------------------------------------
 
 
-def test_the_own_way_is_completed(drives: Drives) -> None:
+def test_without_a_route_the_drive_is_judged(drives: Drives) -> None:
     found = drives(WHOLE, route=None, others={OTHER: (WALKER, beside())}, touches=[(80, OTHER)])
-    assert (found.route, found.status, found.completion) == ("", "Completed", 100.0)
+    assert (found.route, found.status, found.completion) == ("", "Driven", 100.0)
     assert kinds(found) == ["collisions_pedestrian"]
     assert found.driven == pytest.approx(105.0, abs=1.0)
 
@@ -275,3 +275,15 @@ def test_a_route_of_the_other_direction_is_not_completed(drives: Drives) -> None
     found = drives(WHOLE, route=back)
     assert found.completion == pytest.approx(2.0, abs=0.2)  # the points that are passed in the first tick
     assert found.status == "Failed - Agent deviated from the route"
+
+
+def test_without_a_route_a_hero_that_stands_has_driven_until_it_is_blocked(drives: Drives) -> None:
+    stands = westward([1.0, *[0.0] * 40])
+    assert drives(stands, route=None).status == "Driven"
+    found = drives(stands, route=None, tick=10.0)
+    assert (found.status, kinds(found)) == ("Failed - Agent got blocked", ["vehicle_blocked"])
+
+
+def test_the_place_of_a_collision_is_that_in_its_text(drives: Drives) -> None:
+    found = drives(WHOLE, others={OTHER: (WALKER, beside())}, touches=[(80, OTHER)]).infractions[0]
+    assert f"(x={round(found.x, 3)}, y={round(-found.y, 3)}, " in found.text

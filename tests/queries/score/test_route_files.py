@@ -66,6 +66,7 @@ HOSTILE = {
         '<!DOCTYPE x [<!ENTITY a SYSTEM "file:///etc/passwd">]><routes>&a;</routes>',
         "it declares entities, which no route file does",
     ),
+    "no id": (routes(route(*TWO, id="")), "a route has no id"),
     "no town": (routes(route(*TWO, town="")), "route '1' has no town"),
     "no positions": (routes(route()), "2 to 2,000 positions of a route, and route '1' has 0"),
     "a million positions": (

@@ -52,7 +52,7 @@ class Scoring:
     """How the recordings of a campaign are scored.
 
     Attributes:
-        routes: The routes of a file; None: the own way of the hero is the route.
+        routes: The routes of a file; None: the driven path of the hero.
         route_id: The id of the route; None: that of the recording's town.
         road_map: The map, or the folder to look in; None: the usual folders.
     """

@@ -97,7 +97,7 @@ def ending(drive: Drive, route: PlannedRoute, network: RoadNetwork) -> Ending:
 
 
 def ending_of_drive(drive: Drive) -> Ending:
-    """Return how the own way of an actor ends: with the recording, or because it is blocked."""
+    """Return how a drive without a route ends: with the recording, or because it is blocked."""
     found = next(blocked(drive), None)
     return Ending(len(drive) - 1, 100.0, None) if found is None else Ending(found[0], 100.0, found[1])
 
@@ -183,7 +183,7 @@ def collisions(drive: Drive, contacts: Iterable[Contact], actors: ActorLives) ->
         if kind:
             type_id, id = ("static", None) if life is None else (life.type_id, other)
             text = f"Agent collided against object with type={type_id} and id={id or 0} at {_place(drive, before)}"
-            yield _infraction(kind, drive, frame, text, id, type_id)
+            yield _infraction(kind, drive, frame, text, id, type_id, at=before)
 
 
 def _touched(life: ActorLife | None, *, is_object: bool) -> str:
@@ -391,9 +391,18 @@ def _frame_at(drive: Drive, time: float) -> int:
 
 
 def _infraction(
-    kind: str, drive: Drive, frame: int, text: str, actor: int | None = None, type_id: str = "", *, share: float = 1.0
+    kind: str,
+    drive: Drive,
+    frame: int,
+    text: str,
+    actor: int | None = None,
+    type_id: str = "",
+    *,
+    share: float = 1.0,
+    at: int | None = None,
 ) -> Infraction:
-    x, y, z = drive.position[frame].tolist()
+    """Return an infraction at the time of a frame, and at the place of the hero then or in another frame."""
+    x, y, z = drive.position[frame if at is None else at].tolist()
     return Infraction(kind, float(drive.time[frame]), x, y, z, actor, type_id, share, text)
 
 

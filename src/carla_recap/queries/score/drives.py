@@ -116,7 +116,7 @@ class PlannedRoute:
 
     @classmethod
     def of_drive(cls, drive: Drive) -> PlannedRoute:
-        """Return the way that an actor has taken as a route."""
+        """Return the driven path of an actor as a route."""
         steps = np.linalg.norm(np.diff(drive.position[:, :2], axis=0, prepend=drive.position[:1, :2]), axis=1)
         travelled = np.cumsum(steps)
         count = int(travelled[-1] / _SPACING)

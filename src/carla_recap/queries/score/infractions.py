@@ -22,7 +22,6 @@ class InfractionKind:
     Attributes:
         name: The name, which is that in the Leaderboard's results.
         label: What the Leaderboard calls its column.
-        noun: What a text calls one.
         text: The definition.
         factor: By what one multiplies the score in 1.0 and 2.0; None: by nothing.
         coefficient: What one adds to the divisor of the score in 2.1; None: its factor counts there, too.
@@ -33,7 +32,6 @@ class InfractionKind:
 
     name: str
     label: str
-    noun: str
     text: str
     factor: float | None = None
     coefficient: float | None = None
@@ -53,7 +51,7 @@ class Infraction:
     Attributes:
         kind: Which one: the name of a row of the table.
         time: When, in elapsed seconds.
-        x, y, z: Where the hero is then, in m, right-handed.
+        x, y, z: Where the hero is then, in m, right-handed; of a collision, in the frame before, as in the text.
         actor: The id of the other actor, light or sign; None without one.
         type_id: The blueprint of that actor; empty for an unknown one.
         share: Which share of it counts: 1, or that of the route outside its lanes, or by how much the speed is too low.
@@ -82,7 +80,6 @@ INFRACTIONS: Final[Mapping[str, InfractionKind]] = {
         InfractionKind(
             name="collisions_pedestrian",
             label="Collisions with pedestrians",
-            noun="collision with a pedestrian",
             text="the hero, at 0.1 m/s or more, touches a walker; not the one that it touched in the 5 s before, and not "
             "within 5 m of where it had the collision before, unless it was farther away in between",
             factor=0.5,
@@ -91,7 +88,6 @@ INFRACTIONS: Final[Mapping[str, InfractionKind]] = {
         InfractionKind(
             name="collisions_vehicle",
             label="Collisions with vehicles",
-            noun="collision with a vehicle",
             text="the same with a vehicle",
             factor=0.6,
             coefficient=0.7,
@@ -99,7 +95,6 @@ INFRACTIONS: Final[Mapping[str, InfractionKind]] = {
         InfractionKind(
             name="collisions_layout",
             label="Collisions with layout",
-            noun="collision with the layout",
             text="the same with a static object, such as a building, a traffic light or a prop",
             factor=0.65,
             coefficient=0.6,
@@ -107,16 +102,14 @@ INFRACTIONS: Final[Mapping[str, InfractionKind]] = {
         InfractionKind(
             name="red_light",
             label="Red lights infractions",
-            noun="red light run",
-            text="the rear of the hero, from 0.8 of half of its length behind its middle to 1 m behind its end, is above "
-            "the stop line of a traffic light while this is red",
+            text="the stop line of a traffic light is under the rear of the hero while the light is red: between 0.4 of its "
+            "length behind its middle and 1 m behind its rear end",
             factor=0.7,
             coefficient=0.4,
         ),
         InfractionKind(
             name="stop_infraction",
             label="Stop sign infractions",
-            noun="stop sign run",
             text="the middle of the hero crosses the stop line of a stop sign, and the hero was not slower than 0.1 m/s on "
             "the last 6 m before it",
             factor=0.8,
@@ -125,7 +118,6 @@ INFRACTIONS: Final[Mapping[str, InfractionKind]] = {
         InfractionKind(
             name="outside_route_lanes",
             label="Off-road infractions",
-            noun="drive outside the route's lanes",
             text="along a part of the route, the hero is more than 0.5 m outside the nearest lane for cars or for parking, "
             "or on a lane of the other direction; once for a route, with the share of the driven route that these parts are",
             factor=0.0,
@@ -134,14 +126,12 @@ INFRACTIONS: Final[Mapping[str, InfractionKind]] = {
         InfractionKind(
             name="route_dev",
             label="Route deviations",
-            noun="deviation from the route",
             text="the hero is 30 m or more from the route, or more than 15 m from it along more than 30 % of the route",
             ends="Agent deviated from the route",
         ),
         InfractionKind(
             name="route_timeout",
             label="Route timeouts",
-            noun="timeout of the route",
             text="the hero needs more than 300 s and the time in which it would drive what it has driven of the route at a "
             "tenth of the speed limit",
             ends="Agent timed out",
@@ -149,14 +139,12 @@ INFRACTIONS: Final[Mapping[str, InfractionKind]] = {
         InfractionKind(
             name="vehicle_blocked",
             label="Agent blocked",
-            noun="blocked hero",
             text="the hero is slower than 0.1 m/s for more than 180 s",
             ends="Agent got blocked",
         ),
         InfractionKind(
             name="yield_emergency_vehicle_infractions",
             label="Yield emergency vehicles infractions",
-            noun="emergency vehicle that was not let pass",
             text="an emergency vehicle of a scenario is behind the hero when it disappears, or at the end of the route",
             factor=0.7,
             coefficient=0.4,
@@ -165,7 +153,6 @@ INFRACTIONS: Final[Mapping[str, InfractionKind]] = {
         InfractionKind(
             name="scenario_timeouts",
             label="Scenario timeouts",
-            noun="timeout of a scenario",
             text="a scenario lasts too long; a recording does not say when scenarios begin and end, so that none is found",
             factor=0.7,
             coefficient=0.4,
@@ -174,9 +161,8 @@ INFRACTIONS: Final[Mapping[str, InfractionKind]] = {
         InfractionKind(
             name="min_speed_infractions",
             label="Min speed infractions",
-            noun="drive slower than the traffic",
             text="on a quarter of the route, the mean speed of the hero is less than that of all background vehicles; the "
-            "share by which it is less counts, for the last quarter twice",
+            "share is the missing part of that speed; the evaluator counts the last quarter twice",
             factor=0.7,
             coefficient=0.4,
             by_share=True,

@@ -138,6 +138,8 @@ def _listed(routes: Sequence[Route]) -> str:
 def _route(element: Element, path: str) -> Route:
     id, town = element.get("id", ""), element.get("town", "")
     name = visible(id[:_SHOWN])
+    if not id:
+        raise ValueError("a route has no id")
     if not town:
         raise ValueError(f"route {name!r} has no town")
     places = element.findall("waypoints/position") or element.findall("waypoint")

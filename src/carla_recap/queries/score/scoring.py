@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from carla_recap.queries.score.route_files import Route
     from carla_recap.roads.network import RoadNetwork
 
-PERFECT, COMPLETED, FAILED = "Perfect", "Completed", "Failed"
-"""How a route ends: completed without and with infractions, or not completed."""
+PERFECT, COMPLETED, FAILED, DRIVEN = "Perfect", "Completed", "Failed", "Driven"
+"""How a route ends: completed without and with infractions, or not completed; or that there is none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,16 +70,16 @@ class Score:
 
     Attributes:
         recording: The path or URL of the recording.
-        route: The id of the route; empty if the own way of the hero is the route.
+        route: The id of the route; empty without one.
         repetition: Which repetition of the route it is, by the name of the recording.
         town: The name of the map.
         formula: The version of the Leaderboard whose formula counts.
-        status: `Perfect`, `Completed`, or `Failed` with the reason, if it is known.
+        status: `Perfect`, `Completed`, or `Failed` with the reason, if it is known; `Driven` without a route.
         score: The driving score: the completion times the penalty, 0 to 100.
-        completion: How much of the route is completed, in %.
+        completion: How much of the route is completed, in %; 100 without a route, where it says nothing.
         penalty: The factor by which infractions reduce the score, 0 to 1.
         infractions: The infractions, in order of time.
-        route_length: The length of the route in m.
+        route_length: The length of the route in m, or without one that of the driven path.
         driven: The distance driven in m.
         start: The elapsed seconds at which the drive begins.
         stop: The elapsed seconds at which it ends.
@@ -115,7 +115,7 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
 
     Args:
         source: The recording.
-        route: The route; None: the own way of the hero, which is completed then.
+        route: The route; None: infractions are judged along the driven path.
         options: How to score.
 
     Raises:
@@ -157,7 +157,7 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
         repetition(source.location),
         source.header.map_name,
         options.formula,
-        _status(end, counted),
+        _status(end, counted, has_route=route is not None),
         round(end.completion * penalty, 6),
         end.completion,
         round(penalty, 6),
@@ -223,7 +223,9 @@ def _planner(town: LaneMap) -> RoutePlanner:
     return RoutePlanner(town)
 
 
-def _status(end: criteria.Ending, infractions: list[Infraction]) -> str:
-    if end.completion >= 100:
+def _status(end: criteria.Ending, infractions: list[Infraction], *, has_route: bool) -> str:
+    if not has_route and end.infraction is None:
+        return DRIVEN
+    if has_route and end.completion >= 100:
         return COMPLETED if infractions else PERFECT
     return f"{FAILED} - {INFRACTIONS[end.infraction.kind].ends}" if end.infraction else FAILED
