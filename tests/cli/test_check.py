@@ -58,6 +58,17 @@ def test_the_exit_code_is_that_of_the_worst_verdict(name, code):
     assert (done.returncode, done.stderr) == (code, b"")
 
 
+@pytest.mark.parametrize(("options", "code", "status"), [((), 0, "pass"), (("--strict",), 1, "fail")])
+def test_a_rule_that_had_nothing_to_judge_is_listed_and_is_broken_if_strict(tmp_path, options, code, status):
+    rules = save(tmp_path / "rules.toml", b"[rules.slow]\nspeed = { of = 'role:heroo', max = 0.1 }")
+    done = run("check", SAMPLES / "crash.mcap", "--rules", rules, *options)
+    line = done.stdout.decode().splitlines()[-2].split(maxsplit=3)
+    assert line[0] == status
+    said = "nothing to judge: no speed of the actor of the role heroo was measured (it has no role:heroo)"
+    assert line[2:] == ["slow", said]
+    assert done.returncode == code
+
+
 def test_json(runs):
     done = run("check", runs, "--rules", RULES, "--json")
     assert done.returncode == 1

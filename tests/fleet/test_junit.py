@@ -44,6 +44,12 @@ def test_a_recording_is_a_class_and_a_rule_is_a_test():
     ]
 
 
+def test_what_had_nothing_to_judge_is_said_in_the_output_of_its_test():
+    verdict = Verdict("calm", "pass", "nothing to judge: it has no tram", applies=False)
+    (case,) = ElementTree.fromstring(junit([CheckedRecording("a.log", (verdict,))])).iter("testcase")
+    assert [(child.tag, child.text) for child in case] == [("system-out", verdict.message)]
+
+
 def test_times_are_those_of_the_judging():
     verdicts = (Verdict("quick", "pass", "", seconds=0.001), Verdict("slow", "fail", "", seconds=1.25))
     suites = ElementTree.fromstring(junit([CheckedRecording("a.log", verdicts), CheckedRecording("b.log", verdicts)]))

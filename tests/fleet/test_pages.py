@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,16 @@ def test_the_overview_begins_with_what_is_wrong():
     assert words.index("c.mcap") < words.index("b.mcap") < words.index("a.mcap")
     assert "no-hero-collision The hero hits nothing 1 failed" in words
     assert "Passed: no-red-light, keeps-its-distance, gentle-braking, no-long-stops, one-hero, complete" in words
+
+
+def test_what_had_nothing_to_judge_is_said_of_each_recording():
+    idle = Verdict(RULES[1].name, "pass", "nothing to judge: it has no tram", applies=False)
+    found = [checked("a.mcap"), checked("b.mcap", "fail", "2 collisions", 12.1)]
+    found = [replace(each, verdicts=(each.verdicts[0], idle, *each.verdicts[2:])) for each in found]
+    words = text(overview(found, RULES))
+    assert words.count(f"{idle.rule}: nothing to judge: it has no tram") == 2
+    assert "The hero runs no red light all passed nothing to judge in 2" in words
+    assert "Passed: keeps-its-distance, " in words
 
 
 def test_an_offence_links_to_its_moment_in_the_page():

@@ -84,7 +84,7 @@ def verdict(sample: str, rule: str):
             "junction.mcap",
             'collisions = { of = "role:ego", max = 0 }',
             "pass",
-            "no collisions of the actor of the role ego (it has no role:ego)",
+            "nothing to judge: no collisions of the actor of the role ego (it has no role:ego)",
         ),
         ("crash.mcap", 'incidents = { kind = ["collision", "blocked"], max = 9 }', "pass", "4 collisions or long stops"),
         (
@@ -168,7 +168,7 @@ def test_a_condition(sample, rule, status, message):
         (
             'jerk = { of = "role:ego", max = 15 }',
             "pass",
-            "no jerk of the actor of the role ego was measured (it has no role:ego)",
+            "nothing to judge: no jerk of the actor of the role ego was measured (it has no role:ego)",
         ),
     ],
 )
@@ -542,5 +542,5 @@ def test_baselines_that_are_missing_are_faults_of_the_file(tmp_path):
 @pytest.mark.parametrize(("short", "name"), SHORT_NAMES.items())
 def test_a_measure_has_a_short_name(short, name):
     bound = "min" if MEASURES[name].extreme == "least" else "max"
-    rules = [parse_rules(f"[rules.close]\n{each} = {{ {bound} = 1 }}").rules for each in (short, name)]
+    rules = [parse_rules(f"[rules.close]\n{each} = {{ {bound} = 1 }}", "rules.toml").rules for each in (short, name)]
     assert rules[0] == rules[1]

@@ -33,6 +33,7 @@ _STYLES: Final = {"pass": "green", "fail": "red", "error": "magenta"}
     "--html", type=click.Path(), metavar="DIR", help="Write an overview, and the incident page of each recording that fails."
 )
 @click.option("--clips", is_flag=True, help="Cut a clip of the first offence of each of these, too.")
+@click.option("--strict", "is_strict", is_flag=True, help="Rules fail that have nothing to judge, as without their actors.")
 @options.road_map
 @options.force
 @options.jobs
@@ -45,6 +46,7 @@ def check(
     junit: str | None,
     html: str | None,
     clips: bool,
+    is_strict: bool,
     road_map: str | None,
     force: bool,
     jobs: int | None,
@@ -57,7 +59,7 @@ def check(
     one fails, 2 if one cannot be judged.
     """
     from carla_recap.errors import RecapError
-    from carla_recap.fleet.check import check_sources, worst
+    from carla_recap.fleet.check import check_sources, strict, worst
     from carla_recap.fleet.junit import write_junit
     from carla_recap.fleet.rules import RulesError, load_rules
     from carla_recap.util.files import prepare_file
@@ -84,7 +86,7 @@ def check(
             with bar, closing(check_sources(found, rules, road_map=road_map, jobs=jobs, client=client)) as given:
                 messages = Messages(bar)
                 for each in given:
-                    judged.append(each)
+                    judged.append(strict(each) if is_strict else each)
                     bar.advance()
                     messages.add(each.recording, each.warnings)
             is_judged = True
@@ -178,14 +180,18 @@ def _show(checked: Sequence[CheckedRecording], rules: RuleSet, form: str | None)
 
 
 def _rows(checked: CheckedRecording) -> list[tuple[str, str, str, str, str]]:
-    """Return the status, recording, rule, time and message of each rule that is broken, or of all rules in one row."""
+    """Return the status, recording, rule, time and message of each rule that is broken, or of all rules in one row.
+
+    Rules that had nothing to judge follow.
+    """
     name, rules = visible(checked.recording), counted(len(checked.verdicts), "rule")
+    idle = [("pass", name, visible(each.rule), "", each.message) for each in checked.idle]
     if checked.status == "pass":
-        return [("pass", name, "", "", rules)]
+        return [("pass", name, "", "", rules), *idle]
     bad = [verdict for status in ("error", "fail") for verdict in checked.verdicts if verdict.status == status]
     if len(bad) > 1 and len({(verdict.status, verdict.message) for verdict in bad}) == 1:
-        return [(checked.status, name, rules, "", bad[0].message)]
-    return [(each.status, name, visible(each.rule), _seconds(each.time), each.message) for each in bad]
+        return [(checked.status, name, rules, "", bad[0].message), *idle]
+    return [(each.status, name, visible(each.rule), _seconds(each.time), each.message) for each in bad] + idle
 
 
 def _print_table(rows: Sequence[tuple[str, ...]]) -> None:

@@ -54,10 +54,25 @@ class CheckedRecording:
     def __post_init__(self) -> None:
         object.__setattr__(self, "status", worst(verdict.status for verdict in self.verdicts))
 
+    @property
+    def idle(self) -> list[Verdict]:
+        """The verdicts of rules that are met as there was nothing to judge."""
+        return [verdict for verdict in self.verdicts if verdict.status == "pass" and not verdict.applies]
+
 
 def worst(statuses: Iterable[Status]) -> Status:
     """Return the worst of some statuses; without any, `pass`."""
     return min(statuses, key=WORST_FIRST.index, default="pass")
+
+
+def strict(checked: CheckedRecording) -> CheckedRecording:
+    """Return a recording whose rules that had nothing to judge are broken instead of met."""
+    return replace(
+        checked,
+        verdicts=tuple(
+            replace(each, status="fail") if each.status == "pass" and not each.applies else each for each in checked.verdicts
+        ),
+    )
 
 
 def check_sources(

@@ -74,6 +74,8 @@ def _add(suite: Element, checked: CheckedRecording, verdict: Verdict, pages: Pat
     names = {"classname": _clean(checked.recording), "name": _clean(verdict.rule)}
     case = SubElement(suite, "testcase", {**names, "time": _seconds(verdict.seconds)})
     if verdict.status == "pass":
+        if not verdict.applies:
+            SubElement(case, "system-out").text = _clean(verdict.message)
         return
     tag, kind = ("failure", "rule") if verdict.status == "fail" else ("error", "recording")
     lines = [verdict.message, *verdict.details]

@@ -259,6 +259,8 @@ def _rules(checked: Sequence[CheckedRecording], rules: RuleSet) -> str:
         said = f'<b class="fail">{counts["fail"]}</b> failed' if counts["fail"] else '<span class="quiet">all passed</span>'
         if counts["error"] and not counts["fail"]:
             said = f'<span class="quiet">{counts["error"]} not judged</span>'
+        if idle := sum(not each.verdicts[index].applies for each in checked):
+            said += f'<br><span class="quiet">nothing to judge in {idle}</span>'
         rows.append(
             f'<tr><th scope="row">{_text(rule.name)}</th><td class="description">{_text(rule.description)}</td>'
             f'<td class="number">{said}</td><td class="share">{_bar(counts)}</td></tr>\n'
@@ -278,7 +280,7 @@ def _bad(checked: Sequence[CheckedRecording]) -> str:
 
 def _card(checked: CheckedRecording) -> str:
     broken = [verdict for verdict in checked.verdicts if verdict.status != "pass"]
-    met = [verdict.rule for verdict in checked.verdicts if verdict.status == "pass"]
+    met = [verdict.rule for verdict in checked.verdicts if verdict.status == "pass" and verdict.applies]
     links = [f'<a href="{_address(checked.page)}">Incident page</a>'] if checked.page else []
     links += [f'<a href="{_address(checked.clip)}" download>Clip</a>'] if checked.clip else []
     facts = f"{_text(checked.map)} · {number(checked.duration)} s · {checked.frames} frames"
@@ -293,7 +295,12 @@ def _card(checked: CheckedRecording) -> str:
     verdicts = "".join(_verdict(verdict, checked, rule) for verdict, rule in zip(broken, rules, strict=True))
     parts.append(f'<ul class="verdicts">\n{verdicts}</ul>\n')
     parts += [f'<p class="met">Passed: {_text(", ".join(met))}</p>\n'] if met else []
-    return "".join((*parts, "</li>\n"))
+    return "".join((*parts, _idle(checked), "</li>\n"))
+
+
+def _idle(checked: CheckedRecording) -> str:
+    """Return a line for each rule that had nothing to judge."""
+    return "".join(f'<p class="met">{_text(verdict.rule)}: {_text(verdict.message)}</p>\n' for verdict in checked.idle)
 
 
 def _verdict(verdict: Verdict, checked: CheckedRecording, rule: str) -> str:
@@ -314,7 +321,8 @@ def _good(checked: Sequence[CheckedRecording]) -> str:
     if not checked:
         return ""
     rows = "".join(
-        f'<tr><td><i class="dot pass"></i>{_name(each.recording)}</td><td class="minor quiet">{_text(each.map)}</td>'
+        f'<tr><td><i class="dot pass"></i>{_name(each.recording)}{_idle(each)}</td>'
+        f'<td class="minor quiet">{_text(each.map)}</td>'
         f'<td class="number quiet">{number(each.duration)} s</td></tr>\n'
         for each in checked
     )

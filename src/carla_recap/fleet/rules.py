@@ -73,6 +73,7 @@ class Verdict:
         time: When the first or the worst offence happens, in elapsed seconds; None if there is none.
         actors: The ids of its actors.
         details: The offences, a line each.
+        applies: Whether there was anything to judge; a rule passes if there was not, as without its actors.
         seconds: How long it took to judge, in s; what several rules need is read for the first of them.
     """
 
@@ -82,6 +83,7 @@ class Verdict:
     time: float | None = None
     actors: tuple[int, ...] = ()
     details: tuple[str, ...] = ()
+    applies: bool = True
     seconds: float = field(default=0.0, compare=False)
 
 
@@ -221,7 +223,7 @@ def _judged(rule: Rule, facts: Facts) -> Verdict:
     try:
         if rule.condition.needs().roads:
             facts.check_roads()
-        passes, message, offences = rule.condition.judge(facts)
+        passes, message, offences, applies = rule.condition.judge(facts)
     except NotSetUp:
         raise
     except RecapError as error:
@@ -229,7 +231,7 @@ def _judged(rule: Rule, facts: Facts) -> Verdict:
     except OSError as error:
         return Verdict(rule.name, "error", visible(error.strerror or str(error)))
     if passes:
-        return Verdict(rule.name, "pass", visible(message))
+        return Verdict(rule.name, "pass", visible(message if applies else f"nothing to judge: {message}"), applies=applies)
     offences = tuple(each if math.isfinite(each.time or 0.0) else each._replace(time=None) for each in offences)
     details = [each.text if each.time is None else f"{each.time:.2f} s: {each.text}" for each in offences[:_LISTED]]
     if len(offences) > _LISTED:

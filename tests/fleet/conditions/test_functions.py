@@ -118,6 +118,17 @@ def test_a_finding_is_the_verdict(folder: Path) -> None:
     assert judged(folder, '"my_rules:nothing"').status == "pass"
 
 
+def test_a_function_can_be_named_by_its_file(folder: Path) -> None:
+    assert judged(folder, '"my_rules.py:passing"').message == "all is well"
+    (folder / "below").mkdir()
+    assert judged(folder / "below", '"../my_rules.py:passing"').message == "all is well"
+
+
+def test_a_finding_says_that_nothing_was_judged(folder: Path) -> None:
+    found = judged(folder, '{ function = "my_rules:returns", what = "Finding(True, \'no tram\', applies=False)" }')
+    assert (found.status, found.applies, found.message) == ("pass", False, "nothing to judge: no tram")
+
+
 def test_the_description_is_the_first_line_of_the_docstring(folder: Path) -> None:
     text = (
         '[rules.a]\ncondition = { function = "my_rules:slow_start", limit = 5 }\n[rules.b]\ncondition = "my_rules:nothing"'
@@ -130,7 +141,14 @@ def test_the_description_is_the_first_line_of_the_docstring(folder: Path) -> Non
     "value",
     [
         *("None", "True", "5", "'text'", "{}", "[3]", "[Offence(3)]", "[Offence('a', 'b')]", "[Offence('a', float('nan'))]"),
-        *("[Offence('a', 1.0, ('b',))]", "Finding(2, 'a')", "Finding(True, 3)", "Finding(False, 'a', None)", "'x' * 5000"),
+        *(
+            "[Offence('a', 1.0, ('b',))]",
+            "Finding(2, 'a')",
+            "Finding(True, 3)",
+            "Finding(False, 'a', None)",
+            "Finding(True, 'a', (), 3)",
+            "'x' * 5000",
+        ),
     ],
 )
 def test_what_is_no_finding_cannot_be_judged(folder: Path, value: str) -> None:
@@ -153,10 +171,13 @@ def test_an_error_of_a_function_is_one_line_with_the_file_and_the_line(folder: P
 @pytest.mark.parametrize(
     ("condition", "fault"),
     [
-        ("3", ': 3; a function as "module:function" was expected'),
-        ("'my_rules'", ": 'my_rules'; a function as \"module:function\" was expected"),
-        ("'../my_rules:nothing'", ": '../my_rules:nothing'; a function as \"module:function\" was expected"),
-        ("{ limit = 3 }", '.function: is missing; a function as "module:function" was expected'),
+        ("3", ': 3; a function as "FILE.py:function" or "module:function" was expected'),
+        ("'my_rules'", ': \'my_rules\'; a function as "FILE.py:function" or "module:function" was expected'),
+        (
+            "'../my_rules:nothing'",
+            ': \'../my_rules:nothing\'; a function as "FILE.py:function" or "module:function" was expected',
+        ),
+        ("{ limit = 3 }", '.function: is missing; a function as "FILE.py:function" or "module:function" was expected'),
         ("'absent_rules:f'", ": there is no module absent_rules, in "),
         ("'my_rules:absent'", ": the module my_rules has no function absent"),
         ("'my_rules:not_a_function'", ": the module my_rules has no function not_a_function"),
@@ -164,7 +185,15 @@ def test_an_error_of_a_function_is_one_line_with_the_file_and_the_line(folder: P
             "'my_rules:slow_start'",
             ": my_rules:slow_start: missing a required argument: 'limit'; the function gets the recording",
         ),
-        ("{ function = 'my_rules:nothing', limit = 3 }", ": my_rules:nothing: got an unexpected keyword argument 'limit'; "),
+        ("{ function = 'my_rules:nothing', limit = 3 }", ": unknown key 'limit'; the key is function"),
+        (
+            "{ function = 'my_rules.py:slow_start', limt = 3 }",
+            ": unknown key 'limt'; did you mean limit? The keys are function, limit, after",
+        ),
+        ("'absent.py:f'", ": there is no file "),
+        ("'broken.py:f'", ": the module broken.py cannot be imported: SyntaxError: "),
+        ("'my_rules.py:absent'", ": the module my_rules.py has no function absent"),
+        ("'absent.rules:f'", ": there is no module absent.rules, in "),
         ("'broken:f'", ": the module broken cannot be imported: SyntaxError: "),
         (
             "'lacking:f'",

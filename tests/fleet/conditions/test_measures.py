@@ -166,3 +166,37 @@ def test_until_a_collision() -> None:
     assert after.status == "fail"
     assert after.time is not None
     assert after.time > 12.1
+
+
+@pytest.mark.parametrize(
+    ("rule", "applies"),
+    [
+        ('speed = { of = "hero", max = 50, where = { x = 0, y = 99, within = 5 } }', False),
+        ('speed = { of = "hero", max = 50, during = ["90 s", "99 s"] }', False),
+        ('speed = { of = "role:heroo", max = 50 }', False),
+        ('speed = { of = "hero", max = 50, where = { x = 20, y = 0, within = 5 } }', True),
+        ('time_to_collision = { of = "hero", min = 1 }', True),
+        ('collisions = { of = "role:heroo", max = 0 }', False),
+        ('collisions = { of = "hero", with = "role:heroo", max = 0 }', False),
+        ('collisions = { of = "hero", max = 0, after = "hard-braking" }', False),
+        ('collisions = { of = "hero", max = 0, during = ["90 s", "99 s"] }', False),
+        ('collisions = { of = "hero", max = 0, where = { x = 0, y = 99, within = 5 } }', False),
+        ('collisions = { of = "hero", max = 0, until = "collision" }', True),
+        ('collisions = { of = "hero", max = 0, where = { x = 20, y = 0, within = 5 } }', True),
+        ('stays_out_of = { of = "hero", x = 0, y = 99, within = 5 }', True),
+        ('stays_in = { of = "hero", lanes = "driving", where = { x = 0, y = 99, within = 5 } }', False),
+        ('distance = { of = "hero", max = 9, where = { x = 0, y = 99, within = 5 } }', False),
+        ('distance = { of = "role:heroo", max = 9 }', False),
+        ('blocked = { of = "role:heroo", max = 9 }', False),
+    ],
+)
+def test_a_rule_with_nothing_to_judge_says_so(judge: Judge, rule: str, applies: bool) -> None:
+    found = judge(rule, straight(10, 5))
+    assert (found.status, found.applies) == ("pass", applies)
+    assert found.message.startswith("nothing to judge: ") != applies
+
+
+@pytest.mark.parametrize("condition", ['speed = { max = "20 km/h"', 'stays_in = { lanes = "driving"'])
+def test_what_is_tolerated_is_in_the_description(condition: str) -> None:
+    (rule,) = parse_rules(f'[rules.it]\n{condition}, tolerate = "1 min" }}', "rules.toml")
+    assert rule.description.endswith(", except for up to 1 min at a time")

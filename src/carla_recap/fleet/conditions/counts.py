@@ -66,7 +66,8 @@ class IncidentCount:
         message = f"{len(found) or 'no'} {listed(nouns)}"
         message += self._sides()
         if self.bounds.contain(len(found)):
-            return Finding(True, message + ("" if found else facts.absent(self.of)))
+            absent = "" if found else self.scope.absent(self.of, facts) or facts.absent(self.other)
+            return Finding(True, message + absent, applies=not absent)
         offences = tuple(Offence(each.text, each.start, each.actors) for each in found)
         return Finding(False, f"{message} instead of {self.bounds}", offences)
 
@@ -121,7 +122,8 @@ class LongestStop:
         stops = [row for row in facts.stops if row.duration > self.longest.value]
         found = [row for row in stops if self.of.matches_user(facts.actors.at(row.id, row.start))]
         if not found:
-            return Finding(True, f"no stop{self.of.behind} of more than {self.longest}{facts.absent(self.of)}")
+            absent = facts.absent(self.of)
+            return Finding(True, f"no stop{self.of.behind} of more than {self.longest}{absent}", applies=not absent)
         offences = []
         for row in found:
             duration = f"{row.duration:.1f} s" if self.longest.unit == "s" else self.longest.shown(row.duration)

@@ -64,11 +64,13 @@ class Finding(NamedTuple):
         passes: Whether the recording meets the condition.
         message: What was found, in one line.
         offences: The events that it forbids, the first or the worst one first.
+        applies: Whether there was anything to judge, such as an actor that the condition is about.
     """
 
     passes: bool
     message: str
     offences: tuple[Offence, ...] = ()
+    applies: bool = True
 
 
 class Positions(NamedTuple):

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import NotSetUp, RecapError
 from carla_recap.fleet.conditions.facts import Finding, Needs, Offence
-from carla_recap.util.functions import module_of_file, modules_beside
+from carla_recap.fleet.conditions.reading import UnexpectedKeys, hint, shown
+from carla_recap.util.functions import keywords_of, module_of_file, modules_beside
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -30,9 +31,9 @@ class FunctionCondition:
     """What a function of a module demands; the module is imported in each process that judges.
 
     Attributes:
-        module: The name of the module.
+        module: The name of the module, or the path of its file, such as `mine.py`.
         name: The name of the function.
-        folder: The absolute path of the folder of the rules, where the module is looked for first.
+        folder: The absolute path of the folder of the rules, where the module is looked for first, and paths begin.
         parameters: The values that the function gets by name, in addition to the recording.
     """
 
@@ -57,13 +58,19 @@ class FunctionCondition:
 
         Raises:
             NotSetUp: It is not there.
-            TypeError: It does not.
+            UnexpectedKeys: It does not take one of them.
+            TypeError: It needs others, or takes none.
         """
-        try:
-            signature = inspect.signature(self.function())
-        except ValueError:  # of a function in C
+        function = self.function()
+        keywords = keywords_of(function)
+        if keywords is None:  # of a function in C
             return
-        signature.bind(None, **self.parameters)
+        if not keywords.has_any:
+            known = ("function", *keywords.names)
+            for name in self.parameters:
+                if name not in known:
+                    raise UnexpectedKeys(f"unknown key {shown(name)}; {hint(name, known, 'keys')}")
+        inspect.signature(function).bind(None, **self.parameters)
 
     def needs(self) -> Needs:
         """See `Condition.needs`."""
@@ -99,7 +106,7 @@ class FunctionCondition:
             Offence(each.text, None if each.time is None else float(each.time), tuple(map(int, each.actors)))
             for each in found.offences
         )
-        return Finding(bool(found.passes), found.message, offences)
+        return Finding(bool(found.passes), found.message, offences, bool(found.applies))
 
 
 def _is_iterable(answer: Any) -> bool:
@@ -111,6 +118,7 @@ def _is_valid(found: Finding) -> bool:
     return (
         isinstance(found.message, str)
         and found.passes in (True, False)
+        and found.applies in (True, False)
         and isinstance(found.offences, (tuple, list))
         and all(
             isinstance(each, Offence)
@@ -136,19 +144,28 @@ def _told(error: BaseException) -> str:
 
 
 def _module(name: str, folder: str) -> ModuleType:
-    """Return a module: a file in a folder, imported anew if it has changed, else one that Python finds.
+    """Return a module: a file, which is imported anew if it has changed, else one that Python finds.
+
+    Args:
+        name: Its name, or the path of its file.
+        folder: The folder where it is looked for first, and where the path begins.
 
     Raises:
         NotSetUp: It is not there, or raises an error.
     """
-    path = Path(folder, *name.split(".")).with_suffix(".py")
+    is_path = name.endswith(".py")
+    path = Path(folder, name) if is_path else Path(folder, *name.split(".")).with_suffix(".py")
     try:
         if path.is_file():
             return module_of_file(path)
+        if is_path:
+            raise NotSetUp(f"there is no file {path}")
         return import_module(name)
     except ModuleNotFoundError as error:
-        if error.name == name:
+        if error.name and f"{name}.".startswith(f"{error.name}."):
             raise NotSetUp(f"there is no module {name}, in {folder} or installed") from None
         raise NotSetUp(f"the module {name} cannot be imported: {_told(error)}") from None
+    except NotSetUp:
+        raise
     except (Exception, SystemExit) as error:
         raise NotSetUp(f"the module {name} cannot be imported: {_told(error)}") from None

@@ -143,13 +143,16 @@ def bounds(type: ValueType, *names: str) -> KeyGroup:
 
 
 def _function(value: Any, reading: Reading) -> tuple[str, str, str]:
-    module, _, name = value.partition(":") if isinstance(value, str) else ("", "", "")
-    if not name.isidentifier() or not all(part.isidentifier() for part in module.split(".")):
+    module, _, name = value.rpartition(":") if isinstance(value, str) else ("", "", "")
+    is_path = module.endswith(".py") and module.isprintable() and len(module) <= _LONGEST_PATH
+    if not name.isidentifier() or not (is_path or all(part.isidentifier() for part in module.split("."))):
         raise UnexpectedValue(FUNCTION.expected)
     return module, name, str(Path(reading.folder or ".").absolute())
 
 
-FUNCTION: Final = ValueType("`module:function`", 'a function as "module:function"', _function)
+FUNCTION: Final = ValueType(
+    "`FILE.py:function` or `module:function`", 'a function as "FILE.py:function" or "module:function"', _function
+)
 OF: Final = Key("of", ACTORS, "the actors that are judged", default=Selector())
 
 

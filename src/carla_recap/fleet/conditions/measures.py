@@ -10,6 +10,7 @@ import numpy as np
 
 from carla_recap.fleet.conditions.facts import Finding, Needs, Offence
 from carla_recap.fleet.conditions.scope import ROUNDING, WHOLE
+from carla_recap.fleet.conditions.values import tolerated
 from carla_recap.model.actors import ROAD_USERS
 from carla_recap.model.motion import LONGEST_STEP, runs
 from carla_recap.queries.measures import MEASURES
@@ -56,7 +57,8 @@ class MeasureBounds:
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"{self._name}: {self.bounds}{'' if self.lasting is None else f' for {self.lasting}'}"
+        lasting = "" if self.lasting is None else f" for {self.lasting}"
+        return f"{self._name}: {self.bounds}{lasting}{tolerated(self.tolerate)}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
@@ -69,7 +71,7 @@ class MeasureBounds:
             if not is_valid:
                 offences.append((self._badness(value), offence))
         if not values:
-            return Finding(True, f"no {self._name} was measured{facts.absent(self.of)}")
+            return self._unmeasured(facts)
         if not offences:
             worst = max(values, key=self._badness)
             return Finding(True, f"the {self._extreme} {self._name} is {self.bounds.written.shown(worst)}")
@@ -125,10 +127,15 @@ class MeasureBounds:
                 offences.append(Offence(text, when, (life.id,)))
         what = f"the {self._name} is"
         if not longest:
-            return Finding(True, f"no {self._name} was measured{facts.absent(self.of)}")
+            return self._unmeasured(facts)
         if offences:
             return Finding(False, f"{what} not {self.bounds} for {self.lasting}", tuple(offences))
         return Finding(True, f"{what} {self.bounds} for {min(longest):.2f} s")
+
+    def _unmeasured(self, facts: Facts) -> Finding:
+        """Return the finding without any value, as of the time to collision of actors on no collision course."""
+        absent = self.scope.absent(self.of, facts)
+        return Finding(True, f"no {self._name} was measured{absent}", applies=not absent)
 
     def _measured(self, facts: Facts) -> Iterator[tuple[ActorLife, MeasureValues, Booleans]]:
         """Yield the values over time of each actor that has any within the scope, and which of these are within it."""

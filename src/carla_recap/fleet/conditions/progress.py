@@ -10,7 +10,7 @@ import numpy as np
 
 from carla_recap.fleet.conditions.facts import Finding, Needs, Offence
 from carla_recap.fleet.conditions.scope import ROUNDING, WHOLE
-from carla_recap.fleet.conditions.values import ANY, ROLE
+from carla_recap.fleet.conditions.values import ANY, ROLE, tolerated
 from carla_recap.model.actors import HERO
 from carla_recap.model.motion import LONGEST_STEP, runs
 
@@ -135,11 +135,11 @@ class Stays:
 
     def text(self) -> str:
         """See `Condition.text`."""
-        return f"{_subject(self.of, 'stay', 'stays')} {self._within} {self.place}{self.scope}"
+        return f"{_subject(self.of, 'stay', 'stays')} {self._within} {self.place}{self.scope}{tolerated(self.tolerate)}"
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
-        subjects, offences = facts.subjects(self.of), []
+        subjects, offences = [life for life in facts.subjects(self.of) if self.scope.has_any(life, facts)], []
         for life in subjects:
             time, outside = facts.positions(life).time, facts.outside(self.place, life)
             wrong = ((outside > 0) == self.is_inside) & self.scope.has(life, time, facts)
@@ -235,10 +235,11 @@ class DistanceDriven:
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
         subjects, offences, shown = facts.subjects(self.of), [], self.bounds.written.shown
-        driven = []
+        driven, applies = [], False
         for life in subjects:
             time, distance = facts.positions(life).time, facts.positions(life).distance
             counts = self.scope.has(life, time, facts)
+            applies |= bool(counts.any())
             steps = np.append(0.0, np.where(counts[1:] & counts[:-1], np.diff(distance), 0.0))
             total = float(steps.sum())
             driven.append(total)
@@ -249,10 +250,12 @@ class DistanceDriven:
                 offences.append(Offence(f"{life.name}, {shown(total)}", float(when), (life.id,)))
         name = f"distance{self.of.behind}{self.scope}"
         if not subjects:
-            return Finding(self.bounds.least is None, f"no {name} was measured{facts.absent(self.of)}")
+            message = f"no {name} was measured{facts.absent(self.of)}"
+            return Finding(self.bounds.least is None, message, applies=False)
         if offences:
             return Finding(False, f"the {name} is not {self.bounds}", tuple(offences))
-        return Finding(True, f"the {'least ' if len(driven) > 1 else ''}{name} is {shown(min(driven))}")
+        message = f"the {'least ' if len(driven) > 1 else ''}{name} is {shown(min(driven))}"
+        return Finding(True, message, applies=applies)
 
 
 def _each(
@@ -280,7 +283,7 @@ def _each(
     """
     plural, singular = verbs
     if not subjects:
-        return Finding(not is_demand, f"nobody to {plural} {what}{facts.absent(of)}")
+        return Finding(not is_demand, f"nobody to {plural} {what}{facts.absent(of)}", applies=False)
     if len(subjects) == 1:
         who = str(of) if of.text == HERO or of.text.startswith(ROLE) else subjects[0].name
         done, failed = f"{who} {singular}", f"{who} does not {plural}"

@@ -12,7 +12,7 @@ from carla_recap.queries.kinds import KINDS
 if TYPE_CHECKING:
     from carla_recap.fleet.conditions.facts import Facts
     from carla_recap.fleet.conditions.places import Place
-    from carla_recap.fleet.conditions.values import Quantity
+    from carla_recap.fleet.conditions.values import Quantity, Selector
     from carla_recap.model.actors import ActorLife
     from carla_recap.util.arrays import Booleans, Floats
 
@@ -67,6 +67,25 @@ class Scope:
         if self.where is not None and found.any():
             found[found] = facts.is_in(self.where, life, time[found])
         return found
+
+    def has_any(self, life: ActorLife, facts: Facts) -> bool:
+        """Return whether any time of an actor is within the scope."""
+        if self.is_whole:
+            return True
+        if self.places:
+            return bool(self.has(life, facts.positions(life).time, facts).any())
+        first = life.spawned_at if self.during is None else max(life.spawned_at, self.during[0].value)
+        if self.after is not None:
+            first = max(first, facts.first(self.after, life))
+        is_there = first <= min(life.end, facts.recording.reader.extent().duration)
+        return is_there and bool(self.has(life, np.array([first]), facts)[0])
+
+    def absent(self, selector: Selector, facts: Facts) -> str:
+        """Return a remark if a recording has no such actors, or none of them within the scope, else an empty text."""
+        if remark := facts.absent(selector):
+            return remark
+        is_there = self.is_whole or any(self.has_any(life, facts) for life in facts.actors if selector.matches(life))
+        return "" if is_there else " (no such actor is ever there)"
 
     def __str__(self) -> str:
         """Return the scope in words, with a space before them."""

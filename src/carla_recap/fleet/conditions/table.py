@@ -232,7 +232,12 @@ CONDITIONS: Final = _named(
             name="condition",
             text="[a function in Python](#conditions-in-python) finds no offence; all other keys are its parameters",
             parts=(
-                Key("function", FUNCTION, "the function, in a module beside the rules or an installed one", required=True),
+                Key(
+                    "function",
+                    FUNCTION,
+                    "the function, in a file or in a module, beside the rules or an installed one",
+                    required=True,
+                ),
             ),
             make=_function,
             plain="function",

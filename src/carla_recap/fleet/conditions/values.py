@@ -129,6 +129,11 @@ class Bounds:
         return f"at least {least} and at most {most}"
 
 
+def tolerated(time: Quantity | None) -> str:
+    """Return how long a condition may be broken at a time, in words behind it; None: not at all."""
+    return "" if time is None else f", except for up to {time} at a time"
+
+
 def listed(words: Iterable[str]) -> str:
     """Return words as a list with `or`."""
     *first, last = words
