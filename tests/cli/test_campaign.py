@@ -6,14 +6,17 @@ import csv
 import io
 import json
 import re
+import signal
 from pathlib import Path
+from subprocess import PIPE, Popen
 
 import pytest
 
 from carla_recap.fleet.campaign.report import INDEX, PAGE, RUNS
-from tests.cli.command import answer, error, run
+from tests.cli.command import COMMAND, ENVIRONMENT, answer, error, run
 from tests.fleet.campaign import functions
 from tests.samples import names_in
+from tests.waiting import wait_until
 
 pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
 
@@ -66,7 +69,43 @@ def test_a_second_time_only_what_failed_is_run_again(done):
     _, folder = done
     again = run("campaign", f"{FILE}:misbehave", "--out", folder, "--seeds", "1,2", "--param", "how=raise,nothing", "--json")
     assert again.stderr.decode().splitlines()[-1] == "runs: 0 done, 2 were there, 2 failed"
-    assert [each["was_there"] for each in json.loads(again.stdout)["runs"]] == [False, False, True, True]
+    runs = json.loads(again.stdout)["runs"]
+    assert [each["was_there"] for each in runs] == [False, False, True, True]
+    assert "warning" not in again.stderr.decode()
+
+
+def test_pages_and_index_have_the_runs_of_the_last_campaign_alone(tmp_path):
+    command = ("campaign", f"{FILE}:misbehave", "--out", tmp_path, "--param", "how=nothing")
+    assert run(*command, "--seeds", "1,2").returncode == 0
+    (tmp_path / "pages" / "seed-2-how-nothing.html").write_text("stale")
+    done = run(*command, "--seeds", "2,3", "--pages", "1")
+    assert (done.returncode, b"exists" in done.stderr) == (0, False)
+    assert names_in(tmp_path / "pages") == ["seed-2-how-nothing.html"]
+    assert (tmp_path / "pages" / "seed-2-how-nothing.html").read_text("utf-8") != "stale"
+    query = "select parameters['seed'] as seed from recordings order by seed"
+    assert answer("sql", tmp_path / INDEX, query, "--csv") == "seed\n2\n3\n"
+
+
+def test_recordings_of_another_function_are_one_line(tmp_path):
+    arguments = ("--out", tmp_path, "--seeds", "1,2", "--pages", "0")
+    assert run("campaign", f"{FILE}:drive", *arguments).returncode == 0
+    line = error("campaign", f"{FILE}:wait_here", *arguments, "--duration", "0.5")
+    assert line.endswith(
+        "seed=1.mcap: is there already, and was made with function drive instead of wait_here, duration 0.0 instead of 0.5; "
+        "--again makes such recordings anew, or another folder was expected"
+    )
+    done = run("campaign", f"{FILE}:wait_here", *arguments, "--duration", "0.5", "--again")
+    assert done.stderr.decode().splitlines()[-1] == "runs: 2 done, 0 were there, 0 failed"
+
+
+def test_an_interrupted_campaign_says_how_many_runs_are_done(tmp_path):
+    arguments = ["campaign", f"{FILE}:misbehave", "--param", "how=nothing,hang", "--out", str(tmp_path), "--workers", "1"]
+    with Popen([COMMAND, *arguments], stdout=PIPE, stderr=PIPE, env=ENVIRONMENT) as process:
+        wait_until(lambda: (tmp_path / "seed=1,how=nothing.mcap").exists())
+        process.send_signal(signal.SIGINT)
+        said = process.communicate()[1].decode()
+    assert re.search("interrupted: [01] of 2 runs done; the same command makes the others", said)
+    assert "Traceback" not in said
 
 
 @pytest.mark.parametrize(
@@ -93,6 +132,7 @@ def test_a_second_time_only_what_failed_is_run_again(done):
         ([f"{FILE}:drive", "--rules", "gone.toml"], "gone.toml"),
         ([f"{FILE}:drive", "--town", "Nowhere"], "Nowhere"),
         ([f"{FILE}:drive", "--town", "gone.xodr"], "gone.xodr"),
+        ([f"{FILE}:drive", "--param", "vehicles=1:3"], "vehicles: 1:3: values with commas between them, the range 1..3"),
         ([f"{FILE}:drive", "--measure", "score"], "a score needs --route or --from-drive"),
         ([f"{FILE}:drive", "--route-id", "1"], "--route-id goes with --route"),
         ([f"{FILE}:drive", "--route", "gone.xml"], "gone.xml"),

@@ -68,7 +68,7 @@ def test_a_page_that_cannot_be_made_is_a_warning(tmp_path):
 
 
 def test_as_many_recordings_as_are_useful_get_a_page(tmp_path, monkeypatch):
-    monkeypatch.setattr("carla_recap.fleet.pages._write_files", lambda wanted, source: None)
+    monkeypatch.setattr("carla_recap.fleet.pages._write_files", lambda wanted, source, *, force: None)
     found = [checked(f"{number}.mcap", "fail") for number in range(MOST + 5)]
     assert [each.recording for each, _ in write_pages(found, tmp_path, jobs=1)] == [each.recording for each in found]
 

@@ -49,7 +49,10 @@ _SHOWN: Final = 5  # of the worst runs, and of failed ones
     "--duration", type=options.NUMBER, default=0, metavar="S", help="Tick on until this time when FUNCTION returns."
 )
 @click.option("--additional-data", is_flag=True, help="Record velocities, boxes, physics and times, too.")
-@click.option("--limit", type=options.POSITIVE, metavar="S", help="End a run that takes longer, in s of the clock.")
+@click.option("--again", is_flag=True, help="Make recordings anew that another function, code, town or duration has made.")
+@click.option(
+    "--limit", type=options.POSITIVE, metavar="S", help="End a run that takes more wall-clock seconds; else none is ended."
+)
 @click.option(
     "--workers", type=click.IntRange(1, 10_000), metavar="N", help="Worker processes; else one for each processor."
 )
@@ -87,6 +90,7 @@ def campaign(
     town: str | None,
     duration: float,
     additional_data: bool,
+    again: bool,
     limit: float | None,
     workers: int | None,
     dask: str | None,
@@ -139,6 +143,7 @@ def campaign(
         town=town,
         duration=duration,
         additional_data=additional_data,
+        again=again,
         limit=limit,
         jobs=workers,
         scoring=scoring,
@@ -149,7 +154,12 @@ def campaign(
         client = stack.enter_context(closing(client_of(dask))) if dask else None
         made = replace(made, client=client)
         total, runs = _runs(made, seeds, values, (objective, maximize is not None, count) if objective else None)
-        rows += map(row_of, _watched(stack.enter_context(closing(runs)), total))
+        try:
+            for finished in _watched(stack.enter_context(closing(runs)), total):
+                rows.append(row_of(finished))  # noqa: PERF401 - the rows so far are counted if it is interrupted
+        except (KeyboardInterrupt, SystemExit):
+            note(f"interrupted: {len(rows)} of {counted(total, 'run')} done; the same command makes the others")
+            raise
         if not rows:
             raise RecapError("no runs were made")
         checked: dict[str, CheckedRecording] = {}

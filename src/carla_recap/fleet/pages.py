@@ -112,6 +112,7 @@ def write_incident_pages(
     *,
     clips: bool = False,
     road_map: str | None = None,
+    force: bool = False,
     jobs: int | None = None,
 ) -> Generator[WrittenPage]:
     """Write the incident pages of recordings below a folder, and yield where they are, in the order of the recordings.
@@ -121,6 +122,7 @@ def write_incident_pages(
         folder: The folder.
         clips: See `write_pages`.
         road_map: See `write_pages`.
+        force: Replace pages that exist.
         jobs: See `map_sources`.
     """
     wanted = {}
@@ -132,7 +134,7 @@ def write_incident_pages(
         (folder / PAGES).mkdir(exist_ok=True)
     if any(each.clip for each in wanted.values()):
         (folder / CLIPS).mkdir(exist_ok=True)
-    for outcome in map_sources(partial(_write_files, wanted), map(SourceFile, wanted), jobs=jobs):
+    for outcome in map_sources(partial(_write_files, wanted, force=force), map(SourceFile, wanted), jobs=jobs):
         files = wanted[outcome.source.location]
         failures = () if outcome.error is None else (visible(f"no page: {outcome.error}"),)
         page, clip = (_relative(path, folder) for path in (files.page, files.clip))
@@ -151,7 +153,7 @@ def _relative(path: Path | None, folder: Path) -> str | None:
     return path.relative_to(folder).as_posix() if path is not None and path.exists() else None
 
 
-def _write_files(wanted: dict[str, _Wanted], source: SourceFile) -> None:
+def _write_files(wanted: dict[str, _Wanted], source: SourceFile, *, force: bool) -> None:
     from carla_recap.editing.clip import clip
     from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import open_recording
@@ -164,7 +166,7 @@ def _write_files(wanted: dict[str, _Wanted], source: SourceFile) -> None:
         clip(source.location, files.clip, start=start, duration=time + _AROUND - start)
     with open_recording(source.location) as recording:
         options = IncidentOptions(kinds="all", road_map=files.road_map)
-        write_report(recording, files.page, options, opening=files.opening)
+        write_report(recording, files.page, options, opening=files.opening, force=force)
 
 
 def _names(recordings: Iterable[str]) -> Iterator[str]:

@@ -49,6 +49,7 @@ def test_a_cell_shows_the_worst_of_its_runs_and_leads_to_it():
         ("seed%3D1%2Cspeed%3D10%2Cdelay%3D1.mcap", "unknown", "none"),
     ]
     assert len(failed) == 1
+    assert "speed=10, delay=1: none</title>" in shown(rows)
 
 
 def test_parameters_with_many_values_are_put_together():

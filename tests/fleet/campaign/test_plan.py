@@ -67,6 +67,8 @@ def test_values_are_numbers_truth_values_or_texts(text, values):
         "speed=[null]",
         "speed=2..1",
         "speed=a..b",
+        "speed=1:3",
+        "speed=0.5:1.5",
         "größe=1",
         f"speed={'9' * 200_000}",
     ],

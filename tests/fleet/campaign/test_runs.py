@@ -11,6 +11,7 @@ import pytest
 from carla_recap import open_recording
 from carla_recap.errors import RecapError
 from carla_recap.fleet.campaign import campaign
+from carla_recap.sim import World
 from carla_recap.util.functions import FileFunction
 from tests.fleet.campaign import functions
 from tests.samples import names_in
@@ -41,7 +42,16 @@ def folder(tmp_path_factory):
 def test_each_run_is_a_recording_of_its_name_with_its_parameters(folder):
     assert names_in(folder) == [f"seed={seed},vehicles={count}.mcap" for seed in (7, 8) for count in (1, 3)]
     with open_recording(folder / "seed=7,vehicles=3.mcap") as recording:
-        assert recording.header.parameters == {"seed": "7", "vehicles": "3"}
+        parameters = dict(recording.header.parameters)
+        assert all(re.fullmatch("[0-9a-f]{16}", parameters.pop(f"campaign.{name}")) for name in ("code", "map"))
+        assert parameters == {
+            "seed": "7",
+            "vehicles": "3",
+            "campaign.function": "drive",
+            "campaign.town": "Brickfield",
+            "campaign.duration": "0.0",
+            "campaign.additional_data": "false",
+        }
         assert recording.header.date == 1767261600
         assert (recording.info.frames, len(recording.heroes)) == (20, 1)
         assert sum(actor.kind == "vehicle" for actor in recording.actors.values()) == 3
@@ -110,7 +120,71 @@ def test_a_folder_without_permission_is_an_error(tmp_path):
         list(campaign(functions.drive, seeds=[1], out=tmp_path, jobs=1))
 
 
-def test_a_town_that_is_missing_is_an_error_of_each_run(tmp_path):
+def test_a_town_that_is_missing_is_an_error(tmp_path):
+    with pytest.raises(RecapError, match="Nowhere"):
+        list(campaign(functions.drive, seeds=[1], out=tmp_path, jobs=1, town="Nowhere", maps=tmp_path))
+
+
+SOURCE = """
+def run(world, speed=1):
+    world.run(0.1)
+
+
+def walk(world, speed=1):
+    world.run(0.2)
+"""
+
+
+@pytest.fixture
+def made(tmp_path):
+    """The file of a function, and the folder of two recordings of it."""
+    (tmp_path / "scene.py").write_text(SOURCE)
     with time_limit():
-        (finished,) = campaign(functions.drive, seeds=[1], out=tmp_path, jobs=1, town="Nowhere", maps=tmp_path)
-    assert "Nowhere" in finished.report.error
+        list(campaign(FileFunction(str(tmp_path / "scene.py"), "run"), seeds=[1, 2], out=tmp_path / "runs", jobs=1))
+    return tmp_path / "scene.py", tmp_path / "runs"
+
+
+def test_recordings_of_something_else_are_an_error_that_says_what(made):
+    file, folder = made
+    changes = [
+        ({"duration": 0.5}, "run", "duration 0.0 instead of 0.5;"),
+        ({"additional_data": True}, "run", "additional data false instead of true;"),
+        ({}, "walk", "function run instead of walk;"),
+    ]
+    for options, name, said in changes:
+        with pytest.raises(RecapError, match=f"seed=1.mcap: is there already, and was made with {said} --again"):
+            list(campaign(FileFunction(str(file), name), seeds=[3, 1, 2], out=folder, jobs=1, **options))
+    file.write_text(SOURCE.replace("0.1", "0.3"))
+    with pytest.raises(RecapError, match="was made with other code; --again"):
+        list(campaign(FileFunction(str(file), "run"), seeds=[1, 2], out=folder, jobs=1))
+    assert names_in(folder) == ["seed=1.mcap", "seed=2.mcap"]
+
+
+def test_again_makes_only_those_recordings_anew_that_differ(made):
+    file, folder = made
+    file.write_text(SOURCE.replace("0.1", "0.3"))
+    (folder / "seed=2.mcap").unlink()
+    function = FileFunction(str(file), "run")
+    with time_limit():
+        list(campaign(function, seeds=[2], out=folder, jobs=1))
+        found = list(campaign(function, seeds=[1, 2], out=folder, jobs=1, again=True))
+    assert [(each.report.was_there, each.report.frames) for each in found] == [(False, 6), (True, 6)]
+
+
+def test_a_later_recording_of_something_else_ends_the_campaign(made):
+    file, folder = made
+    file.write_text(SOURCE.replace("0.1", "0.3"))
+    (folder / "seed=1.mcap").unlink()
+    function = FileFunction(str(file), "run")
+    with time_limit():
+        list(campaign(function, seeds=[1], out=folder, jobs=1))
+        with pytest.raises(RecapError, match=r"seed=2\.mcap: .* other code"):
+            list(campaign(function, seeds=[1, 2], out=folder, jobs=1))
+
+
+def test_a_recording_that_does_not_say_what_made_it_is_an_error(tmp_path):
+    with World() as world:
+        world.start_recorder(tmp_path / "seed=1.mcap")
+        world.tick()
+    with pytest.raises(RecapError, match="does not say which function and code made it"):
+        list(campaign(functions.drive, seeds=[1], out=tmp_path, jobs=1))

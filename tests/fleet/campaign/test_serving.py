@@ -46,6 +46,8 @@ def test_a_script_runs_against_a_server_of_its_own(tmp_path):
         path = tmp_path / "a" / f"seed=3,speed={speed}.mcap"
         with open_recording(path) as recording:
             assert recording.info.frames == 20 + (speed == 10)  # CARLA's client ticks when it loads a map
-            assert recording.header.parameters == {"seed": "3", "speed": str(speed)}
+            parameters = recording.header.parameters
+            assert (parameters["seed"], parameters["speed"]) == ("3", str(speed))
+            assert parameters["campaign.function"] == "drive.py"
             assert [hero.type_id for hero in recording.heroes] == ["vehicle.audi.tt"]
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,6 +13,7 @@ from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any
 
 from carla_recap.errors import RecapError
+from carla_recap.fleet.campaign.origin import made_with
 from carla_recap.fleet.campaign.plan import CampaignRun, check_keywords, check_name, planned
 from carla_recap.fleet.campaign.results import measured
 from carla_recap.fleet.campaign.runs import RunReport, Simulation
@@ -23,7 +25,7 @@ from carla_recap.util.functions import FileFunction, keywords_of
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 
     from distributed import Client
 
@@ -68,6 +70,7 @@ class Campaign:
         jobs: The number of worker processes; None: as many as there are processors.
         client: Dask's client, whose cluster is used instead of processes of this machine.
         scoring: How the recordings are scored; None: they get no score.
+        again: Make recordings anew that were made with another function, code, town, duration or additional data.
     """
 
     function: Callable[..., object] | str | Path
@@ -81,6 +84,7 @@ class Campaign:
     jobs: int | None = None
     client: Client | None = None
     scoring: Scoring | None = None
+    again: bool = False
 
     @property
     def folder(self) -> DestinationFolder:
@@ -105,18 +109,24 @@ class Campaign:
             runs: The runs, which may be asked for one by one.
 
         Raises:
-            RecapError: The recordings cannot be written there, the worker processes do not start, or the cluster is gone.
+            RecapError: The recordings cannot be written there, or one that is there was made with something else; the town
+                is missing, the worker processes do not start, or the cluster is gone.
         """
         location = self.folder.location
         present = _sizes(location)
         with _staging(location) as staging:
             simulation = self._simulation(staging)
+            if isinstance(runs, Sequence):  # before other runs are made
+                first = next((run for run in runs if run.name in present), None)
+                if first is not None and not self.again:
+                    _check_origin(first, simulation.other_origin(first))
             known = (replace(run, size=present.get(run.name)) for run in runs)
             limit = float("inf") if self.limit is None else self.limit
             with closing(map_sources(simulation, known, jobs=self.jobs, client=self.client, limit=limit)) as outcomes:
                 for outcome in outcomes:
                     assert isinstance(outcome.source, CampaignRun)
                     report = outcome.value or RunReport(error=outcome.error)
+                    _check_origin(outcome.source, report.other_origin)
                     if report.error is not None:
                         error = report.error.removeprefix(f"{outcome.source.location}: ")
                         report = replace(report, error=visible(error))
@@ -136,6 +146,8 @@ class Campaign:
             maps=None if self.maps is None else os.path.abspath(self.maps),  # noqa: PTH100
             duration=self.duration,
             additional_data=self.additional_data,
+            made_with=made_with(self),
+            again=self.again,
         )
 
 
@@ -170,6 +182,16 @@ def campaign(
         check_keywords(keywords_of(function), [*values])
     made = Campaign(function=function, out=out, **options)
     return made.run(list(planned(seeds, values, made.folder.location)))
+
+
+def _check_origin(run: CampaignRun, other: str | None) -> None:
+    """Refuse the recording of a run that was made with something else.
+
+    Raises:
+        RecapError: It was.
+    """
+    if other is not None:
+        raise RecapError(f"{run.location}: {other}")
 
 
 def _sizes(location: str) -> dict[str, int]:

@@ -166,11 +166,11 @@ def _cell(rows: Sequence[CampaignRow], folder: Path, measure: Measure, span: tup
         low, high = span
         share = 0.0 if high <= low else (value - low) / (high - low)
         share = 1.0 - share if measure.extreme == "least" else share
-        tone, said = f"tone-{min(int(share * _TONES), _TONES - 1) if high > low else 0}", f"{value:.3g}"
+        unit, tone, said = measure.unit, f"tone-{min(int(share * _TONES), _TONES - 1) if high > low else 0}", f"{value:.3g}"
     else:
-        tone, said = "unknown", "none"
+        unit, tone, said = "", "unknown", "none"
     others = f", the worst of {len(rows)} runs" if len(rows) > 1 else ""
-    tip = f"{_run_text(worst)}: {said} {measure.unit}".rstrip() + others
+    tip = f"{_run_text(worst)}: {said} {unit}".rstrip() + others
     inner = f"<title>{_text(tip)}</title><rect {box}/><text {middle}>{said}</text>"
     return f'<a class="{tone}" href="{_href(address_from(folder, worst))}">{inner}</a>'
 

@@ -32,6 +32,7 @@ _LONGEST_FILE: Final = 160  # characters of the name of a file, behind which a h
 _INTEGER: Final = re.compile(r"[+-]?[0-9]{1,18}")
 _NUMBER: Final = re.compile(r"[+-]?([0-9]{1,40}\.?[0-9]{0,40}|\.[0-9]{1,40})([eE][+-]?[0-9]{1,3})?")
 _RANGE: Final = re.compile(r"([^,\[]{1,99}?)\.\.([^,]{1,99})")
+_COLON: Final = re.compile(r"([+-]?[0-9.]{1,40}):([+-]?[0-9.]{1,40})")
 _UNSAFE: Final = re.compile(rb"[^A-Za-z0-9._+-]")
 
 
@@ -116,6 +117,10 @@ def parse_parameter(text: str) -> tuple[str, Sequence[Value] | ParameterRange]:
     values = tuple(_value(part) for part in given.split(","))
     if "" in values:
         raise RecapError(f"parameter {name}: a value between the commas was expected")
+    if match := _COLON.fullmatch(given):
+        low, high = match.groups()
+        expected = f'values with commas between them, the range {low}..{high} of a search, or the text ["{given}"]'
+        raise RecapError(f"parameter {name}: {given}: {expected} was expected")
     return name, values
 
 

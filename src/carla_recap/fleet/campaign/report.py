@@ -1,4 +1,4 @@
-"""What is written and shown about the runs of a campaign: rows with the parameters as columns, JSON, an index, pages."""
+"""What is written and shown about the runs of a campaign: rows, JSON, an index, pages."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.fleet.campaign.plan import SEED
 from carla_recap.fleet.campaign.results import BROKEN_RULES, RESULTS, Result
 from carla_recap.fleet.check import check_sources
-from carla_recap.fleet.pages import opening_of, write_incident_pages
+from carla_recap.fleet.pages import PAGES, opening_of, write_incident_pages
 from carla_recap.formats.sources import is_remote
 from carla_recap.show.page import Opening
 from carla_recap.util.files import WholeFile
@@ -152,7 +153,7 @@ def with_pages(
     road_map: str | None = None,
     jobs: int | None = None,
 ) -> tuple[list[CampaignRow], list[str]]:
-    """Write the incident pages of the worst runs; return the rows with their paths, and warnings.
+    """Write the incident pages of the worst runs, and remove all others; return the rows with their paths, and warnings.
 
     Args:
         rows: The rows.
@@ -166,9 +167,12 @@ def with_pages(
     openings = {
         row.recording: _opening(row, measure, checked.get(row.recording)) for row in worst_first(rows, measure)[:most]
     }
-    written = write_incident_pages(openings, folder, road_map=road_map, jobs=jobs)
+    written = write_incident_pages(openings, folder, road_map=road_map, force=True, jobs=jobs)
     found = dict(zip(openings, written, strict=True))
     pages = {recording: each.page for recording, each in found.items()}
+    for path in (folder / PAGES).glob(f"{SEED}-*.html"):
+        if path.relative_to(folder).as_posix() not in pages.values():
+            path.unlink()
     warnings = [f"{recording}: {line}" for recording, each in found.items() for line in each.warnings]
     return [replace(row, page=pages.get(row.recording)) for row in rows], warnings
 
@@ -212,7 +216,7 @@ def _finite(value: Any) -> Any:
 def write_campaign_index(
     rows: Sequence[CampaignRow], path: Path, *, jobs: int | None = None, client: Client | None = None
 ) -> str | None:
-    """Write the index of the recordings; return why it is not written, if it is not.
+    """Write the index of the recordings, and of no others; return why it is not written, if it is not.
 
     Args:
         rows: The rows.
@@ -224,7 +228,7 @@ def write_campaign_index(
 
     there = [row.recording for row in rows if row.error is None]
     try:
-        write_index(there, path, measures=True, jobs=jobs, client=client)
+        write_index(there, path, measures=True, prune=True, jobs=jobs, client=client)
     except MissingExtra:
         return "no index is written: it needs the extra sql"
     except RecapError as error:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import RecapError
+from carla_recap.fleet.campaign.origin import difference
 from carla_recap.fleet.campaign.plan import CampaignRun
 from carla_recap.formats.sources import is_remote
 from carla_recap.recording import open_recording
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from carla_recap.fleet.campaign.results import Result
     from carla_recap.fleet.sources import SourceFile
+    from carla_recap.recording import Recording
     from carla_recap.sim import Town, World
 
 _ROUNDING: Final = 1e-6  # of a tick
@@ -48,6 +50,7 @@ class RunReport:
         frames: The number of frames of the recording.
         duration: Its duration, in s.
         results: What was measured in the recording, by name.
+        other_origin: In what the recording that is there was made otherwise; None if in nothing.
     """
 
     error: str | None = None
@@ -58,6 +61,7 @@ class RunReport:
     frames: int = 0
     duration: float = 0.0
     results: Mapping[str, Result] = field(default_factory=dict)
+    other_origin: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +78,8 @@ class Simulation:
         maps: The folder of maps.
         duration: The simulated time in s up to which a world ticks on when the function has returned.
         additional_data: Record velocities, boxes and physics, too.
+        made_with: What the recordings are made with, by name; they keep it beside the seed and the parameters.
+        again: Make a recording anew that was made with something else.
     """
 
     function: Callable[..., object] | None
@@ -85,6 +91,8 @@ class Simulation:
     maps: str | None = None
     duration: float = 0.0
     additional_data: bool = False
+    made_with: Mapping[str, str] = field(default_factory=dict)
+    again: bool = False
 
     def prepare(self) -> None:
         """Load what all runs in this process need; what fails here fails in each run, with its reason."""
@@ -99,17 +107,32 @@ class Simulation:
         assert isinstance(run, CampaignRun)
         began = perf_counter()
         address = run.address
-        report = RunReport(was_there=run.size is not None or (not is_remote(address) and Path(address).exists()))
-        if not report.was_there:
-            with TemporaryDirectory(prefix="run-", dir=self.staging) as folder:
-                path = Path(folder, "recording.mcap")
-                report = self._simulated(run, path)
-                if report.error is not None:
-                    return replace(report, seconds=perf_counter() - began)
-                _put(path, address)
-        try:
+        if run.size is not None or (not is_remote(address) and Path(address).exists()):
             with open_recording(address) as recording:
-                extent, results = recording.reader.extent(), self.measure(recording)
+                other = difference(recording.header.parameters, self.made_with)
+                if other is None:
+                    return self._measured(recording, run, RunReport(was_there=True), began)
+            if not self.again:
+                return RunReport(other_origin=other)
+        with TemporaryDirectory(prefix="run-", dir=self.staging) as folder:
+            path = Path(folder, "recording.mcap")
+            report = self._simulated(run, path)
+            if report.error is not None:
+                return replace(report, seconds=perf_counter() - began)
+            _put(path, address)
+        with open_recording(address) as recording:
+            return self._measured(recording, run, report, began)
+
+    def other_origin(self, run: CampaignRun) -> str | None:
+        """Return in what the recording of a run was made otherwise; None if in nothing, or if it cannot be read."""
+        with suppress(RecapError, OSError), open_recording(run.address) as recording:
+            return difference(recording.header.parameters, self.made_with)
+        return None
+
+    def _measured(self, recording: Recording, run: CampaignRun, report: RunReport, began: float) -> RunReport:
+        """Return a report with what is measured in the recording of a run."""
+        try:
+            extent, results = recording.reader.extent(), self.measure(recording)
         except (RecapError, OSError, MemoryError):
             raise
         except Exception as error:  # whatever a recording causes, the other runs go on
@@ -142,7 +165,7 @@ class Simulation:
         random.seed(run.seed)
         np.random.seed(run.seed % _SEEDS)
         town, process = _town(self.town, self.maps), os.getpid()
-        with World(town, seed=run.seed, date=self.date, maps=self.maps, parameters=run.texts) as world:
+        with World(town, seed=run.seed, date=self.date, maps=self.maps, parameters={**run.texts, **self.made_with}) as world:
             world.recorder.start(path, self.additional_data, in_process=True)
             preparing = perf_counter() - began
             try:

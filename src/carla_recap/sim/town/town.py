@@ -115,7 +115,7 @@ def load_town(name_or_path: str | Path = "", maps: Path | None = None) -> Town:
     Raises:
         RecapError: There is no such town, or the file cannot be read or is no OpenDRIVE map with lanes for cars.
     """
-    name, path = _find(str(name_or_path), maps)
+    name, path = find_town(str(name_or_path), maps)
     text = read_text(path)
     with _lock:
         same = [town for (known, _), town in _towns.items() if known == text]
@@ -169,8 +169,12 @@ _towns: Final[dict[tuple[str, str], Town]] = {}
 _lock: Final = Lock()
 
 
-def _find(name: str, maps: Path | None) -> tuple[str, Path]:
-    """Return the name of a town and its file."""
+def find_town(name: str, maps: Path | None = None) -> tuple[str, Path]:
+    """Return the name of a town and its file; see `load_town`.
+
+    Raises:
+        RecapError: There is no such town.
+    """
     if name.endswith(_SUFFIX):
         return Path(name).stem, Path(name)
     path = find_map(name or BUILT_IN, maps)
