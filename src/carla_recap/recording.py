@@ -370,10 +370,10 @@ class Recording:
             options: The fields of `carla_recap.queries.incidents.IncidentOptions`: `kinds`, such as `["near miss"]` or
                 "all"; `roads` or `road_map`, the map, for kinds that need it; `min_time` in s and `min_distance` in cm of
                 stops; `deceleration` in m/s² of hard braking; `time_to_collision` and `post_encroachment_time` in s of near
-                misses; `start` and `stop`, in s, of the part to look at.
+                misses; `start` and `stop`, in s, of the part to look at; `actor`, an id or "hero", that takes part.
 
         Raises:
-            RecapError: A limit makes no sense, there is no such kind, or all kinds need the map, which is unknown.
+            RecapError: A limit makes no sense, there is no such kind or actor, or all kinds need the map, which is unknown.
 
         Warns:
             RecapWarning: The map is unknown, and kinds that need it are left out.

@@ -227,6 +227,14 @@ def test_a_terminal_gets_a_table(command, words):
     assert "\nFrames: " not in shown
 
 
+@pytest.mark.parametrize(("actor", "times"), [("hero", ["23.5", "24.6"]), ("105", ["20.9"])])
+def test_incidents_of_one_actor(actor, times):
+    done = run("incidents", CROSSING, "--actor", actor, "--min-time", "30")
+    rows = [line.split() for line in done.stdout.decode().splitlines()[5:-3]]
+    assert [row[0] for row in rows] == times
+    assert error("incidents", CROSSING, "--actor", "77").startswith(f"{CROSSING}: no actor 77; known ids are ")
+
+
 def test_on_a_terminal_incidents_say_which_kinds_they_are():
     code, shown, errors = on_terminal("incidents", CROSSING)
     assert code == 0

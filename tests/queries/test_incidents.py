@@ -428,3 +428,15 @@ def test_a_kind_that_does_not_exist_is_an_error_that_lists_the_kinds(make: Make)
     names = ", ".join(kind.option for kind in KINDS.values())
     with pytest.raises(RecapError, match=f"^'near misses' is no kind of incident; there are {names}$"):
         incidents(make({"spawned": CAST}), IncidentOptions(kinds=["near misses"]))
+
+
+@pytest.mark.parametrize(("actor", "found"), [(None, [(1, 2), (3, 5)]), ("hero", [(1, 2)]), (2, [(1, 2)]), (5, [(3, 5)])])
+def test_those_of_an_actor(make: Make, actor: Any, found: list[tuple[int, ...]]) -> None:
+    source = make({"spawned": CAST}, contact(1, 2, 1), {}, contact(3, 5))
+    assert [each.actors for each in incidents(source, IncidentOptions(kinds=("collision",), actor=actor))] == found
+
+
+def test_an_actor_that_does_not_exist_is_an_error(make: Make) -> None:
+    source = make({"spawned": CAST}, contact(1, 2, 1))
+    with pytest.raises(RecapError, match="no actor 77; known ids are 1 \\(hero\\)"):
+        incidents(source, IncidentOptions(actor=77))

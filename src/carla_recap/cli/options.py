@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.formats.sources import TimeFragment
+    from carla_recap.model.actors import ActorName
     from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import Recording
     from carla_recap.rendering.town import TownMesh
@@ -346,6 +347,9 @@ post_encroachment_time = click.option(
     metavar="S",
     help="Greatest post-encroachment time of a near miss.",
 )
+involved = click.option(
+    "--actor", type=FOLLOW, metavar="ID|hero", help="The actor that has to take part in the incidents; else any."
+)
 
 
 def incident_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -360,6 +364,7 @@ def incident_options(command: Callable[..., None]) -> Callable[..., None]:
         deceleration: float,
         time_to_collision: float,
         post_encroachment_time: float,
+        actor: ActorName | None,
         kinds: frozenset[str] | Literal["all"] | None = "all",
         **given: Any,
     ) -> None:
@@ -373,10 +378,12 @@ def incident_options(command: Callable[..., None]) -> Callable[..., None]:
             deceleration=deceleration,
             time_to_collision=time_to_collision,
             post_encroachment_time=post_encroachment_time,
+            actor=actor,
         )
         command(*args, wanted=wanted, **given)
 
-    return together(road_map, min_time, min_distance, deceleration, time_to_collision, post_encroachment_time)(decorated)
+    limits = (min_time, min_distance, deceleration, time_to_collision, post_encroachment_time)
+    return together(road_map, involved, *limits)(decorated)
 
 
 def shown_incidents(kinds: frozenset[str] | Literal["all"], road_map: str | None = None) -> IncidentOptions | None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
 
     from carla_recap.formats.base import Reader
-    from carla_recap.model.actors import ActorLives
+    from carla_recap.model.actors import ActorLives, ActorName
     from carla_recap.model.batch import Batch
     from carla_recap.model.braking import Braking
     from carla_recap.model.contacts import Contacts
@@ -95,6 +95,7 @@ class IncidentOptions:
         post_encroachment_time: The greatest post-encroachment time of a near miss, in s; 60 at most.
         start: The elapsed seconds from which on to look for incidents.
         stop: The elapsed seconds until which to look for them. Long stops in MCAP files may begin and end outside.
+        actor: The actor that has to take part in them; None: any.
 
     Raises:
         RecapError: The deceleration is not above 0, or a time of near misses is below 0 or above 60 s.
@@ -110,6 +111,7 @@ class IncidentOptions:
     post_encroachment_time: float = POST_ENCROACHMENT_TIME
     start: float = -math.inf
     stop: float = math.inf
+    actor: ActorName | None = None
 
     def __post_init__(self) -> None:
         if not self.deceleration > 0:

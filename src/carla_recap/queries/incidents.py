@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
 from carla_recap.model.actors import TYPES as ACTOR_TYPES
-from carla_recap.model.actors import ActorLives
+from carla_recap.model.actors import ActorLives, find_actor
 from carla_recap.model.contacts import Contacts
 from carla_recap.queries import Answer
 from carla_recap.queries.detectors import Incident, IncidentOptions, Search
@@ -41,7 +41,7 @@ def incidents(source: Reader, options: IncidentOptions | None = None) -> Inciden
         options: Which incidents to find, and what counts as one.
 
     Raises:
-        RecapError: There is no such kind; all kinds need roads, and the map is unknown; or it is damaged.
+        RecapError: There is no such kind or actor; all kinds need roads, and the map is unknown; or it is damaged.
         FormatError: The file contradicts its format.
 
     Warns:
@@ -93,12 +93,15 @@ class IncidentSearch:
     ) -> None:
         options = with_roads(source, options or IncidentOptions())
         self._source, self._options = source, options
+        self._actor: int | None = None
         self._kinds = kinds_named(options.kinds)
         actors, contacts = ActorLives(), Contacts()
         for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=options.stop):
             contacts.add(frame)
             for packet in frame.packets:
                 actors.add(packet, frame.elapsed)
+        if options.actor is not None:
+            self._actor = find_actor(source.location, actors, options.actor).id
         search = Search(
             source=source, options=options, actors=actors, contacts=contacts, roads=options.roads, near=near, series=series
         )
@@ -132,6 +135,8 @@ class IncidentSearch:
             incident
             for detector in self._detectors
             for incident in detector.finish()
-            if incident.kind in self._kinds and not (incident.start > stop or incident.stop < start)
+            if incident.kind in self._kinds
+            and not (incident.start > stop or incident.stop < start)
+            and (self._actor is None or self._actor in incident.actors)
         ]
         return Incidents(sorted(found, key=lambda incident: (incident.start, incident.kind)), self._source, compat=False)
