@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any
 
 import carla
@@ -23,6 +23,7 @@ from carla_recap.server import running as server
 from carla_recap.util.files import partials
 from tests.capture.conftest import own_sensors, settle, spawn, started, wait_for
 from tests.cli.command import error
+from tests.samples import warnings_ignored
 from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
@@ -382,15 +383,23 @@ def test_what_sensors_sent_survives_the_process(world: carla.World, starting: St
     capture = starting(RIG)
     for _ in range(260):
         world.tick()
-    settle(capture.process)
+    (left,) = partials(capture.path)
+    recovered = tmp_path / "b.mcap"
+
+    def saved_seconds() -> float:
+        with suppress(RecapError), warnings_ignored():  # at first, nothing can be saved
+            recover(left, recovered, force=True)
+            return max(messages(recovered, "top", "points", PointCloud), default=0.0)
+        return 0.0
+
+    wait_until(lambda: saved_seconds() > 13.0 - KEPT, pause=0.2)
     capture.process.kill()
     capture.process.wait(PATIENCE)
     for sensor in own_sensors(world):
         sensor.destroy()
-    (left,) = partials(capture.path)
-    saved = recover(left, tmp_path / "b.mcap")
+    saved = recover(left, recovered, force=True)
     assert saved.duration > 13.0 - KEPT
-    clouds = messages(tmp_path / "b.mcap", "top", "points", PointCloud)
+    clouds = messages(recovered, "top", "points", PointCloud)
     assert max(clouds) > 13.0 - KEPT
     assert len(clouds) > 100
 

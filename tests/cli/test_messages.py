@@ -27,7 +27,8 @@ from tests.waiting import PATIENCE
 CRASH = CROSSING.with_name("crash.mcap")
 WRITING = ("capture", "clip", "clips", "convert", "export", "import", "index", "record", "recover", "replay", "report")
 WRITING += ("sense", "snapshot", "video")
-ASKING = ("actors", "blocked", "check", "collisions", "diff", "doctor", "incidents", "info", "measures", "sql", "summary")
+ASKING = ("actors", "blocked", "campaign", "check", "collisions", "diff", "doctor", "incidents", "info", "measures", "score")
+ASKING += ("sql", "summary")
 
 
 class Stream(io.TextIOWrapper):

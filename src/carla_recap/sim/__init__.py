@@ -61,10 +61,9 @@ __all__ = [
 __getattr__, __dir__ = lazily(
     __name__,
     {
-        "actors.actor": ("Actor", "Prop", "Sensor", "Spectator"),
+        "actors.actor": ("Actor", "Collision", "Prop", "Sensor", "Spectator"),
         "actors.blueprints": ("Blueprint", "BlueprintLibrary"),
         "actors.control": ("VehicleControl", "WalkerControl"),
-        "actors.events": ("Collision",),
         "actors.lights": ("Sign", "TrafficLight"),
         "actors.moving": ("Vehicle", "Walker"),
         "actors.registry": ("TickEvents",),
