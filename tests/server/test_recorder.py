@@ -23,6 +23,7 @@ from carla_recap.sim import World, load_town
 from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.geometry import Transform
+from carla_recap.sim.traffic import populate
 from tests.samples import CARLA_LOGS
 from tests.server.inside import Inside
 from tests.server.test_actors import ticks as run_ticks
@@ -260,9 +261,10 @@ def test_a_damaged_recording_is_an_error_that_tells_where(client: carla.Client, 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of other processes are Linux's")
 def test_a_recording_that_a_full_disk_has_ended_is_an_error_that_tells_where_it_is(tmp_path: Path) -> None:
     inside = Inside()
+    populate(inside.world, 10, 0)
     path = inside.call("start_recorder", str(tmp_path / "full.mcap"), True)
     disk_is_full = r"full\.mcap: cannot be written: File too large; what was recorded until then is in (.*\.partial)"
-    with disk_of(inside.world, 3000), pytest.warns(RecapWarning, match=f"the recording has ended: .*{disk_is_full}"):
+    with disk_of(inside.world, 60_000), pytest.warns(RecapWarning, match=f"the recording has ended: .*{disk_is_full}"):
         run_until_it_fails(inside.world)
     inside.call("stop_recorder")
     for name, arguments in (

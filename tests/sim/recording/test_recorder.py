@@ -793,7 +793,7 @@ def pid(world: World) -> int:
 
 @contextmanager
 def disk_of(world: World, size: int) -> Iterator[None]:
-    """Let no file that the world's recorder writes grow beyond a size, in bytes."""
+    """Let no file that the world's recorder writes grow beyond a size, in bytes: larger than the bytecode of a module."""
     writer = pid(world)
     resource.prlimit(writer, resource.RLIMIT_FSIZE, (size, size))
     yield
