@@ -269,6 +269,8 @@ def bucket(tmp_path, monkeypatch):
 
 
 def test_files_are_uploaded(runs, bucket):
+    for source in runs.rglob("*.*"):
+        os.utime(source, (0, 0))  # object stores round the times of objects down to seconds
     done = run("convert", "runs", f"{bucket}/mcap/", "--jobs", 2, "--json")
     assert done.returncode == 2
     assert [each["path"] for each in json.loads(done.stdout)["written"]] == [
