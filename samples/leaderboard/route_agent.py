@@ -24,9 +24,9 @@ STOREY = 3.0  # m up or down, where others are on another road, or hidden below 
 FLAT = 0.2  # m, the height of what is driven over, such as debris
 PATIENCE = 4.0  # s of waiting after which one second less of their motion counts
 SOONEST = 1.0  # s of it that always count
-UNDER_WAY = 3.0  # m/s, at which nobody waits any more
-BESIDE = 4.0  # m before and behind the vehicle that nobody else will drive through
-MOVING = 0.3  # m/s: whoever is slower stays where it is
+UNDER_WAY = 3.0  # m/s, at which a vehicle no longer waits
+BESIDE = 4.0  # m before and behind the vehicle that no other vehicle will drive through
+MOVING = 0.3  # m/s: what is slower stays where it is
 SIGHT = 80.0  # m around the vehicle in which others count
 
 ACCELERATION = 2.5  # m/s², of driving off

@@ -336,7 +336,7 @@ def test_the_end_of_the_server_completes_it(tmp_path: Path) -> None:
 def test_samples_that_come_while_memory_is_full_are_dropped_and_counted(
     port: int, world: carla.World, hero: carla.Vehicle, tmp_path: Path
 ) -> None:
-    """In asynchronous mode: here a message takes so long to make that a second sample never finds room."""
+    """In asynchronous mode, if making a message takes longer than the time between samples, there is no room for others."""
     (tmp_path / "rig.json").write_text(json.dumps([TOP]))
     world.apply_settings(carla.WorldSettings(fixed_delta_seconds=0.05))
     slow = "import time; from carla_recap.capture import sample_recorder as it; it.WAITING_LIMIT = 1; "

@@ -502,7 +502,7 @@ def reducing_sources(columns: int, rows: int) -> tuple[str, str]:
 
 
 def _offsets(pixels: int) -> list[float]:
-    """Return where to read an image so as to average so many pixels, from their middle, as parts of them.
+    """Return where to read an image to average a number of pixels, from their middle, as parts of them.
 
     A read between two pixels gives the mean of both.
     """

@@ -1,4 +1,4 @@
-"""Searches: proposals of an optimizer, which are told the results."""
+"""Searches: an optimizer proposes parameters, and gets the results."""
 
 from __future__ import annotations
 

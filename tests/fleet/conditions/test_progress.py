@@ -36,7 +36,7 @@ DRIVE = straight(10, 12)
         ('reaches = { of = "hero", lanes = "shoulder" }', "fail", "the shoulder lanes: hero is 1.75 m away at"),
         ('reaches = { of = "hero", lanes = "sidewalk" }', "fail", "the sidewalk lanes: hero is never near it"),
         ('reaches = { of = "hero", road = 7 }', "error", "the map Straight has no road 7"),
-        ('reaches = { of = "role:ego", junction = 9 }', "fail", "nobody to reach junction 9 (it has no role:ego)"),
+        ('reaches = { of = "role:ego", junction = 9 }', "fail", "no actor to reach junction 9 (it has no role:ego)"),
         ('leaves = { of = "hero", x = 50, y = 0, within = "5 m" }', "pass", " at 5.50 s"),
         ('leaves = { of = "hero", x = 50, y = 0, within = "5 m", before = "5 s" }', "fail", "hero leaves it at 5.50 s"),
         ('leaves = { of = "hero", x = 50, y = 0, within = "90 m" }', "fail", "hero is in it to the end at 12.00 s"),
@@ -56,7 +56,7 @@ DRIVE = straight(10, 12)
         (
             'stays_out_of = { of = "role:ego", junction = 9 }',
             "pass",
-            "nobody to stay out of junction 9 (it has no role:ego)",
+            "no actor to stay out of junction 9 (it has no role:ego)",
         ),
         ('distance = { of = "hero", min = "0.1 km" }', "pass", "the distance of the hero is 0.120 km"),
         ('distance = { of = "hero", max = "100 m" }', "fail", "is not at most 100 m: hero, 120.00 m at 10.05 s"),

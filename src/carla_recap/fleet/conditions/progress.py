@@ -283,7 +283,7 @@ def _each(
     """
     plural, singular = verbs
     if not subjects:
-        return Finding(not is_demand, f"nobody to {plural} {what}{facts.absent(of)}", applies=False)
+        return Finding(not is_demand, f"no actor to {plural} {what}{facts.absent(of)}", applies=False)
     if len(subjects) == 1:
         who = str(of) if of.text == HERO or of.text.startswith(ROLE) else subjects[0].name
         done, failed = f"{who} {singular}", f"{who} does not {plural}"

@@ -70,7 +70,7 @@ class StopLines:
         return bool(self._kinds[line] == roads.STOP)
 
     def is_before(self, line: int, point: tuple[float, ...], zone: float) -> bool:
-        """Return whether a point is in the zone before a line in which to stop, which is so many m long."""
+        """Return whether a point is in the zone of a length in m before a line, in which to stop."""
         away = np.array(point[:2]) - self._middle[line, :2]
         along = float(away @ self._ahead[line])
         return -zone <= along <= _BEHIND and float(np.hypot(*away)) <= zone + _CELL

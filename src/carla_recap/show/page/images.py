@@ -70,7 +70,7 @@ def _angle(sensor: RecordedSensor) -> float:
     try:
         yaw, pitch = (math.radians(float(sensor.spec.get(name, 0.0))) for name in ("yaw", "pitch"))
         return math.acos(math.cos(yaw) * math.cos(pitch))
-    except (TypeError, ValueError, OverflowError):  # of a recording of somebody else; infinity has no cosine
+    except (TypeError, ValueError, OverflowError):  # of a recording by another program; infinity has no cosine
         return math.pi
 
 
