@@ -135,7 +135,6 @@ def campaign(
     rules = _rules(rules_file)
     if town is not None:
         load_town(town)  # whose error would be that of each run
-    folder = _folder_of_report(report, out)
     values = _parameters(params, is_search=is_search)
     made = Campaign(
         function=_function(function, script, [*values]),
@@ -154,6 +153,7 @@ def campaign(
         client = stack.enter_context(closing(client_of(dask))) if dask else None
         made = replace(made, client=client)
         total, runs = _runs(made, seeds, values, (objective, maximize is not None, count) if objective else None)
+        folder = _folder_of_report(report, out)
         try:
             for finished in _watched(stack.enter_context(closing(runs)), total):
                 rows.append(row_of(finished))  # noqa: PERF401 - the rows so far are counted if it is interrupted
