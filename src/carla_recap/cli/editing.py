@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -49,12 +49,12 @@ def recover(request: WriteRequest, suffix: str | None) -> None:
 @_format
 @options.start
 @options.duration
-def clip(request: WriteRequest, suffix: str | None, start: float | None, duration: float | None) -> None:
+def clip(request: WriteRequest, suffix: str | None, **given: Any) -> None:
     """Cut a part out of recordings.
 
     What is cut is a recording of its own. SRC#t=12.1 means from 5 s before that moment to 5 s after it.
     """
-    request.write(partial(_clip, start, duration), suffix, "mcap", "cutting")
+    request.write(partial(_clip, given), suffix, "mcap", "cutting")
 
 
 def _convert(source: str, destination: str, force: bool) -> WrittenFile:
@@ -83,12 +83,12 @@ def _recover(source: str, destination: str, force: bool) -> WrittenFile:
     return WrittenFile(notes, result.frames, result.duration, facts=facts)
 
 
-def _clip(start: float | None, duration: float | None, source: str, destination: str, force: bool) -> WrittenFile:
+def _clip(given: dict[str, Any], source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch
     from carla_recap.editing.clip import clip as run
 
-    source, start, duration = options.timed(source, start, duration)
-    extent = run(source, destination, start=start, duration=duration, force=force, progress=watch("cutting"))
+    source, given = options.timed(source, given)
+    extent = run(source, destination, force=force, progress=watch("cutting"), **given)
     return WrittenFile(frames=extent.frames, seconds=extent.duration)
 
 

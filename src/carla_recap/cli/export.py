@@ -103,8 +103,7 @@ def _export_part(to: str, shown: dict[str, Any], source: str, folder: Path, name
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.recording import open_recording
 
-    source, start, duration = options.timed(source, shown["start"], shown["duration"])
-    shown = shown | {"start": start, "duration": duration}
+    source, shown = options.timed(source, shown)
     given = {key: value for key, value in shown.items() if key in FORMATS[to].options and value is not None}
     with open_recording(source) as recording:
         done = write_part(recording, folder, to=to, name=name, progress=watch_scenes("sensing"), **given)
@@ -117,8 +116,7 @@ def _export(name: str, shown: dict[str, Any], source: str, destination: str, for
 
     accepted = FORMATS[name].options
     if "start" in accepted:
-        source, start, duration = options.timed(source, shown["start"], shown["duration"])
-        shown = shown | {"start": start, "duration": duration}
+        source, shown = options.timed(source, shown)
     given = {key: value for key, value in shown.items() if key in accepted}
     with open_recording(source) as recording:
         done = write_export(recording, destination, to=name, progress=watch_all("exporting"), force=force, **given)
@@ -202,14 +200,12 @@ def _facts(clip: IncidentClip) -> dict[str, Any]:
 @options.foxglove
 def view(
     source: str,
-    follow: Follow | None,
-    start: float | None,
-    duration: float | None,
     road_map: str | None,
     view: View,
     web: bool,
     foxglove: bool,
     foxglove_port: int | None,
+    **shown: Any,
 ) -> None:
     """Open a recording in Rerun's viewer, or let Foxglove play it.
 
@@ -222,10 +218,10 @@ def view(
     for name in ("view", "web"):
         if port is not None and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
             raise click.UsageError(f"--{name} goes with Rerun's viewer.", context)
-    source, start, duration = options.timed(source, start, duration)
-    shown: dict[str, Any] = {"follow": follow, "start": start, "duration": duration, "ready": _announce}
+    source, shown = options.timed(source, shown)
+    shown["ready"] = _announce
     with open_recording(source) as recording:
-        roads = options.road_map_of(recording, road_map, start, duration)
+        roads = options.road_map_of(recording, road_map, shown["start"], shown["duration"])
         if port is None:
             from carla_recap.show.viewer import view as open_viewer
 
@@ -319,9 +315,6 @@ def video(
     /,
     request: WriteRequest,
     suffix: str | None,
-    start: float | None,
-    duration: float | None,
-    road_map: str | None,
     kinds: frozenset[str] | Literal["all"],
     **shown: Any,
 ) -> None:
@@ -329,7 +322,7 @@ def video(
 
     SRC#t=12.1 means from 5 s before that moment to 5 s after it. Many recordings go to a folder.
     """
-    shown["incidents"] = options.shown_incidents(kinds, road_map)
+    shown["incidents"] = options.shown_incidents(kinds, shown["road_map"])
     if shown.pop("grid"):
         if shown["cameras"]:
             raise click.UsageError("--grid shows all cameras; --camera chooses some. One of them was expected.", ctx)
@@ -338,35 +331,18 @@ def video(
         raise click.UsageError("--rig goes with --camera or --grid.", ctx)
     if shown["cameras"] and ctx.get_parameter_source("view") is ParameterSource.COMMANDLINE:
         raise click.UsageError("--view goes without --camera and --grid.", ctx)
-    request.write(partial(_video, start, duration, road_map, shown), suffix, "mp4", "filming")
+    request.write(partial(_video, shown), suffix, "mp4", "filming")
 
 
-def _video(
-    start: float | None,
-    duration: float | None,
-    road_map: str | None,
-    shown: dict[str, Any],
-    source: str,
-    destination: str,
-    force: bool,
-) -> WrittenFile:
+def _video(shown: dict[str, Any], source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.recording import open_recording
     from carla_recap.show.video import export_video
 
-    source, start, duration = options.timed(source, start, duration)
+    source, shown = options.timed(source, shown)
     with open_recording(source) as recording:
-        written = export_video(
-            recording,
-            destination,
-            start=start,
-            duration=duration,
-            town=partial(options.town_of, recording, road_map, start, duration),
-            road_map=road_map,
-            progress=watch_scenes("filming"),
-            force=force,
-            **shown,
-        )
+        town = partial(options.town_of, recording, shown["road_map"], shown["start"], shown["duration"])
+        written = export_video(recording, destination, town=town, progress=watch_scenes("filming"), force=force, **shown)
     width, height = written.size
     facts = {"width": width, "height": height}
     return WrittenFile((f"{width}x{height}",), written.frames, written.seconds, facts=facts)

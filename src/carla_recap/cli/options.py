@@ -505,21 +505,21 @@ def opened(path: str) -> Reader:
     return reader
 
 
-def timed(source: str, start: float | None, duration: float | None) -> tuple[str, float, float]:
-    """Return a source without the times at its end (`#t=12.1`), and the start and duration that are meant.
+def timed(source: str, given: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Return a source without the times at its end (`#t=12.1`), and options with the start and duration that are meant.
 
     A moment is shown with the seconds around it that clips of incidents have. What the options say prevails.
 
     Args:
         source: The source.
-        start: What the option says; None: nothing.
-        duration: See `start`.
+        given: The options of a command, of which `start` and `duration` are None if they are not given.
     """
     from carla_recap.errors import RecapError
 
     location, times = _split(source)
+    start, duration = given["start"], given["duration"]
     if times is None or start is not None:
-        return location, start or 0.0, duration or 0.0
+        return location, given | {"start": start or 0.0, "duration": duration or 0.0}
     begin, end = max(times.start - AROUND, 0.0), times.start + AROUND
     if times.stop is None:
         _check_moment(location, times.start)
@@ -527,7 +527,7 @@ def timed(source: str, start: float | None, duration: float | None) -> tuple[str
         begin, end = times.start, times.stop
     if not begin < end:
         raise RecapError(f"{source}: an end after {begin:g} s was expected")
-    return location, begin, end - begin if duration is None else duration
+    return location, given | {"start": begin, "duration": end - begin if duration is None else duration}
 
 
 def moment(source: str, time: float | None) -> tuple[str, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -11,9 +11,6 @@ from carla_recap.cli import options
 from carla_recap.cli.output import counted
 from carla_recap.cli.writing import WriteRequest, writes
 from carla_recap.fleet.outcomes import WrittenFile
-
-if TYPE_CHECKING:
-    from carla_recap.sensors.rig import SensorRig
 
 
 @click.command()
@@ -25,42 +22,24 @@ if TYPE_CHECKING:
 @options.road_map
 @click.option("--video", is_flag=True, help="Write RGB images as H.264, which takes less room, instead of as JPEGs.")
 @options.models
-def sense(request: WriteRequest, rig: SensorRig, start: float | None, duration: float | None, **given: Any) -> None:
+def sense(request: WriteRequest, **given: Any) -> None:
     """Write recordings with what the sensors of a rig would have measured: .mcap files.
 
     DST is the recording, and has its scene and the data of the sensors for Foxglove, Lichtblick and Rerun; layouts for the
     first two are beside it. SRC#t=12.1 means from 5 s before that moment to 5 s after it. Many recordings go to a folder.
     """
-    write = partial(_sense, rig, start, duration, given)
-    request.write(write, None, "mcap", "sensing")
+    request.write(partial(_sense, given), None, "mcap", "sensing")
 
 
-def _sense(
-    rig: SensorRig,
-    start: float | None,
-    duration: float | None,
-    given: dict[str, Any],
-    source: str,
-    destination: str,
-    force: bool,
-) -> WrittenFile:
+def _sense(given: dict[str, Any], source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.recording import open_recording
     from carla_recap.show.foxglove.layouts import hints_of
     from carla_recap.show.foxglove.sensed import export_sensed
 
-    source, start, duration = options.timed(source, start, duration)
+    source, given = options.timed(source, given)
     with open_recording(source) as recording:
-        done = export_sensed(
-            recording,
-            destination,
-            rig,
-            start=start,
-            duration=duration,
-            force=force,
-            progress=watch_scenes("sensing"),
-            **given,
-        )
+        done = export_sensed(recording, destination, force=force, progress=watch_scenes("sensing"), **given)
     samples = sum(done.samples.values())
     notes = counted(len(done.samples), "sensor"), counted(samples, "sample")
     facts = {"samples": dict(done.samples), "layouts": [str(path) for path in done.layouts.values()]}
