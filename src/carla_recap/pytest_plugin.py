@@ -283,6 +283,7 @@ def _keep(world: CarlaWorld, config: pytest.Config, name: str, *, page: bool) ->
     from carla_recap.recording import open_recording
     from carla_recap.rendering.town import load_town_of
     from carla_recap.show.page import write_report
+    from carla_recap.util.files import make_folder
 
     kept, kept_page = _kept(config, name)
     lines = []
@@ -290,7 +291,7 @@ def _keep(world: CarlaWorld, config: pytest.Config, name: str, *, page: bool) ->
         if not world.is_served:
             return ["recording: none: the server has ended"]
         world.stop_recording()
-        kept.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(kept.parent)
         shutil.copyfile(world.recording, kept)
         lines.append(f"recording: {kept}")
         if page:

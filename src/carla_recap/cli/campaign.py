@@ -206,17 +206,13 @@ def _rules(path: str | None) -> RuleSet | None:
 
 def _folder_of_report(report: str | None, out: str) -> Path | None:
     """Return the folder of pages, which is made; None if the recordings go to an object store, and none was given."""
-    from carla_recap.errors import RecapError
     from carla_recap.formats.sources import is_remote
+    from carla_recap.util.files import make_folder
 
     if report is None and is_remote(out):
         return None
     folder = Path(report or out)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        reason = "is a file; a folder was expected" if folder.is_file() else getattr(error, "strerror", None) or error
-        raise RecapError(f"{folder}: {reason}") from None
+    make_folder(folder)
     return folder
 
 

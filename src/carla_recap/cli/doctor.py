@@ -102,13 +102,15 @@ def _cache() -> dict[str, Any]:
 
 def _error_of(folder: str | None) -> str | None:
     """Return why a folder cannot be listed; None if it can be, or if it does not exist."""
+    from carla_recap.util.files import reason_of
+
     try:
         if folder is not None:
             os.scandir(folder).close()
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
-        return getattr(error, "strerror", None) or str(error)
+        return reason_of(error)
     return None
 
 

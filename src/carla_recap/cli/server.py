@@ -142,11 +142,12 @@ def _viewer(to: str | None, follow: Follow | None, foxglove_port: int | None) ->
 
 
 def _make_folder(folder: Path) -> None:
+    from carla_recap.util.files import reason_of
+
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise RecapError(f"{folder}: the folder of recordings cannot be made: {reason}") from None
+        raise RecapError(f"{folder}: the folder of recordings cannot be made: {reason_of(error)}") from None
 
 
 def _announce(town: str, host: str, port: int, *, hint: bool) -> None:

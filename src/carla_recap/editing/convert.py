@@ -11,7 +11,7 @@ from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import create_writer, format_of, open_reader
 from carla_recap.formats.sources import is_remote, path_of
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.util.files import check_path
+from carla_recap.util.files import check_path, reason_of
 from carla_recap.util.text import first_of
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def check_destination(source: Path | str, destination: Path | str, *, force: boo
     try:
         same = not is_remote(source) and target.exists() and path_of(source).exists() and target.samefile(path_of(source))
     except (OSError, ValueError) as error:
-        raise RecapError(f"{str(destination)[:200]}: cannot be written: {_reason(error)}") from None
+        raise RecapError(f"{str(destination)[:200]}: cannot be written: {reason_of(error)}") from None
     if same:
         raise RecapError(f"{destination}: is the source itself")
     check_free(destination, force=force)
@@ -159,7 +159,7 @@ def check_free(destination: Path | str, *, force: bool) -> None:
     try:
         exists = Path(destination).exists() or Path(destination).is_symlink()
     except (OSError, ValueError) as error:
-        raise RecapError(f"{str(destination)[:200]}: cannot be written: {_reason(error)}") from None
+        raise RecapError(f"{str(destination)[:200]}: cannot be written: {reason_of(error)}") from None
     if exists and not force:
         raise RecapError(f"{destination}: exists already; --force (in Python, force=True) replaces it")
 
@@ -177,7 +177,3 @@ def check_new(destination: Path | str, *, force: bool) -> None:
         raise RecapError(f"{destination}: cannot be written: is a directory")
     if not path.parent.is_dir():
         raise RecapError(f"{destination}: cannot be written: there is no folder {path.parent}")
-
-
-def _reason(error: OSError | ValueError) -> str:
-    return str(getattr(error, "strerror", None) or error)

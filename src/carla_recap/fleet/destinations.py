@@ -14,7 +14,7 @@ from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.outcomes import one_line
 from carla_recap.formats import SUFFIXES
 from carla_recap.formats.sources import WEB, is_remote, path_of, scheme_of
-from carla_recap.util.files import size_of
+from carla_recap.util.files import make_folder, reason_of, size_of
 from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
@@ -100,6 +100,12 @@ class DestinationFolder:
     missing: set[Path] = field(default_factory=set)
 
     def __post_init__(self) -> None:
+        try:
+            self._check()
+        except (OSError, ValueError) as error:
+            raise RecapError(f"{self.location[:200]}: cannot be written: {reason_of(error)}") from None
+
+    def _check(self) -> None:
         _check_scheme(self.location)
         if self.suffix and self.location.lower().endswith(self.suffix) and not Path(self.location).is_dir():
             raise RecapError(f"{self.location}: names a file; a folder was expected, for the files of many recordings")
@@ -235,19 +241,12 @@ def _write_one(write: Write, folder: DestinationFolder, source: SourceFile) -> W
     destination = folder.file_of(source)
     try:
         if not is_remote(destination):
-            _make_folder(Path(destination).parent)
+            make_folder(Path(destination).parent)
         return write_file(write, source.address, destination, force=folder.force or folder.newer)
     except (RecapError, OSError, MemoryError):
         raise
     except Exception as error:  # whatever a recording causes, the others are written
         raise RecapError(one_line(error, source)) from error
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecapError(f"{folder}: cannot be written: {error.strerror}") from None
 
 
 def _check_scheme(destination: str) -> None:

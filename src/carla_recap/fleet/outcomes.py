@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from carla_recap.errors import RecapError
+from carla_recap.util.files import reason_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -77,5 +78,5 @@ def one_line(error: Exception, source: SourceFile) -> str:
     if isinstance(error, MemoryError):
         return f"{location}: not enough memory"
     if isinstance(error, OSError):
-        return f"{location}: {error.strerror or error}"
+        return f"{location}: {reason_of(error)}"
     return f"{location}: {type(error).__name__}: {' '.join(str(error).split())}"

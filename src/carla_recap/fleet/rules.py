@@ -27,6 +27,7 @@ from carla_recap.fleet.conditions.table import CONDITIONS
 from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures import SHORT_NAMES
 from carla_recap.tables.trajectories import Axes
+from carla_recap.util.files import reason_of
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -134,7 +135,7 @@ def load_rules(path: Path | str) -> RuleSet:
         with Path(path).open("rb") as file:
             content = file.read(_LARGEST + 1)
     except (OSError, ValueError) as error:
-        raise RecapError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise RecapError(f"{path}: cannot be read: {reason_of(error)}") from None
     if len(content) > _LARGEST:
         raise RecapError(f"{path}: is larger than {_LARGEST >> 10} kB; a file of rules was expected")
     try:
@@ -229,7 +230,7 @@ def _judged(rule: Rule, facts: Facts) -> Verdict:
     except RecapError as error:
         return Verdict(rule.name, "error", visible(str(error).removeprefix(f"{facts.recording.location}: ")))
     except OSError as error:
-        return Verdict(rule.name, "error", visible(error.strerror or str(error)))
+        return Verdict(rule.name, "error", visible(reason_of(error)))
     if passes:
         return Verdict(rule.name, "pass", visible(message if applies else f"nothing to judge: {message}"), applies=applies)
     offences = tuple(each if math.isfinite(each.time or 0.0) else each._replace(time=None) for each in offences)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, Literal
 from carla_recap.errors import RecapError
 from carla_recap.formats import SUFFIXES
 from carla_recap.formats.sources import WEB, is_remote, path_of, scheme_of, split_time
+from carla_recap.util.files import reason_of
 from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ def find_sources(sources: Iterable[str | Path], *, errors: Literal["raise", "yie
                     yield found
         except (RecapError, OSError, ValueError) as error:  # the latter of names that are too long, or have a NUL
             if not isinstance(error, RecapError):
-                error = RecapError(f"{source}: {getattr(error, 'strerror', None) or error}")
+                error = RecapError(f"{source}: {reason_of(error)}")
             if errors == "raise":
                 raise error from None
             yield SourceFile(source, error=str(error))

@@ -8,6 +8,7 @@ from hashlib import sha256
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import FormatError, RecapError
+from carla_recap.util.files import reason_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -64,7 +65,7 @@ def _parts(path: Path, what: str = "map") -> Iterator[bytes]:
                     raise RecapError(f"{path}: is larger than {_LARGEST >> 20} MB, which no {what} is")
                 yield part
     except (OSError, ValueError) as error:
-        raise RecapError(f"{path}: {getattr(error, 'strerror', error)}") from None
+        raise RecapError(f"{path}: {reason_of(error)}") from None
 
 
 @contextmanager

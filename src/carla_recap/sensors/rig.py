@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.sensors.kinds import LEADERBOARD_CHOICES, SENSOR_TYPES, SensorAttribute
+from carla_recap.util.files import reason_of
 from carla_recap.util.text import first_of, visible
 
 if TYPE_CHECKING:
@@ -154,7 +155,7 @@ class SensorRig:
             with Path(path).open("rb") as file:
                 content = file.read(_LARGEST_FILE + 1)
         except (OSError, ValueError) as error:
-            raise RecapError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+            raise RecapError(f"{path}: cannot be read: {reason_of(error)}") from None
         if len(content) > _LARGEST_FILE:
             raise RecapError(f"{path}: is larger than 1 MB; a rig was expected")
         try:

@@ -14,6 +14,7 @@ import numpy as np
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.tables.variable import Lists
+from carla_recap.util.files import reason_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -168,4 +169,4 @@ def write_parquet(path: Path | str, table: pa.Table) -> None:
 
 
 def _unwritable(path: Path, error: OSError) -> RecapError:
-    return RecapError(f"{path}: cannot be written: {error.strerror or error}")
+    return RecapError(f"{path}: cannot be written: {reason_of(error)}")

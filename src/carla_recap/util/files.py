@@ -219,6 +219,25 @@ def check_path(destination: Path | str) -> None:
         raise RecapError(f"{destination}: is a URL; a path was expected, since only files of this machine are written")
 
 
+def reason_of(error: OSError | ValueError) -> str:
+    """Return why a file or folder cannot be used, from the error about its path."""
+    return str(getattr(error, "strerror", None) or error)
+
+
+def make_folder(folder: Path | str) -> None:
+    """Create a folder and those above it, if they are not there.
+
+    Raises:
+        RecapError: It cannot be created.
+    """
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise RecapError(f"{folder}: is a file; a folder was expected") from None
+    except (OSError, ValueError) as error:
+        raise RecapError(f"{str(folder)[:200]}: cannot be written: {reason_of(error)}") from None
+
+
 def prepare_file(path: Path | str) -> None:
     """Create the folder of a file that will be written, and check that it can be.
 
@@ -230,7 +249,7 @@ def prepare_file(path: Path | str) -> None:
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         WholeFile(path).abort()
     except (OSError, ValueError) as error:
-        raise RecapError(f"{str(path)[:200]}: cannot be written: {getattr(error, 'strerror', None) or error}") from None
+        raise RecapError(f"{str(path)[:200]}: cannot be written: {reason_of(error)}") from None
 
 
 def check_folder(folder: Path | str, *, force: bool) -> None:
@@ -251,7 +270,7 @@ def check_folder(folder: Path | str, *, force: bool) -> None:
                 f"{folder}: is not empty; --force (in Python, force=True) writes over what it has of the same names"
             )
     except (OSError, ValueError) as error:
-        raise RecapError(f"{str(folder)[:200]}: cannot be written: {error}") from None
+        raise RecapError(f"{str(folder)[:200]}: cannot be written: {reason_of(error)}") from None
 
 
 @contextmanager
@@ -289,7 +308,7 @@ def new_folder(folder: Path | str) -> Iterator[Path]:
             raise RecapError(str(error).replace(str(partial), str(folder))) from None
         raise
     except OSError as error:
-        raise RecapError(f"{folder}: cannot be written: {error.strerror or error}") from None
+        raise RecapError(f"{folder}: cannot be written: {reason_of(error)}") from None
     finally:
         rmtree(partial, ignore_errors=True)
         if lock is not None:

@@ -21,6 +21,7 @@ from carla_recap.fleet.destinations import DestinationFolder
 from carla_recap.fleet.engine import map_sources
 from carla_recap.formats.sources import is_remote
 from carla_recap.sim.clock import seeded_date
+from carla_recap.util.files import make_folder, reason_of
 from carla_recap.util.functions import FileFunction, keywords_of
 from carla_recap.util.text import visible
 
@@ -93,11 +94,7 @@ class Campaign:
         Raises:
             RecapError: It is a file, or at a web server.
         """
-        try:
-            folder = DestinationFolder(os.fspath(self.out), _SUFFIX)
-        except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise RecapError(f"{str(self.out)[:200]}: recordings cannot be written there: {reason}") from None
+        folder = DestinationFolder(os.fspath(self.out), _SUFFIX)
         if self.client is not None and not is_remote(folder.location):
             folder.location = os.path.abspath(folder.location)  # noqa: PTH100
         return folder
@@ -212,12 +209,11 @@ def _staging(location: str) -> Iterator[str | None]:
     if is_remote(location):
         yield None
         return
+    make_folder(location)
     try:
-        Path(location).mkdir(parents=True, exist_ok=True)
         staging = mkdtemp(prefix=_STAGING, dir=location)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise RecapError(f"{location}: recordings cannot be written there: {reason}") from None
+    except OSError as error:
+        raise RecapError(f"{location}: cannot be written: {reason_of(error)}") from None
     try:
         yield staging
     finally:

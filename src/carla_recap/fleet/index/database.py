@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.fleet.index.tables import RECORDING, RECORDINGS, TABLES
-from carla_recap.util.files import WholeFile, prepare_file
+from carla_recap.util.files import WholeFile, prepare_file, reason_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
@@ -314,8 +314,7 @@ def _is_file(path: Path) -> bool:
         if not path.stat().st_size:
             raise RecapError(f"{path}: is empty; {_remedy(path)}")
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise RecapError(f"{str(path)[:200]}: cannot be an index: {reason}") from None
+        raise RecapError(f"{str(path)[:200]}: cannot be an index: {reason_of(error)}") from None
     return True
 
 
