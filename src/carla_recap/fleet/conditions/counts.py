@@ -256,10 +256,6 @@ class SameAs:
         """See `Condition.text`."""
         return f"the same as {self.baseline}, within {self.tolerance}"
 
-    def exists(self) -> bool:
-        """Return whether the baseline, or the folder, is there; what a URL names may be."""
-        return "://" in self.baseline or Path(self.baseline).exists()
-
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
         reader = facts.recording.reader

@@ -24,7 +24,7 @@ from carla_recap.tables.trajectories import Trajectory, trajectories
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
-    from carla_recap.fleet.conditions.places import Place
+    from carla_recap.fleet.conditions.places import Occasion, Place
     from carla_recap.fleet.conditions.values import Selector
     from carla_recap.model.actors import ActorLife
     from carla_recap.model.stationary import BlockedRow
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from carla_recap.roads.network import RoadNetwork
     from carla_recap.tables.trajectories import Trajectories
     from carla_recap.util.arrays import Booleans, Floats
-
-    Occasion = str | Place
 
 T = TypeVar("T")
 

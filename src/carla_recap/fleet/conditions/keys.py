@@ -106,18 +106,17 @@ def _flag(value: Any, _: Reading) -> bool:
 FLAG: Final = ValueType("`true` or `false`", "true or false", _flag)
 
 
-def texts(name: str, expected: str, one: Callable[[str], str] = str, *, single: bool = False) -> ValueType:
+def texts(name: str, expected: str, one: Callable[[str], str] = str) -> ValueType:
     """Return the type of a text or of a list of texts.
 
     Args:
         name: See `ValueType`.
         expected: See `ValueType`.
         one: Changes each text, or raises a `RecapError`.
-        single: Whether a list is wrong.
     """
 
     def read(value: Any, _: Reading) -> tuple[str, ...]:
-        values = value if isinstance(value, list) and not single else [value]
+        values = value if isinstance(value, list) else [value]
         if not values or not all(isinstance(each, str) and each for each in values):
             raise UnexpectedValue(expected)
         try:

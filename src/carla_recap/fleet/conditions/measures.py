@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carla_recap.fleet.conditions.facts import Finding, Needs, Offence
-from carla_recap.fleet.conditions.scope import ROUNDING, WHOLE
+from carla_recap.fleet.conditions.scope import WHOLE
 from carla_recap.fleet.conditions.values import tolerated
 from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import LONGEST_STEP, runs
 from carla_recap.queries.measures import MEASURES
 from carla_recap.queries.measures.series import NO_OTHER
@@ -121,7 +122,7 @@ class MeasureBounds:
             ]
             seconds, first = max(spans, default=(0.0, None))
             longest.append(seconds)
-            if seconds < self.lasting.value - ROUNDING:
+            if seconds < self.lasting.value - SAME_TIME:
                 when = None if first is None else float(found.time[first])
                 text = f"{life.name} for {seconds:.2f} s" if spans else f"{life.name} never"
                 offences.append(Offence(text, when, (life.id,)))
@@ -153,7 +154,7 @@ class MeasureBounds:
         valid = (found.value >= least) & (found.value <= most)
         if self.tolerate is not None:
             for first, last in _intervals(found, counts & ~valid):
-                if found.time[last] - found.time[first] <= self.tolerate.value + ROUNDING:
+                if found.time[last] - found.time[first] <= self.tolerate.value + SAME_TIME:
                     valid[first : last + 1] = True
         return valid
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
 
 import numpy as np
 
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from carla_recap.util.arrays import Floats
 
     Roads = Callable[[frozenset[str] | None], RoadNetwork]
+
+    Occasion: TypeAlias = "str | Place"
+    """What begins or ends a scope: an actor's first incident of a kind, or its first time in a place."""
 
 FOR_CARS: Final = "driving"
 """The word for all types of lanes for cars."""

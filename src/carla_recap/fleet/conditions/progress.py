@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from carla_recap.fleet.conditions.facts import Finding, Needs, Offence
-from carla_recap.fleet.conditions.scope import ROUNDING, WHOLE
+from carla_recap.fleet.conditions.scope import WHOLE
 from carla_recap.fleet.conditions.values import ANY, ROLE, tolerated
 from carla_recap.model.actors import HERO
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import LONGEST_STEP, runs
 
 if TYPE_CHECKING:
@@ -145,7 +146,7 @@ class Stays:
             wrong = ((outside > 0) == self.is_inside) & self.scope.has(life, time, facts)
             for first, last in runs(wrong, np.diff(time) <= LONGEST_STEP):
                 seconds = float(time[last] - time[first])
-                if self.tolerate is not None and seconds <= self.tolerate.value + ROUNDING:
+                if self.tolerate is not None and seconds <= self.tolerate.value + SAME_TIME:
                     continue
                 far = float(outside[first : last + 1].max())
                 by = f", by up to {far:.2f} m" if self.is_inside and math.isfinite(far) else ""
@@ -311,4 +312,4 @@ def _before(limit: Quantity | None) -> str:
 
 def _is_before(time: float, limit: Quantity | None) -> bool:
     """Return whether a time is, and is at the latest at a limit, if there is one."""
-    return time < math.inf if limit is None else time <= limit.value + ROUNDING
+    return time < math.inf if limit is None else time <= limit.value + SAME_TIME

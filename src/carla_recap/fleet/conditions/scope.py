@@ -7,20 +7,15 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.kinds import KINDS
 
 if TYPE_CHECKING:
     from carla_recap.fleet.conditions.facts import Facts
-    from carla_recap.fleet.conditions.places import Place
+    from carla_recap.fleet.conditions.places import Occasion, Place
     from carla_recap.fleet.conditions.values import Quantity, Selector
     from carla_recap.model.actors import ActorLife
     from carla_recap.util.arrays import Booleans, Floats
-
-    Occasion = str | Place
-    """What begins or ends a scope: the first incident of a kind with the actor, or its first time in a place."""
-
-ROUNDING: Final = 1e-6
-"""The time by which times may be rounded, in s."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +54,11 @@ class Scope:
         found = np.ones(len(time), np.bool_)
         if self.during is not None:
             start, stop = self.during
-            found &= (time >= start.value - ROUNDING) & (time <= stop.value + ROUNDING)
+            found &= (time >= start.value - SAME_TIME) & (time <= stop.value + SAME_TIME)
         if self.after is not None:
-            found &= time >= facts.first(self.after, life) - ROUNDING
+            found &= time >= facts.first(self.after, life) - SAME_TIME
         if self.until is not None:
-            found &= time < facts.first(self.until, life) - ROUNDING
+            found &= time < facts.first(self.until, life) - SAME_TIME
         if self.where is not None and found.any():
             found[found] = facts.is_in(self.where, life, time[found])
         return found
