@@ -93,15 +93,13 @@ class IncidentSearch:
     ) -> None:
         options = with_roads(source, options or IncidentOptions())
         self._source, self._options = source, options
-        self._actor: int | None = None
         self._kinds = kinds_named(options.kinds)
         actors, contacts = ActorLives(), Contacts()
         for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=options.stop):
             contacts.add(frame)
             for packet in frame.packets:
                 actors.add(packet, frame.elapsed)
-        if options.actor is not None:
-            self._actor = find_actor(source.location, actors, options.actor).id
+        self._actor = None if options.actor is None else find_actor(source.location, actors, options.actor).id
         search = Search(
             source=source, options=options, actors=actors, contacts=contacts, roads=options.roads, near=near, series=series
         )

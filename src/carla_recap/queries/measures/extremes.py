@@ -140,8 +140,8 @@ class MeasureSearch:
                 lives.add(packet, frame.elapsed)
         self._subjects = measured_actors(source, lives, actors)
         self._motion = MotionCollector(lives)
-        self._roads = None if roads is None else RoadSearch(source, roads, lives, over_time or {})
         self._over_time = over_time or {}
+        self._roads = None if roads is None else RoadSearch(source, roads, lives, self._over_time)
         self._parts: dict[tuple[str, int], list[MeasureValues]] = defaultdict(list)
         self.values: dict[tuple[str, int], MeasureValues] = {}
         self._extremes: dict[int, dict[str, Extreme]] = {id: {} for id in self._subjects}
@@ -198,8 +198,9 @@ class MeasureSearch:
                 series.acceleration[number, affected] = series.jerk[number, affected] = np.nan
         for measure in MEASURES.values():
             if measure.values is not None:
-                self._note(block, rows, measure, series, measure.values(series))
-                self._keep(block, rows, measure, series, measure.values(series))
+                values = measure.values(series)
+                self._note(block, rows, measure, series, values)
+                self._keep(block, rows, measure, series, values)
         self._note_crossings(block, rows)
 
     def _note(

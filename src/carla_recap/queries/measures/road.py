@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from carla_recap.roads.network import LanePositions, RoadNetwork
     from carla_recap.util.arrays import Booleans, Floats
 
-    Indices = NDArray[np.int64]
-
 TYPES: Final = ("transforms", "light_states")
 """The record types that are read."""
 

@@ -11,12 +11,8 @@ import numpy as np
 from carla_recap.roads import network as roads
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.roads.network import RoadNetwork
-    from carla_recap.util.arrays import Floats
-
-    Indices = NDArray[np.int64]
+    from carla_recap.util.arrays import Floats, Integers
 
 _CELL: Final = 8.0  # m, of the grid of stop lines
 _MOST_LINES: Final = 16  # in a cell
@@ -34,7 +30,7 @@ class StopLines:
     def __init__(self, network: RoadNetwork) -> None:
         lines = network.stop_lines
         self._kinds = network.signals["kind"][lines["signal"]]
-        self._signals, self._places = lines["signal"], network.signals
+        self._signal_of_line, self._signals = lines["signal"], network.signals
         self._middle = np.stack([(lines[f"{axis}0"] + lines[f"{axis}1"]) / 2 for axis in "xyz"], axis=1)
         self._half = np.hypot(lines["x1"] - lines["x0"], lines["y1"] - lines["y0"]) / 2
         self._ahead = np.stack((np.cos(lines["heading"]), np.sin(lines["heading"])), axis=1)
@@ -53,16 +49,16 @@ class StopLines:
 
     def signal(self, line: int) -> int:
         """Return the signal of a line."""
-        return int(self._signals[line])
+        return int(self._signal_of_line[line])
 
     def middle(self, line: int) -> Floats:
-        """Return the middle of a line, (3,)."""
+        """Return the middle of a line: x, y, z in m, (3,)."""
         middle: Floats = self._middle[line]
         return middle
 
     def place(self, signal: int) -> tuple[float, float, float]:
-        """Return where the light or sign of a line is."""
-        row = self._places[signal]
+        """Return the position of a signal: x, y, z in m."""
+        row = self._signals[signal]
         return float(row["x"]), float(row["y"]), float(row["z"])
 
     def is_stop(self, line: int) -> bool:
@@ -70,22 +66,28 @@ class StopLines:
         return bool(self._kinds[line] == roads.STOP)
 
     def is_before(self, line: int, point: tuple[float, ...], zone: float) -> bool:
-        """Return whether a point is in the zone of a length in m before a line, in which to stop."""
+        """Return whether a point is in the zone before a line in which vehicles stop.
+
+        Args:
+            line: The line.
+            point: x and y in m, and maybe z.
+            zone: The length of the zone, in m.
+        """
         away = np.array(point[:2]) - self._middle[line, :2]
         along = float(away @ self._ahead[line])
         return -zone <= along <= _BEHIND and float(np.hypot(*away)) <= zone + _CELL
 
     def crossed(
         self, start: Floats, end: Floats, heading: Floats, *, wider: float = 1.0, turned: float = 45.0
-    ) -> tuple[Indices, Indices, Floats]:
+    ) -> tuple[Integers, Integers, Floats]:
         """Return which steps cross which line in its direction, and at which share of the step.
 
         Args:
-            start: Where each step begins, (n, 3).
-            end: Where it ends.
-            heading: The heading of the vehicle, in radians.
-            wider: How much wider than its lane a line is.
-            turned: By how many degrees the heading may differ from the direction of the lane.
+            start: Where each step begins: x, y, z in m, (n, 3).
+            end: Where each step ends, (n, 3).
+            heading: The heading of the vehicle in radians, (n,).
+            wider: The factor by which a line is wider than its lane.
+            turned: The greatest angle between the heading and the direction of the lane, in degrees.
         """
         same_way = math.cos(math.radians(turned))
         cells = np.floor(end[:, :2] / _CELL)
@@ -94,7 +96,7 @@ class StopLines:
         slots = np.minimum(np.searchsorted(self._keys, keys), max(len(self._keys) - 1, 0))
         known = near & (self._keys[slots] == keys) if len(self._keys) else np.zeros(len(keys), np.bool_)
         steps = np.flatnonzero(known)
-        found: list[tuple[Indices, Indices, Floats]] = []
+        found: list[tuple[Integers, Integers, Floats]] = []
         for number in range(_MOST_LINES):
             line = self._of_cell[slots[steps], number]
             steps, line = steps[line != roads.NONE], line[line != roads.NONE]
@@ -118,5 +120,5 @@ class StopLines:
 _FARTHEST_CELL: Final = 1 << 30
 
 
-def _key(column: Indices, row: Indices) -> Indices:
+def _key(column: Integers, row: Integers) -> Integers:
     return (column << 32) + row

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import place_in_metres
 from carla_recap.model.records import ActorKind
 from carla_recap.roads import network as roads
@@ -21,7 +22,6 @@ RED: Final = 0
 """The state of a red light."""
 
 _NEAR: Final = 3.0  # m from a recorded light to the signal of the map that it is; CARLA's are 0.3 m apart
-_SAME_TIME: Final = 1e-6  # s
 
 
 class LightHistory:
@@ -85,8 +85,8 @@ class LightHistory:
         if light is None:
             return None
         times, states = self._times[light], self._states[light]
-        first = max(bisect_right(times, start + _SAME_TIME) - 1, 0)
-        last = bisect_right(times, stop + _SAME_TIME)
+        first = max(bisect_right(times, start + SAME_TIME) - 1, 0)
+        last = bisect_right(times, stop + SAME_TIME)
         return light if RED in states[first:last] else None
 
     def red_during(self, signal: int, start: float, stop: float) -> int | None:
@@ -95,7 +95,7 @@ class LightHistory:
         if light is None:
             return None
         times = self._times[light]
-        index = bisect_right(times, start + _SAME_TIME) - 1
+        index = bisect_right(times, start + SAME_TIME) - 1
         is_red = index >= 0 and self._states[light][index] == RED
         lasts = index + 1 >= len(times) or times[index + 1] > stop
         return light if is_red and lasts else None
@@ -104,6 +104,6 @@ class LightHistory:
         """Return the light that stands for a signal at a time; None without one."""
         light = None
         for since, id in self._lights.get(signal, ()):
-            if since <= time + _SAME_TIME:
+            if since <= time + SAME_TIME:
                 light = id
         return light
