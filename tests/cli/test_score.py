@@ -105,8 +105,8 @@ def test_several_route_files_have_the_routes_of_all(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "One of --route and --from-drive says what the route is."),
-        (("--from-drive", "--route", ROUTES), "One of --route and --from-drive says what the route is."),
+        ((), "One of --route and --from-drive was expected."),
+        (("--from-drive", "--route", ROUTES), "One of --route and --from-drive was expected."),
         (("--from-drive", "--route-id", "1"), "--route-id goes with --route."),
         (("--from-drive", "--min-completion", "1"), "--min-completion goes with --route."),
         (("--from-drive", "--junit", "out.xml"), "--junit goes with a limit, such as --min-score."),

@@ -14,6 +14,7 @@ import click
 from carla_recap.cli import options
 from carla_recap.cli.many import Messages, client_of, watched
 from carla_recap.cli.output import BAD_INPUT, TOO_MANY, fail, print_pieces, wrote
+from carla_recap.queries.score.infractions import FORMULAS
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from carla_recap.model.actors import ActorName
     from carla_recap.queries.score import Formula, Score
 
-_FORMULAS: Final = ("1.0", "2.0", "2.1")
 _SUITE: Final = "carla-recap score"
 
 
@@ -58,7 +58,7 @@ class _Limit(click.ParamType[Any]):
 @click.option("--from-drive", is_flag=True, help="Score without a route: the infractions along the driven path.")
 @click.option(
     "--formula",
-    type=click.Choice(_FORMULAS),
+    type=click.Choice(FORMULAS),
     default="2.0",
     show_default=True,
     help="The version of the Leaderboard whose formula counts.",
@@ -105,7 +105,7 @@ def score(
     from carla_recap.util.signals import unwind_on_termination
 
     if bool(route_files) == from_drive:
-        raise click.UsageError("One of --route and --from-drive says what the route is.", click.get_current_context())
+        raise click.UsageError("One of --route and --from-drive was expected.", click.get_current_context())
     if min_completion is not None and from_drive:
         raise click.UsageError("--min-completion goes with --route.", click.get_current_context())
     if route_id is not None and from_drive:

@@ -1,4 +1,4 @@
-"""Scores of one recording or of many, and what they must be at least."""
+"""Scores of one recording or of many, and limits for them."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def score(
     Args:
         recording: The recording.
         route: A route, or a route file; None: infractions are judged along the driven path.
-        route_id: The id of the route in the file; None: the one that the name of the recording names, as the evaluator's
-            do (`RouteScenario_3_rep0.log`), else the only one of its town.
+        route_id: The id of the route in the file; None: the one in the name of the recording, if the evaluator has named it
+            (`RouteScenario_3_rep0.log`), else the only one of its town.
         options: The fields of `ScoreOptions`: `formula`, "1.0", "2.0" or "2.1"; `actor`; `road_map`; `start` and `stop`.
 
     Raises:
@@ -80,13 +80,13 @@ def _scored(routes: Sequence[Route] | None, route_id: str | None, options: Score
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreLimits:
-    """What the score of a recording must be.
+    """Limits for the score of a recording.
 
     Attributes:
         score: The least driving score; None for any.
         completion: The least completion in %.
         infractions: The most infractions of all kinds.
-        of_kind: The most infractions of some kinds, by name.
+        of_kind: The most infractions of a kind, by its name.
 
     Raises:
         RecapError: There is no such kind.

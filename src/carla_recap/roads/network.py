@@ -164,7 +164,7 @@ class RoadNetwork:
         return np.asarray(self._near.find(np.asarray(points, np.float64), None)["outside"] <= 0)
 
     def only(self, lanes: Booleans) -> RoadNetwork:
-        """Return the network without the pieces of other lanes, where `LanePositions.outside` is in relation to these alone.
+        """Return the network with the pieces of some lanes alone, from which it measures `LanePositions.outside`.
 
         Args:
             lanes: Whether each lane is kept, (lanes,).

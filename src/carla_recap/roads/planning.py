@@ -1,8 +1,8 @@
 """Routes along lanes from place to place, as CARLA's global route planner finds them.
 
 The graph has an edge for each lane and lane that follows it, and one of no length for each change to a lane beside. Its
-nodes are the ends of lanes, rounded to metres. The way from node to node is found by A*; a way along an edge is a row of
-points at equal distances.
+nodes are the ends of lanes, rounded to metres. The way from node to node is found by A*, which visits equally good nodes in
+the order of networkx, so that the way is CARLA's. Along an edge, there are points at equal distances.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class _Edge:
         points: The places between its ends.
         first: The place at which it begins.
         last: The place at which it ends.
-        length: What it costs.
+        length: The number of steps between its points and ends.
         is_change: Whether it is a change of lane.
     """
 
@@ -63,7 +63,7 @@ class RoutePlanner:
         self._edges: dict[Node, dict[Node, _Edge]] = {}
         self._of_lane: dict[int, tuple[Node, Node]] = {}
         self._segments: list[tuple[Node, int, list[Place]]] = []
-        lanes = _in_carlas_order(town)
+        lanes = _driving_lanes(town)
         self._starts = dict(zip(lanes.tolist(), town.at(lanes, town.starts[lanes]).position, strict=True))
         self._ends = dict(zip(lanes.tolist(), town.at(lanes, town.ends[lanes]).position, strict=True))
         for lane in lanes.tolist():
@@ -81,8 +81,8 @@ class RoutePlanner:
             ValueError: A place is far from all lanes, or there is no way to the next one.
         """
         at = self._town.nearest(places)
-        for number in np.flatnonzero(at.lane == NONE).tolist():
-            raise ValueError(f"position {number + 1} is far from all lanes for cars")
+        if len(far := np.flatnonzero(at.lane == NONE)):
+            raise ValueError(f"position {far[0] + 1} is far from all lanes for cars")
         found: list[Place] = []
         for number in range(len(places) - 1):
             start, stop = ((int(at.lane[each]), float(at.station[each])) for each in (number, number + 1))
@@ -113,13 +113,12 @@ class RoutePlanner:
     def _points(self, first: Place, end: Floats) -> list[Place] | None:
         """Return the places from a lane's start to an end, at equal distances; None if the lane is too short to have any."""
         spacing, (lane, station) = self._spacing, first
-        is_short = _apart(self._starts[lane], end) <= spacing
+        if _apart(self._starts[lane], end) <= spacing:
+            following = self._town.ahead(lane, station, spacing)
+            return None if following is None else [following]
         length = abs(float(self._town.ends[lane]) - station)
         sign = -1.0 if self._town.lanes[lane].reverse else 1.0
         stations = station + sign * spacing * np.arange(1.0, min(int(length / spacing), _LONGEST) + 1)
-        if is_short:
-            following = self._town.ahead(lane, station, spacing)
-            return None if following is None else [following]
         places = [(lane, each) for each in stations.tolist()]
         near = _apart(self._town.at(np.full(len(stations), lane), stations).position, end) <= spacing
         if near.any():
@@ -212,8 +211,8 @@ class RoutePlanner:
         return int(np.argmin(_apart(positions[1:], positions[0])))
 
 
-def _in_carlas_order(town: LaneMap) -> Integers:
-    """Return the lanes for cars: road by road, section by section, with ascending ids."""
+def _driving_lanes(town: LaneMap) -> Integers:
+    """Return the indices of the lanes for cars: road by road, section by section, with ascending ids."""
     roads = {road: number for number, road in enumerate(dict.fromkeys(lane.road for lane in town.lanes))}
     driving = [(roads[lane.road], lane.section, lane.id, index) for index, lane in enumerate(town.lanes) if lane.is_driving]
     return np.array([index for *_, index in sorted(driving)], np.int64)

@@ -1,20 +1,23 @@
-"""Places on the lanes of a town, as CARLA's waypoints: the nearest one, the ones at a distance ahead."""
+"""Places on the lanes of a town, as CARLA's waypoints: the nearest one, and the one at a distance ahead."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from carla_recap.roads.cells import PointGrid
-from carla_recap.roads.lanes import DRIVING, NO_JUNCTION
+from carla_recap.roads.files import content_digest, expecting, read_parts
+from carla_recap.roads.lanes import DRIVING, NO_JUNCTION, TownRoads
+from carla_recap.roads.opendrive import read_opendrive
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from pathlib import Path
 
-    from carla_recap.roads.lanes import LaneGeometry, TownRoads
+    from carla_recap.roads.lanes import LaneGeometry
     from carla_recap.util.arrays import Floats, Integers
 
 
@@ -22,12 +25,27 @@ PARKING: Final = "parking"
 NONE: Final = -1
 """The index where there is no lane."""
 FARTHEST: Final = 64.0
-"""How far from the lanes places are related to them, in m."""
+"""The distance in m from all lanes beyond which a place belongs to none."""
 
 _CELLS: Final = (4.0, 16.0, FARTHEST)  # m
 _MOST_PAIRS: Final = 1_000_000  # of points and parts of lanes that are compared together
 _LONGEST: Final = 1e5  # m, more than that of a road
 _ROUNDING: Final = 10 * np.finfo(float).eps  # m by which CARLA's waypoints fall short of a distance
+
+
+def load_lane_map(path: Path) -> LaneMap:
+    """Return the lanes of an OpenDRIVE file.
+
+    Raises:
+        RecapError: The file cannot be read, or is no OpenDRIVE map.
+    """
+    return _lane_map(path, content_digest(path))
+
+
+@lru_cache(2)
+def _lane_map(path: Path, digest: bytes) -> LaneMap:
+    with np.errstate(all="ignore"), expecting(path):
+        return LaneMap(TownRoads(read_opendrive(read_parts(path))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +133,7 @@ class LaneMap:
         segments, points = self._segments[kind], np.asarray(points, np.float64)
         if segments is None:
             return self._nowhere(len(points))
-        moved = np.append(True, (np.diff(points, axis=0) != 0).any(axis=1))[: len(points)]  # as of a vehicle that may stand
+        moved = np.append(True, (np.diff(points, axis=0) != 0).any(axis=1))[: len(points)]  # repeated points are found once
         found, share = (values[np.cumsum(moved) - 1] for values in segments.nearest(points[moved]))
         known = np.maximum(found, 0)
         start, stop = self._stations[known], self._stations[known + 1]
@@ -200,17 +218,19 @@ class _Segments:
         found, shares = np.full(len(places), NONE), np.zeros(len(places))
         left = np.flatnonzero(np.isfinite(places).all(axis=1))
         for cell in _CELLS:
-            grid = self._grids.setdefault(cell, PointGrid(self._start[:, :2], cell)) if len(left) else None
-            far = []
-            step = max(_MOST_PAIRS // (9 * grid.fullest), 1) if grid else 1
+            if not len(left):
+                break
+            if cell not in self._grids:
+                self._grids[cell] = PointGrid(self._start[:, :2], cell)
+            grid, far = self._grids[cell], []
+            step = max(_MOST_PAIRS // (9 * grid.fullest), 1)
             for first in range(0, len(left), step):
                 part = left[first : first + step]
-                assert grid is not None
                 number, share, distance = self._nearest_in(grid, places[part])
                 is_sure = distance <= cell - self._reach
                 found[part[is_sure]], shares[part[is_sure]] = number[is_sure], share[is_sure]
                 far.append(part[~is_sure])
-            left = np.concatenate(far) if far else left
+            left = np.concatenate(far)
         return found, shares
 
     def _nearest_in(self, grid: PointGrid, places: Floats) -> tuple[Integers, Floats, Floats]:
@@ -227,8 +247,8 @@ class _Segments:
             least = np.repeat(np.minimum.reduceat(apart, starts), np.diff(starts, append=len(query)))
             winners = np.flatnonzero(apart == least)
             first = winners[np.flatnonzero(np.diff(query[winners], prepend=-1))]
-            who = query[first]
-            number[who], share[who], distance[who] = self._numbers[segment[first]], along[first], apart[first]
+            rows = query[first]
+            number[rows], share[rows], distance[rows] = self._numbers[segment[first]], along[first], apart[first]
         return number, share, distance
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 _DIGITS: Final = 3
 _SCORE_DIGITS: Final = 6
-_LEAST: Final = 0.001  # km that infractions per km are of
+_LEAST: Final = 0.001  # km by which numbers of infractions are divided at least
 _BY_LENGTH: Final = "outside_route_lanes"
 """The infraction that is summed by its length in km, and not counted."""
 _SCORES: Final = {"score_composed": "score", "score_route": "completion", "score_penalty": "penalty"}
@@ -28,9 +28,9 @@ _LABELS: Final = {
 
 
 def checkpoint(scores: Sequence[Score]) -> dict[str, Any]:
-    """Return scores in the form of the Leaderboard's results, with the recording and the events of each beside.
+    """Return scores in the form of the Leaderboard's results, with the recording and the events of each as further fields.
 
-    How long the computer needed for a drive is not known, and 0.
+    The computing time of a drive is unknown, and 0.
     """
     records = [_record(index, score) for index, score in enumerate(scores)]
     overall = _global_record(scores, records)

@@ -30,26 +30,25 @@ if TYPE_CHECKING:
 
 
 BACKGROUND: Final = "background"
-"""The role_name of the vehicles whose speed is that of the traffic."""
-SCENARIO: Final = "scenario"
-"""The role_name of the actors of scenarios."""
+"""The role_name of the vehicles of the traffic."""
 
-_STANDS: Final = 0.1  # m/s: a hero that is slower stands
-_COMPLETE: Final = (99.0, 10.0)  # % of the route, and m from its end: from there on it is complete
+_SCENARIO: Final = "scenario"  # the role_name of the actors of scenarios
+_STATIONARY: Final = 0.1  # m/s: a hero that is slower is stationary
+_COMPLETE: Final = (99.0, 10.0)  # % of the route that are passed, and m from its end, where it is complete
 _WINDOW: Final = 2  # points of the route that are passed in a tick
 _WIDE_WINDOW: Final = 3  # the same, of criteria other than the completion
 _NEAR_WINDOW: Final = 5  # points ahead of which the nearest one counts
-_FAR: Final = 30.0  # m from the route, from which on the hero has left it
+_FAR: Final = 30.0  # m from the route: a hero that is farther away has left it
 _UNSAFE: Final = _FAR / 2  # m from the route
 _MOST_UNSAFE: Final = 30.0  # % of the route
 _BLOCKED: Final = 180.0  # s
-_UNSURE: Final = 0.5  # s for which a hero that has stopped may seem to move; the evaluator ends where it is blocked
+_CUT_OFF: Final = 0.5  # s that may be missing of being blocked at the end: the evaluator then ends the recording
 _PATIENCE: Final = 300.0  # s for a route of no length
 _CRAWLING: Final = 0.1  # of the speed limit
 _USUAL_LIMIT: Final = 30 / 3.6  # m/s, where a map says nothing
 _SAME_PLACE: Final = 5.0  # m between two collisions
 _SAME_ACTOR: Final = 5.0  # s between two collisions with an actor
-_REAR: Final = (0.8, 1.0)  # of half of the length, to 1 m more than that: the rear of the hero, behind its middle
+_REAR: Final = (0.8, 1.0)  # the rear of the hero: from this share of half its length to m behind its end
 _WIDER: Final = 1.2  # a stop line is wider than its lane
 _NEAR_LIGHT: Final = 90.0  # degrees between the hero and the lane of a light
 _NEAR_STOP: Final = 100.0  # degrees between the hero and the lane of a stop sign
@@ -60,8 +59,8 @@ _AGAINST_LANE: Final = 120.0  # degrees between the hero and a lane that it ente
 _TURNED: Final = 150.0  # degrees between a lane and the next one
 _QUARTERS: Final = 4
 _LAST_COUNTS: Final = 2  # how often the last quarter counts: the evaluator ends its criterion twice
-_WITH_PHYSICS: Final = 70.0  # m from the hero within which its traffic manager leaves vehicles to physics
-_ALMOST: Final = 0.95  # of the route, from where on the last quarter counts
+_WITH_PHYSICS: Final = 70.0  # m from the hero within which the evaluator's traffic manager moves vehicles with physics
+_ALMOST: Final = 0.95  # of the route: from there on, the last quarter counts
 _HIDDEN: Final = 100.0  # m below the hero: an actor of a scenario that has not begun
 
 
@@ -70,8 +69,8 @@ class Ending(NamedTuple):
 
     Attributes:
         frame: The last frame that counts.
-        completion: How much of the route is completed, in %.
-        infraction: What has ended it, if anything.
+        completion: The completed part of the route in %.
+        infraction: The infraction that has ended it, if any.
     """
 
     frame: int
@@ -84,7 +83,7 @@ def ending(drive: Drive, route: PlannedRoute, network: RoadNetwork) -> Ending:
     last = len(drive) - 1
     found: list[tuple[int, Infraction]] = [
         *_deviation(drive, route),
-        *blocked(drive),
+        *_blocked(drive),
         *_timeout(drive, route, network),
     ]
     stop, infraction = min(found, key=lambda each: each[0], default=(last, None))
@@ -98,16 +97,15 @@ def ending(drive: Drive, route: PlannedRoute, network: RoadNetwork) -> Ending:
 
 def ending_of_drive(drive: Drive) -> Ending:
     """Return how a drive without a route ends: with the recording, or because it is blocked."""
-    found = next(blocked(drive), None)
+    found = next(_blocked(drive), None)
     return Ending(len(drive) - 1, 100.0, None) if found is None else Ending(found[0], 100.0, found[1])
 
 
 def _deviation(drive: Drive, route: PlannedRoute) -> Iterator[tuple[int, Infraction]]:
-    """Yield when the hero has left the route."""
+    """Yield the frame in which the hero has left the route, if there is one."""
     points, travelled = route.points[:, :2].tolist(), route.travelled.tolist()
     index, unsafe, is_safe = 0, 0.0, True
-    frames = np.searchsorted(np.cumsum(drive.repeats), np.arange(len(drive.ticks)), "right").tolist()
-    for tick, (x, y, _) in enumerate(drive.ticks):
+    for frame, (x, y, _) in zip(drive.frames.tolist(), drive.ticks, strict=True):
         apart, nearest = math.inf, index
         for number, (px, py) in enumerate(points[index : index + _NEAR_WINDOW + 1], index):
             away = math.hypot(x - px, y - py)
@@ -121,24 +119,23 @@ def _deviation(drive: Drive, route: PlannedRoute) -> Iterator[tuple[int, Infract
             has_left |= 100 * unsafe / travelled[-1] > _MOST_UNSAFE
         index = nearest
         if has_left:
-            frame = frames[tick]
             yield frame, _infraction("route_dev", drive, frame, f"Agent deviated from the route at {_place(drive, frame)}")
             return
 
 
-def blocked(drive: Drive) -> Iterator[tuple[int, Infraction]]:
-    """Yield when the hero has stood for too long."""
-    since = np.maximum.accumulate(np.where(drive.speed >= _STANDS, np.arange(len(drive)), 0))
-    stood = np.where(drive.speed < _STANDS, drive.time - drive.time[since], 0.0)
-    stood[-1] += _UNSURE
-    frames = np.flatnonzero(stood > _BLOCKED)
+def _blocked(drive: Drive) -> Iterator[tuple[int, Infraction]]:
+    """Yield the frame in which the hero has been stationary for too long, if there is one."""
+    since = np.maximum.accumulate(np.where(drive.speed >= _STATIONARY, np.arange(len(drive)), 0))
+    stationary = np.where(drive.speed < _STATIONARY, drive.time - drive.time[since], 0.0)
+    stationary[-1] += _CUT_OFF
+    frames = np.flatnonzero(stationary > _BLOCKED)
     if len(frames):
         frame = int(frames[0])
         yield frame, _infraction("vehicle_blocked", drive, frame, f"Agent got blocked at {_place(drive, frame)}")
 
 
 def _timeout(drive: Drive, route: PlannedRoute, network: RoadNetwork) -> Iterator[tuple[int, Infraction]]:
-    """Yield when the hero takes too long."""
+    """Yield the frame in which the time of the hero is up, if there is one."""
     if drive.time[-1] - drive.time[0] <= _PATIENCE:
         return
     limits = network.lanes_at(drive.position, drive.yaw).limit
@@ -153,7 +150,7 @@ def _timeout(drive: Drive, route: PlannedRoute, network: RoadNetwork) -> Iterato
 
 
 def collisions(drive: Drive, contacts: Iterable[Contact], actors: ActorLives) -> Iterator[Infraction]:
-    """Yield the collisions of the hero: the frames of its contacts, as far as they count as new and as its fault."""
+    """Yield the collisions of the hero: the frames of its contacts that count as new and as its fault."""
     hero = drive.actor.id
     touches = []
     for contact in contacts:
@@ -171,7 +168,7 @@ def collisions(drive: Drive, contacts: Iterable[Contact], actors: ActorLives) ->
         at = frame
         if with_actor is not None and drive.time[before] - since > _SAME_ACTOR:
             with_actor = None
-        if other == with_actor or drive.speed[before] < _STANDS:
+        if other == with_actor or drive.speed[before] < _STATIONARY:
             continue
         if place is not None and np.linalg.norm(drive.position[before] - place) <= _SAME_PLACE:
             continue
@@ -179,14 +176,14 @@ def collisions(drive: Drive, contacts: Iterable[Contact], actors: ActorLives) ->
         life = None if actors.is_object(other) else actors.at(other, float(drive.time[frame]))
         if not actors.is_object(other):
             with_actor = other
-        kind = _touched(life, is_object=actors.is_object(other))
+        kind = _kind_of_collision(life, is_object=actors.is_object(other))
         if kind:
             type_id, id = ("static", None) if life is None else (life.type_id, other)
             text = f"Agent collided against object with type={type_id} and id={id or 0} at {_place(drive, before)}"
             yield _infraction(kind, drive, frame, text, id, type_id, at=before)
 
 
-def _touched(life: ActorLife | None, *, is_object: bool) -> str:
+def _kind_of_collision(life: ActorLife | None, *, is_object: bool) -> str:
     """Return the kind of a collision with an actor or a static object; empty if it is none."""
     type_id = "static" if is_object else life.type_id if life else ""
     if ("static" in type_id or "traffic" in type_id) and "sidewalk" not in type_id:
@@ -228,7 +225,7 @@ def red_lights(drive: Drive, passed: Iterable[Passage], lines: StopLines, lights
         light = lights.red_within(signal, start, stop)
         if light is not None and light != latest:
             latest = light
-            text = f"Agent ran a red light {light} at {_carla(lines.place(signal))}"
+            text = f"Agent ran a red light {light} at {_in_carla_axes(lines.place(signal))}"
             yield _infraction("red_light", drive, _frame_at(drive, start), text, light, "traffic.traffic_light")
 
 
@@ -242,11 +239,11 @@ def stop_signs(drive: Drive, lines: StopLines, actors: ActorLives) -> Iterator[I
         away = np.linalg.norm(drive.position[: frame + 1, :2] - lines.middle(line)[:2], axis=1)
         outside = np.flatnonzero(away > _STOP_ZONE)
         first = int(outside[-1]) + 1 if len(outside) else 0
-        if not (drive.speed[first : frame + 1] < _STANDS).any():
+        if not (drive.speed[first : frame + 1] < _STATIONARY).any():
             latest = signal
             place = lines.place(signal)
             id = next((life.id for life in actors if life.type_id == "traffic.stop" and _apart(life, place) < _SIGN), None)
-            text = f"Agent ran a stop with id={id} at {_carla(place)}"
+            text = f"Agent ran a stop with id={id} at {_in_carla_axes(place)}"
             yield _infraction("stop_infraction", drive, frame, text, id, "traffic.stop")
 
 
@@ -259,15 +256,14 @@ def _crossings(drive: Drive, lines: StopLines, points: Floats, wider: float, tur
 
 
 def outside_lanes(drive: Drive, route: PlannedRoute, town: LaneMap) -> Iterator[Infraction]:
-    """Yield what the hero drives of the route outside the lanes for cars or on those of the other direction, if anything."""
+    """Yield an infraction for all that the hero drives outside the lanes for cars, or on those of the other direction."""
     driving, parking = (town.nearest(drive.position, kind) for kind in (DRIVING, PARKING))
     outside = _outside(drive, driving, parking) | _against(drive, driving, town)
-    frames = np.searchsorted(np.cumsum(drive.repeats), np.arange(len(drive.ticks)), "right")
     total = wrong = 0.0
     index, latest = 0, 0
     for tick, number in route.passed(drive.ticks, _WIDE_WINDOW):
         step = float(np.linalg.norm(route.points[number] - route.points[index]))
-        index, frame = number, int(frames[tick])
+        index, frame = number, int(drive.frames[tick])
         total += step
         if outside[frame]:
             wrong += step
@@ -347,10 +343,15 @@ def slow_quarters(drive: Drive, route: PlannedRoute, others: Iterable[Trajectory
 
 
 def _reported_speed(drive: Drive, path: Trajectory, frames: Integers) -> Floats:
-    """Return the speed of a background vehicle as CARLA says it, at its frames, which are these of the drive.
+    """Return the speed of a background vehicle as CARLA reports it, in m/s, (frames,).
 
-    The evaluator's traffic manager moves vehicles that are far from the hero without physics. CARLA says that such a vehicle
-    is as fast as when it was near the hero, or has no speed if it never was.
+    The evaluator's traffic manager moves vehicles that are far from the hero without physics. Of such a vehicle, CARLA
+    reports the speed that it had when it was near the hero, or 0 if it never was.
+
+    Args:
+        drive: The drive of the hero.
+        path: The trajectory of the vehicle.
+        frames: The frame of the drive at each of its positions.
     """
     away = np.hypot(path.x - drive.position[frames, 0], path.y - drive.position[frames, 1])
     has_physics = path.velocity_recorded | (away < _WITH_PHYSICS)
@@ -378,7 +379,7 @@ def not_yielded(drive: Drive, others: Mapping[int, Trajectory], actors: ActorLiv
 
 def is_emergency(life: ActorLife) -> bool:
     """Return whether an actor is an emergency vehicle of a scenario."""
-    return life.attributes.get("special_type") == "emergency" and life.role_name == SCENARIO
+    return life.attributes.get("special_type") == "emergency" and life.role_name == _SCENARIO
 
 
 def _apart(life: ActorLife, place: Sequence[float]) -> float:
@@ -407,10 +408,10 @@ def _infraction(
 
 
 def _place(drive: Drive, frame: int) -> str:
-    return _carla(drive.position[frame].tolist())
+    return _in_carla_axes(drive.position[frame].tolist())
 
 
-def _carla(place: Sequence[float]) -> str:
+def _in_carla_axes(place: Sequence[float]) -> str:
     """Return a place in CARLA's axes, as the Leaderboard writes it."""
     x, y, z = place
     return f"(x={round(x, 3)}, y={round(0.0 - y, 3)}, z={round(z, 3)})"

@@ -15,13 +15,10 @@ if TYPE_CHECKING:
 
     from carla_recap.model.actors import ActorLife
     from carla_recap.tables.trajectories import Trajectory
-    from carla_recap.util.arrays import Floats, Integers
+    from carla_recap.util.arrays import Floats, Indices, Integers
 
-
-TICK: Final = 0.05
-"""The time between two updates of the evaluator's criteria, in s; frames that are farther apart count several times."""
-
-_MOST_REPEATS: Final = 100
+_TICK: Final = 0.05  # s between two updates of the evaluator's criteria
+_MOST_TICKS: Final = 100  # of a frame
 _SPACING: Final = 1.0  # m between the points of a route
 
 
@@ -75,22 +72,17 @@ class Drive:
         return points
 
     @cached_property
-    def ticks(self) -> list[tuple[float, float, float]]:
-        """The position at each tick of the evaluator; frames that are longer count several times."""
-        return [place for place, count in zip(self.position.tolist(), self.repeats, strict=True) for _ in range(count)]
-
-    def last_of_frames(self, values: Integers) -> Integers:
-        """Return the values at the last tick of each frame, (n,), of those at all ticks."""
-        last: Integers = values[np.cumsum(self.repeats) - 1]
-        return last
+    def frames(self) -> Indices:
+        """The frame of each tick of the evaluator, (ticks,); a frame that is longer has several."""
+        seconds = np.diff(self.time, prepend=self.time[:1])
+        counts = np.clip(np.rint(np.nan_to_num(seconds) / _TICK), 1, _MOST_TICKS)
+        return np.repeat(np.arange(len(self)), counts.astype(np.int64))
 
     @cached_property
-    def repeats(self) -> list[int]:
-        """The number of ticks of each frame."""
-        seconds = np.diff(self.time, prepend=self.time[:1])
-        count = np.clip(np.rint(np.nan_to_num(seconds) / TICK), 1, _MOST_REPEATS)
-        counts: list[int] = count.astype(np.int64).tolist()
-        return counts
+    def ticks(self) -> list[tuple[float, float, float]]:
+        """The position at each tick of the evaluator."""
+        places = self.position.tolist()
+        return [places[frame] for frame in self.frames.tolist()]
 
 
 def ground_speed(path: Trajectory) -> Floats:
@@ -108,7 +100,7 @@ class PlannedRoute:
 
     Attributes:
         points: The points, (n, 3), in m.
-        ahead: The driving direction at each, (n, 3).
+        ahead: The driving direction at each, as vectors of length 1, (n, 3).
     """
 
     points: Floats
@@ -124,9 +116,6 @@ class PlannedRoute:
         yaw = drive.yaw[rows]
         return cls(drive.position[rows], np.stack((np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))), axis=1))
 
-    def __len__(self) -> int:
-        return len(self.points)
-
     @cached_property
     def travelled(self) -> Floats:
         """The distance of each point from the first one along the route, (n,)."""
@@ -135,7 +124,7 @@ class PlannedRoute:
 
     @property
     def length(self) -> float:
-        """Its length in m."""
+        """The length in m."""
         return float(self.travelled[-1])
 
     @cached_property
@@ -144,7 +133,7 @@ class PlannedRoute:
         return rows
 
     def passed(self, ticks: Iterable[tuple[float, float, float]], window: int) -> Iterator[tuple[int, int]]:
-        """Yield each point that an actor passes, as it does: the number of the tick, and that of the point.
+        """Yield the index of the tick and of the point for each point that an actor passes, in order.
 
         Args:
             ticks: The positions of the actor.
@@ -158,8 +147,8 @@ class PlannedRoute:
                     yield tick, number
 
     def reached(self, drive: Drive, window: int) -> Integers:
-        """Return the number of the last point passed until each frame of a drive, (n,); see `passed`."""
-        numbers = np.zeros(len(drive.ticks), np.int64)
+        """Return the index of the last point passed until each frame of a drive, (n,); see `passed`."""
+        numbers = np.zeros(len(drive), np.int64)
         for tick, number in self.passed(drive.ticks, window):
-            numbers[tick] = number
-        return drive.last_of_frames(np.maximum.accumulate(numbers))
+            numbers[drive.frames[tick]] = number
+        return np.maximum.accumulate(numbers)

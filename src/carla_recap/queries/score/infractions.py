@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, get_args
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -12,7 +11,7 @@ if TYPE_CHECKING:
 Formula = Literal["1.0", "2.0", "2.1"]
 """The version of the Leaderboard whose formula counts."""
 
-FORMULAS: Final[tuple[Formula, ...]] = ("1.0", "2.0", "2.1")
+FORMULAS: Final[tuple[Formula, ...]] = get_args(Formula)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,14 +19,13 @@ class InfractionKind:
     """A row of the table.
 
     Attributes:
-        name: The name, which is that in the Leaderboard's results.
-        label: What the Leaderboard calls its column.
+        name: The name, as in the Leaderboard's results.
+        label: The heading of its column there.
         text: The definition.
-        factor: By what one multiplies the score in 1.0 and 2.0; None: by nothing.
-        coefficient: What one adds to the divisor of the score in 2.1; None: its factor counts there, too.
-        by_share: Whether only a share of it counts, of the route or of the speed.
-        since: The first version that has it.
-        ends: What the Leaderboard says of a route that one ends; empty if it goes on.
+        factor: The factor of the penalty in 1.0 and 2.0; None: the penalty is the same.
+        coefficient: The coefficient of the sum in 2.1; None: the factor counts there, too.
+        since: The first version that has this kind.
+        ends: The reason that the Leaderboard gives for a route that it ends; empty if the route goes on.
     """
 
     name: str
@@ -35,12 +33,11 @@ class InfractionKind:
     text: str
     factor: float | None = None
     coefficient: float | None = None
-    by_share: bool = False
     since: Formula = "1.0"
     ends: str = ""
 
     def counts(self, formula: Formula) -> bool:
-        """Return whether a version of the Leaderboard has it."""
+        """Return whether a version of the Leaderboard has this kind."""
         return FORMULAS.index(self.since) <= FORMULAS.index(formula)
 
 
@@ -49,13 +46,14 @@ class Infraction:
     """A rule that the hero has broken.
 
     Attributes:
-        kind: Which one: the name of a row of the table.
-        time: When, in elapsed seconds.
-        x, y, z: Where the hero is then, in m, right-handed; of a collision, in the frame before, as in the text.
+        kind: The name of its kind, a row of the table.
+        time: The elapsed seconds.
+        x, y, z: The position of the hero at that time in m, right-handed; of a collision, that in the frame before, as in
+            the text.
         actor: The id of the other actor, light or sign; None without one.
         type_id: The blueprint of that actor; empty for an unknown one.
-        share: Which share of it counts: 1, or that of the route outside its lanes, or by how much the speed is too low.
-        text: What has happened, in the words of the Leaderboard's results.
+        share: The share that counts: 1, or that of the route outside its lanes, or by how much the speed is too low.
+        text: The message in the Leaderboard's results.
     """
 
     kind: str
@@ -70,7 +68,7 @@ class Infraction:
 
     @property
     def link(self) -> str:
-        """What leads to it behind the address of a recording's incident page, or behind the recording in commands."""
+        """The fragment of the moment, to be appended to the URL of an incident page or to the recording in a command."""
         return f"#t={self.time:.2f}"
 
 
@@ -121,7 +119,6 @@ INFRACTIONS: Final[Mapping[str, InfractionKind]] = {
             text="along a part of the route, the hero is more than 0.5 m outside the nearest lane for cars or for parking, "
             "or on a lane of the other direction; once for a route, with the share of the driven route that these parts are",
             factor=0.0,
-            by_share=True,
         ),
         InfractionKind(
             name="route_dev",
@@ -165,7 +162,6 @@ INFRACTIONS: Final[Mapping[str, InfractionKind]] = {
             "share is the missing part of that speed; the evaluator counts the last quarter twice",
             factor=0.7,
             coefficient=0.4,
-            by_share=True,
             since="2.0",
         ),
     )
@@ -186,4 +182,4 @@ def penalty_of(infractions: Iterable[Infraction], formula: Formula) -> float:
             added += kind.coefficient * infraction.share
         elif kind.factor is not None and kind.counts(formula):
             factor *= 1 - (1 - kind.factor) * min(infraction.share, 1.0)
-    return factor / (1 + added) if math.isfinite(added) else 0.0
+    return factor / (1 + added)

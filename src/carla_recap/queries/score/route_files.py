@@ -1,4 +1,4 @@
-"""Route files of CARLA's Leaderboard: which places a drive passes, and in which town."""
+"""Route files of CARLA's Leaderboard: the places that a route passes, and its town."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _MOST_POSITIONS: Final = 2_000  # of a route; the Leaderboard's have up to 200
 _FARTHEST: Final = 1e6  # m from the origin
 _SHOWN: Final = 40  # characters of a wrong value in an error
 _RECORDED: Final = re.compile(r"RouteScenario_(.+)_rep(\d+)")
-"""The name of a recording of the evaluator: the id of the route, and which repetition it is."""
+"""The name of a recording of the evaluator: the id of the route, and the number of the repetition."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +84,14 @@ def _routes(path: Path) -> list[Route]:
 
 
 def route_for(routes: Sequence[Route], source: Reader, id: str | None = None) -> Route:
-    """Return the route that a recording is scored by.
+    """Return the route by which a recording is scored.
 
     If routes of several files fit, that of the file in the recording's folder is taken.
 
     Args:
         routes: The routes of files.
         source: The recording.
-        id: The id of the route; None: the one that the name of the recording says, as the evaluator's do, else the only
+        id: The id of the route; None: the one in the name of the recording, if the evaluator has named it, else the only
             one of its town.
 
     Raises:
@@ -116,13 +116,13 @@ def route_for(routes: Sequence[Route], source: Reader, id: str | None = None) ->
     if len({route.id for route in found}) > 1:
         raise RecapError(f"{files}: has {len(found)} routes for {location}; --route-id names one of {_listed(found)}")
     if len(found) > 1:
-        stands = first_of([route.path for route in found])
-        raise RecapError(f"{location}: route {visible(found[0].id)!r} is there {len(found)} times: in {stands}")
+        paths = first_of([route.path for route in found])
+        raise RecapError(f"{location}: one route {visible(found[0].id)!r} was expected, found {len(found)}: in {paths}")
     return found[0]
 
 
 def repetition(location: str) -> int:
-    """Return which repetition of a route a recording is by its name, as the evaluator's have it; else 0."""
+    """Return the number of the repetition in the name of a recording of the evaluator; else 0."""
     named = _RECORDED.search(Path(location).name)
     return int(named[2][:9]) if named else 0
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final, get_args
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -17,14 +17,11 @@ from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.queries.roads import map_file_of
 from carla_recap.queries.score import criteria
 from carla_recap.queries.score.drives import Drive, PlannedRoute
-from carla_recap.queries.score.infractions import INFRACTIONS, Formula, Infraction, penalty_of
+from carla_recap.queries.score.infractions import FORMULAS, INFRACTIONS, Formula, Infraction, penalty_of
 from carla_recap.queries.score.route_files import repetition
-from carla_recap.roads.files import content_digest, expecting, read_parts
-from carla_recap.roads.lanes import TownRoads
-from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.roads.planning import RoutePlanner
 from carla_recap.roads.surfaces import load_road_network
-from carla_recap.roads.waypoints import LaneMap
+from carla_recap.roads.waypoints import load_lane_map
 from carla_recap.tables.trajectories import trajectories
 
 if TYPE_CHECKING:
@@ -33,9 +30,14 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.queries.score.route_files import Route
     from carla_recap.roads.network import RoadNetwork
+    from carla_recap.roads.waypoints import LaneMap
 
 PERFECT, COMPLETED, FAILED, DRIVEN = "Perfect", "Completed", "Failed", "Driven"
-"""How a route ends: completed without and with infractions, or not completed; or that there is none."""
+"""The status of a route that is completed without infractions, or with some, or not; and that of a drive without a route."""
+
+_AROUND: Final = 1.0  # s around stop lines in which lights are read
+_DROP: Final = 0.5
+"""The height above the road of the first point of a route in m: the evaluator drops the hero there."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,8 +48,8 @@ class ScoreOptions:
         formula: The version of the Leaderboard whose formula counts.
         actor: The vehicle that is scored: its id, or "hero".
         road_map: The OpenDRIVE file of the map, or the folder to look in; None: the usual folders.
-        start: The elapsed seconds from which on the drive counts.
-        stop: The elapsed seconds until which it counts, unless the route ends before.
+        start: The elapsed seconds from which the drive counts.
+        stop: The elapsed seconds until which it counts, unless the route ends earlier.
 
     Raises:
         RecapError: There is no such formula.
@@ -60,8 +62,8 @@ class ScoreOptions:
     stop: float = np.inf
 
     def __post_init__(self) -> None:
-        if self.formula not in get_args(Formula):
-            raise RecapError(f"{self.formula!r} is no formula; there are {', '.join(get_args(Formula))}")
+        if self.formula not in FORMULAS:
+            raise RecapError(f"{self.formula!r} is no formula; there are {', '.join(FORMULAS)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +73,12 @@ class Score:
     Attributes:
         recording: The path or URL of the recording.
         route: The id of the route; empty without one.
-        repetition: Which repetition of the route it is, by the name of the recording.
+        repetition: The number of the repetition of the route, by the name of the recording.
         town: The name of the map.
         formula: The version of the Leaderboard whose formula counts.
         status: `Perfect`, `Completed`, or `Failed` with the reason, if it is known; `Driven` without a route.
         score: The driving score: the completion times the penalty, 0 to 100.
-        completion: How much of the route is completed, in %; 100 without a route, where it says nothing.
+        completion: The completed part of the route in %; 100 without a route, where it means nothing.
         penalty: The factor by which infractions reduce the score, 0 to 1.
         infractions: The infractions, in order of time.
         route_length: The length of the route in m, or without one that of the driven path.
@@ -102,7 +104,7 @@ class Score:
 
     @property
     def duration(self) -> float:
-        """How long the drive takes, in s."""
+        """The time of the drive in s."""
         return self.stop - self.start
 
     def count(self, kind: str) -> int:
@@ -196,26 +198,6 @@ def _planned(route: Route, town: LaneMap, path: Path) -> PlannedRoute:
     points = at.position.copy()
     points[0, 2] += _DROP
     return PlannedRoute(points, at.ahead)
-
-
-_AROUND: Final = 1.0  # s around stop lines in which lights are read
-_DROP: Final = 0.5
-"""How far above the road the evaluator has the first point of a route, since it drops the hero there, in m."""
-
-
-def load_lane_map(path: Path) -> LaneMap:
-    """Return the lanes of an OpenDRIVE file.
-
-    Raises:
-        RecapError: The file cannot be read, or is no OpenDRIVE map.
-    """
-    return _lane_map(path, content_digest(path))
-
-
-@lru_cache(2)
-def _lane_map(path: Path, digest: bytes) -> LaneMap:
-    with np.errstate(all="ignore"), expecting(path):
-        return LaneMap(TownRoads(read_opendrive(read_parts(path))))
 
 
 @lru_cache(2)
