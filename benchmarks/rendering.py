@@ -81,7 +81,7 @@ def crowded_town() -> tuple[Any, Any, Any]:
     from carla_recap.replay.pose import right_handed
     from carla_recap.roads.drawing import load_map
     from carla_recap.roads.find import find_map
-    from carla_recap.scene.actors import instances
+    from carla_recap.scene.actor_instances import instances
     from carla_recap.scene.appearance import look_of
     from carla_recap.scene.description import LookColumns
 

@@ -16,7 +16,7 @@ from carla_recap import ActorKind, RecapError, Spawn, attributes, create_recordi
 pytest.importorskip("betterosi", reason="the extra `osi` is not installed")
 
 from carla_recap.files.osi import export_osi
-from carla_recap.files.osi.messages import GROUND_TRUTH, MAP, message_class
+from carla_recap.files.osi.message_types import GROUND_TRUTH, MAP, message_class
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 BRICKFIELD = Path(__file__).parents[2] / "src" / "carla_recap" / "sim" / "towns" / "Brickfield.xodr"

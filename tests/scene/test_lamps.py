@@ -9,7 +9,7 @@ import pytest
 
 from carla_recap import open_recording
 from carla_recap.replay import Player
-from carla_recap.scene.actors import SceneActors
+from carla_recap.scene.actor_instances import SceneActors
 from carla_recap.scene.lamps import (
     BRAKE,
     LEFT_BLINKER,

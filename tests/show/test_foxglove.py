@@ -368,7 +368,7 @@ def test_an_id_that_is_used_again_is_another_actor(record):
 
 
 def test_actors_that_come_and_go_all_the_time_become_boxes(record, monkeypatch):
-    monkeypatch.setattr("carla_recap.show.foxglove.scene._MOST_BYTES", 200_000)
+    monkeypatch.setattr("carla_recap.show.foxglove.actor_entities._MOST_BYTES", 200_000)
     topics = record(
         {"spawned": [spawn(1)], "transforms": [pose(1)]},
         *(
@@ -383,7 +383,7 @@ def test_actors_that_come_and_go_all_the_time_become_boxes(record, monkeypatch):
 
 
 def test_further_actors_of_a_crowd_are_boxes(record, monkeypatch):
-    monkeypatch.setattr("carla_recap.show.foxglove.scene._MOST_MODELS", 3)
+    monkeypatch.setattr("carla_recap.show.foxglove.actor_entities._MOST_MODELS", 3)
     topics = record({"spawned": [spawn(id) for id in range(1, 6)], "transforms": [pose(id) for id in range(1, 6)]})
     assert [len(entity.cubes) for entity in bodies(topics).values()] == [0, 0, 0, 1, 1]
 

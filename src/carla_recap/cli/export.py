@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from carla_recap.replay.follow import Follow
     from carla_recap.show.clips import IncidentClip
     from carla_recap.show.rerun.blueprint import View
-    from carla_recap.show.video.cameras import VideoView
+    from carla_recap.show.video.camera_paths import VideoView
 
 _OF_DATASETS = ("split",)  # options of all datasets that are not those of a part
 _window = options.together(options.follow, options.start, options.duration, options.road_map)

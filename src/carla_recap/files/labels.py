@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.scene.actors import described_instances
+from carla_recap.scene.actor_instances import described_instances
 from carla_recap.scene.materials import Tag
 from carla_recap.scene.models import MODELS
 from carla_recap.sensors.encoding import load_pillow

@@ -40,7 +40,7 @@ from carla_recap.replay.pose import LOCATION, rotations
 from carla_recap.replay.recorded_map import load_map_of
 from carla_recap.roads import load_map
 from carla_recap.scene import style
-from carla_recap.scene.actors import described_instances
+from carla_recap.scene.actor_instances import described_instances
 from carla_recap.scene.description import SceneDescriber
 from carla_recap.scene.lamps import state_of_lamps
 from carla_recap.scene.marks import MARK_RADIUS
@@ -63,8 +63,8 @@ from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError
 
+from carla_recap.sensors.carrier_motion import CarrierMotion
 from carla_recap.sensors.messages import TRANSFORMS, SensorMessages, frame_rotation
-from carla_recap.sensors.motion import CarrierMotion
 from carla_recap.sensors.options import SensingOptions
 from carla_recap.sensors.rig import SensorRig, as_rig
 from carla_recap.sensors.sensing import carrier_of, sensed_frames

@@ -27,11 +27,11 @@ from carla_recap.replay import Player
 from carla_recap.replay.pose import LOCATION, MIRROR, YAW, attach, left_handed, right_handed, rotations
 from carla_recap.replay.recorded_map import load_map_of
 from carla_recap.roads.files import read_text
-from carla_recap.scene.actors import described_instances
+from carla_recap.scene.actor_instances import described_instances
 from carla_recap.scene.description import SceneDescriber
 from carla_recap.sensors.beams import LidarBeams, LidarReturns, RadarBeams, detections
 from carla_recap.sensors.cameras import PlacedSensor, RigCameras, camera_of
-from carla_recap.sensors.motion import CarrierMotion, velocities_of
+from carla_recap.sensors.carrier_motion import CarrierMotion, velocities_of
 from carla_recap.sensors.options import SensingOptions
 from carla_recap.sensors.position import Gnss, Imu, geo_reference
 
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from carla_recap.roads import RoadMap
     from carla_recap.scene.description import SceneDescription, Uncut
     from carla_recap.scene.instances import Instances
-    from carla_recap.sensors.motion import Motion
+    from carla_recap.sensors.carrier_motion import Motion
     from carla_recap.sensors.rig import SensorRig, SensorSpec
     from carla_recap.util.arrays import Floats
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from carla_recap.editing.convert import check_destination
 from carla_recap.files.osi.ground_truth import GroundTruths
-from carla_recap.files.osi.messages import GROUND_TRUTH, MAP, VERSION, message_class, schema
+from carla_recap.files.osi.message_types import GROUND_TRUTH, MAP, VERSION, message_class, schema
 from carla_recap.formats.base import Topic
 from carla_recap.formats.mcap.container import ChunkBuilder, ChunkedFile
 from carla_recap.formats.mcap.schema import EXPORT_METADATA

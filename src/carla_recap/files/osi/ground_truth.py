@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.files.osi.messages import GROUND_TRUTH, VERSION, message_class
+from carla_recap.files.osi.message_types import GROUND_TRUTH, VERSION, message_class
 from carla_recap.model.actors import ROAD_USERS
 from carla_recap.replay.pose import LOCATION, ROTATION, right_handed, wrap
 from carla_recap.scene.appearance import look_of_present

@@ -9,7 +9,8 @@ import numpy as np
 from carla_recap.model.actors import ActorLife, BoundingBox
 from carla_recap.model.presence import RoadHeights
 from carla_recap.replay.pose import right_handed
-from carla_recap.scene.actors import instances, look_of
+from carla_recap.scene.actor_instances import instances
+from carla_recap.scene.appearance import look_of
 from carla_recap.scene.description import LookColumns
 from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehicles
 from carla_recap.sim.actors.lights import Sign

@@ -118,7 +118,8 @@ class DrawnImages:
 
 def _trial() -> tuple[Camera, Instances]:
     """Return a small camera, and a vehicle in front of it."""
-    from carla_recap.scene.actors import instances, look_of
+    from carla_recap.scene.actor_instances import instances
+    from carla_recap.scene.appearance import look_of
     from carla_recap.scene.description import LookColumns
 
     looks = [look] if (look := look_of(_TRIAL, ActorKind.VEHICLE, {})) is not None else []

@@ -30,9 +30,9 @@ from carla_recap.scene.description import Uncut
 from carla_recap.sensors.messages import SensorMessages
 from carla_recap.sensors.options import SensingOptions
 from carla_recap.sensors.sensing import sensed_frames
+from carla_recap.show.foxglove.ground import MAP
 from carla_recap.show.foxglove.layouts import write_layouts
 from carla_recap.show.foxglove.topics import LOG, TOPICS, RecordingMessages, schema_of
-from carla_recap.show.foxglove.town import MAP
 from carla_recap.util.text import number
 from carla_recap.v1.sensors_pb2 import ActorEntry, ActorTable
 

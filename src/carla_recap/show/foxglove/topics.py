@@ -17,8 +17,8 @@ from carla_recap.scene.captions import EventText, Level, PlayedIncidents, incide
 from carla_recap.scene.description import SceneDescriber
 from carla_recap.scene.follow import FollowedActor
 from carla_recap.show.foxglove import bodies, followed, scene
+from carla_recap.show.foxglove.ground import MAP, MARKS, map_message, mark_messages, town_around
 from carla_recap.show.foxglove.messages import FrameTransforms, Log, SceneUpdate, ShownScenes, single, timestamps
-from carla_recap.show.foxglove.town import MAP, MARKS, map_message, mark_messages, town_around
 from carla_recap.v1.followed_pb2 import Followed, ShownLights
 
 if TYPE_CHECKING:

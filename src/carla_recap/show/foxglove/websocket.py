@@ -28,9 +28,9 @@ from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.ahead import stop_points
 from carla_recap.scene.captions import PlayedIncidents
 from carla_recap.scene.follow import LiveFollow
+from carla_recap.show.foxglove.ground import MAP, map_message, town_around
 from carla_recap.show.foxglove.messages import timestamps
 from carla_recap.show.foxglove.topics import LOG, RATE, SLACK, TOPICS, SceneMessages, incident_messages, passed_topics
-from carla_recap.show.foxglove.town import MAP, map_message, town_around
 from carla_recap.util.signals import unwind_on_termination
 
 if TYPE_CHECKING:

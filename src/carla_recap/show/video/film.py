@@ -17,7 +17,7 @@ from carla_recap.roads.find import plain_name
 from carla_recap.scene.ahead import NO_LIGHT, stop_points
 from carla_recap.scene.captions import incidents_around, readable_name
 from carla_recap.scene.follow import followed_series
-from carla_recap.show.video.cameras import (
+from carla_recap.show.video.camera_paths import (
     Transparency,
     camera_path,
     camera_size,
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from carla_recap.replay import Follow, Player, Scene
     from carla_recap.scene.follow import FollowedSeries
     from carla_recap.scene.instances import Instances
-    from carla_recap.show.video.cameras import Subject, VideoView
+    from carla_recap.show.video.camera_paths import Subject, VideoView
     from carla_recap.show.video.encoding import Picture, Size
 
     Town = TownMesh | Callable[[], TownMesh | None]
@@ -89,7 +89,7 @@ class Film:
         frames: int | None = None,
         shown: IncidentOptions | None = None,
     ) -> None:
-        from carla_recap.scene.actors import SceneActors  # here, while the renderer starts
+        from carla_recap.scene.actor_instances import SceneActors  # here, while the renderer starts
 
         self._player = player
         self._rate = rate

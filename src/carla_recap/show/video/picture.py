@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from carla_recap.recording import Recording
     from carla_recap.rendering.process import RenderProcess
     from carla_recap.replay import Follow
-    from carla_recap.show.video.cameras import VideoView
+    from carla_recap.show.video.camera_paths import VideoView
     from carla_recap.show.video.encoding import Size
     from carla_recap.show.video.film import Town, VideoShot
 

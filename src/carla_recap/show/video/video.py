@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from carla_recap.rendering.process import RenderProcess
     from carla_recap.replay import Follow
     from carla_recap.sensors.rig import SensorRig
-    from carla_recap.show.video.cameras import VideoView
+    from carla_recap.show.video.camera_paths import VideoView
     from carla_recap.show.video.encoding import Picture, Size
     from carla_recap.show.video.film import Images, Progress, Town, VideoShot
 

@@ -14,7 +14,8 @@ from carla_recap.model.actors import BoundingBox
 from carla_recap.model.blueprints import blueprint_sizes
 from carla_recap.model.records import ActorKind
 from carla_recap.replay import Player
-from carla_recap.scene.actors import SceneActors, instances_of, look_of
+from carla_recap.scene.actor_instances import SceneActors, instances_of
+from carla_recap.scene.appearance import look_of
 from carla_recap.scene.lamps import lamps_of_vehicles
 from carla_recap.scene.marks import MARKED
 from carla_recap.scene.materials import Material, Tag

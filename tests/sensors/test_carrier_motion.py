@@ -10,7 +10,7 @@ import pytest
 import carla_recap
 from carla_recap.model.records import ActorKind, Spawn
 from carla_recap.replay import Player
-from carla_recap.sensors.motion import CarrierMotion, velocities_of
+from carla_recap.sensors.carrier_motion import CarrierMotion, velocities_of
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from carla_recap.scene.instances import Instances
-from carla_recap.show.video.cameras import Subject, Transparency, camera_path, camera_size, pixels_per_metre
+from carla_recap.show.video.camera_paths import Subject, Transparency, camera_path, camera_size, pixels_per_metre
 
 SIZE = (1280, 720)
 CAR, BUS, WALKER = (2.3, 0.95, 0.75), (6.0, 1.4, 1.75), (0.25, 0.25, 0.93)

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.replay.pose import LOCATION, rotations
-from carla_recap.scene.appearance import Look, look_of
 from carla_recap.scene.description import SceneDescriber
 from carla_recap.scene.instances import Instances
 from carla_recap.scene.marks import MARK_RADIUS
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
     from carla_recap.scene.falls import Fall
     from carla_recap.util.arrays import Floats
 
-
-__all__ = ["Look", "SceneActors", "described_instances", "instances", "instances_of", "look_of"]
 
 _MARK_IDS: Final = 0xFFFF_0000  # ids from here on are those of marks
 _MARK_COLOR: Final[Color] = MATERIALS[Material.COLLISION_MARK].color
