@@ -16,7 +16,7 @@ from carla_recap.scene.ahead import stop_points
 from carla_recap.scene.captions import EventText, Level, PlayedIncidents, incident_lines
 from carla_recap.scene.description import SceneDescriber
 from carla_recap.scene.follow import FollowedActor
-from carla_recap.show.foxglove import bodies, followed, scene
+from carla_recap.show.foxglove import actor_entities, bodies, followed
 from carla_recap.show.foxglove.ground import MAP, MARKS, map_message, mark_messages, town_around
 from carla_recap.show.foxglove.messages import FrameTransforms, Log, SceneUpdate, ShownScenes, single, timestamps
 from carla_recap.v1.followed_pb2 import Followed, ShownLights
@@ -55,8 +55,8 @@ _MESSAGES: Final[dict[str, type[Message]]] = {
     MARKS: SceneUpdate,
     followed.AHEAD: SceneUpdate,
     followed.TRANSFORMS: FrameTransforms,
-    scene.MOVED: FrameTransforms,
-    scene.STILL: FrameTransforms,
+    actor_entities.MOVED: FrameTransforms,
+    actor_entities.STILL: FrameTransforms,
     followed.HERO: Followed,
     followed.LIGHTS: ShownLights,
     LOG: Log,
@@ -133,7 +133,7 @@ class SceneMessages:
         self._followed = FollowedActor(follow, self._stops)
         self._town = town
         self._describer = SceneDescriber()
-        self._entities = scene.ActorEntities()
+        self._entities = actor_entities.ActorEntities()
         self._frames = followed.ViewFrames()
         self._lights = followed.LightMessages()
         self._text = EventText()
