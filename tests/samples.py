@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 
     from carla_recap.model.frame import Header
 
-CARLA_LOGS = Path(__file__).parents[2] / "shared" / "data" / "carla-logs"
+ROOT = Path(__file__).parents[1]
+"""The folder of the repository."""
+
+SAMPLES = ROOT / "samples"
+CARLA_LOGS = ROOT.parent / "shared" / "data" / "carla-logs"
 RANDOM_LOGS = CARLA_LOGS.with_name("random-logs")
 DATE = 1_637_671_165
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from click.testing import CliRunner
@@ -15,9 +14,12 @@ from carla_recap import MissingExtra, RecapError, export, open_recording
 from carla_recap.cli import cli
 from carla_recap.exports import FORMATS, ExportFormat, find_format
 from tests.rendering.test_renderer import create
+from tests.samples import ROOT
 from tests.waiting import PATIENCE
 
-ROOT = Path(__file__).parents[1]
+if TYPE_CHECKING:
+    from pathlib import Path
+
 CROSSING = ROOT / "samples" / "crossing.log"
 PACKAGES = {
     "rerun": "rerun",

@@ -10,10 +10,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from tests.samples import SAMPLES
 from tests.waiting import PATIENCE, time_limit
 
 COMMAND = Path(sys.executable).with_name("carla-recap")
-CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
+CROSSING = SAMPLES / "crossing.log"
 
 ENVIRONMENT = {
     **{name: value for name, value in os.environ.items() if not name.startswith(("COLUMNS", "FORCE_", "NO_COLOR", "TTY_"))},

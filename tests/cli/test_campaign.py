@@ -15,13 +15,12 @@ import pytest
 from carla_recap.fleet.campaign.report import INDEX, PAGE, RUNS
 from tests.cli.command import COMMAND, ENVIRONMENT, answer, error, run
 from tests.fleet.campaign import functions
-from tests.samples import names_in
+from tests.samples import SAMPLES, names_in
 from tests.waiting import wait_until
 
 pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
 
 FILE = Path(functions.__file__)
-SAMPLES = Path(__file__).parents[2] / "samples"
 RULES = """
 [rules.is-long]
 duration = { min = "0.2 s" }

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
 
 import pytest
 
 from carla_recap import clip, convert
 from tests.cli.command import answer, error, on_terminal, run
+from tests.samples import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 CRASH, BLOCKED, JUNCTION = (SAMPLES / f"{name}.mcap" for name in ("crash", "blocked", "junction"))
 
 

@@ -10,11 +10,10 @@ from pathlib import Path
 import pytest
 
 from tests.cli.command import COMMAND, ENVIRONMENT, answer, error, on_terminal, run, wrote
+from tests.samples import SAMPLES
 from tests.waiting import PATIENCE
 
 pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
-
-SAMPLES = Path(__file__).parents[2] / "samples"
 
 
 @pytest.fixture(scope="module")

@@ -216,7 +216,7 @@ def test_any_recording(tmp_path: Path, recording: tuple[Header, list[Frame]]) ->
 
 
 def test_samples(tmp_path: Path) -> None:
-    from tests.test_samples import SAMPLES
+    from tests.samples import SAMPLES
 
     for number, sample in enumerate(sorted(SAMPLES.glob("*.mcap"))):
         convert(sample, tmp_path / f"{number}.log")

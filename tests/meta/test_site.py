@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-TOOL = Path(__file__).parents[1] / "tools" / "check-site"
+from tests.samples import ROOT
+
+TOOL = ROOT / "tools" / "check-site"
 
 
 def check(folder, page):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import platform
 import sys
 import tomllib
-from pathlib import Path
 
 import pytest
 from packaging.markers import default_environment
@@ -13,8 +12,9 @@ from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
 from carla_recap.errors import MissingExtra
+from tests.samples import ROOT
 
-PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text())["project"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 PYTHONS = ("3.11", "3.12", "3.13")
 LINUX = {"sys_platform": "linux", "platform_machine": "x86_64", "platform_system": "Linux"}

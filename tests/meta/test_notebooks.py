@@ -7,7 +7,6 @@ import io
 import re
 import runpy
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -19,7 +18,8 @@ pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 import nbformat
 from PIL import Image
 
-ROOT = Path(__file__).parents[1]
+from tests.samples import ROOT
+
 SCRIPT = runpy.run_path(str(ROOT / "tools" / "run-notebooks"))
 NOTEBOOKS = sorted(SCRIPT["FOLDER"].glob("*.ipynb"))
 LARGEST = 300 << 10  # bytes

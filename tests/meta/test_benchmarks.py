@@ -6,16 +6,15 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from benchmarks import page
 from benchmarks.measuring import Line, Missing, Subject
 from benchmarks.results import Conditions, Result, load, save
+from tests.samples import ROOT
 from tests.waiting import PATIENCE
 
-ROOT = Path(__file__).parents[1]
 ROWS = ("mcap_to_log", "lively", "collisions", "blocked", "incidents", "differences", "info_all", "remote")
 
 

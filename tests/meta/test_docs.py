@@ -34,6 +34,7 @@ from carla_recap.sensors import SENSOR_TYPES
 from carla_recap.sensors.beams import MOST_LIDAR_RAYS, MOST_RADAR_RAYS
 from carla_recap.sensors.kinds import MOST_CHANNELS
 from carla_recap.sensors.rig import MOST_SENSORS
+from tests.samples import ROOT
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
 
     import griffe
 
-ROOT = Path(__file__).parents[1]
 PACKAGE = Path(carla_recap.__file__).parent
 PAGES = [ROOT / "README.md", ROOT / "samples" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 TEXTS = [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md"]
@@ -59,7 +59,7 @@ FILES = {
 NOT_RUN = re.compile(
     r"carla-recap (?:"
     r"(?:serve|view|watch|capture)\b"  # until they are ended, or with another server
-    r"|video\b"  # takes long: see tests/export/video
+    r"|video\b"  # takes long: see tests/show/video
     r"|.* --(?:serve|dask)\b"
     r")"
 )
