@@ -330,6 +330,7 @@ def test_the_end_of_the_server_completes_it(tmp_path: Path) -> None:
             stack.close()
             said = capture.ended()
     assert ", the server is gone, " in said
+    assert "ERROR" not in said  # of CARLA's client, if it asked a server that is gone to destroy an actor
     assert len(messages(tmp_path / "a.mcap", "top", "points", PointCloud)) >= 10
 
 
@@ -341,14 +342,14 @@ def test_samples_that_come_while_memory_is_full_are_dropped_and_counted(
     world.apply_settings(carla.WorldSettings(fixed_delta_seconds=0.05))
     slow = "import time; from carla_recap.capture import sample_recorder as it; it.WAITING_LIMIT = 1; "
     slow += "make = it.SampleRecorder._make; it.SampleRecorder._make = lambda *given: (time.sleep(0.3), make(*given))[1]"
-    with started(tmp_path / "a.mcap", port, "--rig", str(tmp_path / "rig.json"), "--duration", "4", before=slow) as capture:
+    with started(tmp_path / "a.mcap", port, "--rig", str(tmp_path / "rig.json"), "--duration", "2", before=slow) as capture:
         said = capture.ended()
     found = re.search(
         r": (\d+) frames, .* (\d+) samples?, (\d+) of top dropped, since writing was slower, the duration", said
     )
     assert found is not None, said
     frames, samples, dropped = map(int, found.groups())
-    assert frames > 70  # none of them is dropped
+    assert frames > 35  # none of them is dropped
     assert 3 <= samples < frames // 2 < dropped
     clouds = messages(capture.path, "top", "points", PointCloud)
     assert len(clouds) == samples
@@ -408,11 +409,11 @@ def test_a_full_disk_is_an_error_of_one_line(port: int, world: carla.World, hero
     """As on a full disk, the file cannot grow."""
     (tmp_path / "rig.json").write_text(json.dumps(RIG))
     limit = "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
-    limit += "resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000)); from carla_recap.cli import main; main()"
+    limit += "resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000)); from carla_recap.cli import main; main()"
     rig = str(tmp_path / "rig.json")
     command = [sys.executable, "-c", limit, "capture", str(tmp_path / "a.mcap"), "--port", str(port), "--rig", rig]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        wait_for(world, lambda: process.poll() is not None)
+        wait_until(lambda: world.tick() and process.poll() is not None, pause=0.001)
         _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 2, said
     assert said.startswith(f"carla-recap: {tmp_path / 'a.mcap'}: cannot be written: File too large; "), said

@@ -46,8 +46,7 @@ def running(path: Path, port: int) -> Iterator[subprocess.Popen[str]]:
             process.kill()
 
 
-@pytest.mark.parametrize("gap", [0.001, 0.05])
-@pytest.mark.parametrize("name", ["a.mcap", "a.log", "a.rrd"])
+@pytest.mark.parametrize(("name", "gap"), [("a.mcap", 0.001), ("a.mcap", 0.05), ("a.log", 0.001), ("a.rrd", 0.05)])
 def test_further_signals_do_not_prevent_its_completion(port: int, tmp_path: Path, name: str, gap: float) -> None:
     if name.endswith(".rrd"):
         pytest.importorskip("rerun", reason="the extra `rerun` is not installed")

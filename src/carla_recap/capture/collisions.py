@@ -48,9 +48,15 @@ class CollisionListener:
         if self._attach:
             self._attach_own(tracker)
 
-    def close(self) -> None:
-        """Stop listening, and destroy own sensors."""
-        with suppress(*UNANSWERED):  # the server has gone, and with it all sensors
+    def close(self, *, is_gone: bool = False) -> None:
+        """Stop listening, and destroy own sensors.
+
+        Args:
+            is_gone: Whether the server is gone, and with it all sensors.
+        """
+        if is_gone:
+            return
+        with suppress(*UNANSWERED):
             for sensor in self._others.values():
                 if sensor.is_alive and sensor.is_listening:
                     sensor.stop()

@@ -15,7 +15,7 @@ from functools import partial
 from queue import Empty, Queue
 from threading import Lock
 from time import monotonic, sleep
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
 
 import carla
 
@@ -31,12 +31,15 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
     from types import TracebackType
 
+T = TypeVar("T")
+
 HOST: Final = "127.0.0.1"
 PORT: Final = 2000
 """The default port of CARLA's servers."""
+ANSWER: Final = 2.0
+"""The time in s within which a server must answer that has answered before; else it is asked again."""
 
 _FIRST_ANSWER: Final = 10.0  # s, within which the server must answer at first
-_ANSWER: Final = 2.0  # s, within which it must answer later; else it is asked again
 _CONNECTION: Final = 2.0  # s, within which it must accept a connection
 _QUIET: Final = 1.0  # s without a tick, after which the server is checked
 _ASKING: Final = 0.1  # s between questions to the server
@@ -132,7 +135,7 @@ class Observer:
         self.end("it is over")
         with suppress(*UNANSWERED):
             self._world.remove_on_tick(self._callback)
-        self._listener.close()
+        self._listener.close(is_gone=self.is_gone)
         sleep(_DRAIN)  # a client's thread that waits for Python's lock when the interpreter ends aborts the process
 
     def end(self, why: str, *, is_cut_short: bool = False) -> None:
@@ -188,9 +191,25 @@ class Observer:
         return self._frame
 
     @property
+    def is_gone(self) -> bool:
+        """Whether the server is gone, as far as is known: no request would be answered before its time is over."""
+        return self.why == _GONE
+
+    @property
     def place(self) -> str:
         """The address and the port of the server."""
         return f"{self._host}:{self._port}"
+
+    def answer(self, question: Callable[[], T], default: T) -> T:
+        """Return the server's answer; a default if the actor or the server is gone, which ends `observations`."""
+        if self.is_gone:
+            return default
+        try:
+            return question()
+        except UNANSWERED:
+            if not self._is_there():
+                self.end(_GONE)
+            return default
 
     def new_client(self) -> carla.Client:
         """Return a further client of the server, whose data arrive on connections and in a thread of its own."""
@@ -209,7 +228,7 @@ class Observer:
             self.map = self._world.get_map()
         except UNANSWERED as error:
             raise RecapError(f"{self.place}: {' '.join(str(error).split())}") from None
-        self._client.set_timeout(_ANSWER)
+        self._client.set_timeout(ANSWER)
 
     def _is_there(self) -> bool:
         try:
@@ -277,35 +296,32 @@ class Observer:
         if is_quiet and not self._is_there():
             self.end(_GONE)
             return
-        if is_quiet and self._answer(lambda: self._client.get_world().id, self._episode) != self._episode:
+        if is_quiet and self.answer(lambda: self._client.get_world().id, self._episode) != self._episode:
             self.end(_ANOTHER_EPISODE)
             return
         self._ask()
         self._asked_at = monotonic()
 
     def _ask(self) -> None:
-        with suppress(*UNANSWERED):  # the server does not answer, and is asked again later
-            lights = self._world.get_vehicles_light_states()
-            self._vehicle_lights = {id: int(state) for id, state in lights.items()}
-            weather = self._world.get_weather()
-            row = tuple(getattr(weather, name) for name in _WEATHER)
-            if row != self._weather:
-                self._weather = row
-                self._later.append((0, "weather", row))
-        with suppress(*UNANSWERED):  # an actor has gone, which the next snapshot shows
-            if self._additional:
-                for light in self._tracker.of(ActorKind.TRAFFIC_LIGHT).values():
-                    self._note_light_times(0, light)
-            self._listener.update(self._tracker)
+        """Request the lights of vehicles, the weather and what else is not in snapshots; what fails is asked again later."""
+        self.answer(self._ask_about_world, None)
+        if not self.why:
+            self.answer(self._ask_about_actors, None)
 
-    def _answer(self, question: Callable[[], Any], default: Any) -> Any:
-        """Return the server's answer; a default if the actor or the server is gone."""
-        try:
-            return question()
-        except UNANSWERED:
-            if not self._is_there():
-                self.end(_GONE)
-            return default
+    def _ask_about_world(self) -> None:
+        lights = self._world.get_vehicles_light_states()
+        self._vehicle_lights = {id: int(state) for id, state in lights.items()}
+        weather = self._world.get_weather()
+        row = tuple(getattr(weather, name) for name in _WEATHER)
+        if row != self._weather:
+            self._weather = row
+            self._later.append((0, "weather", row))
+
+    def _ask_about_actors(self) -> None:
+        if self._additional:
+            for light in self._tracker.of(ActorKind.TRAFFIC_LIGHT).values():
+                self._note_light_times(0, light)
+        self._listener.update(self._tracker)
 
     def _introduce(self) -> None:
         """Request the data of new actors that are not in snapshots."""
@@ -313,7 +329,7 @@ class Observer:
             frame, actor = self._newcomers.popleft()
             kind = packets.kind_of(actor.type_id)
             if kind == ActorKind.TRAFFIC_LIGHT:
-                self._answer(partial(self._note_light_times, frame, actor), None)
+                self.answer(partial(self._note_light_times, frame, actor), None)
             requests: dict[str, Callable[[Any], list[Any]]] = {}
             if kind in (ActorKind.TRAFFIC_LIGHT, ActorKind.TRAFFIC_SIGN):
                 requests["trigger_volumes"] = packets.trigger_volume
@@ -322,7 +338,8 @@ class Observer:
             if kind == ActorKind.VEHICLE:
                 requests["physics"] = lambda vehicle: [packets.physics(vehicle)]
             for name, request in requests.items():
-                self._later.extend((frame, name, record) for record in self._answer(partial(request, actor), []))
+                records: list[Any] = self.answer(partial(request, actor), [])
+                self._later.extend((frame, name, record) for record in records)
 
     def _note_light_times(self, frame: int, light: carla.TrafficLight) -> None:
         times = packets.light_times(light)

@@ -13,6 +13,7 @@ import carla
 import numpy as np
 
 from carla_recap.capture.actors import OWN, UNANSWERED, parent_of, pose_of, readable
+from carla_recap.capture.observer import ANSWER
 from carla_recap.capture.samples import SensorFrame
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.actors import HERO
@@ -81,6 +82,7 @@ class RigSensors:
                 self._spawn(self._sensors)
             else:
                 self.rig = self._found()
+            self._client.set_timeout(ANSWER)
         except UNANSWERED as error:
             self._close()
             raise RecapError(f"{self._observer.place}: {' '.join(str(error).split())}") from None
@@ -98,8 +100,8 @@ class RigSensors:
         now = monotonic()
         if now - self._asked_at > _ASKING:
             self._asked_at = now
-            with suppress(*UNANSWERED):
-                self._synchronous = self._world.get_settings().synchronous_mode
+            settings = self._observer.answer(self._world.get_settings, None)
+            self._synchronous = self._synchronous if settings is None else settings.synchronous_mode
         return self._synchronous
 
     def listen(self, callback: Callable[[SensorFrame], None]) -> None:
@@ -260,7 +262,9 @@ class RigSensors:
 
     def _close(self) -> None:
         """Stop listening, and destroy the sensors that were spawned."""
-        with suppress(*UNANSWERED):  # the server has gone, and with it all sensors
+        if self._observer.is_gone:  # and with it all sensors
+            return
+        with suppress(*UNANSWERED):
             if self._speed_callback is not None:
                 self._world.remove_on_tick(self._speed_callback)
             for sensor in self._listened.values():

@@ -127,7 +127,7 @@ class SampleRecorder:
         Raises:
             RecapError: The disk is full or broken, or the data of a sensor cannot be read.
         """
-        end = monotonic() + (_LAST if self._keeps_all else 0.0)
+        end = monotonic() + (_LAST if self._keeps_all and not self._observer.is_gone else 0.0)
         while monotonic() < end and not self._has_all():
             self._submit()
             self._collect()
