@@ -81,8 +81,8 @@ def town() -> RoadNetwork:
 def found(path: Path, roads: RoadNetwork) -> list[RoadEvent]:
     """Return the rules that vehicles break in a recording."""
     from carla_recap.formats import open_reader
-    from carla_recap.queries.actors import actors
     from carla_recap.queries.measures.road import TYPES, RoadSearch
+    from carla_recap.queries.recorded_actors import actors
 
     reader = open_reader(path)
     try:

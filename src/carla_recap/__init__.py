@@ -48,16 +48,16 @@ if TYPE_CHECKING:
     from carla_recap.fleet.scores import score
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.formats import create_writer
-    from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame, Header
+    from carla_recap.model.lives import ActorLife
     from carla_recap.model.records import ActorKind, Attribute, Spawn, attributes
     from carla_recap.queries.blocked import BlockedRow
     from carla_recap.queries.collisions import CollisionRow
     from carla_recap.queries.differences import ActorDifference, Differences, EventDifference, LightDifference
     from carla_recap.queries.incidents import Incident, IncidentOptions
     from carla_recap.queries.info import InfoRow
-    from carla_recap.queries.measures.table import MeasureRow, MeasureSeries
+    from carla_recap.queries.measures.definitions import MeasureRow, MeasureSeries
     from carla_recap.queries.score import Infraction, Route, Score, ScoreOptions, read_routes
     from carla_recap.queries.sensors import RecordedSensor
     from carla_recap.queries.summary import HeroSummary, RecordingSummary
@@ -219,7 +219,7 @@ _get, __dir__ = lazily(
         "fleet.sources": ("SourceFile",),
         "model.frame": ("Frame", "Header"),
         "roads": ("RoadMap", "load_map"),
-        "model.actors": ("ActorLife",),
+        "model.lives": ("ActorLife",),
         "queries.blocked": ("BlockedRow",),
         "queries.collisions": ("CollisionRow",),
         "queries.differences": ("ActorDifference", "Differences", "EventDifference", "LightDifference"),
@@ -227,7 +227,7 @@ _get, __dir__ = lazily(
         "fleet.index.writing": ("IndexSummary", "write_index"),
         "formats": ("create_writer",),
         "queries.incidents": ("Incident", "IncidentOptions"),
-        "queries.measures.table": ("MeasureRow", "MeasureSeries"),
+        "queries.measures.definitions": ("MeasureRow", "MeasureSeries"),
         "queries.info": ("InfoRow",),
         "queries.score": ("Infraction", "Route", "Score", "ScoreOptions", "read_routes"),
         "queries.sensors": ("RecordedSensor",),

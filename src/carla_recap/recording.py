@@ -12,8 +12,8 @@ import numpy as np
 
 from carla_recap.errors import Closed, RecapError
 from carla_recap.formats import open_reader
-from carla_recap.model.actors import ActorLife, ActorName, find_actor, heroes_of
-from carla_recap.queries.actors import RecordedActors, actors
+from carla_recap.model.lives import ActorLife, ActorName, find_actor, heroes_of
+from carla_recap.queries.recorded_actors import RecordedActors, actors
 from carla_recap.tables import Rows, Tabular
 from carla_recap.tables.records import RecordTable, record_table
 from carla_recap.tables.trajectories import (
@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from carla_recap.queries.differences import Differences
     from carla_recap.queries.incidents import Incidents
     from carla_recap.queries.measures import Measures
+    from carla_recap.queries.measures.definitions import MeasureSeries
     from carla_recap.queries.measures.over_time import Subjects
-    from carla_recap.queries.measures.table import MeasureSeries
     from carla_recap.queries.sensors import RecordedSensors
     from carla_recap.queries.summary import RecordingSummary
     from carla_recap.tables.display import Preview

@@ -39,7 +39,7 @@ from tests.strategies import recordings, signature
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.replay.scene import Scene
 
 CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carla_recap.model.actors import ActorLife
+from carla_recap.model.lives import ActorLife
 from carla_recap.model.presence import RoadHeights
 from carla_recap.model.records import ActorKind, Spawn
 

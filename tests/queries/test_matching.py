@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from carla_recap.model.actors import ActorLife
+from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import Spawn
 from carla_recap.queries.matching import match
 

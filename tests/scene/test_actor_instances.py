@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from carla_recap import open_recording
-from carla_recap.model.actors import BoundingBox
 from carla_recap.model.blueprints import blueprint_sizes
+from carla_recap.model.lives import BoundingBox
 from carla_recap.model.records import ActorKind
 from carla_recap.replay import Player
 from carla_recap.scene.actor_instances import SceneActors, instances_of

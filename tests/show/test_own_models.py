@@ -12,7 +12,7 @@ import pytest
 
 from carla_recap import open_recording, use_models
 from carla_recap.errors import RecapError, RecapWarning
-from carla_recap.model.actors import BoundingBox
+from carla_recap.model.lives import BoundingBox
 from carla_recap.model.records import ActorKind
 from carla_recap.scene.appearance import look_of
 from carla_recap.scene.materials import MATERIALS, Material

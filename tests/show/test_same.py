@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from carla_recap import import_tracks, open_recording
-from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.lives import ROAD_USERS
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.replay import Player
 from carla_recap.scene import style

@@ -9,7 +9,7 @@ import numpy as np
 
 from carla_recap.capture.packets import attribute_types, kind_of, spawn
 from carla_recap.errors import RecapWarning
-from carla_recap.model.actors import HERO
+from carla_recap.model.lives import HERO
 from carla_recap.model.records import UE4, ActorKind
 from carla_recap.replay.pose import detach
 from carla_recap.sim.recording.packets import CM_PER_M

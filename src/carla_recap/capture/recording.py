@@ -15,8 +15,8 @@ from carla_recap.editing.convert import check_new
 from carla_recap.editing.recover import finish_partial
 from carla_recap.errors import RecapError
 from carla_recap.formats import create_writer, format_of
-from carla_recap.model.actors import HERO
 from carla_recap.model.frame import LAST_FRAME_DURATION, Frame, Header, Packet
+from carla_recap.model.lives import HERO
 from carla_recap.model.records import FRAME_END, UE4
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from carla_recap.capture.rig import RigSensors, Sensors
     from carla_recap.capture.sample_recorder import SampleRecorder
     from carla_recap.formats.base import Writer
-    from carla_recap.model.actors import ActorName
+    from carla_recap.model.lives import ActorName
 
     Progress = Callable[[Iterable[float]], Iterable[float]]
 

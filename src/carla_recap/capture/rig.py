@@ -16,7 +16,7 @@ from carla_recap.capture.actors import OWN, UNANSWERED, parent_of, pose_of, read
 from carla_recap.capture.observer import ANSWER
 from carla_recap.capture.samples import SensorFrame
 from carla_recap.errors import RecapError, RecapWarning
-from carla_recap.model.actors import HERO
+from carla_recap.model.lives import HERO
 from carla_recap.model.records import CM
 from carla_recap.replay.pose import LOCATION, detach
 from carla_recap.sensors.kinds import SENSOR_TYPES
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from carla_recap.capture.observer import Observer
-    from carla_recap.model.actors import ActorName
+    from carla_recap.model.lives import ActorName
 
 EXISTING: Final = "existing"
 """Stands for the sensors that are there, in place of a rig."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.formats.sources import TimeFragment
-    from carla_recap.model.actors import ActorName
+    from carla_recap.model.lives import ActorName
     from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import Recording
     from carla_recap.rendering.town import TownMesh

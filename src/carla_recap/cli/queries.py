@@ -13,7 +13,7 @@ from carla_recap.cli.many import answer, is_one
 from carla_recap.cli.output import form_of, note
 
 if TYPE_CHECKING:
-    from carla_recap.model.actors import ActorName
+    from carla_recap.model.lives import ActorName
     from carla_recap.queries.incidents import IncidentOptions
 
 _EPILOG = "Each SOURCE is a recording, a folder, a glob in quotes, or a URL; - is a list of them on stdin, one in a line."
@@ -118,7 +118,7 @@ def summary(sources: tuple[str, ...], form: str | None, road_map: str | None, jo
 @_many
 def actors(sources: tuple[str, ...], form: str | None, jobs: int | None, dask: str | None) -> None:
     """Print the actors, and when they existed."""
-    from carla_recap.queries.actors import actors as query
+    from carla_recap.queries.recorded_actors import actors as query
 
     answer(query, sources, form, jobs=jobs, dask=dask)
 

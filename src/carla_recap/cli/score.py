@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from carla_recap.fleet.outcomes import Outcome
-    from carla_recap.model.actors import ActorName
+    from carla_recap.model.lives import ActorName
     from carla_recap.queries.score import Formula, Score
 
 _SUITE: Final = "carla-recap score"

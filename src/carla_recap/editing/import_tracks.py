@@ -18,9 +18,9 @@ import numpy as np
 from carla_recap.editing.author import create_recording
 from carla_recap.editing.convert import check_destination, check_new
 from carla_recap.errors import RecapError, RecapWarning
-from carla_recap.model.actors import HERO
 from carla_recap.model.blueprints import blueprint_like
 from carla_recap.model.layout import MAX_COUNT
+from carla_recap.model.lives import HERO
 from carla_recap.model.records import CM, NO_ACTOR, UE4, ActorKind, Spawn, attributes
 from carla_recap.util.text import first_of
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.files.labels import image_labels, labelled_actors
-from carla_recap.model.actors import HERO
+from carla_recap.model.lives import HERO
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.replay import Played
 from carla_recap.replay.pose import LOCATION, rotations

@@ -15,7 +15,7 @@ import numpy as np
 
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError
-from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.lives import ROAD_USERS
 from carla_recap.replay import Played, Player
 from carla_recap.replay.pose import right_handed, wrap
 from carla_recap.scene.appearance import look_of_present
@@ -24,7 +24,7 @@ from carla_recap.util.files import WholeFile
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.recording import Recording
     from carla_recap.replay.player import Progress
     from carla_recap.scene.appearance import Look

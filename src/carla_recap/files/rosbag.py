@@ -33,7 +33,7 @@ import numpy as np
 
 from carla_recap.errors import FormatError, MissingExtra, RecapError, RecapWarning
 from carla_recap.formats.mcap.schema import SECOND, LogClock
-from carla_recap.model.actors import HERO
+from carla_recap.model.lives import HERO
 from carla_recap.model.presence import FAR
 from carla_recap.replay import Played, Player, quaternions
 from carla_recap.replay.pose import LOCATION, rotations
@@ -75,7 +75,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.actors import ActorName
+    from carla_recap.model.lives import ActorName
     from carla_recap.recording import Recording
     from carla_recap.replay import Scene
     from carla_recap.replay.player import Progress

@@ -12,7 +12,7 @@ import numpy as np
 
 from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapWarning
-from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.lives import ROAD_USERS
 from carla_recap.replay import Played, Player
 from carla_recap.replay.pose import right_handed
 from carla_recap.scene.appearance import look_of_present
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.recording import Recording
     from carla_recap.replay.player import Progress
     from carla_recap.replay.scene import SceneBatch

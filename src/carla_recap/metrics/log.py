@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, Final, Self
 import numpy as np
 
 from carla_recap.errors import MissingExtra, RecapError
-from carla_recap.model.actors import HERO, ActorLives
-from carla_recap.model.actors import TYPES as ACTOR_TYPES
+from carla_recap.model.lives import HERO, ActorLives
+from carla_recap.model.lives import TYPES as ACTOR_TYPES
 from carla_recap.model.records import CM
 from carla_recap.queries.output.packet_lines import LIGHTS, sorted_points
 from carla_recap.recording import Recording, open_recording
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.model.records import Physics
     from carla_recap.tables.trajectories import ActorRows, Trajectory
     from carla_recap.util.arrays import Floats

@@ -12,13 +12,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal
 
-from carla_recap.model.actors import BoundingBox
+from carla_recap.model.lives import BoundingBox
 from carla_recap.model.records import ActorKind
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
 
 Table = Literal["vehicles", "walkers", "props"]
 Size = tuple[float, float, float]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.model.motion import FIRMEST_BRAKING, LONGEST_STEP, neighbours, possible_step, runs, slope
+from carla_recap.model.kinematics import FIRMEST_BRAKING, LONGEST_STEP, neighbours, possible_step, runs, slope
 from carla_recap.model.records import CM, ActorKind
 from carla_recap.model.segment import SegmentBuffer, segments
 

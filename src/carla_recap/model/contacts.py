@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.model.motion import LONGEST_STEP, TOP_SPEED
+from carla_recap.model.kinematics import LONGEST_STEP, TOP_SPEED
 from carla_recap.model.records import CM, UE4
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.lives import ROAD_USERS
 from carla_recap.model.records import CM
 from carla_recap.model.segment import segments
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.util.arrays import Booleans, Floats, Integers
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.actors import HashOrder, PresentActors
+from carla_recap.model.lives import HashOrder, PresentActors
 from carla_recap.model.segment import last_of_each, segments
 from carla_recap.util.text import readable
 

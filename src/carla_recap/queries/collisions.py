@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Final
 
 from carla_recap.errors import RecapError
-from carla_recap.model.actors import PresentActors
 from carla_recap.model.contacts import Contacts
+from carla_recap.model.lives import PresentActors
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.queries import Answer
 from carla_recap.queries.contacts import impacts

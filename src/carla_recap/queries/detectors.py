@@ -8,30 +8,30 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Literal, Protocol
 
 from carla_recap.errors import RecapError
-from carla_recap.model.actors import ROAD_USERS, ranked
 from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, BrakingDetector
 from carla_recap.model.braking import TYPES as BRAKING_TYPES
 from carla_recap.model.contacts import MOTION, UNKNOWN, Contact, Impact
-from carla_recap.model.motion import place_in_metres
+from carla_recap.model.kinematics import place_in_metres
+from carla_recap.model.lives import ROAD_USERS, ranked
 from carla_recap.model.presence import RoadHeights
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 from carla_recap.queries.blocked import longest_first
 from carla_recap.queries.contacts import LOOK_UPS, ImpactSearch, impacts, is_known, joined, read_spans
+from carla_recap.queries.measures.definitions import DURATION, MEASURES, RELATIVE_SPEED
 from carla_recap.queries.measures.near_misses import LONGEST, POST_ENCROACHMENT_TIME, TIME_TO_COLLISION, NearMissDetector
 from carla_recap.queries.measures.near_misses import TYPES as MOTION_TYPES
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
-from carla_recap.queries.measures.table import DURATION, MEASURES, RELATIVE_SPEED
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
 
     from carla_recap.formats.base import Reader
-    from carla_recap.model.actors import ActorLives, ActorName
     from carla_recap.model.batch import Batch
     from carla_recap.model.braking import Braking
     from carla_recap.model.contacts import Contacts
+    from carla_recap.model.lives import ActorLives, ActorName
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.measures.over_time import SeriesCollector
     from carla_recap.roads.network import RoadNetwork

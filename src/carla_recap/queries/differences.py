@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, ClassVar, Final, Literal
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.actors import HERO, ActorLife, ActorLives
 from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.lives import HERO, ActorLife, ActorLives
 from carla_recap.model.records import Spawn
-from carla_recap.queries.actors import actors
 from carla_recap.queries.incidents import Incident, incidents
 from carla_recap.queries.matching import Match, MatchedBy, match
 from carla_recap.queries.paths import PathComparison, PathTotals
+from carla_recap.queries.recorded_actors import actors
 from carla_recap.tables import Rows
 from carla_recap.util.text import readable
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
-from carla_recap.model.actors import TYPES as ACTOR_TYPES
-from carla_recap.model.actors import ActorLives, find_actor
 from carla_recap.model.contacts import Contacts
+from carla_recap.model.lives import TYPES as ACTOR_TYPES
+from carla_recap.model.lives import ActorLives, find_actor
 from carla_recap.queries import Answer
 from carla_recap.queries.detectors import Incident, IncidentOptions, Search
 from carla_recap.queries.kinds import KINDS, kinds_named, kinds_without_roads

@@ -13,7 +13,7 @@ from carla_recap.queries.detectors import (
     NearMissIncidents,
     RoadIncidents,
 )
-from carla_recap.queries.measures.table import DURATION, MEASURES, RELATIVE_SPEED, Measure
+from carla_recap.queries.measures.definitions import DURATION, MEASURES, RELATIVE_SPEED, Measure
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping

@@ -13,7 +13,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
 
 
 MatchedBy = Literal["role", "birth", "position", "parent", "order", "id"]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.motion import possible_step
+from carla_recap.model.kinematics import possible_step
 from carla_recap.model.records import CM
 from carla_recap.model.segment import Segment, SegmentBuffer, segments
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-    from carla_recap.model.actors import ActorLives
     from carla_recap.model.batch import Batch
+    from carla_recap.model.lives import ActorLives
     from carla_recap.util.arrays import Booleans, Floats, Indices
 
     Ids = NDArray[np.integer[Any]]

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from carla_recap.model.actors import ROAD_USERS, heroes_of
+from carla_recap.model.lives import ROAD_USERS, heroes_of
 from carla_recap.queries import Answer
-from carla_recap.queries.actors import actors
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import KINDS
+from carla_recap.queries.recorded_actors import actors
 from carla_recap.queries.sensors import sensors
 from carla_recap.tables.trajectories import trajectories
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
 
 
 @dataclass(frozen=True, slots=True)

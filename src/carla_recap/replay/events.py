@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
 
 
 @dataclass(frozen=True, slots=True)

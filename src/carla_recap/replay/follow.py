@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.actors import HERO, ROAD_USERS, ActorName, find_actor, heroes_of
-from carla_recap.model.motion import possible_step
+from carla_recap.model.kinematics import possible_step
+from carla_recap.model.lives import HERO, ROAD_USERS, ActorName, find_actor, heroes_of
 from carla_recap.model.records import CM
-from carla_recap.queries.actors import actors
+from carla_recap.queries.recorded_actors import actors
 from carla_recap.replay.pose import LOCATION
 from carla_recap.replay.selection import NO_IDS, Ids, Selection, array, find, numbers
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.replay.scene import Scene
 
 __all__ = ["HERO", "Follow", "LiveChoice", "choose_followed", "find_followed"]

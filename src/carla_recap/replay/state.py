@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.actors import ActorLife, BoundingBox
+from carla_recap.model.lives import ActorLife, BoundingBox
 from carla_recap.model.presence import RoadHeights
 from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Spawned
 from carla_recap.replay.selection import NO_IDS, Ids, Selection, merged

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from carla_recap.model.actors import BoundingBox
 from carla_recap.model.blueprints import blueprint_box
+from carla_recap.model.lives import BoundingBox
 from carla_recap.model.records import ActorKind
 from carla_recap.scene.materials import Color, Tag
 from carla_recap.scene.models import INDEX, MODELS, own_model
@@ -14,7 +14,7 @@ from carla_recap.scene.models import INDEX, MODELS, own_model
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
 
 Triple = tuple[float, float, float]
 

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-    from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
+    from carla_recap.model.lives import ActorLife
     from carla_recap.queries.incidents import Incident
     from carla_recap.queries.measures import MeasureSeries
     from carla_recap.replay import Collided, Player, Scene

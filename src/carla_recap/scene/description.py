@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.model.actors import ActorLife
+from carla_recap.model.lives import ActorLife
 from carla_recap.model.presence import FAR
 from carla_recap.model.records import Spawn
 from carla_recap.replay.player import Player

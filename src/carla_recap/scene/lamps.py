@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.motion import FIRMEST_BRAKING
+from carla_recap.model.kinematics import FIRMEST_BRAKING
 from carla_recap.model.records import CM
 from carla_recap.replay.events import Spawned
 from carla_recap.replay.selection import NO_IDS, find
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.replay import SceneBatch
     from carla_recap.replay.selection import Ids
     from carla_recap.util.arrays import Booleans, Floats, Indices, Integers

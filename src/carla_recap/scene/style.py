@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from carla_recap.model.actors import STATIC_OBJECT, is_object, ranked
+from carla_recap.model.lives import STATIC_OBJECT, is_object, ranked
 from carla_recap.model.records import ActorKind
 from carla_recap.replay.events import Collided, Destroyed, Parented, Spawned
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.replay.events import Event
 
 Color = tuple[int, int, int]

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from carla_recap.errors import RecapError
-from carla_recap.model.actors import HERO
+from carla_recap.model.lives import HERO
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from carla_recap.model.actors import ActorName
+    from carla_recap.model.lives import ActorName
     from carla_recap.rendering.camera import Quality
 
 

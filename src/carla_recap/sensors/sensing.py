@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from carla_recap.errors import RecapError, RecapWarning
-from carla_recap.model.actors import HERO, find_actor, heroes_of
 from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.lives import HERO, find_actor, heroes_of
 from carla_recap.model.presence import FAR
 from carla_recap.model.records import CM
 from carla_recap.replay import Player
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.actors import ActorName
+    from carla_recap.model.lives import ActorName
     from carla_recap.recording import Recording
     from carla_recap.rendering.camera import Camera
     from carla_recap.rendering.rays import RayScene, SurfaceHits

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from carla_recap.model.actors import ActorName
+    from carla_recap.model.lives import ActorName
     from carla_recap.recording import Recording
     from carla_recap.replay import Scene
     from carla_recap.replay.player import Progress

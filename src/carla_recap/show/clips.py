@@ -13,9 +13,9 @@ from carla_recap.editing.convert import check_destination
 from carla_recap.errors import MissingExtra, RecapError, RecapWarning
 from carla_recap.formats import SUFFIXES, open_reader
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.queries.actors import actors
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import KINDS
+from carla_recap.queries.recorded_actors import actors
 from carla_recap.recording import Recording, open_recording
 from carla_recap.scene.captions import with_all_kinds
 from carla_recap.util.files import check_folder, new_folder

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, get_args
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.motion import neighbours, possible_step
+from carla_recap.model.kinematics import neighbours, possible_step
 from carla_recap.model.records import CM
 from carla_recap.tables import Columns, Tabular
 from carla_recap.tables.display import Preview, first_and_last

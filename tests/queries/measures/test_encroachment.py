@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carla_recap.model.actors import ActorLives
-from carla_recap.queries.actors import actors
+from carla_recap.model.lives import ActorLives
 from carla_recap.queries.measures import post_encroachment_time
 from carla_recap.queries.measures.encroachment import Encroachments, Path, encroachments
-from carla_recap.queries.measures.motion import TYPES, MotionBlock, MotionCollector
+from carla_recap.queries.measures.motion_blocks import TYPES, MotionBlock, MotionCollector
+from carla_recap.queries.recorded_actors import actors
 from tests.queries.measures.conftest import Mover
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def test_the_number_of_frames_at_once_changes_nothing(drive: Drive, monkeypatch:
     found = {}
     for size, block in ((1024, 1024), (512, 1024), (64, 1024), (64, 100), (30, 1024)):
         monkeypatch.setattr("carla_recap.queries.measures.encroachment.FRAMES", size)
-        monkeypatch.setattr("carla_recap.queries.measures.motion._FRAMES", block)
+        monkeypatch.setattr("carla_recap.queries.measures.motion_blocks._FRAMES", block)
         found[size, block] = arrivals(reader, size)
     whole = found[1024, 1024]
     assert len(whole) > 400

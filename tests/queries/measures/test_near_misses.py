@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from carla_recap.formats import open_reader
-from carla_recap.model.actors import ActorLives
 from carla_recap.model.contacts import Contacts
+from carla_recap.model.lives import ActorLives
 from carla_recap.queries.measures import measures
-from carla_recap.queries.measures.motion import MotionBlock
+from carla_recap.queries.measures.motion_blocks import MotionBlock
 from carla_recap.queries.measures.near_misses import TYPES, NearMissDetector, paths_meet
 from tests.queries.measures.conftest import Mover, straight
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carla_recap.model.actors import ActorLife
+from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import Spawn
 from carla_recap.queries.measures.encroachment import encroachments
-from carla_recap.queries.measures.motion import MotionBlock
+from carla_recap.queries.measures.motion_blocks import MotionBlock
 from carla_recap.queries.measures.pairs import FRAMES, PairFrames, near_pairs
 
 

@@ -11,10 +11,10 @@ import pytest
 from carla_recap.formats import open_reader
 from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn, attributes
-from carla_recap.queries.actors import actors
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.measures.road import TYPES, RoadEvent, RoadSearch
 from carla_recap.queries.measures.traffic_lights import LightHistory
+from carla_recap.queries.recorded_actors import actors
 from carla_recap.roads.surfaces import build_network, find_road_network, load_road_network
 from carla_recap.sim import VehicleControl, World
 from carla_recap.sim.scenarios.places import spawn_on_lane
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-    from carla_recap.queries.measures.table import Extreme
+    from carla_recap.queries.measures.definitions import Extreme
     from carla_recap.roads.network import RoadNetwork
 
     Floats = NDArray[np.float64]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.files.osi.message_types import GROUND_TRUTH, VERSION, message_class
-from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.lives import ROAD_USERS
 from carla_recap.replay.pose import LOCATION, ROTATION, right_handed, wrap
 from carla_recap.scene.appearance import look_of_present
 from carla_recap.scene.materials import Tag
@@ -19,7 +19,7 @@ from carla_recap.scene.materials import Tag
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.replay.scene import SceneBatch
     from carla_recap.scene.appearance import Look
     from carla_recap.util.arrays import Floats

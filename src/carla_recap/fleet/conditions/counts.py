@@ -13,7 +13,7 @@ from carla_recap.fleet.conditions.facts import Finding, Needs, Offence
 from carla_recap.fleet.conditions.scope import WHOLE
 from carla_recap.fleet.conditions.values import ANY, OBJECT, listed
 from carla_recap.formats import SUFFIXES
-from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.lives import ROAD_USERS
 from carla_recap.queries.differences import differences, metres, name_of
 from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import open_recording
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from carla_recap.fleet.conditions.facts import Facts
     from carla_recap.fleet.conditions.scope import Scope
     from carla_recap.fleet.conditions.values import Bounds, Quantity, Selector
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.queries.incidents import Incident
 
 

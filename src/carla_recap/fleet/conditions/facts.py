@@ -10,14 +10,14 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet.conditions.values import ANY, OBJECT
-from carla_recap.model.actors import HERO, ROAD_USERS, ActorLives
 from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.lives import HERO, ROAD_USERS, ActorLives
 from carla_recap.model.presence import RoadHeights
-from carla_recap.queries.actors import actors, never_there
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures import MEASURES, MeasureSearch, MeasureValues
+from carla_recap.queries.recorded_actors import actors, never_there
 from carla_recap.queries.roads import roads_of
 from carla_recap.tables.trajectories import Trajectory, trajectories
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from carla_recap.fleet.conditions.places import Occasion, Place
     from carla_recap.fleet.conditions.values import Selector
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.incidents import Incident
     from carla_recap.queries.measures import MeasureRow

@@ -21,7 +21,7 @@ from carla_recap.fleet.conditions.reading import (
 )
 from carla_recap.fleet.conditions.scope import Scope
 from carla_recap.fleet.conditions.values import ANY, OBJECT, ROLE, UNITS, Bounds, Quantity, Selector
-from carla_recap.model.actors import HERO
+from carla_recap.model.lives import HERO
 from carla_recap.queries.kinds import KINDS, kind_named
 from carla_recap.util.text import visible
 

@@ -11,9 +11,9 @@ import numpy as np
 from carla_recap.fleet.conditions.facts import Finding, Needs, Offence
 from carla_recap.fleet.conditions.scope import WHOLE
 from carla_recap.fleet.conditions.values import tolerated
-from carla_recap.model.actors import ROAD_USERS
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.motion import LONGEST_STEP, runs
+from carla_recap.model.kinematics import LONGEST_STEP, runs
+from carla_recap.model.lives import ROAD_USERS
 from carla_recap.queries.measures import MEASURES
 from carla_recap.queries.measures.series import NO_OTHER
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from carla_recap.fleet.conditions.facts import Facts
     from carla_recap.fleet.conditions.scope import Scope
     from carla_recap.fleet.conditions.values import Bounds, Quantity, Selector
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.queries.measures import MeasureValues
     from carla_recap.util.arrays import Booleans
 

@@ -11,9 +11,9 @@ import numpy as np
 from carla_recap.fleet.conditions.facts import Finding, Needs, Offence
 from carla_recap.fleet.conditions.scope import WHOLE
 from carla_recap.fleet.conditions.values import ANY, ROLE, tolerated
-from carla_recap.model.actors import HERO
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.motion import LONGEST_STEP, runs
+from carla_recap.model.kinematics import LONGEST_STEP, runs
+from carla_recap.model.lives import HERO
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from carla_recap.fleet.conditions.places import Place
     from carla_recap.fleet.conditions.scope import Scope
     from carla_recap.fleet.conditions.values import Bounds, Quantity, Selector
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
 
 
 @dataclass(frozen=True, slots=True)

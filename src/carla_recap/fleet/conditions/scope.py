@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from carla_recap.fleet.conditions.facts import Facts
     from carla_recap.fleet.conditions.places import Occasion, Place
     from carla_recap.fleet.conditions.values import Quantity, Selector
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.util.arrays import Booleans, Floats
 
 

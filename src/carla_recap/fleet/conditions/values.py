@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.model.actors import HERO, ROAD_USERS
+from carla_recap.model.lives import HERO, ROAD_USERS
 from carla_recap.util.text import number
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
 
 ANY: Final = "any"
 OBJECT: Final = "object"

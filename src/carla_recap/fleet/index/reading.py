@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any, Final, cast
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.fleet.index.tables import CHILDREN
 from carla_recap.formats import open_reader
-from carla_recap.model.actors import ROAD_USERS
-from carla_recap.model.actors import TYPES as ACTOR_TYPES
 from carla_recap.model.frame import SAME_TIME, Frame
-from carla_recap.model.motion import place_in_metres
+from carla_recap.model.kinematics import place_in_metres
+from carla_recap.model.lives import ROAD_USERS
+from carla_recap.model.lives import TYPES as ACTOR_TYPES
 from carla_recap.model.stationary import MIN_DISTANCE, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
-from carla_recap.queries.actors import actors
 from carla_recap.queries.collisions import collisions
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.queries.measures import measures
+from carla_recap.queries.recorded_actors import actors
 from carla_recap.queries.score import ScoreOptions, route_for, score
 from carla_recap.recording import Recording
 from carla_recap.roads import find_road_network, load_road_network
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.formats.base import Reader
-    from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
+    from carla_recap.model.lives import ActorLife
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.score import Route
     from carla_recap.roads.network import RoadNetwork

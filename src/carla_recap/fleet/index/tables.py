@@ -7,7 +7,7 @@ from datetime import datetime
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
-from carla_recap.model.actors import BoundingBox  # noqa: TC001 - the columns are made of the type hints
+from carla_recap.model.lives import BoundingBox  # noqa: TC001 - the columns are made of the type hints
 from carla_recap.queries.collisions import CollisionRow, Collisions
 from carla_recap.queries.incidents import Incident, Incidents
 from carla_recap.queries.measures import MeasureRow

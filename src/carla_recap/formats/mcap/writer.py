@@ -41,10 +41,10 @@ from carla_recap.formats.mcap.schema import (
     header_metadata,
     parameters_metadata,
 )
-from carla_recap.model.actors import HERO
 from carla_recap.model.batch import ConstantColumn
 from carla_recap.model.frame import Extent, Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, Framing, PayloadError, check
+from carla_recap.model.lives import HERO
 from carla_recap.model.records import FRAME_END, FRAME_START, Group
 
 if TYPE_CHECKING:

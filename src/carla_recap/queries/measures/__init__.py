@@ -10,10 +10,10 @@ from carla_recap.queries.measures.boxes import (
     time_headway,
     time_to_collision,
 )
+from carla_recap.queries.measures.definitions import MEASURES, SHORT_NAMES, Measure, MeasureRow, MeasureSeries, MeasureValues
 from carla_recap.queries.measures.encroachment import Path, post_encroachment_time
 from carla_recap.queries.measures.extremes import Measures, MeasureSearch, measures, measures_on_roads
 from carla_recap.queries.measures.over_time import MeasuresOverTime, measures_over_time, time_series
-from carla_recap.queries.measures.table import MEASURES, SHORT_NAMES, Measure, MeasureRow, MeasureSeries, MeasureValues
 
 __all__ = [
     "MEASURES",

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.queries.measures.boxes import Boxes, overlaps
-from carla_recap.queries.measures.motion import MARGIN
+from carla_recap.queries.measures.motion_blocks import MARGIN
 from carla_recap.queries.measures.pairs import FRAMES
 
 if TYPE_CHECKING:
-    from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.queries.measures.motion_blocks import MotionBlock
     from carla_recap.util.arrays import Booleans, Floats, Indices
 
 

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
-from carla_recap.model.actors import TYPES as ACTOR_TYPES
-from carla_recap.model.actors import ActorLives
 from carla_recap.model.contacts import Contacts
+from carla_recap.model.lives import TYPES as ACTOR_TYPES
+from carla_recap.model.lives import ActorLives
 from carla_recap.queries import Answer
+from carla_recap.queries.measures.definitions import MEASURES, Extreme, MeasureRow, MeasureValues, series_of
 from carla_recap.queries.measures.encroachment import STEP, encroachments, path_of, refined
-from carla_recap.queries.measures.motion import TYPES, MotionCollector
+from carla_recap.queries.measures.motion_blocks import TYPES, MotionCollector
 from carla_recap.queries.measures.near_misses import paths_meet
 from carla_recap.queries.measures.over_time import measured_actors
 from carla_recap.queries.measures.pairs import near_pairs
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
 from carla_recap.queries.measures.series import NO_OTHER, criticality
-from carla_recap.queries.measures.table import MEASURES, Extreme, MeasureRow, MeasureValues, series_of
 from carla_recap.queries.roads import roads_of, warn_without_roads
 
 if TYPE_CHECKING:
@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
-    from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.queries.measures.definitions import Measure, MeasureSeries
+    from carla_recap.queries.measures.motion_blocks import MotionBlock
     from carla_recap.queries.measures.over_time import Subjects
     from carla_recap.queries.measures.series import Criticality
-    from carla_recap.queries.measures.table import Measure, MeasureSeries
     from carla_recap.roads.network import RoadNetwork
     from carla_recap.util.arrays import Floats
 

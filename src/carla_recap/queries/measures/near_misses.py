@@ -17,14 +17,14 @@ import numpy as np
 
 from carla_recap.queries.measures.boxes import Boxes, overlaps
 from carla_recap.queries.measures.encroachment import encroachments, path_of, refined
-from carla_recap.queries.measures.motion import MARGIN, TYPES, MotionCollector
+from carla_recap.queries.measures.motion_blocks import MARGIN, TYPES, MotionCollector
 from carla_recap.queries.measures.pairs import PairFrames, near_pairs
 
 if TYPE_CHECKING:
-    from carla_recap.model.actors import ActorLives
     from carla_recap.model.batch import Batch
     from carla_recap.model.contacts import Contacts
-    from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.model.lives import ActorLives
+    from carla_recap.queries.measures.motion_blocks import MotionBlock
     from carla_recap.queries.measures.over_time import SeriesCollector
     from carla_recap.util.arrays import Floats, Indices
 

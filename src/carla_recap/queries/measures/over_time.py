@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.actors import HERO, ROAD_USERS, ActorLives, ActorName, find_actor
-from carla_recap.queries.actors import actors as recorded_actors
-from carla_recap.queries.measures.motion import TYPES, MotionCollector
+from carla_recap.model.lives import HERO, ROAD_USERS, ActorLives, ActorName, find_actor
+from carla_recap.queries.measures.definitions import MeasureSeries, series_of
+from carla_recap.queries.measures.motion_blocks import TYPES, MotionCollector
 from carla_recap.queries.measures.series import NO_OTHER, criticality
-from carla_recap.queries.measures.table import MeasureSeries, series_of
+from carla_recap.queries.recorded_actors import actors as recorded_actors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-    from carla_recap.model.actors import ActorLife
-    from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.model.lives import ActorLife
+    from carla_recap.queries.measures.motion_blocks import MotionBlock
 
 
 Subjects = Collection[int] | Literal["hero", "all"] | None

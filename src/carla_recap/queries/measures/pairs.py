@@ -12,7 +12,7 @@ from carla_recap.queries.measures.boxes import Boxes, gap, time_to_collision
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.queries.measures.motion_blocks import MotionBlock
     from carla_recap.util.arrays import Booleans, Floats, Indices
 
 

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.model.blueprints import box_of
-from carla_recap.model.motion import place_in_metres, possible_step, runs
+from carla_recap.model.kinematics import place_in_metres, possible_step, runs
 from carla_recap.model.presence import RoadHeights
+from carla_recap.queries.measures.definitions import Extreme, MeasureValues
 from carla_recap.queries.measures.series import NO_OTHER
 from carla_recap.queries.measures.stop_lines import StopLines
-from carla_recap.queries.measures.table import Extreme, MeasureValues
 from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.roads import network as roads
 
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-    from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
+    from carla_recap.model.lives import ActorLife
     from carla_recap.roads.network import LanePositions, RoadNetwork
     from carla_recap.util.arrays import Booleans, Floats
 

@@ -11,7 +11,7 @@ from carla_recap.queries.measures.boxes import required_deceleration, time_headw
 from carla_recap.queries.measures.pairs import FRAMES, PairFrames, ahead, near_pairs
 
 if TYPE_CHECKING:
-    from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.queries.measures.motion_blocks import MotionBlock
     from carla_recap.util.arrays import Floats, Indices
 
 

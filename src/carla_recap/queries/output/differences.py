@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from carla_recap.model.actors import HERO
+from carla_recap.model.lives import HERO
 from carla_recap.queries.output.json import encoded, rows
 from carla_recap.queries.output.table import most_important_first
 from carla_recap.queries.output.terminal import TableColumn, brief_actor, print_table

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.actors import ROAD_USERS, heroes_of
-from carla_recap.model.motion import possible_step
+from carla_recap.model.kinematics import possible_step
+from carla_recap.model.lives import ROAD_USERS, heroes_of
 from carla_recap.model.records import CM
-from carla_recap.queries.actors import actors
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.output.text import text
+from carla_recap.queries.recorded_actors import actors
 from carla_recap.queries.summary import summary
 from carla_recap.util.text import visible
 

@@ -6,18 +6,18 @@ import math
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from carla_recap.model.actors import STATIC_OBJECT, ActorLife
+from carla_recap.model.lives import STATIC_OBJECT, ActorLife
 from carla_recap.model.records import NO_ACTOR
-from carla_recap.queries.actors import RecordedActors
 from carla_recap.queries.blocked import Blocked, BlockedRow
 from carla_recap.queries.collisions import CollisionRow, Collisions
 from carla_recap.queries.incidents import Incident
 from carla_recap.queries.info import InfoRow
 from carla_recap.queries.kinds import KINDS
+from carla_recap.queries.measures.definitions import MeasureRow
 from carla_recap.queries.measures.over_time import MeasureMoment
-from carla_recap.queries.measures.table import MeasureRow
 from carla_recap.queries.output.terminal import TableColumn, actor_style, brief_actor, print_table
 from carla_recap.queries.output.text import KMH, incident_counts, local_date
+from carla_recap.queries.recorded_actors import RecordedActors
 from carla_recap.queries.summary import RecordingSummary
 from carla_recap.util.text import number, readable, visible
 

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from carla_recap.model.frame import Frame, Header
-    from carla_recap.queries.actors import RecordedActors
     from carla_recap.queries.blocked import Blocked
     from carla_recap.queries.collisions import Collisions
     from carla_recap.queries.incidents import Incidents
     from carla_recap.queries.info import Info
     from carla_recap.queries.measures import Measures
     from carla_recap.queries.measures.over_time import MeasuresOverTime
+    from carla_recap.queries.recorded_actors import RecordedActors
     from carla_recap.queries.summary import Summaries
 
     AnyAnswer = RecordedActors | Info | Collisions | Blocked | Incidents | Measures | MeasuresOverTime | Summaries

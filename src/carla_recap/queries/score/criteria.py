@@ -18,8 +18,8 @@ from carla_recap.roads.waypoints import NONE, PARKING
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from carla_recap.model.actors import ActorLife, ActorLives
     from carla_recap.model.contacts import Contact
+    from carla_recap.model.lives import ActorLife, ActorLives
     from carla_recap.queries.measures.stop_lines import StopLines
     from carla_recap.queries.measures.traffic_lights import LightHistory
     from carla_recap.queries.score.drives import Drive, PlannedRoute

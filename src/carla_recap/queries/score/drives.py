@@ -13,7 +13,7 @@ from carla_recap.model.blueprints import box_of
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.tables.trajectories import Trajectory
     from carla_recap.util.arrays import Floats, Indices, Integers
 

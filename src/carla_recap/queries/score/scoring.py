@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.actors import HERO, ActorLives, ActorName, find_actor
-from carla_recap.model.actors import TYPES as ACTOR_TYPES
 from carla_recap.model.contacts import Contacts
+from carla_recap.model.lives import HERO, ActorLives, ActorName, find_actor
+from carla_recap.model.lives import TYPES as ACTOR_TYPES
 from carla_recap.queries.measures.stop_lines import StopLines
 from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.queries.roads import map_file_of

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carla_recap.model.actors import ActorLife, BoundingBox
+from carla_recap.model.lives import ActorLife, BoundingBox
 from carla_recap.model.presence import RoadHeights
 from carla_recap.replay.pose import right_handed
 from carla_recap.scene.actor_instances import instances

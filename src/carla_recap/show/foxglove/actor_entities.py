@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.description import LookColumns, SceneDescription
     from carla_recap.scene.falls import Fall

@@ -30,7 +30,7 @@ from carla_recap.show.foxglove.messages import (
 )
 
 if TYPE_CHECKING:
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.scene.falls import Fall
     from carla_recap.util.arrays import Floats
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.actors import heroes_of
+from carla_recap.model.lives import heroes_of
 from carla_recap.replay import Destroyed, Spawned, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION
 from carla_recap.scene import style

@@ -21,7 +21,7 @@ from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats.base import Topic
 from carla_recap.formats.mcap.schema import LogClock
 from carla_recap.formats.mcap.writer import McapWriter
-from carla_recap.model.actors import HERO
+from carla_recap.model.lives import HERO
 from carla_recap.recording import open_recording
 from carla_recap.replay import Player
 from carla_recap.replay.recorded_map import find_map_of
@@ -39,8 +39,8 @@ from carla_recap.v1.sensors_pb2 import ActorEntry, ActorTable
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
-    from carla_recap.model.actors import ActorLife, ActorName
     from carla_recap.model.batch import Batch
+    from carla_recap.model.lives import ActorLife, ActorName
     from carla_recap.recording import Recording
     from carla_recap.replay.player import Progress
     from carla_recap.sensors.rig import SensorRig

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 from urllib.request import ProxyHandler, build_opener
 
 from carla_recap.errors import FormatError, MissingExtra, RecapError, RecapWarning
-from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.lives import ROAD_USERS
 from carla_recap.queries.incidents import Incident, IncidentOptions, incidents, with_roads
 from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import Recording

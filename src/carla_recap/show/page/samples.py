@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.actors import ActorLives
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.motion import possible_step
-from carla_recap.queries.actors import actors as recorded_actors
-from carla_recap.queries.measures.motion import MotionCollector
+from carla_recap.model.kinematics import possible_step
+from carla_recap.model.lives import ActorLives
+from carla_recap.queries.measures.motion_blocks import MotionCollector
 from carla_recap.queries.measures.series import NO_OTHER, criticality
+from carla_recap.queries.recorded_actors import actors as recorded_actors
 from carla_recap.replay.events import Destroyed
 from carla_recap.replay.player import Player
 from carla_recap.replay.pose import YAW
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.actors import ActorLife
     from carla_recap.model.batch import Batch
+    from carla_recap.model.lives import ActorLife
     from carla_recap.queries.incidents import Incident
-    from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.queries.measures.motion_blocks import MotionBlock
     from carla_recap.recording import Recording
     from carla_recap.replay.player import Progress
     from carla_recap.replay.scene import Scene, SceneBatch

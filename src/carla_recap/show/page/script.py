@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.style import Color
     from carla_recap.show.page.base_map import BaseMap

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from carla_recap.model.actors import ActorLife
+from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import CM
 from carla_recap.queries.sensors import kind_of, sensors
 from carla_recap.replay import Player, camera

@@ -9,8 +9,8 @@ import numpy as np
 import rerun as rr
 
 from carla_recap.errors import RecapWarning
-from carla_recap.model.actors import ROAD_USERS
 from carla_recap.model.blueprints import box_of
+from carla_recap.model.lives import ROAD_USERS
 from carla_recap.replay import Destroyed, Spawned, quaternions, right_handed
 from carla_recap.replay.pose import LOCATION
 from carla_recap.scene import style
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.replay.selection import Ids
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.description import SceneDescription

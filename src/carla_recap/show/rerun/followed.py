@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.queries.measures import MeasureSeries
     from carla_recap.scene.ahead import StopPoints
     from carla_recap.scene.description import SceneDescription

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 
 from carla_recap.errors import RecapError
-from carla_recap.model.actors import ROAD_USERS
+from carla_recap.model.lives import ROAD_USERS
 from carla_recap.queries.differences import differences
 from carla_recap.replay import Destroyed, Player, Spawned
 from carla_recap.scene import style
@@ -21,7 +21,7 @@ from carla_recap.show.rerun.stream import PoseBuffer, Stream, TimeColumns, TimeP
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.replay import SceneBatch
     from carla_recap.scene.description import SceneDescription
 

@@ -10,8 +10,8 @@ import rerun as rr
 
 from carla_recap.errors import MissingExtra, RecapWarning
 from carla_recap.formats.sources import unsigned
-from carla_recap.model.actors import ROAD_USERS
-from carla_recap.queries.actors import actors
+from carla_recap.model.lives import ROAD_USERS
+from carla_recap.queries.recorded_actors import actors
 from carla_recap.queries.sensors import sensors
 from carla_recap.rendering.town import town_of_map
 from carla_recap.replay import Played, Player

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.replay import Scene
     from carla_recap.scene.follow import FollowedSeries
     from carla_recap.scene.instances import Instances

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import Recording
     from carla_recap.rendering.camera import Camera

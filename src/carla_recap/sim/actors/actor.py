@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carla_recap.model.actors import HERO
+from carla_recap.model.lives import HERO
 from carla_recap.sim.errors import DeadActor
 from carla_recap.sim.geometry import Transform, Vector
 from carla_recap.sim.physics.plane import PROP

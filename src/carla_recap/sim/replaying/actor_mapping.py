@@ -22,7 +22,7 @@ from carla_recap.util.text import readable
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from carla_recap.model.actors import ActorLife, BoundingBox
+    from carla_recap.model.lives import ActorLife, BoundingBox
     from carla_recap.replay import Scene
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.actors.blueprints import BlueprintLibrary

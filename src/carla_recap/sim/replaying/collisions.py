@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.actors import is_object
+from carla_recap.model.lives import is_object
 from carla_recap.sim.actors.actor import Collision
 from carla_recap.sim.actors.motion import is_watched
 from carla_recap.sim.actors.moving import MovingActor
@@ -19,7 +19,7 @@ from carla_recap.sim.replaying.actor_mapping import TRAFFIC
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from carla_recap.model.actors import ActorLife
+    from carla_recap.model.lives import ActorLife
     from carla_recap.replay import Collided, Scene
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.replaying.actor_mapping import ActorMapping

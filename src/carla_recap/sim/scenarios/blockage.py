@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.model.actors import HERO
+from carla_recap.model.lives import HERO
 from carla_recap.scene.lamps import LEFT_BLINKER, RIGHT_BLINKER
 from carla_recap.sim.actors.control import VehicleControl
 from carla_recap.sim.geometry import Transform

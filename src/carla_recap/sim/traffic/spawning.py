@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING, Final
 
-from carla_recap.model.actors import HERO
+from carla_recap.model.lives import HERO
 from carla_recap.model.records import ActorKind
 from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.errors import SimError

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from carla_recap.model.actors import ROAD_USERS, TYPES, ActorLife, ActorLives
+from carla_recap.model.lives import ROAD_USERS, TYPES, ActorLife, ActorLives
 from carla_recap.model.presence import RoadHeights
 from carla_recap.queries import Answer
 

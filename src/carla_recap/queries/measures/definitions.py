@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 
-from carla_recap.model.motion import slope
+from carla_recap.model.kinematics import slope
 from carla_recap.queries.measures.series import JERK_WINDOW, NO_OTHER, SPEED_WINDOW
 from carla_recap.tables import Columns
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.actors import ActorLife
-    from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.model.lives import ActorLife
+    from carla_recap.queries.measures.motion_blocks import MotionBlock
     from carla_recap.queries.measures.series import Criticality
     from carla_recap.util.arrays import Floats, Indices
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from carla_recap.model.actors import STATIC_OBJECT, ActorLife, ActorLives, BoundingBox
 from carla_recap.model.frame import Frame
+from carla_recap.model.lives import STATIC_OBJECT, ActorLife, ActorLives, BoundingBox
 from carla_recap.model.records import NO_ACTOR, Spawn, attributes
 
 CAR = Spawn(7, 1, 100.0, 200.0, 300.0, type_id="vehicle.a", attributes=attributes(role_name="hero"))

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 from carla_recap.formats import open_reader
-from carla_recap.model.actors import ActorLives
+from carla_recap.model.lives import ActorLives
 from carla_recap.model.presence import FAR
-from carla_recap.queries.actors import actors
-from carla_recap.queries.measures import motion
-from carla_recap.queries.measures.motion import TYPES, MotionCollector
+from carla_recap.queries.measures import motion_blocks
+from carla_recap.queries.measures.motion_blocks import TYPES, MotionCollector
+from carla_recap.queries.recorded_actors import actors
 from tests.queries.measures.conftest import Mover, straight
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
-    from carla_recap.queries.measures.motion import MotionBlock
+    from carla_recap.queries.measures.motion_blocks import MotionBlock
     from tests.queries.measures.conftest import Drive
 
 
@@ -35,7 +35,7 @@ def blocks_of(reader: Reader) -> list[MotionBlock]:
 def test_blocks_follow_each_other_and_have_three_seconds_before_and_after(
     drive: Drive, monkeypatch: pytest.MonkeyPatch, suffix: str, size: int
 ) -> None:
-    monkeypatch.setattr(motion, "_FRAMES", size)
+    monkeypatch.setattr(motion_blocks, "_FRAMES", size)
     reader = drive([straight(1, 0, 0, 10)], seconds=30, rate=8, suffix=suffix)
     blocks = blocks_of(reader)
     time = np.array([frame.elapsed for frame in reader.frames(("transforms",)) if not frame.preamble])
@@ -52,7 +52,7 @@ def test_blocks_follow_each_other_and_have_three_seconds_before_and_after(
 
 def test_a_block_has_no_more_poses_than_fit(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 8 actors, 400 poses are 50 frames, of which at least one is not in a margin."""
-    monkeypatch.setattr(motion, "_VALUES", 400)
+    monkeypatch.setattr(motion_blocks, "_VALUES", 400)
     reader = drive([straight(id, 0, 10 * id, 10) for id in range(1, 9)], seconds=10, rate=10)
     blocks = blocks_of(reader)
     spans = [(block.index + block.first, block.index + block.last) for block in blocks]

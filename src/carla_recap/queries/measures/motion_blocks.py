@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.actors import ROAD_USERS
 from carla_recap.model.blueprints import box_of
-from carla_recap.model.motion import LONGEST_STEP, place_in_metres, possible_step
+from carla_recap.model.kinematics import LONGEST_STEP, place_in_metres, possible_step
+from carla_recap.model.lives import ROAD_USERS
 from carla_recap.model.presence import FAR, RoadHeights
 from carla_recap.model.segment import SegmentBuffer, segments
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.actors import ActorLife, ActorLives
     from carla_recap.model.batch import Batch
+    from carla_recap.model.lives import ActorLife, ActorLives
     from carla_recap.util.arrays import Booleans, Floats
 
     Ids = NDArray[np.integer[Any]]
