@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.kinematics import FIRMEST_BRAKING, LONGEST_STEP, neighbours, possible_step, runs, slope
 from carla_recap.model.records import CM, ActorKind
 from carla_recap.model.segment import SegmentBuffer, segments
@@ -33,7 +34,6 @@ TYPES: Final = ("transforms", "velocities")
 HALF_WINDOW: Final = 0.125  # s before and after a moment, of which the speeds count
 SHORTEST: Final = 0.3  # s
 _FEWEST: Final = 3  # frames of hard braking
-_ROUNDING: Final = 1e-6  # s
 _DIGITS: Final = 6  # of decelerations, beyond which they depend on where the frames that are read begin
 _SURE: Final = 0.999  # a deceleration below this share of another one is below it in spite of rounding
 
@@ -119,7 +119,7 @@ class BrakingDetector:
         in_time = (rows[np.argsort(rows["time"], kind="stable")] for rows in of_vehicles if len(rows))
         self._hard_by_id = {rows["id"].item(0): rows.copy() for rows in in_time}
         first, last = _runs(hard, np.diff(hard["frame"]) == 1)
-        lasts = hard["time"][last] - hard["time"][first] >= SHORTEST - _ROUNDING
+        lasts = hard["time"][last] - hard["time"][first] >= SHORTEST - SAME_TIME
         lasts &= last - first >= _FEWEST - 1
         first, last = first[lasts], last[lasts]
         begin, end = _runs(hard[first], hard["time"][first[1:]] - hard["time"][last[:-1]] < LONGEST_STEP)
@@ -249,7 +249,7 @@ def _can_be_braking(rows: NDArray[np.void]) -> Booleans:
     """Return which of a vehicle's frames of hard braking are of a time in which brakes can be as firm, for long enough."""
     found, times = np.zeros(len(rows), np.bool_), rows["time"]
     for first, last in runs(rows["deceleration"] <= FIRMEST_BRAKING, np.diff(rows["frame"]) == 1):
-        found[first : last + 1] = times[last] - times[first] >= SHORTEST - _ROUNDING
+        found[first : last + 1] = times[last] - times[first] >= SHORTEST - SAME_TIME
     return found
 
 
@@ -261,6 +261,6 @@ def _pieces(values: NDArray[Any], most: int) -> Iterator[NDArray[Any]]:
 
 def _runs(rows: NDArray[np.void], goes_on: Booleans) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the first and the last of the rows that belong together: of one id, each of which the next one goes on with."""
-    apart = ~(goes_on & (np.diff(rows["id"]) == 0))
-    ends = np.append(apart, True)[: len(rows)]
-    return np.flatnonzero(np.append(True, apart)[: len(rows)]), np.flatnonzero(ends)
+    found = runs(np.ones(len(rows), np.bool_), goes_on & (np.diff(rows["id"]) == 0))
+    first, last = np.array(list(found), np.intp).reshape(-1, 2).T
+    return first, last

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.records import CM
 
 if TYPE_CHECKING:
@@ -28,7 +29,6 @@ LONGEST_STEP: Final = 1.0
 """The longest time between two frames of an actor from which its motion between them follows, in s."""
 
 _SLACK: Final = 3.0  # a jump is longer than the recorded velocity explains by more than this factor
-_ROUNDING: Final = 1e-6  # s
 
 
 def place_in_metres(x: Value, y: Value, z: Value) -> tuple[Value, Value, Value]:
@@ -96,7 +96,7 @@ def slope(time: Floats, values: Floats, half_window: float, *, joined: Booleans 
     for apart in range(1, min(most + 1, len(time))):
         with np.errstate(invalid="ignore"):
             seconds = time[apart:] - time[:-apart]
-            near = (seconds > 0) & (seconds <= (LONGEST_STEP if apart == 1 else half_window + _ROUNDING))
+            near = (seconds > 0) & (seconds <= (LONGEST_STEP if apart == 1 else half_window + SAME_TIME))
         if joined is not None and linked is not None:
             linked = joined if apart == 1 else linked[:-1] & joined[apart - 1 :]
             near = linked if apart == 1 else near & linked

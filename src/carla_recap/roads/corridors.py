@@ -13,6 +13,7 @@ import numpy as np
 
 from carla_recap.model.kinematics import possible_step
 from carla_recap.roads.drawing import RoadMap
+from carla_recap.roads.polylines import stations
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -141,7 +142,7 @@ def _paths(poses: NDArray[np.void]) -> Iterator[Floats]:
 
 def _thinned(path: Floats) -> Floats:
     """Return points of a path that are apart, also where a vehicle stands and its pose trembles."""
-    far = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1)))) // _STEP
+    far = stations(path[:, :2]) // _STEP
     thin = path[np.diff(far, prepend=-1.0) > 0]
     apart = np.linalg.norm(np.diff(thin[:, :2], axis=0), axis=1) > _STEP / 2
     return thin[np.concatenate(([True], apart))]
@@ -196,10 +197,10 @@ def _opendrive(roads: Sequence[Floats]) -> str:
 def _road(number: int, path: Floats) -> str:
     ways = np.diff(path, axis=0)
     lengths = np.linalg.norm(ways[:, :2], axis=1)
-    stations = np.concatenate(([0.0], np.cumsum(lengths)))
+    along = stations(path[:, :2])
     headings = np.arctan2(ways[:, 1], ways[:, 0])
     slopes = ways[:, 2] / lengths
-    rows = zip(pairwise(stations.tolist()), path.tolist(), headings.tolist(), slopes.tolist(), strict=False)
+    rows = zip(pairwise(along.tolist()), path.tolist(), headings.tolist(), slopes.tolist(), strict=False)
     plan, heights = [], []
     for (start, stop), (x, y, z), heading, slope in rows:
         plan.append(
@@ -208,7 +209,7 @@ def _road(number: int, path: Floats) -> str:
         )
         heights.append(f'<elevation s="{start:.3f}" a="{z:.3f}" b="{slope:.6f}" c="0" d="0"/>')
     return (
-        f'<road name="" length="{stations[-1]:.3f}" id="{number}" junction="-1"><link/>'
+        f'<road name="" length="{along[-1]:.3f}" id="{number}" junction="-1"><link/>'
         f"<planView>{''.join(plan)}</planView><elevationProfile>{''.join(heights)}</elevationProfile>"
         f'<lanes><laneOffset s="0" a="{LANE_WIDTH / 2}" b="0" c="0" d="0"/><laneSection s="0">'
         f"<left>{_lane(1, 'shoulder', _SHOULDER, 'none')}</left><center>{_lane(0, 'none', None, 'solid')}</center>"

@@ -60,6 +60,11 @@ def simplify(line: Floats, tolerance: float = TOLERANCE) -> Floats:
     return line[keep]
 
 
+def stations(line: Floats) -> Floats:
+    """Return the distance of each point of a line, (n, 2) or (n, 3), from the first one along the line in m, (n,)."""
+    return np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))))
+
+
 def distances_to(points: Floats, start: Floats, stop: Floats) -> Floats:
     """Return the distances of points from a straight line between two points, or from one each."""
     along = stop - start

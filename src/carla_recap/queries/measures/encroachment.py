@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.measures.boxes import Boxes, overlaps
 from carla_recap.queries.measures.motion_blocks import MARGIN
 from carla_recap.queries.measures.pairs import FRAMES
@@ -28,7 +29,6 @@ STEP: Final = 0.05
 _LAGS: Final = 128  # moments before another one that are compared with it, at most
 _FINE: Final = 10  # moments per step when the time is refined
 _HITS: Final = 2048  # that are examined at once
-_ROUNDING: Final = 1e-6  # s
 _ALONG: Final = math.cos(math.radians(CROSSING))
 _ACROSS: Final = math.sin(math.radians(CROSSING))
 
@@ -228,12 +228,12 @@ def _apart(block: MotionBlock, arrivals: Encroachments) -> Encroachments:
 
 def _before(block: MotionBlock, frame: Indices) -> Indices:
     """Return the first frame within 3 s before each of some frames; the margins of a block have all of these."""
-    return np.minimum(np.searchsorted(block.time, block.time[frame] - MARGIN + _ROUNDING), frame)
+    return np.minimum(np.searchsorted(block.time, block.time[frame] - MARGIN + SAME_TIME), frame)
 
 
 def _after(block: MotionBlock, frame: Indices) -> Indices:
     """Return the last frame within 3 s after each of some frames."""
-    return np.maximum(np.searchsorted(block.time, block.time[frame] + MARGIN - _ROUNDING) - 1, frame)
+    return np.maximum(np.searchsorted(block.time, block.time[frame] + MARGIN - SAME_TIME) - 1, frame)
 
 
 def _boxes(block: MotionBlock, actor: Indices, frame: Indices) -> Boxes:

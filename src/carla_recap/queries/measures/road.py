@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.model.blueprints import box_of
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.kinematics import place_in_metres, possible_step, runs
 from carla_recap.model.presence import RoadHeights
 from carla_recap.queries.measures.definitions import Extreme, MeasureValues
@@ -53,7 +54,6 @@ SPEEDING_TIME: Final = 1.0
 """How long a vehicle has to drive faster than that, in s."""
 
 _INTERVAL: Final = 0.1  # s between the samples of the motion
-_ROUNDING: Final = 1e-6  # s
 _LONGEST: Final = 2.5  # s from one sample to the next
 _STILL: Final = 0.02  # m; after a shorter step, the position is the same
 _GAP: Final = 0.55  # s between runs that are one
@@ -170,7 +170,7 @@ class RoadSearch:
         """Return the rows of a batch that are samples."""
         rows = []
         for row, time in enumerate(elapsed.tolist()):
-            if time >= self._next - _ROUNDING or time < self._next - 2 * _INTERVAL:
+            if time >= self._next - SAME_TIME or time < self._next - 2 * _INTERVAL:
                 rows.append(row)
                 self._next = time + _INTERVAL
         return rows

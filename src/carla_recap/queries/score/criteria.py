@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.score.drives import ground_speed
 from carla_recap.queries.score.infractions import Infraction
 from carla_recap.roads.lanes import DRIVING
@@ -155,7 +156,7 @@ def collisions(drive: Drive, contacts: Iterable[Contact], actors: ActorLives) ->
     touches = []
     for contact in contacts:
         if hero in contact.ids:
-            first, last = np.searchsorted(drive.time, (contact.start - 1e-6, contact.stop + 1e-6))
+            first, last = np.searchsorted(drive.time, (contact.start - SAME_TIME, contact.stop + SAME_TIME))
             other = contact.ids[contact.ids[0] == hero]
             touches += [(frame, other) for frame in range(int(first), min(int(last), len(drive)))]
     place: Floats | None = None
@@ -317,8 +318,8 @@ def slow_quarters(drive: Drive, route: PlannedRoute, others: Iterable[Trajectory
     """Yield the quarters of the route along which the hero is slower than the background vehicles."""
     sums, counts = np.zeros((2, len(drive)))
     for path in others:
-        frames = np.minimum(np.searchsorted(drive.time, path.time - 1e-6), len(drive) - 1)
-        both = np.abs(drive.time[frames] - path.time) < 1e-6
+        frames = np.minimum(np.searchsorted(drive.time, path.time - SAME_TIME), len(drive) - 1)
+        both = np.abs(drive.time[frames] - path.time) < SAME_TIME
         sums += np.bincount(frames[both], _reported_speed(drive, path, frames)[both], len(drive))
         counts += np.bincount(frames[both], minlength=len(drive))
     known = counts > 0
@@ -388,7 +389,7 @@ def _apart(life: ActorLife, place: Sequence[float]) -> float:
 
 def _frame_at(drive: Drive, time: float) -> int:
     """Return the first frame at a time or after it, or the last one."""
-    return min(int(np.searchsorted(drive.time, time - 1e-6)), len(drive) - 1)
+    return min(int(np.searchsorted(drive.time, time - SAME_TIME)), len(drive) - 1)
 
 
 def _infraction(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.model.blueprints import box_of
+from carla_recap.roads.polylines import stations
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -58,7 +59,7 @@ class Drive:
     @property
     def length(self) -> float:
         """The distance driven in m."""
-        return float(np.linalg.norm(np.diff(self.position, axis=0), axis=1).sum())
+        return float(stations(self.position)[-1])
 
     @property
     def half_length(self) -> float:
@@ -109,8 +110,7 @@ class PlannedRoute:
     @classmethod
     def of_drive(cls, drive: Drive) -> PlannedRoute:
         """Return the driven path of an actor as a route."""
-        steps = np.linalg.norm(np.diff(drive.position[:, :2], axis=0, prepend=drive.position[:1, :2]), axis=1)
-        travelled = np.cumsum(steps)
+        travelled = stations(drive.position[:, :2])
         count = int(travelled[-1] / _SPACING)
         rows = np.unique(np.searchsorted(travelled, np.arange(count + 1) * _SPACING))
         yaw = drive.yaw[rows]
@@ -119,8 +119,7 @@ class PlannedRoute:
     @cached_property
     def travelled(self) -> Floats:
         """The distance of each point from the first one along the route, (n,)."""
-        steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
-        return np.concatenate(([0.0], np.cumsum(steps)))
+        return stations(self.points)
 
     @property
     def length(self) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 import rerun as rr
 
 from carla_recap.replay.pose import LOCATION
+from carla_recap.roads.polylines import stations
 from carla_recap.scene import style
 from carla_recap.scene.materials import MATERIALS, Material, palette
 from carla_recap.scene.mesh import Mesh
@@ -147,9 +148,9 @@ def _within(line: Floats, low: Floats, high: Floats) -> Iterator[Floats]:
     """Yield the parts of a line that are in a rectangle, given by two corners."""
     if (line.max(axis=0) < low).any() or (line.min(axis=0) > high).any():
         return
-    along = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))))
-    stations = np.unique(np.concatenate((along, np.arange(0.0, along[-1], _FINE))))
-    points = np.stack([np.interp(stations, along, axis) for axis in line.T], axis=1)
+    along = stations(line)
+    fine = np.unique(np.concatenate((along, np.arange(0.0, along[-1], _FINE))))
+    points = np.stack([np.interp(fine, along, axis) for axis in line.T], axis=1)
     inside = np.asarray(((points >= low) & (points <= high)).all(axis=1))
     if inside.all():
         yield line

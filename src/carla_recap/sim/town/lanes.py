@@ -10,6 +10,7 @@ import numpy as np
 
 from carla_recap.roads.cells import PointGrid
 from carla_recap.roads.lanes import NO_JUNCTION
+from carla_recap.roads.polylines import stations
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -137,7 +138,7 @@ def _rows(course: LaneGeometry) -> Floats:
     rows: Floats = np.column_stack((course.centre, np.unwrap(course.headings), width)) * _TO_LEFT_HANDED
     if course.reverse:
         rows = rows[::-1]
-    at = np.concatenate(((0.0,), np.cumsum(np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1))))
+    at = stations(rows[:, :3])
     if not np.isfinite(rows).all():
         raise ValueError("a lane has places that are no numbers")
     even = np.linspace(0, at[-1], max(int(np.ceil(at[-1] / _SPACING)), 1) + 1)

@@ -11,6 +11,7 @@ import numpy as np
 
 from carla_recap.roads.barriers import SIDEWALK, Ground, left_handed
 from carla_recap.roads.lanes import NO_JUNCTION
+from carla_recap.roads.polylines import stations
 from carla_recap.sim.town.graph import components
 
 if TYPE_CHECKING:
@@ -121,7 +122,7 @@ def _along_sidewalks(walks: Walks) -> list[Ends]:
         nodes.append(walks.add(tip) if first == number else nodes[first])
     ends = list(zip(nodes[::2], nodes[1::2], strict=True))
     for line, (first, last) in zip(walks.sidewalks, ends, strict=True):
-        at = np.concatenate(((0.0,), np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))))
+        at = stations(line)
         even = np.linspace(0, at[-1], int(at[-1] / _SPACING) + 2)[1:-1]
         between = np.stack([np.interp(even, at, column) for column in line.T], axis=1)
         for one, other in pairwise((first, *map(walks.add, between), last)):
