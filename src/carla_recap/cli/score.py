@@ -14,7 +14,6 @@ import click
 from carla_recap.cli import options
 from carla_recap.cli.many import Messages, client_of, watched
 from carla_recap.cli.output import BAD_INPUT, TOO_MANY, fail, print_pieces, wrote
-from carla_recap.queries.score.infractions import FORMULAS
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -25,6 +24,23 @@ if TYPE_CHECKING:
     from carla_recap.queries.score import Formula, Score
 
 _SUITE: Final = "carla-recap score"
+
+
+class _Formula(click.ParamType[Any]):
+    """A formula; the table of infractions, and numpy with it, is imported when one is given or the help is asked for."""
+
+    name = "formula"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        return self._choice().convert(value, param, ctx)
+
+    def get_metavar(self, *about: Any) -> str | None:
+        return self._choice().get_metavar(*about)
+
+    def _choice(self) -> click.Choice[str]:
+        from carla_recap.queries.score import FORMULAS
+
+        return click.Choice(FORMULAS)
 
 
 class _Limit(click.ParamType[Any]):
@@ -58,7 +74,7 @@ class _Limit(click.ParamType[Any]):
 @click.option("--from-drive", is_flag=True, help="Score without a route: the infractions along the driven path.")
 @click.option(
     "--formula",
-    type=click.Choice(FORMULAS),
+    type=_Formula(),
     default="2.0",
     show_default=True,
     help="The version of the Leaderboard whose formula counts.",
