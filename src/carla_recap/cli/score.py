@@ -34,8 +34,8 @@ class _Formula(click.ParamType[Any]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return self._choice().convert(value, param, ctx)
 
-    def get_metavar(self, *about: Any) -> str | None:
-        return self._choice().get_metavar(*about)
+    def get_metavar(self, *about: Any, **more: Any) -> str | None:
+        return self._choice().get_metavar(*about, **more)
 
     def _choice(self) -> click.Choice[str]:
         from carla_recap.queries.score import FORMULAS
