@@ -17,6 +17,7 @@ from carla_recap.fleet.sources import SourceFile
 from carla_recap.model.records import attributes
 from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.roads import find_map, find_road_network
+from tests.fleet.indexes import contents, recordings
 from tests.sensed import sensed
 from tests.waiting import PATIENCE
 
@@ -39,22 +40,9 @@ def runs(tmp_path):
 @pytest.fixture(scope="module")
 def index(tmp_path_factory):
     """An index of the samples."""
-    folder = tmp_path_factory.mktemp("samples") / "index"
-    write_index([SAMPLES / name for name in NAMES], folder, jobs=1, measures=True)
-    return folder
-
-
-def rows(index, table):
-    """Return the rows of a table as a sorted list."""
-    return sorted(tuple(map(repr, row.values())) for row in open_index(index).table(table).to_pylist())
-
-
-def contents(index):
-    return {table: rows(index, table) for table in TABLES}
-
-
-def recordings(index):
-    return {Path(row["recording"]).name: row for row in open_index(index).table("recordings").to_pylist()}
+    path = tmp_path_factory.mktemp("samples") / "index"
+    write_index([SAMPLES / name for name in NAMES], path, jobs=1, measures=True)
+    return path
 
 
 def counts(summary):
@@ -295,9 +283,7 @@ def test_a_process_that_has_the_index_open_is_waited_for_and_named_in_the_end(ru
     assert counts(write_index([runs], index, jobs=1)) == (2, 0, 1, 0)
 
 
-def test_a_query_waits_for_a_process_that_has_the_index_open_for_a_moment(runs, tmp_path):
-    index = tmp_path / "index"
-    write_index([runs], index, jobs=1)
+def test_a_query_waits_for_a_process_that_has_the_index_open_for_a_moment(index):
     hold = "import duckdb, sys, time; held = duckdb.connect(sys.argv[1]); print('open', flush=True); time.sleep(0.3)"
     with subprocess.Popen([sys.executable, "-c", hold, index], stdout=-1) as process:
         assert process.stdout.readline() == b"open\n"
@@ -331,33 +317,33 @@ def test_a_recording_of_unknown_size_is_read_again(tmp_path, monkeypatch):
         assert counts(write_index([], tmp_path / "index", jobs=1)) == (1, 0, 0, 0)
 
 
-def test_an_index_of_an_earlier_version_is_refused_with_the_command_that_makes_it_anew(runs, tmp_path):
+def test_an_index_of_an_earlier_version_is_refused_with_the_command_that_makes_it_anew(tmp_path):
     old = tmp_path / "runs.index"
     (old / "recordings").mkdir(parents=True)
     (old / "index.json").write_text("{}")
-    for use in (open_index, lambda path: write_index([runs], path, jobs=1)):
+    for use in (open_index, lambda path: write_index([SAMPLES / NAMES[0]], path, jobs=1)):
         with pytest.raises(RecapError, match=r"an earlier version .* 'carla-recap index SOURCE\.\.\. .*runs\.duckdb' makes"):
             use(old)
 
 
 @pytest.mark.parametrize("change", ["alter table incidents drop column text", "drop table sensors"])
-def test_an_index_of_other_columns_or_tables_is_refused(runs, tmp_path, change):
+def test_an_index_of_other_columns_or_tables_is_refused(index, tmp_path, change):
     import duckdb
 
-    write_index([runs], tmp_path / "index", jobs=1)
+    shutil.copy(index, tmp_path)
     with duckdb.connect(tmp_path / "index") as database:
         database.execute(change)
-    for use in (open_index, lambda path: write_index([runs], path, jobs=1)):
+    for use in (open_index, lambda path: write_index([SAMPLES / NAMES[0]], path, jobs=1)):
         with pytest.raises(RecapError, match="another version of carla-recap; remove it, and 'carla-recap index SOURCE"):
             use(tmp_path / "index")
 
 
-def test_a_database_of_something_else_is_no_index(runs, tmp_path):
+def test_a_database_of_something_else_is_no_index(tmp_path):
     import duckdb
 
     with duckdb.connect(tmp_path / "mine.duckdb") as database:
         database.execute("create table mine as select 1 as a")
-    for use in (open_index, lambda path: write_index([runs], path, jobs=1)):
+    for use in (open_index, lambda path: write_index([SAMPLES / NAMES[0]], path, jobs=1)):
         with pytest.raises(RecapError, match="is no index of recordings"):
             use(tmp_path / "mine.duckdb")
     with duckdb.connect(tmp_path / "mine.duckdb") as database:
@@ -419,19 +405,18 @@ def test_what_is_no_index_cannot_be_opened(tmp_path, name, message):
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="this system has no such signal")
-def test_a_signal_ends_a_query_that_never_ends(tmp_path):
+def test_a_signal_ends_a_query_that_never_ends(index):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    write_index([SAMPLES / "crossing.log"], tmp_path / "index", jobs=1)
     before = signal.signal(signal.SIGALRM, interrupt)
     try:
-        with open_index(tmp_path / "index") as index:
+        with open_index(index) as opened:
             endless = "with recursive t(n) as (select 1 union all select n + 1 from t) select count(*) from t"
             signal.setitimer(signal.ITIMER_REAL, 0.3)
             with pytest.raises(KeyboardInterrupt):
-                index.sql(endless)
-            assert index.sql("select count(*) as n from recordings")["n"].to_pylist() == [1]
+                opened.sql(endless)
+            assert opened.sql("select count(*) as n from recordings")["n"].to_pylist() == [len(NAMES)]
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)

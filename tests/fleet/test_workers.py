@@ -212,12 +212,13 @@ def hostile(source):
     return os.getpid()
 
 
+LIMIT = 2
 HOSTILE = {
-    "hangs": "hangs: takes more than 4 s",
-    "is busy": "is busy: takes more than 4 s",
+    "hangs": f"hangs: takes more than {LIMIT} s",
+    "is busy": f"is busy: takes more than {LIMIT} s",
     "exits": "exits: its worker process ends (exit code 3)",
     "leaves a child": "leaves a child: its worker process ends (exit code 4)",
-    "ignores SIGTERM": "ignores SIGTERM: takes more than 4 s",
+    "ignores SIGTERM": f"ignores SIGTERM: takes more than {LIMIT} s",
 }
 
 
@@ -225,14 +226,14 @@ HOSTILE = {
 def test_a_function_with_a_limit_may_do_anything_to_its_process():
     names = ["a", *HOSTILE, "b"]
     with time_limit():
-        outcomes = list(map_sources(hostile, map(SourceFile, names), jobs=2, limit=4))
+        outcomes = list(map_sources(hostile, map(SourceFile, names), jobs=2, limit=LIMIT))
     assert [outcome.error for outcome in outcomes] == [None, *HOSTILE.values(), None]
     assert os.getpid() not in {outcome.value for outcome in outcomes}
     assert not multiprocessing.active_children()
 
 
 def test_a_kept_worker_is_started_anew_when_it_ends():
-    worker = KeptWorker(hostile, 4)
+    worker = KeptWorker(hostile, LIMIT)
     with time_limit():
         first, again = (worker.call(SourceFile("a")).value for _ in range(2))
         assert worker.call(SourceFile("exits")).error == HOSTILE["exits"]
