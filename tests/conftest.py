@@ -62,7 +62,12 @@ def small_mcap(small: Path) -> Path:
     return small.with_suffix(".mcap")
 
 
+@pytest.fixture(scope="session")
+def _drive(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    return write(tmp_path_factory.mktemp("driven") / "drive.mcap", Header("Town01", 1_600_000_000), drive()).read_bytes()
+
+
 @pytest.fixture
-def driven(tmp_path):
+def driven(_drive: bytes, tmp_path: Path) -> Path:
     """Return the path of a drive of half a minute."""
-    return write(tmp_path / "drive.mcap", Header("Town01", 1_600_000_000), drive())
+    return save(tmp_path / "drive.mcap", _drive)

@@ -1,5 +1,5 @@
-// Reads an MCAP file with the libraries that Foxglove itself uses, checks it, and prints what it holds as JSON.
-// usage: node read.mjs FILE.mcap
+// Reads MCAP files with the libraries that Foxglove itself uses, checks them, and prints what each holds as a line of JSON.
+// usage: node read.mjs FILE.mcap...
 
 import { open } from "node:fs/promises";
 
@@ -237,14 +237,16 @@ function replacer(key, value) {
   return typeof raw === "bigint" ? String(raw) : value;
 }
 
-const [path, ...rest] = process.argv.slice(2);
-if (!path || rest.length) {
-  console.error("usage: node read.mjs FILE.mcap");
+const paths = process.argv.slice(2);
+if (!paths.length) {
+  console.error("usage: node read.mjs FILE.mcap...");
   process.exit(2);
 }
-try {
-  console.log(JSON.stringify(await read(path), replacer, 2));
-} catch (error) {
-  console.error(`${path}: ${error.message}`);
-  process.exitCode = 1;
+for (const path of paths) {
+  try {
+    console.log(JSON.stringify(await read(path), replacer));
+  } catch (error) {
+    console.error(`${path}: ${error.message}`);
+    process.exitCode = 1;
+  }
 }

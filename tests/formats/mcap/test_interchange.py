@@ -17,7 +17,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from carla_recap import convert
 from carla_recap.model.frame import Header
 from carla_recap.model.layout import Framing
-from tests.samples import carla_log, drive, plain, reading, save, small_log, warnings_ignored, write
+from tests.samples import CARLA_LOGS, carla_log, drive, plain, reading, save, small_log, warnings_ignored, write
 from tests.waiting import PATIENCE
 
 NODE = Path(__file__).parents[2] / "node"
@@ -32,20 +32,30 @@ LOGS = (
 )
 
 
-@pytest.fixture(params=["small", "drive", "wide", *LOGS])
-def recording(request, tmp_path):
-    """Recordings of all kinds as MCAP."""
-    path = tmp_path / f"{request.param}.mcap"
-    if request.param == "small":
-        convert(save(tmp_path / "small.log", small_log()), path)
-    elif request.param in ("drive", "wide"):
-        header = Header("Town01", 1_600_000_000, wide=request.param == "wide")
-        frames = [] if header.wide else drive(12, 20, 20)
-        write(path, header, frames or widened(header))
-    else:
-        with warnings_ignored():
-            convert(carla_log(f"{request.param}.log"), path)
-    return path
+NAMES = ("small", "drive", "wide", *LOGS)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with recordings of all kinds as MCAP; CARLA's are there if their logs are."""
+    folder = tmp_path_factory.mktemp("recordings")
+    convert(save(folder / "small.log", small_log()), folder / "small.mcap")
+    write(folder / "drive.mcap", Header("Town01", 1_600_000_000), drive(12, 20, 20))
+    header = Header("Town01", 1_600_000_000, wide=True)
+    write(folder / "wide.mcap", header, widened(header))
+    for log in (CARLA_LOGS / f"{name}.log" for name in LOGS):
+        if log.exists():
+            with warnings_ignored():
+                convert(log, folder / f"{log.stem}.mcap")
+    return folder
+
+
+@pytest.fixture(params=NAMES)
+def recording(request, folder):
+    """A recording of a kind."""
+    if request.param in LOGS:
+        carla_log(f"{request.param}.log")
+    return folder / f"{request.param}.mcap"
 
 
 def widened(header):
@@ -146,10 +156,17 @@ def node():
     return found
 
 
-def test_the_libraries_of_foxglove_read_the_same(recording, node):
-    run = subprocess.run([node, NODE / "read.mjs", recording], capture_output=True, text=True, timeout=PATIENCE, check=False)
+@pytest.fixture(scope="module")
+def read_by_foxglove(node, folder):
+    """What the libraries of Foxglove read of all recordings, by path."""
+    paths = [folder / f"{name}.mcap" for name in NAMES if (folder / f"{name}.mcap").exists()]
+    run = subprocess.run([node, NODE / "read.mjs", *paths], capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert run.returncode == 0, run.stderr
-    found = json.loads(run.stdout)
+    return dict(zip(paths, map(json.loads, run.stdout.splitlines()), strict=True))
+
+
+def test_the_libraries_of_foxglove_read_the_same(recording, read_by_foxglove):
+    found = read_by_foxglove[recording]
     counts = Counter(topic for topic, *_ in decoded(recording))
     assert {topic: held["count"] for topic, held in found["topics"].items()} == counts
     with reading(recording) as reader:

@@ -459,14 +459,14 @@ def test_a_flipped_bit_never_changes_the_answer(plain_mcap, bit):
     data, before = bytearray(plain_mcap.read_bytes()), frames_of(plain_mcap)
     assert before
     noticed = 0
-    for at in range(bit, len(data), 8):
+    for at in range(bit, len(data), 17):
         data[at] ^= 1 << bit
         plain_mcap.write_bytes(data)
         after = frames_of(plain_mcap)
         assert after in (None, before), f"bit {bit} of byte {at}"
         noticed += after is None
         data[at] ^= 1 << bit
-    assert noticed > len(data) / 8 / 4
+    assert noticed > len(data) / 17 / 4
 
 
 @given(data=st.data())
@@ -544,9 +544,9 @@ def test_an_unknown_type_is_an_error(small_mcap):
 def test_stationary_intervals_are_read_from_the_events(tmp_path):
     path = tmp_path / "standing.mcap"
     with create_recording(path, map_name="Town01") as recorder:
-        for number in range(4000):
+        for number in range(1600):
             ids = np.arange(60)
-            x = np.where(ids < 50, 300.0 * number, 500.0 * (number > 2000))
+            x = np.where(ids < 50, 300.0 * number, 500.0 * (number > 800))
             recorder.add_frame(number / 20, transforms={"id": ids, "x": x})
     with reading(path) as reader:
         at_rest = reader.bytes_read

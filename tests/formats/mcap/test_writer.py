@@ -19,7 +19,7 @@ from carla_recap.formats.sources import LocalSource
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4, Group
 from tests.formats.mcap.forge import chunk_records, data_records, read_records
-from tests.samples import DATE, carla_log, drive, images, listed, names_in, save, write
+from tests.samples import DATE, carla_log, drive, images, listed, names_in, save, small_log, write
 
 SECOND = 1_000_000_000
 HEADER = Header("Town01", 1_600_000_000)
@@ -27,15 +27,17 @@ LARGEST_MESSAGE = 20_000
 DIGEST = {"/actors/stretches", "/vehicles/braking", "/collisions/contacts"}
 
 
-@pytest.fixture(params=["driven", "dense", "carla", "small_mcap"])
-def recording(request, tmp_path):
+@pytest.fixture(scope="module", params=["drive", "dense", "carla", "small"])
+def recording(request, tmp_path_factory):
     """Recordings of many kinds: long, dense, real, and one with everything."""
-    if request.param == "dense":
-        return write(tmp_path / "dense.mcap", HEADER, drive(12, 20, 500))
+    path = tmp_path_factory.mktemp("recordings") / f"{request.param}.mcap"
+    if request.param in ("drive", "dense"):
+        return write(path, HEADER, drive() if request.param == "drive" else drive(12, 20, 500))
     if request.param == "carla":
-        convert(carla_log("carla-0.9.13-lane-center.log"), tmp_path / "real.mcap")
-        return tmp_path / "real.mcap"
-    return request.getfixturevalue(request.param)
+        convert(carla_log("carla-0.9.13-lane-center.log"), path)
+    else:
+        convert(save(path.with_suffix(".log"), small_log()), path)
+    return path
 
 
 def messages_in(chunk):
