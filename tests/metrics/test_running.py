@@ -11,6 +11,8 @@ import pytest
 
 pytest.importorskip("carla", reason="the extra `carla` is not installed")
 
+from carla_recap import RecapError
+from carla_recap.metrics import MetricsLog, run_metric
 from carla_recap.server import running
 from tests.cli.command import CROSSING, ENVIRONMENT, error, run
 from tests.waiting import PATIENCE
@@ -67,28 +69,29 @@ def test_an_error_of_the_metric_is_shown_with_its_own_lines(metric):
     assert not any("carla_recap" in line for line in lines)
 
 
-@pytest.mark.parametrize("folder", ["", "srunner/metrics/data"])
-def test_a_folder_for_results_is_no_scenario_runner(tmp_path, metric, folder):
-    (tmp_path / folder).mkdir(parents=True, exist_ok=True)
+def test_a_folder_for_results_is_no_scenario_runner(tmp_path, metric):
+    (tmp_path / "srunner" / "metrics" / "data").mkdir(parents=True)
     assert run("metrics", "--metric", metric(METRIC), "--log", SAMPLES / "crash.mcap", cwd=tmp_path).returncode == 0
 
 
+def test_a_file_without_a_metric_is_an_error_of_one_line(metric):
+    found = error("metrics", "--metric", metric("class Other: pass"), "--log", SAMPLES / "crash.mcap")
+    assert "no class in it extends BasicMetric" in found
+
+
 @pytest.mark.parametrize(
-    ("text", "criteria", "message"),
+    ("name", "criteria", "message"),
     [
-        ("class Other: pass", None, "no class in it extends BasicMetric"),
-        (METRIC, "{", "is no JSON file"),
-        (METRIC, "[]", "an object with a member for each criterion"),
-        (METRIC, None, "no such file"),
+        ("my_metric.py", "{", "is no JSON file"),
+        ("my_metric.py", "[]", "an object with a member for each criterion"),
+        ("gone.py", "{}", "no such file"),
     ],
 )
-def test_wrong_files_are_errors_of_one_line(tmp_path, metric, text, criteria, message):
-    path = metric(text)
-    if message == "no such file":
-        path.unlink()
-    (tmp_path / "c.json").write_text(criteria or "{}")
-    found = error("metrics", "--metric", path, "--log", SAMPLES / "crash.mcap", "--criteria", tmp_path / "c.json")
-    assert message in found
+def test_wrong_files_are_errors(tmp_path, metric, name, criteria, message):
+    metric(METRIC)
+    (tmp_path / "c.json").write_text(criteria)
+    with MetricsLog(SAMPLES / "crash.mcap") as log, pytest.raises(RecapError, match=message):
+        run_metric(tmp_path / name, log, criteria=tmp_path / "c.json")
 
 
 @pytest.mark.skipif(not LANE_CENTER.exists(), reason="ScenarioRunner is not beside this clone")
