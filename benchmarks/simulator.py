@@ -125,7 +125,7 @@ ROWS: Final = (driving, parked, recorder, scaling, an_hour, traffic)
 
 def crowded(vehicles: int, walkers: int, *, drive: bool = True) -> World:
     """Return a world with traffic that has driven for a while."""
-    from carla_recap.sim.town.town import load_town
+    from carla_recap.sim.town.loading import load_town
     from carla_recap.sim.traffic.spawning import populate
     from carla_recap.sim.world import World
 

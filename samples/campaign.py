@@ -7,7 +7,7 @@ recording. The driver under test sees late what happens ahead; how late is a par
 import math
 
 from carla_recap.sim import Location, Rotation, Transform, Vector, VehicleControl, WalkerControl
-from carla_recap.sim.scenarios.places import point_on_lane, spawn_on_lane, straight_section
+from carla_recap.sim.scenarios import point_on_lane, spawn_on_lane, straight_section
 from carla_recap.sim.traffic import populate
 
 LENGTH = 100.0  # m, of the straight lane on which they drive

@@ -98,7 +98,7 @@ class CarlaWorld:
     def __init__(self, server: _Server, recording: Path, options: dict[str, Any]) -> None:
         import carla
 
-        from carla_recap.sim.town.town import BUILT_IN
+        from carla_recap.sim.town.loading import BUILT_IN
 
         self.recording = recording
         self.broken: list[Verdict] = []

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from carla_recap.rendering.sky import Sky
-from carla_recap.sim.weather import PRESETS, Weather
+from carla_recap.sim.settings import PRESETS, Weather
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))

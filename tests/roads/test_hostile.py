@@ -28,11 +28,12 @@ from pathlib import Path
 from carla_recap import RecapError
 from carla_recap.rendering.town import load_town_mesh
 from carla_recap.roads import load_map, load_road_network
-from carla_recap.sim.town.rules import Rules
-from carla_recap.sim.town.town import load_town
+from carla_recap.sim.town.junctions import Rules
+from carla_recap.sim.town.loading import load_town
 
 def load_rules(path):
-    Rules(load_town(path))
+    town = load_town(path)
+    Rules(town.lanes, town.signals)
 
 for name in sys.argv[2:]:
     try:

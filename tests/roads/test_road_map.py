@@ -206,7 +206,7 @@ def test_maps_need_no_library_of_carla(tmp_path):
             "from carla_recap import load_map",
             "from carla_recap.rendering.town import load_town_mesh",
             "from carla_recap.roads import find_map",
-            "from carla_recap.sim.town.town import load_town",
+            "from carla_recap.sim.town.loading import load_town",
             "path = find_map('Brickfield')",
             "print(len(load_map(path).centre_lines), len(load_town().lanes), len(load_town_mesh(path).lights))",
         )

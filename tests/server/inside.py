@@ -14,7 +14,7 @@ from carla_recap.server.client import Client
 from carla_recap.server.host import Host
 from carla_recap.server.rpc.connection import ClientConnection
 from carla_recap.server.rpc.registry import CALLS
-from carla_recap.sim.town.town import Town, load_town
+from carla_recap.sim.town.loading import Town, load_town
 from carla_recap.sim.world import World
 
 

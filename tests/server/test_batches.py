@@ -10,8 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from carla_recap.server.controllers import AckermannControl
-from carla_recap.sim.actors.control import VehicleControl
-from carla_recap.sim.actors.moving import Vehicle
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from tests.server.inside import Inside
 from tests.server.test_actors import FAR, spawn
 

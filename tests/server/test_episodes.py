@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from carla_recap.sim.town.town import load_town
+from carla_recap.sim.town.loading import load_town
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -32,10 +32,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from carla_recap.server.sensors.images import View
-    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.town.loading import Town
 from carla_recap.server.sensors.surfaces import TownSurfaces
-from carla_recap.sim.actors.control import VehicleControl
-from carla_recap.sim.actors.moving import Vehicle
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 
 SMALL = {"image_size_x": "32", "image_size_y": "16", "fov": "70"}
 SYNCHRONOUS = EpisodeSettings(synchronous_mode=True, fixed_delta_seconds=0.05)

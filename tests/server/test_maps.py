@@ -21,14 +21,14 @@ from carla_recap.server.maps import Maps
 from carla_recap.server.rpc.registry import CallError
 from carla_recap.server.serving import serve
 from carla_recap.sim.town import town
-from carla_recap.sim.town.town import load_town
+from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator
 
-    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.town.loading import Town
 
 SAMPLES: Final = Path(__file__).parents[2] / "samples"
 LAYERED: Final = "/Game/Carla/Maps/Town10HD_Opt"

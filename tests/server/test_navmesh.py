@@ -12,8 +12,8 @@ import pytest
 from carla_recap.server.navmesh import detour, navigation_files, navigation_mesh
 from carla_recap.server.navmesh.detour import mesh_bytes
 from carla_recap.server.navmesh.walkways import CORNERS, CROSSWALK, ROAD, SIDEWALK, WalkwayEditor, walkable_surface
+from carla_recap.sim.town.loading import BUILT_IN, Town, load_town
 from carla_recap.sim.town.sidewalks import WalkwayGraph
-from carla_recap.sim.town.town import BUILT_IN, Town, load_town
 from tests.roads.towns import opendrive, road, town
 from tests.sim.flat import flat_town
 

@@ -20,8 +20,7 @@ from carla_recap.server import recordings as served
 from carla_recap.server import running
 from carla_recap.server.recordings import Recordings
 from carla_recap.sim import World, load_town
-from carla_recap.sim.actors.control import VehicleControl
-from carla_recap.sim.actors.moving import Vehicle
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.traffic import populate
 from tests.samples import CARLA_LOGS

@@ -17,8 +17,7 @@ from carla_recap.server.sensors import SENSOR_KINDS, Support, dispatch
 from carla_recap.server.sensors.rays import ActorBoxes
 from carla_recap.server.streaming.streams import Subscriber
 from carla_recap.sim.actors.blueprints import standard_library
-from carla_recap.sim.actors.control import VehicleControl
-from carla_recap.sim.actors.moving import Vehicle
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from tests.sim.flat import at, flat_world
 

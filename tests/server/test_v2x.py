@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from carla_recap.server.sensors.v2x import PathLoss, message_bytes
-from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.sim.actors.moving import VehicleControl
 from carla_recap.sim.geometry import Vector
 from tests.server.test_sensor_feeds import HERE, Listener, sensor, served, vehicle
 from tests.sim.flat import at

@@ -6,7 +6,7 @@ import carla
 import numpy as np
 import pytest
 
-from carla_recap.sim.town.town import load_town
+from carla_recap.sim.town.loading import load_town
 
 WALKERS = 8
 SPEED = 1.4  # m/s

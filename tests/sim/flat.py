@@ -9,8 +9,8 @@ import numpy as np
 from carla_recap.sim.geometry import Location, Rotation, Transform
 from carla_recap.sim.town.junctions import Junction, Signal, SignalKind
 from carla_recap.sim.town.lanes import Lane
+from carla_recap.sim.town.loading import Town
 from carla_recap.sim.town.sidewalks import WalkwayGraph
-from carla_recap.sim.town.town import Town
 from carla_recap.sim.world import World
 
 LENGTH = 8000.0

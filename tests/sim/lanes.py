@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carla_recap.sim.town.lanes import Lane
+from carla_recap.sim.town.loading import Town
 from carla_recap.sim.town.sidewalks import WalkwayGraph
-from carla_recap.sim.town.town import Town
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

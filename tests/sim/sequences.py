@@ -24,18 +24,17 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from pymunk.batch import BodyFields, Buffer, get_space_bodies
 
 from carla_recap.sim.actors.actor import Actor, Prop, Sensor, Spectator
-from carla_recap.sim.actors.control import VehicleControl, WalkerControl
 from carla_recap.sim.actors.lights import Sign
-from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
+from carla_recap.sim.actors.moving import MovingActor, Vehicle, VehicleControl, Walker, WalkerControl
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
-from carla_recap.sim.town.town import load_town
+from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from carla_recap.sim.physics.moving_bodies import MovingBodies
-    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.town.loading import Town
 
 VEHICLES: Final = ("vehicle.audi.tt", "vehicle.bh.crossbike", "vehicle.carlamotors.firetruck")
 WALKERS: Final = ("walker.pedestrian.0001", "walker.pedestrian.0012")

@@ -15,12 +15,11 @@ import pytest
 from carla_recap.errors import RecapError
 from carla_recap.model.records import ActorKind
 from carla_recap.sim.actors.actor import Prop, Sensor
-from carla_recap.sim.actors.control import VehicleControl, WalkerControl
-from carla_recap.sim.actors.moving import Vehicle, Walker
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
 from carla_recap.sim.errors import DeadActor, SimError, SpawnError
 from carla_recap.sim.geometry import Location, Transform, Vector
+from carla_recap.sim.settings import PRESETS, Weather
 from carla_recap.sim.town.junctions import SignalKind
-from carla_recap.sim.weather import PRESETS, Weather
 from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_town, flat_world, light
 

@@ -139,7 +139,7 @@ def _world(town: str | None, seed: int | None = None) -> World:
         MissingExtra: The physics engine is not installed.
     """
     from carla_recap.sim import World
-    from carla_recap.sim.clock import seeded_date
+    from carla_recap.sim.settings import seeded_date
 
     log_to_stderr()
     return World(town, seed=seed or 0, date=None if seed is None else seeded_date())

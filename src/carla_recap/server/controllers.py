@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from carla_recap.sim.actors.control import VehicleControl
+from carla_recap.sim.actors.moving import VehicleControl
 from carla_recap.sim.geometry import Location, Transform, Vector
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from carla_recap.server.actor_records import DestroyedActor
     from carla_recap.server.quirks import SnapshotReceiver
     from carla_recap.sim.actors.actor import Actor
-    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.town.loading import Town
     from carla_recap.sim.world import World
 
 

@@ -13,11 +13,10 @@ from carla_recap.errors import RecapError
 from carla_recap.roads.find import described_folder, loadable_maps, plain_name
 from carla_recap.server.navmesh import prepare_navigation
 from carla_recap.server.rpc.registry import CallError
-from carla_recap.sim.replaying.corridors import is_unknown, load_corridors
-from carla_recap.sim.town.town import BUILT_IN, load_town
+from carla_recap.sim.town.loading import BUILT_IN, is_unknown, load_corridors, load_town
 
 if TYPE_CHECKING:
-    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.town.loading import Town
 
 _LOG: Final = logging.getLogger("carla_recap.server")
 _SENT: Final = "OpenDriveMap"

@@ -9,17 +9,15 @@ from carla_recap.util.lazy import lazily
 if TYPE_CHECKING:
     from carla_recap.sim.actors.actor import Actor, Collision, Prop, Sensor, Spectator
     from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
-    from carla_recap.sim.actors.control import VehicleControl, WalkerControl
     from carla_recap.sim.actors.lights import Sign, TrafficLight
-    from carla_recap.sim.actors.moving import Vehicle, Walker
+    from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
     from carla_recap.sim.actors.registry import TickEvents
     from carla_recap.sim.errors import DeadActor, SimError, SpawnError
     from carla_recap.sim.geometry import Box, Location, Rotation, Transform, Vector
     from carla_recap.sim.physics.physics_control import Gear, PhysicsControl, WheelPhysics
-    from carla_recap.sim.settings import Settings
-    from carla_recap.sim.town.town import Town, load_town
+    from carla_recap.sim.settings import PRESETS, Settings, Weather
+    from carla_recap.sim.town.loading import Town, load_town
     from carla_recap.sim.traffic.controllers import Controller
-    from carla_recap.sim.weather import PRESETS, Weather
     from carla_recap.sim.world import World
 
 __all__ = [
@@ -63,17 +61,15 @@ __getattr__, __dir__ = lazily(
     {
         "actors.actor": ("Actor", "Collision", "Prop", "Sensor", "Spectator"),
         "actors.blueprints": ("Blueprint", "BlueprintLibrary"),
-        "actors.control": ("VehicleControl", "WalkerControl"),
         "actors.lights": ("Sign", "TrafficLight"),
-        "actors.moving": ("Vehicle", "Walker"),
+        "actors.moving": ("Vehicle", "VehicleControl", "Walker", "WalkerControl"),
         "actors.registry": ("TickEvents",),
         "errors": ("DeadActor", "SimError", "SpawnError"),
         "geometry": ("Box", "Location", "Rotation", "Transform", "Vector"),
         "physics.physics_control": ("Gear", "PhysicsControl", "WheelPhysics"),
-        "settings": ("Settings",),
-        "town.town": ("Town", "load_town"),
+        "settings": ("PRESETS", "Settings", "Weather"),
+        "town.loading": ("Town", "load_town"),
         "traffic.controllers": ("Controller",),
-        "weather": ("PRESETS", "Weather"),
         "world": ("World",),
     },
 )

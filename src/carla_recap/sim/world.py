@@ -13,15 +13,13 @@ import numpy as np
 
 from carla_recap.errors import RecapWarning
 from carla_recap.sim.actors.blueprints import standard_library
-from carla_recap.sim.actors.motion import ActorMotion
 from carla_recap.sim.actors.registry import ActorIds, ActorRegistry
-from carla_recap.sim.clock import Clock
+from carla_recap.sim.actors.stepping import ActorMotion
 from carla_recap.sim.errors import SimError
-from carla_recap.sim.settings import Settings
-from carla_recap.sim.town.town import Town, load_town
+from carla_recap.sim.settings import Clock, Settings, Weather
+from carla_recap.sim.town.loading import Town, load_town
 from carla_recap.sim.traffic.controllers import Traffic
 from carla_recap.sim.validation import expect_numbers, expect_seconds
-from carla_recap.sim.weather import Weather
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

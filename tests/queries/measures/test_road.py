@@ -17,7 +17,7 @@ from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.queries.recorded_actors import actors
 from carla_recap.roads.surfaces import build_network, find_road_network, load_road_network
 from carla_recap.sim import VehicleControl, World
-from carla_recap.sim.scenarios.places import spawn_on_lane
+from carla_recap.sim.scenarios import spawn_on_lane
 from carla_recap.sim.town.junctions import SignalKind
 from carla_recap.sim.traffic.spawning import populate
 from tests.queries.conftest import write

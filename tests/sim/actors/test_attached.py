@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from carla_recap.sim.actors.control import VehicleControl
-from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
+from carla_recap.sim.actors.moving import MovingActor, Vehicle, VehicleControl, Walker
 from carla_recap.sim.geometry import Location, Transform, Vector
 from tests.sim.flat import at, flat_world
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from carla_recap.sim.actors.attributes import ATTRIBUTE_TYPES, attribute_type, is_restricted
 from carla_recap.sim.actors.blueprints import standard_library
-from carla_recap.sim.actors.sensor_blueprints import SENSORS
 
 if TYPE_CHECKING:
     from carla_recap.sim.actors.blueprints import Blueprint
@@ -75,9 +74,8 @@ def test_no_blueprint_has_another_attribute() -> None:
 
 
 def test_sensors_have_what_their_pictures_need() -> None:
-    assert {id for id, attributes in SENSORS.items() if "fov" in attributes} == {
-        id for id in SENSORS if id.startswith("sensor.camera.")
-    }
+    with_angle = {blueprint.id for blueprint in LIBRARY if "fov" in blueprint.attributes}
+    assert with_angle == {blueprint.id for blueprint in LIBRARY.filter("sensor.camera.*")}
     assert LIBRARY.get("sensor.other.radar").attributes["noise_seed"] == "0"
     assert [attribute_type(key) for key in ("fov", "image_size_x", "exposure_mode", "use_log")] == [2, 1, 3, 0]
 

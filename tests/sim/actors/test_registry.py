@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from carla_recap.sim.actors.blueprints import standard_library
-from carla_recap.sim.actors.motion import ActorMotion
 from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.actors.registry import ActorIds, ActorRegistry
-from carla_recap.sim.clock import Clock
+from carla_recap.sim.actors.stepping import ActorMotion
 from carla_recap.sim.errors import SpawnError
 from carla_recap.sim.geometry import Transform
-from carla_recap.sim.settings import Settings
-from carla_recap.sim.town.town import load_town
+from carla_recap.sim.settings import Clock, Settings
+from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.traffic.controllers import Traffic
 
 DELTA = 0.05

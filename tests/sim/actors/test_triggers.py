@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from carla_recap.sim.actors.control import VehicleControl
-from carla_recap.sim.actors.moving import Vehicle
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Vector
 from tests.sim.flat import at, flat_world
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from carla_recap import open_recording
-from carla_recap.sim.actors.control import VehicleControl, WalkerControl
-from carla_recap.sim.actors.moving import Vehicle, Walker
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
 from carla_recap.sim.geometry import Vector
 from tests.sim.flat import at, flat_world, light
 

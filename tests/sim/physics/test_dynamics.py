@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from carla_recap.sim.actors.blueprints import standard_library
-from carla_recap.sim.actors.control import VehicleControl
-from carla_recap.sim.actors.moving import Vehicle
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Vector
 from tests.sim.flat import at, flat_world
 

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from carla_recap.sim.actors.actor import Prop
-from carla_recap.sim.actors.control import VehicleControl
-from carla_recap.sim.actors.moving import Vehicle, Walker
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker
 from carla_recap.sim.errors import SpawnError
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.town.junctions import Signal, SignalKind
-from carla_recap.sim.town.town import Town, load_town
+from carla_recap.sim.town.loading import Town, load_town
 from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_world
 from tests.sim.two_levels import BRIDGE, two_levels

@@ -30,14 +30,13 @@ from carla_recap import formats
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats.carla_log import is_log
 from carla_recap.model.records import NO_ACTOR, ActorKind
-from carla_recap.sim.actors.control import VehicleControl, WalkerControl
-from carla_recap.sim.actors.moving import Vehicle, Walker
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
 from carla_recap.sim.errors import DestinationError, SimError
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.recording import recorder
 from carla_recap.sim.recording.recorder import recording_path, recordings_folder
 from carla_recap.sim.recording.writer_process import WriterProcess, start_process
-from carla_recap.sim.weather import PRESETS
+from carla_recap.sim.settings import PRESETS
 from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_town, flat_world, light
 from tests.waiting import PATIENCE, time_limit, wait_until

@@ -10,7 +10,7 @@ import pytest
 import carla_recap
 from carla_recap.model.records import ActorKind, Spawn
 from carla_recap.replay import Player
-from carla_recap.sim.town.town import load_town
+from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
 from tests.roads.towns import town
 from tests.samples import carla_log

@@ -8,8 +8,7 @@ import pytest
 
 import carla_recap
 from carla_recap.model.records import NO_ACTOR, ActorKind, Spawn, attributes
-from carla_recap.sim.actors.control import VehicleControl
-from carla_recap.sim.actors.moving import Vehicle
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Transform, Vector
 from tests.sim.flat import at, flat_world
 

@@ -13,13 +13,12 @@ from carla_recap.errors import FormatError, RecapError, RecapWarning
 from carla_recap.model.records import Attribute, Spawn
 from carla_recap.replay import Player
 from carla_recap.sim.actors.actor import Prop
-from carla_recap.sim.actors.control import VehicleControl, WalkerControl
 from carla_recap.sim.actors.lights import TrafficLight
-from carla_recap.sim.actors.moving import Vehicle, Walker
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
-from carla_recap.sim.town.town import load_town
-from carla_recap.sim.weather import PRESETS
+from carla_recap.sim.settings import PRESETS
+from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
 from tests.roads.towns import town
 from tests.samples import carla_log

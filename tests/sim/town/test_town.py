@@ -15,7 +15,7 @@ import pytest
 from carla_recap.errors import RecapError
 from carla_recap.roads import find_map, load_map
 from carla_recap.sim.town.junctions import SignalKind
-from carla_recap.sim.town.town import BUILT_IN, Town, load_town, main_lanes
+from carla_recap.sim.town.loading import BUILT_IN, Town, load_town, main_lanes
 from tests.roads.towns import lane, opendrive, road, section, town
 from tests.sim.two_levels import two_levels
 from tests.waiting import time_limit

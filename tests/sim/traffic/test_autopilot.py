@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from carla_recap.sim.actors.control import VehicleControl, WalkerControl
 from carla_recap.sim.actors.lights import GREEN, RED, YELLOW
-from carla_recap.sim.actors.moving import Vehicle, Walker
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.town.junctions import Conflict, Junction, Signal, SignalKind
-from carla_recap.sim.town.town import Town, load_town
+from carla_recap.sim.town.loading import Town, load_town
 from carla_recap.sim.world import World
 from tests.roads.towns import town as carla_town
 from tests.sim.flat import at

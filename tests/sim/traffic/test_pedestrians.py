@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from carla_recap.sim.actors.control import WalkerControl
 from carla_recap.sim.actors.lights import GREEN, RED
-from carla_recap.sim.actors.moving import Vehicle, Walker
+from carla_recap.sim.actors.moving import Vehicle, Walker, WalkerControl
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.town.graph import Paths

@@ -20,7 +20,7 @@ from carla_recap.fleet.campaign.runs import RunReport, Simulation
 from carla_recap.fleet.destinations import DestinationFolder
 from carla_recap.fleet.engine import map_sources
 from carla_recap.formats.sources import is_remote
-from carla_recap.sim.clock import seeded_date
+from carla_recap.sim.settings import seeded_date
 from carla_recap.util.files import make_folder, reason_of
 from carla_recap.util.functions import FileFunction, keywords_of
 from carla_recap.util.text import visible

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from carla_recap.errors import RecapError
 from carla_recap.fleet.campaign.plan import text_of
 from carla_recap.roads.files import read_text
-from carla_recap.sim.town.town import find_town
+from carla_recap.sim.town.loading import find_town
 from carla_recap.util.functions import FileFunction
 from carla_recap.util.text import visible
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from carla_recap.fleet.campaign.plan import CampaignRun
     from carla_recap.server.quirks import SnapshotReceiver
-    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.town.loading import Town
     from carla_recap.sim.world import World
 
 _ADDRESS: Final = "127.0.0.1"

@@ -26,7 +26,7 @@ from carla_recap.server.rpc.registry import call
 from carla_recap.sim.errors import MapMissing
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.replaying.replayer import CHASE
-from carla_recap.sim.town.town import BUILT_IN
+from carla_recap.sim.town.loading import BUILT_IN
 
 _NEWS: Final = 0.1
 """Seconds until a client that has just been sent a new episode assigns its calls to that one."""

@@ -14,8 +14,8 @@ from carla_recap.server.quirks import settled
 from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import EpisodeInfo, EpisodeSettings, MapInfo, Token
 from carla_recap.server.traffic_manager import TrafficManagerPause
+from carla_recap.sim.settings import Weather
 from carla_recap.sim.validation import expect_between
-from carla_recap.sim.weather import Weather
 
 if TYPE_CHECKING:
     from collections.abc import Callable

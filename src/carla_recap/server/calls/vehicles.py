@@ -16,8 +16,7 @@ from carla_recap.server.client import Client
 from carla_recap.server.controllers import AckermannControl, AckermannSettings
 from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import Telemetry, VehicleLightState, WheelTelemetry
-from carla_recap.sim.actors.control import VehicleControl, WalkerControl
-from carla_recap.sim.actors.moving import Vehicle, Walker
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.physics.physics_control import PhysicsControl
 from carla_recap.sim.validation import expect_velocity

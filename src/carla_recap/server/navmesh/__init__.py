@@ -11,7 +11,7 @@ from carla_recap.server.navmesh.detour import mesh_bytes
 from carla_recap.server.navmesh.walkways import WalkwayEditor, cross_roads, walkable_surface
 
 if TYPE_CHECKING:
-    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.town.loading import Town
 
 NAVIGATION: Final = "Nav"
 """The folder of the files that clients need to steer walkers."""

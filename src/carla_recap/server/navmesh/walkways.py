@@ -13,8 +13,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from carla_recap.sim.town.loading import Town
     from carla_recap.sim.town.sidewalks import WalkwayGraph
-    from carla_recap.sim.town.town import Town
     from carla_recap.util.arrays import Floats
 
     Point = list[float]

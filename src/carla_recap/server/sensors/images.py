@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from carla_recap.rendering.camera import Camera, ImageKind
     from carla_recap.scene.instances import Instances
     from carla_recap.server.streaming.streams import Streams
-    from carla_recap.sim.town.town import Town
-    from carla_recap.sim.weather import Weather
+    from carla_recap.sim.settings import Weather
+    from carla_recap.sim.town.loading import Town
 
     Image = NDArray[Any]
 

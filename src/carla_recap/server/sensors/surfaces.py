@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from carla_recap.rendering.town import TownMesh
     from carla_recap.scene.instances import Instances
     from carla_recap.server.sensors.images import View
-    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.town.loading import Town
 
 T = TypeVar("T")
 

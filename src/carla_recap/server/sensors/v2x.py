@@ -18,8 +18,8 @@ from carla_recap.sensors.position import UPWARDS
 from carla_recap.server.sensors.feed import V2xMessage, flag, number, numbers
 from carla_recap.server.sensors.inertial import receiver
 from carla_recap.server.sensors.rays import ActorBoxes, axes, row, solid_actors
+from carla_recap.sim.actors.blueprints import CUSTOM_V2X_SENSOR, V2X_SENSOR
 from carla_recap.sim.actors.moving import Vehicle
-from carla_recap.sim.actors.sensor_blueprints import CUSTOM_V2X_SENSOR, V2X_SENSOR
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -10,7 +10,7 @@ import numpy as np
 
 from carla_recap.sim.actors.lights import GREEN, Sign, TrafficLight
 from carla_recap.sim.actors.moving import MovingActor
-from carla_recap.sim.town.rules import NO_LIGHT, Rules
+from carla_recap.sim.town.junctions import NO_LIGHT, Rules
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from carla_recap.sim.geometry import Transform
     from carla_recap.sim.physics.moving_bodies import MovingBodies
     from carla_recap.sim.physics.vehicles import Vehicles
-    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.town.loading import Town
     from carla_recap.sim.world import World
 
 _WORLD: Final = 17
@@ -103,7 +103,7 @@ class SnapshotEncoder:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._rules = Rules(world.town)
+        self._rules = Rules(world.town.lanes, world.town.signals)
         self._light_ids = np.array([*(light.id for light in world.traffic_lights), 0])  # row NO_LIGHT is the last
         self._ids: object = None
         self._arrays: list[NDArray[np.void]] = []

@@ -13,13 +13,19 @@ from typing import TYPE_CHECKING, Any, Final
 from carla_recap.model.blueprints import blueprint_rows
 from carla_recap.model.kinematics import GRAVITY
 from carla_recap.model.records import ActorKind
-from carla_recap.sim.actors.sensor_blueprints import SENSORS
+from carla_recap.sensors.kinds import SENSOR_ATTRIBUTES
 from carla_recap.sim.errors import SpawnError
 from carla_recap.sim.geometry import Box, Location, Vector
 from carla_recap.sim.physics.physics_control import Gear, PhysicsControl, WheelPhysics
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
+
+
+COLLISION_SENSOR: Final = "sensor.other.collision"
+V2X_SENSOR: Final = "sensor.other.v2x"
+CUSTOM_V2X_SENSOR: Final = "sensor.other.v2x_custom"
+FRICTION_TRIGGER: Final = "static.trigger.friction"
 
 
 @dataclass(frozen=True)
@@ -198,6 +204,8 @@ _COMMON: Final = {"ros_name": ("",), "ros_frame_id": ("",), "ros_publish_tf": ("
 _PROP: Final = {"role_name": ("prop",)}
 _ANY_ROLE: Final = {"role_name": ("default",)}
 _CONTROLLER: Final = "controller.ai.walker"
+_SIDES: Final = ("front", "back", "left", "right", "front_left", "front_right", "back_left", "back_right")
+_WITHOUT_SIDES: Final = ("sensor.other.gnss", "sensor.other.imu", "sensor.other.radar", V2X_SENSOR, CUSTOM_V2X_SENSOR)
 
 
 def _blueprint(
@@ -254,8 +262,10 @@ def _standing_box(length: float, width: float, height: float) -> Box:
 
 def _others() -> Iterator[Blueprint]:
     """Return what has no body: sensors, the controller of walkers, the friction trigger, and empty actors."""
-    for id, values in SENSORS.items():
-        yield _blueprint(id, ActorKind.SENSOR, values)
+    for id, attributes in SENSOR_ATTRIBUTES.items():
+        role = _ANY_ROLE["role_name"] if id in _WITHOUT_SIDES else _SIDES
+        values = {key: attribute.choices or (attribute.text,) for key, attribute in attributes.items()}
+        yield _blueprint(id, ActorKind.SENSOR, {"role_name": role, **values})
     yield _blueprint(_CONTROLLER, ActorKind.OTHER, _ANY_ROLE)
     yield _blueprint("util.actor.empty", ActorKind.OTHER, _ANY_ROLE)
     mesh = {"mesh_path": ("",), "mass": ("0.0",), "scale": ("1.0",)}
@@ -264,7 +274,6 @@ def _others() -> Iterator[Blueprint]:
     yield _blueprint(FRICTION_TRIGGER, ActorKind.OTHER, {**_ANY_ROLE, "friction": ("3.5",), **extent})
 
 
-FRICTION_TRIGGER: Final = "static.trigger.friction"
 SPECTATOR: Final = Blueprint("spectator", ActorKind.OTHER, {}, _NOTHING)
 TRAFFIC_LIGHT: Final = Blueprint("traffic.traffic_light", ActorKind.TRAFFIC_LIGHT, {}, _NOTHING)
 STOP_SIGN: Final = Blueprint("traffic.stop", ActorKind.TRAFFIC_SIGN, {}, _NOTHING)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from carla_recap.sim.actors.blueprints import Blueprint
     from carla_recap.sim.actors.registry import ActorRegistry
     from carla_recap.sim.town.junctions import Signal
-    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.town.loading import Town
     from carla_recap.util.arrays import Integers
 
 

@@ -30,11 +30,10 @@ if TYPE_CHECKING:
 
     from carla_recap.sim.actors.actor import Collision
     from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
-    from carla_recap.sim.clock import Clock
     from carla_recap.sim.geometry import Location
-    from carla_recap.sim.settings import Settings
+    from carla_recap.sim.settings import Clock, Settings
     from carla_recap.sim.town.junctions import Signal
-    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.town.loading import Town
     from carla_recap.sim.traffic.controllers import Traffic
 
 _WALKER_MASS: Final = 75.0  # kg

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from carla_recap.sim.actors.lights import Sign, TrafficLight
     from carla_recap.sim.actors.moving import Vehicle
     from carla_recap.sim.physics.physics_control import WheelPhysics
-    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.town.loading import Town
 
 Row = tuple[float, ...]
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.recording.snapshots import Columns
-    from carla_recap.sim.weather import Weather
+    from carla_recap.sim.settings import Weather
     from carla_recap.sim.world import World
 
     RecordsByType = dict[str, list[Any]]

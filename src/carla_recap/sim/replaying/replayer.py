@@ -17,18 +17,15 @@ from carla_recap.replay import Player, level
 from carla_recap.replay.camera import CHASE_BACK, CHASE_PITCH, CHASE_UP
 from carla_recap.replay.follow import find_followed
 from carla_recap.roads.find import described_folder, plain_name
-from carla_recap.sim.actors.control import VehicleControl
-from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
+from carla_recap.sim.actors.moving import MovingActor, Vehicle, VehicleControl, Walker
 from carla_recap.sim.errors import MapMissing, SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.recording.packets import CM_PER_M, pose, transform
 from carla_recap.sim.recording.recorder import recording_path
 from carla_recap.sim.replaying.actor_mapping import ActorMapping
-from carla_recap.sim.replaying.collisions import CollisionReplay
-from carla_recap.sim.replaying.corridors import is_unknown, load_corridors
-from carla_recap.sim.replaying.kinematic import KinematicReplay
-from carla_recap.sim.town.town import load_town
-from carla_recap.sim.weather import Weather
+from carla_recap.sim.replaying.kinematic import CollisionReplay, KinematicReplay
+from carla_recap.sim.settings import Weather
+from carla_recap.sim.town.loading import is_unknown, load_corridors, load_town
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -36,7 +33,7 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.replay import Follow, Scene
     from carla_recap.sim.actors.actor import Actor
-    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.town.loading import Town
     from carla_recap.sim.world import World
 
 

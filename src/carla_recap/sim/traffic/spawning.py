@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from carla_recap.model.lives import HERO
 from carla_recap.model.records import ActorKind
+from carla_recap.sim.actors.blueprints import COLLISION_SENSOR
 from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Rotation, Transform
@@ -47,7 +48,7 @@ def populate(
     expect_count("walkers", walkers)
     cars, pedestrians = _vehicles(world, vehicles, around, hero=hero), _walkers(world, walkers, around)
     if hero and cars:
-        world.spawn("sensor.other.collision", Transform(), parent=cars[0])
+        world.spawn(COLLISION_SENSOR, Transform(), parent=cars[0])
     return [*cars, *pedestrians]
 
 

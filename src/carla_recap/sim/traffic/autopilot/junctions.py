@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from carla_recap.sim.town.junctions import Conflict
-    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.town.loading import Town
     from carla_recap.sim.traffic.autopilot.drivers import Drivers
     from carla_recap.sim.traffic.autopilot.perception import Perception
     from carla_recap.sim.traffic.autopilot.routes import LaneNetwork, Routes

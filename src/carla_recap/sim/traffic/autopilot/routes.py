@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.sim.town.town import main_lanes
+from carla_recap.sim.town.loading import main_lanes
 from carla_recap.sim.traffic.autopilot.drivers import NONE
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.sim.town.lanes import Lane
-    from carla_recap.sim.town.town import Town
+    from carla_recap.sim.town.loading import Town
     from carla_recap.sim.traffic.autopilot.drivers import DrivenVehicles, Drivers
     from carla_recap.util.arrays import Booleans, Floats, Integers
 

@@ -10,10 +10,7 @@ import pytest
 import carla_recap
 from carla_recap.sim import Location, World, load_town
 from carla_recap.sim.errors import SimError, SpawnError
-from carla_recap.sim.scenarios import Blockage, Crash, largest_junction
-from carla_recap.sim.scenarios.blockage import BREAKDOWN
-from carla_recap.sim.scenarios.crash import START
-from carla_recap.sim.scenarios.places import straight_section
+from carla_recap.sim.scenarios import BREAKDOWN, START, Blockage, Crash, largest_junction, straight_section
 from carla_recap.sim.traffic.autopilot.controls import LEFT_BLINKER, RIGHT_BLINKER
 from tests.roads.towns import town as map_of
 from tests.sim.flat import flat_town

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.sim.actors.actor import Collision
+from carla_recap.sim.actors.blueprints import COLLISION_SENSOR
 from carla_recap.sim.actors.moving import Vehicle, Walker
-from carla_recap.sim.actors.sensor_blueprints import COLLISION_SENSOR
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.physics.walkers import FALL
 

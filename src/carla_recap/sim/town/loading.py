@@ -1,4 +1,7 @@
-"""A town to drive in: lanes, signals, junctions, walkways and barriers, from an OpenDRIVE file."""
+"""Towns to drive in: lanes, signals, junctions, walkways and barriers, of an OpenDRIVE file.
+
+Where the map of a recording is unavailable, the corridors that its vehicles have driven are the town.
+"""
 
 from __future__ import annotations
 
@@ -41,6 +44,7 @@ _ABOVE_ENTRIES: Final = 3.0  # m: the same, in maps that clients send
 _APART: Final = 10.0  # m: between spawn points; longer than any of the vehicles
 _MOST_TOWNS: Final = 4  # in memory
 _MOST_LANES: Final = 8_000  # of a town
+_UNNAMED: Final = "Corridors"  # the town of a recording that names no map
 _FROM_ENDS: Final = 5.0  # m: between a spawn point and the end of its lane
 
 
@@ -166,6 +170,7 @@ def main_lanes(lanes: Sequence[Lane]) -> list[int]:
 
 
 _towns: Final[dict[tuple[str, str], Town]] = {}
+_corridors: Final[dict[tuple[str, int, int], Town]] = {}
 _lock: Final = Lock()
 
 
@@ -181,6 +186,42 @@ def find_town(name: str, maps: Path | None = None) -> tuple[str, Path]:
     if path is None:
         raise RecapError(f"town {name!r}: expected {BUILT_IN}, an {_SUFFIX} file, or a map in {described_folder(maps)}")
     return plain_name(name or BUILT_IN), path
+
+
+def is_unknown(map_name: str, maps: Path | None) -> bool:
+    """Return whether there is no file of a map.
+
+    Args:
+        map_name: The name in a recording.
+        maps: The folder of maps.
+    """
+    return not plain_name(map_name) or find_map(plain_name(map_name), maps) is None
+
+
+def load_corridors(path: Path, map_name: str) -> Town:
+    """Return a town of the corridors that the vehicles of a recording have driven; the latest one is kept in memory.
+
+    Args:
+        path: The recording.
+        map_name: The name of its map, which the town gets.
+
+    Raises:
+        RecapError: The recording cannot be read.
+    """
+    from carla_recap.recording import open_recording
+    from carla_recap.replay.recorded_map import opendrive_of_corridors
+
+    status = path.stat()
+    key = (str(path.absolute()), status.st_mtime_ns, status.st_size)
+    with _lock:
+        town = _corridors.get(key)
+    if town is None:
+        with open_recording(path) as recording:
+            town = make_town(opendrive_of_corridors(recording), path).renamed(plain_name(map_name) or _UNNAMED)
+        with _lock:
+            _corridors.clear()
+            _corridors[key] = town
+    return town
 
 
 def _spawn_points(lane: Lane) -> list[Transform]:
