@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from carla_recap.sim.town.loading import Town
     from carla_recap.sim.world import World
 
+__all__ = ["Blockage", "Crash", "largest_junction", "point_on_lane", "spawn_on_lane", "straight_section"]
+
 _CAR: Final = "vehicle.tesla.model3"
 _VAN: Final = "vehicle.mercedes.sprinter"
 _WALKER: Final = "walker.pedestrian.0004"
