@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from carla_recap.util.text import first_of, readable
+from carla_recap.util.text import first_of, readable, single_line
 
 
 @pytest.mark.parametrize(
@@ -40,3 +40,7 @@ def test_readable(raw: bytes, shown: str) -> None:
 )
 def test_the_first_of_many_names(names: list[str], text: str) -> None:
     assert first_of(names) == text
+
+
+def test_a_text_of_several_lines_becomes_a_single_one() -> None:
+    assert single_line(ValueError(" one\n\ttwo  three\n")) == "one two three"

@@ -25,6 +25,7 @@ from carla_recap.capture.collisions import CollisionListener
 from carla_recap.errors import RecapError
 from carla_recap.model.records import NO_ACTOR, UE4, ActorKind
 from carla_recap.util.signals import call_on_termination
+from carla_recap.util.text import single_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -227,7 +228,7 @@ class Observer:
             self._episode = self._world.id
             self.map = self._world.get_map()
         except UNANSWERED as error:
-            raise RecapError(f"{self.place}: {' '.join(str(error).split())}") from None
+            raise RecapError(f"{self.place}: {single_line(error)}") from None
         self._client.set_timeout(ANSWER)
 
     def _is_there(self) -> bool:

@@ -21,7 +21,7 @@ from carla_recap.model.records import CM
 from carla_recap.replay.pose import LOCATION, detach
 from carla_recap.sensors.kinds import SENSOR_TYPES
 from carla_recap.sensors.rig import SensorRig, SensorSpec
-from carla_recap.util.text import first_of
+from carla_recap.util.text import first_of, single_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -85,7 +85,7 @@ class RigSensors:
             self._client.set_timeout(ANSWER)
         except UNANSWERED as error:
             self._close()
-            raise RecapError(f"{self._observer.place}: {' '.join(str(error).split())}") from None
+            raise RecapError(f"{self._observer.place}: {single_line(error)}") from None
         except BaseException:
             self._close()
             raise
@@ -118,7 +118,7 @@ class RigSensors:
             if speedometers:
                 self._speed_callback = self._world.on_tick(self._speeds(speedometers, callback))
         except UNANSWERED as error:
-            raise RecapError(f"{self._observer.place}: {' '.join(str(error).split())}") from None
+            raise RecapError(f"{self._observer.place}: {single_line(error)}") from None
 
     def check(self) -> None:
         """End the observer if a sensor of the rig is gone, or all existing ones.
@@ -182,7 +182,7 @@ class RigSensors:
             try:
                 sensor = self._world.spawn_actor(blueprint, mount, attach_to=carrier)
             except UNANSWERED as error:
-                raise RecapError(f"{place}: {' '.join(str(error).split())}") from None
+                raise RecapError(f"{place}: {single_line(error)}") from None
             self._spawned.append(sensor)
             self._listened[spec.id] = sensor
 
@@ -210,7 +210,7 @@ class RigSensors:
             try:
                 blueprint.set_attribute(key, text)
             except UNANSWERED as error:
-                raise RecapError(f"{place}: {key}: {text}: {' '.join(str(error).split())}") from None
+                raise RecapError(f"{place}: {key}: {text}: {single_line(error)}") from None
         if blueprint.has_attribute("role_name"):
             blueprint.set_attribute("role_name", OWN)
         if unknown:

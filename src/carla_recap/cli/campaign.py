@@ -338,10 +338,10 @@ def _reported(
 
 def _show(rows: Sequence[CampaignRow], measure: Measure, form: str | None, folder: Path | None) -> None:
     """Print all rows as JSON or CSV, or the worst ones."""
-    from carla_recap.fleet.campaign.report import encoded, worst_first
+    from carla_recap.fleet.campaign.report import runs_as_json, worst_first
 
     if form == "json":
-        print_pieces([encoded(rows)])
+        print_pieces([runs_as_json(rows)])
         return
     if form == "csv":
         text = io.StringIO()

@@ -14,6 +14,7 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.output import counted
+from carla_recap.util.text import single_line
 
 _PACKAGE: Final = "carla-recap"
 _NO_FEATURES: Final = ("all", "dev")
@@ -65,7 +66,7 @@ def _drawing() -> dict[str, Any]:
     except RecapError as error:
         return {"device": None, "gpu": False, "error": str(error)}
     except Exception as error:  # of a broken package, while it is imported
-        return {"device": None, "gpu": False, "error": f"{type(error).__name__}: {' '.join(str(error).split())}"}
+        return {"device": None, "gpu": False, "error": f"{type(error).__name__}: {single_line(error)}"}
     return {**device, "gpu": _ON_PROCESSOR.search(device["device"]) is None, "error": None}
 
 

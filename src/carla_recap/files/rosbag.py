@@ -68,6 +68,7 @@ from carla_recap.sensors.messages import TRANSFORMS, SensorMessages, frame_rotat
 from carla_recap.sensors.options import SensingOptions
 from carla_recap.sensors.rig import SensorRig, as_rig
 from carla_recap.sensors.sensing import carrier_of, sensed_frames
+from carla_recap.util.text import single_line
 from carla_recap.v1.sensors_pb2 import ImuReading, SpeedReading
 
 if TYPE_CHECKING:
@@ -354,7 +355,7 @@ class _Export:
         try:
             name, type, fields = translate(data, id, time)
         except (DecodeError, ValueError) as error:
-            text = f"a message of {topic:.200} at {elapsed:g} s: {' '.join(str(error).split()):.200}"
+            text = f"a message of {topic:.200} at {elapsed:g} s: {single_line(error):.200}"
             raise FormatError(self._source.location, None, text) from None
         self._write(name if name.startswith("/") else f"/sensors/{_name(id)}/{name}", type, time, **fields)
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from carla_recap.errors import MissingExtra, NotSetUp, RecapError
 from carla_recap.fleet.outcomes import Outcome, outcome_of
 from carla_recap.fleet.workers import KeptWorker
+from carla_recap.util.text import single_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -55,9 +56,7 @@ def connect(address: str) -> Client:
         get_backend(parse_address(address)[0])  # of an invalid address, since a client of one ends late and in disorder
         return Client(address, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise RecapError(
-            f"{address}: no Dask scheduler answers ({' '.join(str(error).split()) or 'no reason given'})"
-        ) from None
+        raise RecapError(f"{address}: no Dask scheduler answers ({single_line(error) or 'no reason given'})") from None
 
 
 def map_on_cluster(
@@ -126,7 +125,7 @@ def _alone(future: Future[list[Outcome[T]]], source: SourceFile) -> list[Outcome
 
 
 def _line(error: BaseException) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+    return single_line(error) or type(error).__name__
 
 
 def _absolute(source: SourceFile) -> SourceFile:

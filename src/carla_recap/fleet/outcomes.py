@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from carla_recap.errors import RecapError
 from carla_recap.util.files import reason_of
+from carla_recap.util.text import single_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -79,4 +80,4 @@ def one_line(error: Exception, source: SourceFile) -> str:
         return f"{location}: not enough memory"
     if isinstance(error, OSError):
         return f"{location}: {reason_of(error)}"
-    return f"{location}: {type(error).__name__}: {' '.join(str(error).split())}"
+    return f"{location}: {type(error).__name__}: {single_line(error)}"

@@ -28,7 +28,7 @@ from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures import SHORT_NAMES
 from carla_recap.tables.trajectories import Axes
 from carla_recap.util.files import reason_of
-from carla_recap.util.text import visible
+from carla_recap.util.text import single_line, visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -303,4 +303,4 @@ def _rule(name: str, table: Any, reading: Reading) -> Rule | None:
     if len(faults) > count or found[0] is None:
         return None
     (kind,) = kinds.values()
-    return Rule(name, found[0], " ".join((description or found[0].text()).split()), kind.name)
+    return Rule(name, found[0], single_line(description or found[0].text()), kind.name)

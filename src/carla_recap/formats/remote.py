@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, TypeVar
 from carla_recap.errors import Closed, MissingExtra, NoCredentials, NotARecording, RecapError
 from carla_recap.formats.sources import WEB, outside, path_of, scheme_of, unsigned
 from carla_recap.util.log import log_debug, log_info
+from carla_recap.util.text import single_line
 
 try:
     import obstore
@@ -489,4 +490,4 @@ def _reason(error: Exception) -> str:
         return f"the server answers {status[1]}"
     first = text.partition("\n")[0].rpartition(" - ")[2]
     said = _MESSAGE.findall(text)
-    return " ".join((said[-1] if said else _KIND.sub("", first)).split())[:_LONGEST_REASON]
+    return single_line(said[-1] if said else _KIND.sub("", first))[:_LONGEST_REASON]

@@ -15,6 +15,7 @@ import numpy as np
 from carla_recap.errors import FormatError, MissingExtra, RecapError
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.sensors import RecordedSensor, kind_of, sensors
+from carla_recap.util.text import single_line
 
 try:
     from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -139,7 +140,7 @@ class SensorDecoder:
         try:
             return self._decoders[message.topic](message.data)
         except (DecodeError, ValueError) as error:
-            text = f"a message of {message.topic:.200} at {message.elapsed:g} s: {' '.join(str(error).split()):.200}"
+            text = f"a message of {message.topic:.200} at {message.elapsed:g} s: {single_line(error):.200}"
             raise FormatError(self._reader.location, None, text) from None
 
 
@@ -281,7 +282,7 @@ class StoredImages:
         try:
             image = decode(stored.data)
         except (OSError, ValueError, EOFError) as error:
-            text = f"an image of {message.topic:.200} at {message.elapsed:g} s: {' '.join(str(error).split()):.200}"
+            text = f"an image of {message.topic:.200} at {message.elapsed:g} s: {single_line(error):.200}"
             raise FormatError(self._location, None, text) from None
         if image is not None:
             self._image, self.time = image, message.elapsed

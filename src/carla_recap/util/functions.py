@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from carla_recap.errors import RecapError
+from carla_recap.util.text import single_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -74,9 +75,7 @@ def function_in(place: str) -> tuple[FileFunction, Keywords | None]:
     except SyntaxError as error:
         raise RecapError(f"{file}:{error.lineno or 1}: {error.msg}; Python was expected") from None
     except (ValueError, RecursionError, MemoryError) as error:
-        raise RecapError(
-            f"{file[:200]}: Python was expected ({' '.join(str(error).split()) or type(error).__name__})"
-        ) from None
+        raise RecapError(f"{file[:200]}: Python was expected ({single_line(error) or type(error).__name__})") from None
     found = [each for each in tree.body if isinstance(each, ast.FunctionDef) and each.name == name]
     if found:
         return FileFunction(str(path), name), _keywords(found[-1].args) if not found[-1].decorator_list else None

@@ -30,6 +30,11 @@ def first_of(names: Sequence[str], count: int = 3) -> str:
     return ", ".join([*names[:count], *more]) or "none"
 
 
+def single_line(text: object) -> str:
+    """Return a text, such as that of an error, in a single line: with a space for each run of white space."""
+    return " ".join(str(text).split())
+
+
 def number(value: float) -> str:
     """Return a number with six digits as C++ prints it, the sign of a NaN included."""
     return "-nan" if math.isnan(value) and math.copysign(1.0, value) < 0 else f"{value:.6g}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from dataclasses import asdict, dataclass, replace
@@ -15,6 +14,7 @@ from carla_recap.fleet.campaign.results import BROKEN_RULES, RESULTS, Result
 from carla_recap.fleet.check import check_sources
 from carla_recap.fleet.pages import PAGES, opening_of, write_incident_pages
 from carla_recap.formats.sources import is_remote
+from carla_recap.queries.output.json import encoded
 from carla_recap.show.page import Opening
 from carla_recap.util.files import WholeFile
 
@@ -195,22 +195,12 @@ def write_runs(rows: Iterable[CampaignRow], path: Path) -> None:
         RecapError: The file cannot be written.
     """
     with WholeFile(path) as file:
-        file.write(encoded(rows).encode("utf-8", "backslashreplace"))
+        file.write(runs_as_json(rows).encode())
 
 
-def encoded(rows: Iterable[CampaignRow]) -> str:
+def runs_as_json(rows: Iterable[CampaignRow]) -> str:
     """Return rows as JSON, an object with a list of them."""
-    lines = (json.dumps(_finite(asdict(row)), ensure_ascii=False, allow_nan=False) for row in rows)
-    return '{"runs": [\n' + ",\n".join(lines) + "\n]}\n"
-
-
-def _finite(value: Any) -> Any:
-    """Return a value of JSON, in which numbers that are not finite are null."""
-    if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return '{"runs": [\n' + ",\n".join(encoded(asdict(row)) for row in rows) + "\n]}\n"
 
 
 def write_campaign_index(

@@ -22,6 +22,7 @@ from carla_recap.fleet.campaign.origin import difference
 from carla_recap.fleet.campaign.plan import CampaignRun
 from carla_recap.formats.sources import is_remote
 from carla_recap.recording import open_recording
+from carla_recap.util.text import single_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -233,7 +234,7 @@ def _line(error: BaseException, run: CampaignRun) -> str:
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if not frame.filename.startswith((str(Path(__file__).parents[2]), "<"))]
     place = f" ({Path(own[-1].filename).name}:{own[-1].lineno})" if own else ""
-    said = " ".join(str(error).split())[:_LONGEST]
+    said = single_line(error)[:_LONGEST]
     return f"{type(error).__name__}{f': {said}' if said else ''}{place}"
 
 

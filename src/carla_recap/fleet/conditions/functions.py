@@ -15,6 +15,7 @@ from carla_recap.errors import NotSetUp, RecapError
 from carla_recap.fleet.conditions.facts import Finding, Needs, Offence
 from carla_recap.fleet.conditions.reading import UnexpectedKeys, hint, shown
 from carla_recap.util.functions import keywords_of, module_of_file, modules_beside
+from carla_recap.util.text import single_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -132,7 +133,7 @@ def _is_valid(found: Finding) -> bool:
 
 
 def _short(value: Any) -> str:
-    text = " ".join(repr(value).split())
+    text = single_line(repr(value))
     return text if len(text) <= 80 else f"{text[:80]}…"
 
 
@@ -140,7 +141,7 @@ def _told(error: BaseException) -> str:
     """Return an error in one line, with the place in the file that raises it."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"
+    return f"{type(error).__name__}: {single_line(error)}{where}"
 
 
 def _module(name: str, folder: str) -> ModuleType:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.fleet.index.tables import RECORDING, RECORDINGS, TABLES
 from carla_recap.util.files import WholeFile, prepare_file, reason_of
+from carla_recap.util.text import single_line
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
@@ -327,7 +328,7 @@ def _quoted(text: Path | str) -> str:
 
 
 def _shown(query: str) -> str:
-    line = " ".join(query.split())
+    line = single_line(query)
     return repr(line if len(line) <= 60 else f"{line[:57]}...")
 
 

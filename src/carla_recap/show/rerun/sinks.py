@@ -12,6 +12,7 @@ import rerun as rr
 import rerun_bindings as bindings
 
 from carla_recap.errors import RecapError
+from carla_recap.util.text import single_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -108,7 +109,7 @@ def sent(arrangement: rrb.Blueprint, address: str) -> Iterator[rr.RecordingStrea
         try:
             stream.connect_grpc(address)
         except (RuntimeError, ValueError) as error:
-            raise RecapError(f"{address}: {' '.join(str(error).split())}") from None
+            raise RecapError(f"{address}: {single_line(error)}") from None
         send_blueprint(arrangement, stream)
         yield stream
     finally:
@@ -123,7 +124,7 @@ def _connect(stream: rr.RecordingStream, put: Callable[[bytes], object]) -> _Pip
         stream.save(f"{_DESCRIPTORS}/{own}")
     except RuntimeError as error:
         os.close(end)
-        raise RecapError(f"a pipe for Rerun cannot be made: {' '.join(str(error).split())}") from None
+        raise RecapError(f"a pipe for Rerun cannot be made: {single_line(error)}") from None
     finally:
         os.close(own)
     drain = _PipeReader(end, put)
@@ -194,7 +195,7 @@ def _read(stream: rr.BinaryStream) -> bytes:
     try:
         return stream.read(flush_timeout_sec=_TIMEOUT) or b""
     except RuntimeError as error:
-        raise RecapError(f"Rerun: {' '.join(str(error).split())}") from None
+        raise RecapError(f"Rerun: {single_line(error)}") from None
 
 
 def _clean_up() -> None:
