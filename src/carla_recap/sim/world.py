@@ -15,7 +15,7 @@ from carla_recap.errors import RecapWarning
 from carla_recap.sim.actors.blueprints import standard_library
 from carla_recap.sim.actors.registry import ActorIds, ActorRegistry
 from carla_recap.sim.actors.stepping import ActorMotion
-from carla_recap.sim.errors import SimError
+from carla_recap.sim.errors import SimError, SpawnError
 from carla_recap.sim.settings import Clock, Settings, Weather
 from carla_recap.sim.town.loading import Town, load_town
 from carla_recap.sim.traffic.controllers import Traffic
@@ -211,7 +211,12 @@ class World:
             SimError: The place is too far away for a recording, or an attribute is too long for one.
             DeadActor: The parent has been destroyed.
         """
-        return self._registry.spawn(blueprint, transform, parent, attributes)
+        blueprint = self.blueprints.resolve(blueprint, attributes)
+        if parent is None and (other := self._registry.occupant(blueprint, transform)) is not None:
+            location = transform.location
+            where = f"({location.x:.1f}, {location.y:.1f}, {location.z:.1f})"
+            raise SpawnError(f"{blueprint.id} cannot be spawned at {where}: {other!r} is there")
+        return self._registry.place(blueprint, transform, parent, attributes)
 
     def try_spawn(
         self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
@@ -223,7 +228,10 @@ class World:
             SimError: See `spawn`.
             DeadActor: The parent has been destroyed.
         """
-        return self._registry.try_spawn(blueprint, transform, parent, attributes)
+        blueprint = self.blueprints.resolve(blueprint, attributes)
+        if parent is None and self._registry.occupant(blueprint, transform) is not None:
+            return None
+        return self._registry.place(blueprint, transform, parent, attributes)
 
     def place(
         self,

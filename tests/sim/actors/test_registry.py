@@ -9,7 +9,6 @@ from carla_recap.sim.actors.blueprints import standard_library
 from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.actors.registry import ActorIds, ActorRegistry
 from carla_recap.sim.actors.stepping import ActorMotion
-from carla_recap.sim.errors import SpawnError
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.settings import Clock, Settings
 from carla_recap.sim.town.loading import load_town
@@ -35,7 +34,7 @@ def test_the_autopilot_drives_the_vehicles_of_a_registry(registry: ActorRegistry
     controllers = []
     registry.traffic = Traffic(registry, np.random.default_rng(0), controllers)
     place = registry.town.spawn_points[0]
-    car = registry.spawn("vehicle.tesla.model3", place, None, {})
+    car = registry.place("vehicle.tesla.model3", place, None, {})
     assert isinstance(car, Vehicle)
     car.set_autopilot()
     motion = ActorMotion(registry)
@@ -49,7 +48,7 @@ def test_the_autopilot_drives_the_vehicles_of_a_registry(registry: ActorRegistry
 
 def test_walkers_of_a_registry_have_destinations(registry: ActorRegistry) -> None:
     start, goal = registry.traffic.pedestrians.random_place(), registry.traffic.pedestrians.random_place()
-    walker = registry.spawn("walker.pedestrian.0001", Transform(start), None, {})
+    walker = registry.place("walker.pedestrian.0001", Transform(start), None, {})
     assert isinstance(walker, Walker)
     walker.destination = goal
     assert walker.destination == goal
@@ -59,7 +58,7 @@ def test_walkers_of_a_registry_have_destinations(registry: ActorRegistry) -> Non
 
 def test_events_are_pending_until_the_end_of_the_tick(registry: ActorRegistry) -> None:
     place = registry.town.spawn_points[0]
-    car = registry.spawn("vehicle.tesla.model3", place, None, {})
+    car = registry.place("vehicle.tesla.model3", place, None, {})
     assert isinstance(car, Vehicle)
     car.set_door(0, True)
     assert registry.events.spawned == []
@@ -70,17 +69,8 @@ def test_events_are_pending_until_the_end_of_the_tick(registry: ActorRegistry) -
     assert registry.pending.doors == []
 
 
-def test_an_occupied_place_is_an_error_and_no_actor_with_try_spawn(registry: ActorRegistry) -> None:
-    place = registry.town.spawn_points[0]
-    car = registry.spawn("vehicle.tesla.model3", place, None, {})
-    with pytest.raises(SpawnError, match=rf"cannot be spawned at .*: Vehicle\({car.id}, 'vehicle.tesla.model3'\) is there"):
-        registry.spawn("vehicle.audi.a2", place, None, {})
-    assert registry.try_spawn("vehicle.audi.a2", place, None, {}) is None
-    assert registry.place("vehicle.audi.a2", place, None, {}).is_alive
-
-
 def test_a_closed_registry_has_no_live_actors(registry: ActorRegistry) -> None:
-    car = registry.spawn("vehicle.tesla.model3", registry.town.spawn_points[0], None, {})
+    car = registry.place("vehicle.tesla.model3", registry.town.spawn_points[0], None, {})
     registry.close()
     assert not car.is_alive
     assert not registry.spectator.is_alive

@@ -27,7 +27,7 @@ def collisions(sensor: Actor, context: FeedContext) -> Feed:
     """Return the feed of a collision sensor: for each collision of the parent both actors, and its impulse in N s."""
 
     def frames() -> Iterable[bytes]:
-        for collision in sensor.context.collisions:
+        for collision in sensor.context.events.collisions:
             if sensor.parent is not None and collision.actor1 == sensor.parent.id:
                 impulse = collision.impulse
                 actors = context.actor_record(collision.actor1), context.actor_record(collision.actor2)

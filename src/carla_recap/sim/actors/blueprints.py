@@ -97,6 +97,16 @@ class BlueprintLibrary:
             hint = f"did you mean {' or '.join(near)}?" if near else _FAMILIES
             raise SpawnError(f"no blueprint {id!r}; {hint}") from None
 
+    def resolve(self, blueprint: Blueprint | str, attributes: Iterable[str]) -> Blueprint:
+        """Return a blueprint, given or by its name, that has attributes of the given names.
+
+        Raises:
+            SpawnError: There is no such blueprint, or an attribute is missing.
+        """
+        found = self.get(blueprint) if isinstance(blueprint, str) else blueprint
+        found.expect(attributes)
+        return found
+
     def filter(self, pattern: str) -> list[Blueprint]:
         """Return the blueprints whose names match a pattern with * and ?, or contain it, as CARLA's filter does."""
         return [b for b in self if fnmatchcase(b.id, pattern) or fnmatchcase(b.id, f"*{pattern}*")]

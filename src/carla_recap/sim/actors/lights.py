@@ -267,7 +267,7 @@ class TrafficLight(Sign):
     def _set_time(self, name: str, seconds: float) -> None:
         self._expect_time(name.replace("_", " "), seconds)
         getattr(self._signals, name)[self.row] = seconds
-        self.context.report_light_times(self)
+        self.context.pending.light_times.append(self)
 
     def _expect_time(self, what: str, seconds: float) -> None:
         if not 0 <= seconds <= LARGEST:

@@ -266,7 +266,7 @@ class Vehicle(MovingActor):
         row = self.row
         self._physics_control = control.copy()
         self.rows.set_physics(row, self._physics_control, self.box)
-        self.context.report_physics_control(self)
+        self.context.pending.physics.append(self)
 
     def set_enable_gravity(self, enabled: bool = True) -> None:
         """Let it stand on the road, or float at its height, without grip."""
@@ -295,7 +295,7 @@ class Vehicle(MovingActor):
         expect_between("a door", door, 0, ALL_DOORS)
         doors = {door} if door < ALL_DOORS else set(range(ALL_DOORS))
         self.open_doors = self.open_doors | doors if open else self.open_doors - doors
-        self.context.report_door(self, door, open)
+        self.context.pending.doors.append((self.id, door, open))
 
 
 class Walker(MovingActor):

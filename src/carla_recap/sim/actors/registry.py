@@ -15,7 +15,7 @@ from carla_recap.sim.actors.actor import Actor, Prop, Sensor, Spectator, attache
 from carla_recap.sim.actors.lights import Sign, Signals, TrafficLight
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
 from carla_recap.sim.actors.triggers import FrictionTrigger
-from carla_recap.sim.errors import SimError, SpawnError
+from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.physics.plane import PROP, VEHICLE, WALKER, WALL, Plane
 from carla_recap.sim.physics.vehicles import Vehicles
@@ -24,7 +24,7 @@ from carla_recap.sim.town.junctions import SignalKind
 from carla_recap.sim.validation import expect_text, expect_transform
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Mapping
 
     import pymunk
 
@@ -130,11 +130,6 @@ class ActorRegistry:
         for signal in town.signals:
             self._add_sign(signal)
 
-    @property
-    def collisions(self) -> list[Collision]:
-        """The collisions of the latest tick."""
-        return self.events.collisions
-
     def end_tick(self, collisions: list[Collision]) -> None:
         """Make the pending events, and the collisions of a tick, the events of that tick.
 
@@ -145,18 +140,6 @@ class ActorRegistry:
         replayed = [each for each in self.events.collisions if (each.actor1, each.actor2) not in found]
         self.events.collisions = collisions + replayed
 
-    def report_physics_control(self, vehicle: Vehicle) -> None:
-        """Add a changed physics control to the pending events."""
-        self.pending.physics.append(vehicle)
-
-    def report_door(self, vehicle: Vehicle, door: int, open: bool) -> None:
-        """Add a door that was opened or closed to the pending events."""
-        self.pending.doors.append((vehicle.id, door, open))
-
-    def report_light_times(self, light: TrafficLight) -> None:
-        """Add changed times of a light to the pending events."""
-        self.pending.light_times.append(light)
-
     def place(
         self,
         blueprint: Blueprint | str,
@@ -166,7 +149,7 @@ class ActorRegistry:
         wanted_id: int | None = None,
     ) -> Actor:
         """Spawn an actor, even where others are; see `World.place`."""
-        blueprint = self._blueprint(blueprint, attributes)
+        blueprint = self.blueprints.resolve(blueprint, attributes)
         expect_transform("the transform", transform, of=blueprint.id)
         for key, value in attributes.items():
             expect_text(key, value, of=blueprint.id)
@@ -188,41 +171,15 @@ class ActorRegistry:
                 self._attach(actor, parent)
         return actor
 
-    def spawn(
-        self, blueprint: Blueprint | str, transform: Transform, parent: Actor | None, attributes: Mapping[str, str]
-    ) -> Actor:
-        """Spawn an actor; see `World.spawn`."""
-        blueprint = self._blueprint(blueprint, attributes)
-        if parent is None and (other := next(self._occupants(blueprint, transform), None)):
-            location = transform.location
-            where = f"({location.x:.1f}, {location.y:.1f}, {location.z:.1f})"
-            raise SpawnError(f"{blueprint.id} cannot be spawned at {where}: {other!r} is there")
-        return self.place(blueprint, transform, parent, attributes)
-
-    def try_spawn(
-        self, blueprint: Blueprint | str, transform: Transform, parent: Actor | None, attributes: Mapping[str, str]
-    ) -> Actor | None:
-        """Spawn an actor if nothing is in its way; see `World.try_spawn`."""
-        blueprint = self._blueprint(blueprint, attributes)
-        if parent is None and any(self._occupants(blueprint, transform)):
-            return None
-        return self.place(blueprint, transform, parent, attributes)
-
-    def _occupants(self, blueprint: Blueprint, transform: Transform) -> Iterator[Actor]:
-        """Find the actors that the box of a blueprint would overlap."""
+    def occupant(self, blueprint: Blueprint, transform: Transform) -> Actor | None:
+        """Return an actor that the box of a blueprint would overlap; None if its place is free."""
         expect_transform("the transform", transform, of=blueprint.id)
         if blueprint.box.extent.length() == 0:
-            return
+            return None
         location, yaw = transform.location, np.radians(transform.rotation.yaw).item()
         heights = blueprint.box.heights(transform)
-        for body in self.plane.overlapping(_corners(blueprint), location.x, location.y, yaw, heights):
-            if body in self._owners:
-                yield self._owners[body]
-
-    def _blueprint(self, blueprint: Blueprint | str, attributes: Mapping[str, str]) -> Blueprint:
-        found = self.blueprints.get(blueprint) if isinstance(blueprint, str) else blueprint
-        found.expect(attributes)
-        return found
+        bodies = self.plane.overlapping(_corners(blueprint), location.x, location.y, yaw, heights)
+        return next((self._owners[body] for body in bodies if body in self._owners), None)
 
     def destroy(self, actor: Actor) -> bool:
         """Destroy an actor and what is attached to it; see `World.destroy`."""

@@ -157,7 +157,7 @@ class Vehicles(MovingBodies):
             backwards: Whether that is backwards, (n,).
         """
         speed, mass = np.maximum(np.where(backwards, -self.speed[rows], self.speed[rows]), 0), self.mass[rows]
-        column = np.minimum((speed / SPEEDS[1]).astype(np.int64), len(SPEEDS) - 1)
+        column = _column_of(speed)
         resistance = self.air[rows] * speed * speed + mass * (GRAVITY * _ROLLING)
         coasting = mass * _COASTING - resistance
         force = mass * acceleration
@@ -273,9 +273,15 @@ class Vehicles(MovingBodies):
         return in_motion
 
 
+def _column_of(speed: Floats) -> Integers:
+    """Return the columns of the tables for speeds in m/s."""
+    column: Integers = np.minimum((speed / SPEEDS[1]).astype(np.int64), len(SPEEDS) - 1)
+    return column
+
+
 def _advance(fleet: Vehicles, seconds: float) -> None:
     """Advance the speeds of the vehicles that are awake by a step of a length in s."""
-    speed = np.minimum((np.abs(fleet.speed) / SPEEDS[1]).astype(np.int64), len(SPEEDS) - 1)
+    speed = _column_of(np.abs(fleet.speed))
     every = np.arange(len(fleet))
     _steer(fleet, fleet.lock_share[every, speed], seconds)
     drive = _drive(fleet, every, speed)
@@ -304,6 +310,16 @@ def _drive(fleet: Vehicles, every: Integers, speed: Integers) -> Floats:
 
 def _slide(fleet: Vehicles, drive: Floats, seconds: float) -> tuple[Floats, Floats, Floats]:
     """Return the speeds after a step: forward, to the right, and the yaw rate.
+
+    A tyre gives a lateral force by its slip, and that force changes the slip. Both axles therefore get the forces that fit
+    the slips at the end of the step, which are force times softness times rolling speed. These are two linear equations,
+
+        a * front + b * rear = slip of the front axle,
+        b * front + c * rear = slip of the rear axle,
+
+    with the slips without any force on the right. a and c are what a force takes off the slip of its own axle, plus the
+    softness of the tyres there; b is what it takes off that of the other axle. Where a force would exceed the grip of its
+    axle, it is the grip, and the other force is computed again for that.
 
     Args:
         fleet: The vehicles.

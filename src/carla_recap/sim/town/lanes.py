@@ -330,7 +330,15 @@ class LaneIndex:
 
 
 class _Terrain:
-    """The nearest of some points for each cell of a grid, found by jump flooding."""
+    """The nearest of some points for each cell of a grid, found by jump flooding.
+
+    At first, only the cells with points know one. Then all cells look at the eight others that are some number of cells
+    away, and take over the point of one that is nearer to their own middle. That number is halved from half of the grid
+    down to 1, so that points reach all cells in a few rounds. Some cells get a point that is only nearly the nearest one.
+
+    Args:
+        points: The points, (n, 2) in m.
+    """
 
     def __init__(self, points: Floats) -> None:
         extent = np.ptp(points, axis=0)
@@ -365,7 +373,7 @@ class _Terrain:
         return self._nearest.size
 
     def _flood(self, points: Floats) -> None:
-        """Find the nearest point of each cell among those of ever nearer cells."""
+        """Find the nearest point of each cell."""
         rows, columns = np.indices(self._nearest.shape)
         last_row, last_column = rows.max(), columns.max()
         middles = self._origin + (np.stack((rows, columns), axis=-1) + 0.5) * self._cell
