@@ -16,7 +16,7 @@ from carla_recap.formats.mcap.reader import McapReader
 from carla_recap.model.frame import Frame, Header
 from carla_recap.model.records import NO_ACTOR, Spawn
 from carla_recap.queries import contacts as contacts_module
-from carla_recap.queries.collisions import LETTERS, collisions
+from carla_recap.queries.collisions import collisions
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from tests import strategies
 from tests.queries.conftest import write
@@ -138,7 +138,7 @@ class WithoutDigest(McapReader):
 
 
 def answers(reader: Reader) -> Iterator[str]:
-    for type1, type2 in [*(("a", letter) for letter in LETTERS), ("h", "a"), ("v", "w")]:
+    for type1, type2 in (("a", "a"), ("h", "a"), ("v", "w")):
         yield repr(list(collisions(reader, type1, type2)))
     for options in OPTIONS:
         yield repr(list(incidents(reader, IncidentOptions(min_time=1.0, **options))))
@@ -197,7 +197,7 @@ def crowd(seed: int) -> tuple[Header, list[Frame]]:
     return header, frames
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(seed=st.integers(0, 1 << 20))
 def test_a_crowd(tmp_path: Path, seed: int) -> None:
     header, frames = crowd(seed)
@@ -226,7 +226,7 @@ def test_samples(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not CARLA_LOGS.is_dir(), reason="the logs of CARLA are not here: they are not part of the repository")
 def test_logs_of_carla(tmp_path: Path) -> None:
-    for number, log in enumerate(sorted([*CARLA_LOGS.glob("*.log"), *sorted(RANDOM_LOGS.glob("*.log"))[:20]])):
+    for number, log in enumerate(sorted([*CARLA_LOGS.glob("*.log"), *sorted(RANDOM_LOGS.glob("*.log"))[:8]])):
         with warnings_ignored():
             try:
                 convert(log, tmp_path / f"{number}.mcap")

@@ -11,9 +11,12 @@ from carla_recap.fleet.check import check_sources
 from carla_recap.fleet.sources import SourceFile
 from carla_recap.formats.base import Topic
 from carla_recap.formats.mcap.writer import McapWriter
-from tests.cli import command
-from tests.cli.command import CROSSING, answer
-from tests.samples import drive, write
+from carla_recap.queries.info import info
+from carla_recap.queries.output.json import json as json_text
+from carla_recap.queries.output.text import text
+from carla_recap.queries.summary import summary
+from tests.cli.command import CROSSING
+from tests.samples import drive, reading, write
 from tests.sensed import HEADER, camera, plain, sensed
 
 
@@ -74,7 +77,7 @@ def test_a_log_has_no_sensors(small):
 
 
 @pytest.mark.parametrize(
-    "text",
+    "metadata",
     [
         "",
         "{",
@@ -87,8 +90,8 @@ def test_a_log_has_no_sensors(small):
         "1" * 5000,
     ],
 )
-def test_a_topic_with_broken_metadata_is_no_sensor(tmp_path, text):
-    with open_recording(written(tmp_path / "run.mcap", of_spec(text), camera("rear"))) as recording:
+def test_a_topic_with_broken_metadata_is_no_sensor(tmp_path, metadata):
+    with open_recording(written(tmp_path / "run.mcap", of_spec(metadata), camera("rear"))) as recording:
         assert [sensor.id for sensor in recording.sensors] == ["rear"]
         assert list(recording.reader.further_topics()) == ["/sensors/front/image", "/sensors/rear/image"]
 
@@ -115,13 +118,6 @@ def test_a_closed_recording_has_no_more_messages(tmp_path):
 # --- where they are listed ------------------------------------------------------------------------------------
 
 
-def summary(*arguments):
-    """What the command prints; it also warns that the map is unknown."""
-    done = command.run("summary", *arguments)
-    assert done.returncode == 0
-    return done.stdout.decode()
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     return sensed(tmp_path_factory.mktemp("sensed") / "run.mcap")
@@ -129,28 +125,31 @@ def run(tmp_path_factory):
 
 def test_the_summary_lists_them(run):
     with open_recording(run) as recording, pytest.warns(RecapWarning, match="is unknown"):
-        assert recording.summary.sensors == {"front": "sensor.camera.rgb"}
-    assert "Sensor data: front (sensor.camera.rgb)" in summary(run).splitlines()
-    (row,) = json.loads(summary(run, "--json"))["rows"]
+        (found,) = rows = summary(recording.reader)
+    assert found.sensors == {"front": "sensor.camera.rgb"}
+    assert "Sensor data: front (sensor.camera.rgb)" in "".join(text(rows)).splitlines()
+    (row,) = json.loads("".join(json_text(rows)))["rows"]
     assert row["sensors"] == {"front": "sensor.camera.rgb"}
 
 
 def test_info_lists_them_as_json_and_not_in_carlas_text(run, tmp_path):
-    (found,) = json.loads(answer("info", run, "--json"))["sensors"]
-    assert (found["id"], found["type"], found["count"]) == ("front", "sensor.camera.rgb", 100)
-    assert (found["topics"], found["first"]) == (["/sensors/front/image"], 0)
     write(tmp_path / "run.log", HEADER, drive(10.0))
-    for options in ((), ("--compat",)):
-        assert answer("info", run, *options) == answer("info", tmp_path / "run.log", *options)
-    assert json.loads(answer("info", tmp_path / "run.log", "--json"))["sensors"] == []
+    with reading(run) as sensed, reading(tmp_path / "run.log") as plain:
+        (found,) = json.loads("".join(json_text(info(sensed))))["sensors"]
+        assert (found["id"], found["type"], found["count"]) == ("front", "sensor.camera.rgb", 100)
+        assert (found["topics"], found["first"]) == (["/sensors/front/image"], 0)
+        for compat in (False, True):
+            assert "".join(text(info(sensed, compat=compat))) == "".join(text(info(plain, compat=compat)))
+        assert json.loads("".join(json_text(info(plain))))["sensors"] == []
 
 
 def test_names_of_sensors_cannot_control_a_terminal(tmp_path):
     spec = json.dumps({"type": "\x1b[2J"})
     path = written(tmp_path / "run.mcap", of_spec(spec, "/sensors/\x1b[31m/image"))
-    text = summary(path)
-    assert "\x1b" not in text
-    assert r"Sensor data: \x1b[31m (\x1b[2J)" in text
+    with reading(path) as reader, pytest.warns(RecapWarning, match="is unknown"):
+        printed = "".join(text(summary(reader)))
+    assert "\x1b" not in printed
+    assert r"Sensor data: \x1b[31m (\x1b[2J)" in printed
 
 
 def test_a_check_lists_them(run):

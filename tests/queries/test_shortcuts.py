@@ -16,8 +16,8 @@ from tests.queries.test_blocked import by_definition
 FRAMES, VEHICLES, TICK = 400, 12, 0.05
 
 
-@pytest.fixture(params=range(4))
-def path(request, tmp_path):
+@pytest.fixture(scope="module", params=[0, 1])
+def path(request, tmp_path_factory):
     """A recording of vehicles that stop and go, jump, and are missing in some frames; of some, velocities are recorded."""
     rng = np.random.default_rng(request.param)
     wanted = np.repeat(rng.choice([0.0, 300.0, 1500.0], (FRAMES // 40, VEHICLES)), 40, axis=0)
@@ -31,7 +31,7 @@ def path(request, tmp_path):
     if request.param % 2:
         present[:, 6:] = rng.random((FRAMES, VEHICLES - 6)) < 0.9
     ids = np.arange(1, VEHICLES + 1)
-    path = tmp_path / "run.log"
+    path = tmp_path_factory.mktemp("run") / "run.log"
     with create_recording(path, map_name="Town01") as recording:
         for row in range(FRAMES):
             there = np.flatnonzero(present[row])
@@ -79,11 +79,11 @@ def test_frames_together_and_one_by_one_give_the_same_intervals(path, monkeypatc
     check_blocked(path, monkeypatch, min_time, min_distance, compat)
 
 
-@pytest.fixture(params=range(4))
-def busy(request, tmp_path):
+@pytest.fixture(scope="module", params=[2, 3])
+def busy(request, tmp_path_factory):
     """A recording of vehicles and walkers of any speed that come and go; walkers fall, and some actors are listed twice."""
     rng = np.random.default_rng(request.param)
-    present, path, number = {}, tmp_path / "busy.log", 0
+    present, path, number = {}, tmp_path_factory.mktemp("busy") / "busy.log", 0
     speeds = np.array([0.0, 0.0, 0.003, 0.4, 2.0, 4.9, 7.0, 19.0, 21.0, 70.0, 1e-20, 1e30])
     with create_recording(path, map_name="Town01") as recording:
         for row in range(400):

@@ -8,6 +8,10 @@ import math
 import pytest
 
 from carla_recap import ActorKind, RecapWarning, Spawn, attributes, create_recording, open_recording
+from carla_recap.queries.incidents import IncidentOptions
+from carla_recap.queries.output.json import json as json_text
+from carla_recap.queries.output.text import text
+from carla_recap.queries.summary import summary
 from tests.cli.command import CROSSING, answer, run, the_line
 
 CRASH = CROSSING.with_name("crash.mcap")
@@ -30,10 +34,10 @@ def recorded(tmp_path):
 
 def test_actors_are_counted_by_kind_vehicles_and_walkers_first():
     with open_recording(CRASH) as recording:
-        summary = recording.summary
-        assert list(summary.actors.items())[:3] == [("vehicle", 5), ("walker", 4), ("other", 1)]
-        assert sum(summary.actors.values()) == len(recording.actors)
-        assert (summary.map, summary.frames) == ("Brickfield", 1200)
+        found = recording.summary
+        assert list(found.actors.items())[:3] == [("vehicle", 5), ("walker", 4), ("other", 1)]
+        assert sum(found.actors.values()) == len(recording.actors)
+        assert (found.map, found.frames) == ("Brickfield", 1200)
 
 
 def test_incidents_are_those_of_all_kinds():
@@ -64,17 +68,16 @@ def test_without_a_hero_there_is_none(tmp_path):
         assert (recording.summary.hero, recording.summary.actors, recording.summary.incidents) == (None, {}, {})
 
 
-def test_the_text_of_one_recording_has_few_lines_and_of_many_a_line_each():
-    alone = answer("summary", CRASH).splitlines()
+def test_the_text_of_one_recording_has_few_lines_and_of_many_a_line_each_and_json_the_fields():
+    with open_recording(CRASH) as recording:
+        found = summary(recording.reader, options=IncidentOptions(kinds="all"))
+    alone = "".join(text(found)).splitlines()
     assert len(alone) <= 15
     assert "Actors: 5 vehicles, 4 walkers, 1 other, 17 traffic lights, 22 traffic signs, 1 sensor" in alone
     heading, *rows = answer("summary", CRASH, CRASH.with_name("avoided.mcap")).splitlines()
     assert (heading.split()[0], len(rows)) == ("Recording", 2)
     assert rows[1].endswith("Brickfield   1 near miss")
-
-
-def test_json_has_the_fields():
-    (row,) = json.loads(answer("summary", CRASH, "--json"))["rows"]
+    (row,) = json.loads("".join(json_text(found)))["rows"]
     assert (row["actors"]["vehicle"], row["hero"]["id"], row["incidents"]["collision"]) == (5, 41, 2)
 
 

@@ -13,7 +13,7 @@ from carla_recap.fleet.rules import parse_rules
 from tests.roads.straight_road import STRAIGHT_ROAD
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import ArrayLike
@@ -28,8 +28,24 @@ class Judge(Protocol):
     def __call__(self, rules: str, *ways: ArrayLike, hits: Mapping[int, int] = ...) -> Verdict: ...
 
 
+@pytest.fixture(scope="session")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Returns the recording of some ways, which is written once."""
+    folder = tmp_path_factory.mktemp("ways")
+    paths: dict[str, Path] = {}
+
+    def path_of(ways: Sequence[ArrayLike], hits: Mapping[int, int]) -> Path:
+        key = repr(([np.asarray(way).tolist() for way in ways], dict(hits)))
+        if key not in paths:
+            paths[key] = folder / f"{len(paths)}.mcap"
+            write(paths[key], ways, hits)
+        return paths[key]
+
+    return path_of
+
+
 @pytest.fixture
-def judge(tmp_path: Path) -> Judge:
+def judge(tmp_path: Path, recorded: Callable[..., Path]) -> Judge:
     """Judges a rule, or the last one of a file, on actors that drive ways: the hero, then cars without a role.
 
     A way has a row of x, y and maybe z in m, right-handed, for each frame of 0.1 s. In the frames of `hits`, the hero
@@ -41,8 +57,7 @@ def judge(tmp_path: Path) -> Judge:
         road.write_text(STRAIGHT_ROAD, "utf-8")
         text = dedent(rules)
         parsed = parse_rules(text if "[rules." in text else f"[rules.it]\n{text}", "rules.toml")
-        write(tmp_path / "run.mcap", ways, hits or {})
-        with open_recording(tmp_path / "run.mcap") as recording:
+        with open_recording(recorded(ways, hits or {})) as recording:
             return check(recording, parsed, road_map=str(road))[-1]
 
     return judged

@@ -136,8 +136,8 @@ def test_a_wrong_scope_is_a_fault(scope, fault):
     assert f"rule 'it': distance.{fault}" in line
 
 
-def test_a_polygon_of_a_million_points_is_refused_at_once():
-    points = [[float(index), 0.0] for index in range(1_000_000)]
+def test_a_polygon_of_many_points_is_refused_at_once():
+    points = [[float(index), 0.0] for index in range(100_000)]
     with time_limit(), pytest.raises(RulesError) as caught:
         make_rules(reaches={"of": "hero", "polygon": points})
     assert "a list of 3 to 1000 points [x, y] in m was expected" in str(caught.value)

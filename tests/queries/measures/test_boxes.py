@@ -99,7 +99,7 @@ angles = st.one_of(st.floats(-4, 4), st.sampled_from([0, math.pi / 2, math.pi, -
 boxes = st.builds(Boxes, reals, reals, angles, sizes, sizes, reals, reals)
 
 
-def outline(box: Boxes, points: int = 200) -> np.ndarray:
+def outline(box: Boxes, points: int = 100) -> np.ndarray:
     """Return points on the edges of a box."""
     x, y, yaw, length, width = (float(value) for value in box[:5])
     corners = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1), (1, 1)]) * (length / 2, width / 2)
@@ -122,7 +122,7 @@ def test_the_gap_is_the_least_distance_of_the_outlines(one: Boxes, other: Boxes)
     distance = np.sqrt(((first[:, None] - second) ** 2).sum(axis=2).min())
     is_in = contains(one, second).any() or contains(other, first).any()
     found = float(gap(one, other))
-    spacing = max(map(float, (one.length, one.width, other.length, other.width))) / 199
+    spacing = max(map(float, (one.length, one.width, other.length, other.width))) / 99
     if is_in:
         assert found < spacing
     else:

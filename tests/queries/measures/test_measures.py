@@ -140,9 +140,9 @@ def test_the_impact_itself_is_no_braking(drive: Drive) -> None:
 def test_more_frames_than_are_measured_at_once(drive: Drive) -> None:
     """The extremes are found wherever they are, and none is made up where parts meet."""
     hero = Mover(1, lambda t: 10 * t, role_name="hero")
-    found = of(measures(drive([hero, straight(2, 1204, 3, 0)], seconds=150.0)))
+    found = of(measures(drive([hero, straight(2, 604, 3, 0)], seconds=75.0)))
     assert found["gap"].value == pytest.approx(1.0, abs=1e-3)
-    assert found["gap"].time == pytest.approx(120, abs=0.5)
+    assert found["gap"].time == pytest.approx(60, abs=0.5)
     assert found["jerk"].value < 0.5
 
 

@@ -292,7 +292,7 @@ def approaching(frames: int, *, later: int = 0, other: float = 0.0) -> list[Move
 @pytest.mark.parametrize("later", [0, 53, 54, 55, 200])  # frames of a run are looked for in 64 frames at once
 @pytest.mark.parametrize("frames", [2, 3, 10])
 def test_a_near_miss_takes_three_frames(drive: Drive, later: int, frames: int) -> None:
-    found = near_misses(drive(approaching(frames, later=later), seconds=15), time_to_collision=1.51)
+    found = near_misses(drive(approaching(frames, later=later), seconds=2 + later / 20), time_to_collision=1.51)
     if frames < 3:
         assert found == []
         return

@@ -9,19 +9,26 @@ import math
 import pytest
 
 from carla_recap import open_recording
+from carla_recap.queries.measures import measures_over_time
+from carla_recap.queries.output import csv as output
 from tests.cli.command import CROSSING, answer, error
 
 AVOIDED = CROSSING.with_name("avoided.mcap")
 
 
-def table(*arguments):
-    return list(csv.DictReader(io.StringIO(answer("measures", *arguments, "--csv"))))
-
-
-def test_the_columns_are_the_measures_over_time():
+@pytest.fixture(scope="module")
+def avoided():
     with open_recording(AVOIDED) as recording:
-        series = recording.time_series("hero")
-    rows = table(AVOIDED, "--over-time")
+        yield recording
+
+
+def table(text):
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_the_columns_are_the_measures_over_time(avoided):
+    series = avoided.time_series("hero")
+    rows = table("".join(output.csv(measures_over_time(avoided.reader))))
     assert len(rows) == len(series)
     for name, values in series.columns().items():
         known = [math.isfinite(value) and not (name in ("leader", "threat", "nearest") and value < 0) for value in values]
@@ -30,20 +37,20 @@ def test_the_columns_are_the_measures_over_time():
         ]
 
 
-def test_of_a_pair_each_is_measured_with_the_other_alone():
-    rows = table(AVOIDED, "--pair", "hero", "44")
+def test_of_a_pair_each_is_measured_with_the_other_alone(avoided):
+    rows = table("".join(output.csv(measures_over_time(avoided.reader, pair=("hero", 44)))))
     assert {row["actor"] for row in rows} == {"41", "44"}
     assert {row["nearest"] for row in rows if row["actor"] == "44"} == {"41"}
 
 
 def test_of_many_recordings_the_first_column_is_the_recording():
-    rows = table(AVOIDED, CROSSING.with_name("crash.mcap"), "--over-time")
+    rows = table(answer("measures", AVOIDED, CROSSING.with_name("crash.mcap"), "--over-time", "--csv"))
     assert list(rows[0])[:3] == ["recording", "time", "actor"]
     assert {row["recording"] for row in rows} == {str(AVOIDED), str(AVOIDED.with_name("crash.mcap"))}
 
 
-def test_extremes_are_a_table_too():
-    rows = table(AVOIDED)
+def test_extremes_are_a_table_too(avoided):
+    rows = table("".join(output.csv(avoided.measures())))
     assert {row["measure"] for row in rows} >= {"gap", "time_to_collision"}
 
 

@@ -29,13 +29,13 @@ ROUTE: Final = Route("1", "Brickfield", np.array([(START, Y, 0.0), (END, Y, 0.0)
 Pose = tuple[float, float, float]
 
 
-def westward(speeds: Sequence[float], start: float = START, y: float = Y) -> list[Pose]:
+def westward(speeds: Sequence[float], start: float = START, y: float = Y, tick: float = TICK) -> list[Pose]:
     """Return poses (x, y, heading in degrees) of a car that has a speed in each frame."""
-    return [(start - way, y, 180.0) for way in (np.cumsum(speeds) * TICK).tolist()]
+    return [(start - way, y, 180.0) for way in (np.cumsum(speeds) * tick).tolist()]
 
 
-def at_speed(speed: float, metres: float) -> list[float]:
-    return [speed] * round(metres / speed / TICK)
+def at_speed(speed: float, metres: float, tick: float = TICK) -> list[float]:
+    return [speed] * round(metres / speed / tick)
 
 
 class Drives:

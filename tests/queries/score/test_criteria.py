@@ -13,17 +13,24 @@ from carla_recap.model.records import Spawn
 from carla_recap.queries.score import Route, Score
 from carla_recap.roads import find_road_network
 from carla_recap.roads import network as roads
-from tests.queries.score.drives import END, OTHER, START, TICK, Y, at_speed, vehicle, westward
+from tests.queries.score.drives import END, OTHER, START, TICK, Drives, Y, at_speed, vehicle, westward
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from carla_recap.roads.network import RoadNetwork
-    from tests.queries.score.drives import Drives, Pose
+    from tests.queries.score.drives import Pose
 
 WALKER = Spawn(OTHER, 2, type_id="walker.pedestrian.0001")
 WHOLE = westward(at_speed(10.0, 105.0))
 """The whole route at 10 m/s."""
 NONE = 0xFFFFFFFF
 """The id of what is no actor."""
+
+
+@pytest.fixture
+def drives(tmp_path: Path) -> Drives:
+    return Drives(tmp_path / "drive.log")
 
 
 def kinds(score: Score) -> list[str]:
@@ -33,8 +40,9 @@ def kinds(score: Score) -> list[str]:
 # --- the end of the route ------------------------------------------------------------------------------------------------
 
 
-def test_a_drive_to_the_end_of_the_route_is_perfect(drives: Drives) -> None:
-    found = drives(WHOLE)
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_a_drive_to_the_end_of_the_route_is_perfect(tmp_path: Path, suffix: str) -> None:
+    found = Drives(tmp_path / f"drive{suffix}")(WHOLE)
     assert (found.status, found.score, found.completion, found.penalty) == ("Perfect", 100.0, 100.0, 1.0)
     assert found.route_length == pytest.approx(100.0, abs=2.0)
     assert found.stop == pytest.approx(10.0, abs=0.3)  # the rest of the recording does not count
@@ -75,17 +83,18 @@ def test_a_hero_that_drives_beside_the_route_for_long_has_left_it(drives: Drives
 
 
 def test_a_hero_that_stands_for_three_minutes_is_blocked(drives: Drives) -> None:
-    stands = westward([*at_speed(10.0, 30.0), *[0.0] * 3700])
-    found = drives(stands)
+    tick = 0.5
+    arrives = at_speed(10.0, 30.0, tick)
+    found = drives(westward([*arrives, *[0.0] * 370], tick=tick), tick=tick)
     assert (found.status, kinds(found)) == ("Failed - Agent got blocked", ["vehicle_blocked"])
-    assert found.infractions[0].time == pytest.approx(3.0 + 180.0, abs=0.2)
+    assert found.infractions[0].time == pytest.approx(3.0 + 180.0, abs=0.6)
     assert found.infractions[0].x == pytest.approx(START - 30.0, abs=0.5)
-    assert kinds(drives(westward([*at_speed(10.0, 30.0), *[0.0] * 3580, 0.2, *[0.0] * 100]))) == []
+    assert kinds(drives(westward([*arrives, *[0.0] * 358, 0.2, *[0.0] * 10], tick=tick), tick=tick)) == []
 
 
 def test_a_hero_that_is_slower_than_a_tenth_of_the_limit_runs_out_of_time(drives: Drives) -> None:
-    creeping = westward([0.11] * 9000)
-    found = drives(creeping)
+    tick = 0.5
+    found = drives(westward([0.11] * 900, tick=tick), tick=tick)
     assert (found.status, kinds(found)) == ("Failed - Agent timed out", ["route_timeout"])
     assert 300 < found.stop < 400
 
