@@ -194,7 +194,7 @@ def test_a_recording_that_was_never_closed_can_be_recovered(tmp_path, suffix):
     path = tmp_path / f"own{suffix}"
     recorder = create_recording(path, map_name="T", date=0, live=True)
     for n in range(400):
-        recorder.add_frame(n / 20, transforms={"id": range(2000), "x": n})
+        recorder.add_frame(n / 20, transforms={"id": range(200), "x": n})
     (partial,) = tmp_path.iterdir()
     crashed = save(tmp_path / f"crashed{suffix}", partial.read_bytes())
     recorder.close()

@@ -237,13 +237,12 @@ def test_what_is_not_finite_is_empty_in_a_table_and_said(tmp_path):
         assert frame["transforms"]["x"] == np.float32(3e38)
 
 
-@pytest.mark.parametrize("suffix", [".log"])
-def test_many_objects_of_one_row_take_time_in_proportion(tmp_path, suffix):
+def test_many_objects_of_one_row_take_time_in_proportion(tmp_path):
     def seconds(count):
         source = tmp_path / "tracks.csv"
         source.write_text("time,id,x,y\n" + "".join(f"{n / 20},{n + 1},{n},0\n" for n in range(count)))
         start = process_time()
-        import_tracks(source, tmp_path / f"out{suffix}", force=True)
+        import_tracks(source, tmp_path / "out.log", force=True)
         return process_time() - start
 
     few = min(seconds(1_000) for _ in range(3))

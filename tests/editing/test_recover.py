@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 
 from carla_recap import RecapError, RecapWarning, Recovery, convert, open_recording, recover
 from carla_recap.formats import create_writer
-from carla_recap.formats.mcap.schema import MAGIC
 from carla_recap.model.frame import Header
 from tests import strategies
-from tests.formats.mcap.forge import edited
+from tests.formats.mcap.forge import MAGIC, chunk_places, edited
 from tests.samples import (
     END,
     carla_log,
@@ -33,17 +32,6 @@ from tests.samples import (
 from tests.waiting import time_limit
 
 SAMPLES = Path(__file__).parents[2] / "samples"
-
-
-def chunk_places(data):
-    """Offset and size of the chunks of a file."""
-    at, found = len(MAGIC), []
-    while at < len(data) - len(MAGIC):
-        opcode, length = struct.unpack_from("<BQ", data, at)
-        if opcode == 6:
-            found.append((at, 9 + length))
-        at += 9 + length
-    return found
 
 
 # --- MCAP ------------------------------------------------------------------------------------------------

@@ -89,7 +89,7 @@ def test_texts_cannot_become_markup():
 
 
 def test_a_page_of_many_runs_stays_small():
-    rows = [row(index, speed=index % 50, delay=index // 50, value=float(index)) for index in range(20_000)]
+    rows = [row(index, speed=index % 50, delay=index // 50, value=float(index)) for index in range(4_000)]
     page = shown(rows)
     assert len(page) < 2_000_000
-    assert "and 18,000 more in campaign.json" in page
+    assert "and 2,000 more in campaign.json" in page

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -135,12 +136,20 @@ def walk(world, speed=1):
 """
 
 
-@pytest.fixture
-def made(tmp_path):
-    """The file of a function, and the folder of two recordings of it."""
-    (tmp_path / "scene.py").write_text(SOURCE)
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """A folder with the file of a function, and two recordings of it."""
+    folder = tmp_path_factory.mktemp("scene")
+    (folder / "scene.py").write_text(SOURCE)
     with time_limit():
-        list(campaign(FileFunction(str(tmp_path / "scene.py"), "run"), seeds=[1, 2], out=tmp_path / "runs", jobs=1))
+        list(campaign(FileFunction(str(folder / "scene.py"), "run"), seeds=[1, 2], out=folder / "runs", jobs=1))
+    return folder
+
+
+@pytest.fixture
+def made(scene, tmp_path):
+    """The file of a function, and the folder of two recordings of it."""
+    shutil.copytree(scene, tmp_path, dirs_exist_ok=True)
     return tmp_path / "scene.py", tmp_path / "runs"
 
 

@@ -17,7 +17,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -42,6 +42,27 @@ def chunk_records(chunk: records.Chunk) -> bytes:
         return zstandard.ZstdDecompressor().decompress(chunk.data, chunk.uncompressed_size)
     assert chunk.compression == ""
     return chunk.data
+
+
+def messages_in(chunk: records.Chunk) -> Iterator[tuple[int, int, int, int, bytes]]:
+    """Yield channel, sequence, log time, publish time and data of each message of a chunk, which has no other records."""
+    data, at = chunk_records(chunk), 0
+    while at < len(data):
+        opcode, length, channel, sequence, logged, published = struct.unpack_from("<BQHIQQ", data, at)
+        assert opcode == Opcode.MESSAGE
+        yield channel, sequence, logged, published, data[at + 31 : at + 9 + length]
+        at += 9 + length
+
+
+def chunk_places(data: bytes) -> list[tuple[int, int]]:
+    """Return offset and size of each chunk of a file."""
+    at, found = len(MAGIC), []
+    while at < len(data) - len(MAGIC):
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        if opcode == Opcode.CHUNK:
+            found.append((at, 9 + length))
+        at += 9 + length
+    return found
 
 
 def seal(content: bytes, packer: str = "zstd", **changes: Any) -> records.Chunk:
@@ -158,12 +179,10 @@ def edited(path: Path, change: Callable[[str, int, bytes], bytes | None]) -> Pat
     topics = {part.id: part.topic for part in parts if isinstance(part, records.Channel)}
     for place, part in enumerate(parts):
         if isinstance(part, records.Chunk):
-            content, at, data = bytearray(), 0, chunk_records(part)
-            while at < len(data):
-                _, length, channel, sequence, time, _ = struct.unpack_from("<BQHIQQ", data, at)
-                body = change(topics[channel], sequence, data[at + 31 : at + 9 + length])
+            content = bytearray()
+            for channel, sequence, time, _, data in messages_in(part):
+                body = change(topics[channel], sequence, data)
                 content += b"" if body is None else message(channel, sequence, time, body)
-                at += 9 + length
             times = {"message_start_time": part.message_start_time, "message_end_time": part.message_end_time}
             parts[place] = seal(bytes(content), part.compression, **times)
     return Forge(parts).write(path)

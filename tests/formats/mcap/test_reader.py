@@ -32,7 +32,7 @@ from carla_recap.model.records import NO_ACTOR, Spawn
 from carla_recap.queries.blocked import blocked
 from tests import strategies
 from tests.formats.mcap import forge
-from tests.formats.mcap.forge import Forge, chunk_records, data_records, resealed, rewrite, seal
+from tests.formats.mcap.forge import Forge, chunk_records, data_records, messages_in, resealed, rewrite, seal
 from tests.samples import (
     carla_log,
     drive,
@@ -672,4 +672,4 @@ def standing(tmp_path):
 
 
 def holds(chunk, channel):
-    return any(isinstance(record, records.Message) and record.channel_id == channel for record in breakup_chunk(chunk))
+    return any(each == channel for each, *_ in messages_in(chunk))

@@ -13,7 +13,7 @@ from carla_recap.formats.mcap.index import read_summary
 from carla_recap.formats.mcap.recovery import recover_summary
 from carla_recap.formats.sources import LocalSource
 from tests import strategies
-from tests.formats.mcap.forge import MAGIC, Forge, data_records, packed, seal
+from tests.formats.mcap.forge import MAGIC, Forge, chunk_places, data_records, packed, seal
 from tests.samples import save
 from tests.waiting import time_limit
 
@@ -28,13 +28,7 @@ def recovered(path):
 
 def offsets_of(data):
     """Where the chunks of a file begin."""
-    at, found = len(MAGIC), []
-    while at < len(data) - len(MAGIC):
-        opcode, length = struct.unpack_from("<BQ", data, at)
-        if opcode == 6:
-            found.append(at)
-        at += 9 + length
-    return found
+    return [at for at, _ in chunk_places(data)]
 
 
 def test_a_sound_file_is_all_found(driven):

@@ -27,9 +27,9 @@ from carla_recap.formats.sources import LocalSource
 from tests.formats.mcap.forge import (
     MAGIC,
     Forge,
-    chunk_records,
     data_records,
     message,
+    messages_in,
     packed,
     read_records,
     rewrite,
@@ -56,11 +56,7 @@ def chunk_topics(path):
     found = data_records(path)
     names = {record.id: record.topic for record in found if isinstance(record, records.Channel)}
     for chunk in (record for record in found if isinstance(record, records.Chunk)):
-        data, at, topics = chunk_records(chunk), 0, set()
-        while at < len(data):
-            topics.add(names[int.from_bytes(data[at + 9 : at + 11], "little")])
-            at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
-        yield chunk, topics
+        yield chunk, {names[channel] for channel, *_ in messages_in(chunk)}
 
 
 # --- writing -------------------------------------------------------------------------------------------------

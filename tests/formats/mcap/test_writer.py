@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import struct
 from itertools import pairwise
 
 import pytest
@@ -18,7 +17,7 @@ from carla_recap.formats.mcap.writer import CHUNK_SECONDS, CHUNK_SIZE, FRAME_SIZ
 from carla_recap.formats.sources import LocalSource
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4, Group
-from tests.formats.mcap.forge import chunk_records, data_records, read_records
+from tests.formats.mcap.forge import data_records, messages_in, read_records
 from tests.samples import DATE, carla_log, drive, images, listed, names_in, save, small_log, write
 
 SECOND = 1_000_000_000
@@ -38,16 +37,6 @@ def recording(request, tmp_path_factory):
     else:
         convert(save(path.with_suffix(".log"), small_log()), path)
     return path
-
-
-def messages_in(chunk):
-    """Channel, sequence, log time, publish time and data of each message of a chunk."""
-    data, at = chunk_records(chunk), 0
-    while at < len(data):
-        opcode, length, *fields = struct.unpack_from("<BQHIQQ", data, at)
-        assert opcode == 5
-        yield *fields, data[at + 31 : at + 9 + length]
-        at += 9 + length
 
 
 def of_kind(found, kind):
