@@ -27,7 +27,6 @@ from carla_recap.sensors.options import SensingOptions
 from carla_recap.sensors.rig import SensorRig, as_rig
 from carla_recap.sensors.sensing import sensed_frames
 from carla_recap.util.files import check_folder, new_folder
-from carla_recap.util.text import first_of, visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -51,7 +50,6 @@ OPTICAL: Final = np.array([(0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
 _PARTS: Final = ".parts"  # the folder of the parts, until they are put together
 _MIRROR: Final = np.array((1.0, -1.0, 1.0, 1.0, -1.0, -1.0))  # of poses, from CARLA's axes to right-handed ones
 _INSTANCES: Final = ":instances"  # after the id of a camera, that of the camera that tells actors apart; no id of a rig
-_LISTED: Final = 16  # ids that an error lists
 _ELSEWHERE: Final = "--actor ID (in Python, actor=ID) puts the rig on another actor"
 _LIDAR: Final = "lidar"
 
@@ -199,19 +197,10 @@ class DatasetWriter(ABC):
             camera: The id of a camera, for formats that have one; None: the first one.
 
         Raises:
-            RecapError: It has no RGB camera, or not that one.
+            RecapError: See `SensorRig.rgb_cameras`.
         """
-        cameras = [spec for spec in rig if spec.image is ImageKind.RGB]
-        ids = [spec.id for spec in cameras]
-        if not ids:
-            raise RecapError(f"{rig.name}: has no sensor.camera.rgb; one at least was expected")
-        if camera is not None and camera not in ids:
-            expected = f"one of {first_of(ids, _LISTED)} was expected"
-            raise RecapError(f"{rig.name}: has no RGB camera {visible(camera)!r}; {expected}")
-        groups = [
-            [spec for spec in cameras if camera in (None, spec.id)],
-            *([spec for spec in rig if spec.kind == kind] for kind in cls.kinds),
-        ]
+        cameras = rig.rgb_cameras(None if camera is None else [camera])
+        groups = [cameras, *([spec for spec in rig if spec.kind == kind] for kind in cls.kinds)]
         return [spec for group in groups for spec in (group[:1] if cls.has_one else group)]
 
     @abstractmethod

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.rendering.camera import ImageKind
 from carla_recap.sensors.kinds import LEADERBOARD_CHOICES, SENSOR_TYPES, SensorAttribute
 from carla_recap.util.files import reason_of
 from carla_recap.util.text import first_of, visible
@@ -26,7 +27,6 @@ from carla_recap.util.text import first_of, visible
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from carla_recap.rendering.camera import ImageKind
     from carla_recap.sensors.kinds import Kind, SensorType, Value
 
 MOST_SENSORS: Final = 100
@@ -36,7 +36,7 @@ _LARGEST_FILE: Final = 1 << 20  # bytes
 _UNNAMED: Final = "rig"
 _ID: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,63}")
 _SHOWN: Final = 60  # characters of a wrong value in an error
-_LISTED: Final = 16  # keys that an error lists
+_LISTED: Final = 16  # keys or ids that an error lists
 _PLACE: Final = ("x", "y", "z")
 _ANGLES: Final = ("roll", "pitch", "yaw")
 _POSE: Final[Mapping[str, SensorAttribute]] = {
@@ -197,6 +197,24 @@ class SensorRig:
 
     def __len__(self) -> int:
         return len(self.sensors)
+
+    def rgb_cameras(self, ids: Sequence[str] | None = None) -> list[SensorSpec]:
+        """Return the RGB cameras.
+
+        Args:
+            ids: The ids of those that are wanted, in this order; None: all.
+
+        Raises:
+            RecapError: There is none, or not one of these; the message lists those that there are.
+        """
+        found = {sensor.id: sensor for sensor in self if sensor.image is ImageKind.RGB}
+        if not found:
+            raise RecapError(f"{self.name}: has no sensor.camera.rgb; one at least was expected")
+        for id in ids or ():
+            if id not in found:
+                expected = f"one of {first_of(list(found), _LISTED)} was expected"
+                raise RecapError(f"{self.name}: has no RGB camera {_key(id)!r}; {expected}")
+        return list(found.values()) if ids is None else [found[id] for id in dict.fromkeys(ids)]
 
     def to_dicts(self) -> list[dict[str, Value]]:
         """Return the sensors as dicts with all attributes, of which `of` makes the same rig."""
@@ -361,7 +379,7 @@ def _value_of(text: str, attribute: SensorAttribute) -> Value:
 
 
 def _key(key: object) -> str:
-    """Return a key as errors show it."""
+    """Return a key or an id as errors show it."""
     return visible(str(key))[:_SHOWN]
 
 

@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from carla_recap.errors import RecapError
 from carla_recap.queries.sensors import has_images, sensors
-from carla_recap.rendering.camera import ImageKind
 from carla_recap.replay import Player
 from carla_recap.sensors.rig import SensorRig
-from carla_recap.util.text import first_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -61,24 +59,15 @@ class CameraChoice:
     def __init__(self, recording: Recording, cameras: Sequence[str] | Literal["all"], rig: SensorRig | None = None) -> None:
         self._recording = recording
         self._stored: set[str] = set()
-        specs: dict[str, SensorSpec] = {}
         if rig is None:
-            for sensor in sensors(recording.reader):
-                if sensor.type == _RGB:
-                    specs |= {spec.id: spec for spec in SensorRig.of([{**sensor.spec, "id": sensor.id}])}
-                    if has_images(sensor):
-                        self._stored.add(sensor.id)
-        else:
-            specs = {spec.id: spec for spec in rig if spec.image is ImageKind.RGB}
-        known = list(specs)
-        self.ids = known if cameras == "all" else list(dict.fromkeys(cameras))
-        source = f"{recording.location}: has" if rig is None else "the rig has"
-        if not known:
-            raise RecapError(f"{source} no {_RGB}" if rig is not None else f"{source} no data of cameras; {_DRAWN}")
-        for id in self.ids:
-            if id not in known:
-                raise RecapError(f"{source} no camera {id!r:.200}; it has {first_of(known)}")
-        self._specs = {id: spec for id, spec in specs.items() if id in self.ids}
+            recorded = [sensor for sensor in sensors(recording.reader) if sensor.type == _RGB]
+            if not recorded:
+                raise RecapError(f"{recording.location}: has no data of cameras; {_DRAWN}")
+            self._stored = {sensor.id for sensor in recorded if has_images(sensor)}
+            specs = [spec for sensor in recorded for spec in SensorRig.of([{**sensor.spec, "id": sensor.id}])]
+            rig = SensorRig(tuple(specs), recording.location)
+        self._specs = {spec.id: spec for spec in rig.rgb_cameras(None if cameras == "all" else cameras)}
+        self.ids = list(self._specs)
 
     def size(self, id: str) -> tuple[int, int]:
         """Return the width and the height of a camera's images in pixels."""

@@ -117,7 +117,7 @@ def test_the_command_films_by_a_rig(tmp_path, sensed_recording):
 
 
 def test_an_unknown_camera_is_an_error_that_lists_the_others(sensed_recording, tmp_path):
-    refused = pytest.raises(RecapError, match=r"has no camera 'side'; it has front, back$")
+    refused = pytest.raises(RecapError, match=r"has no RGB camera 'side'; one of front, back was expected$")
     with open_recording(sensed_recording) as recording, refused:
         export_video(recording, tmp_path / "side.mp4", cameras=["side"])
     assert not (tmp_path / "side.mp4").exists()
