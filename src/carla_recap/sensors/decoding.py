@@ -15,6 +15,7 @@ import numpy as np
 from carla_recap.errors import FormatError, MissingExtra, RecapError
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.sensors import RecordedSensor, kind_of, sensors
+from carla_recap.sensors.encoding import load_pillow
 from carla_recap.util.text import single_line
 
 try:
@@ -296,21 +297,19 @@ def _picture(data: bytes) -> Image:
         OSError: It is damaged.
         ValueError: It is damaged, too large, or no such image.
     """
-    try:
-        from PIL import Image as Pillow
-        from PIL import UnidentifiedImageError
-    except ImportError:
-        raise MissingExtra("the images of a camera", "video") from None
+    pillow = load_pillow()
+    from PIL import UnidentifiedImageError
+
     too_large = f"{LARGEST_SIDE} pixels a side at most were expected"
     try:
         with (
-            warnings.catch_warnings(action="error", category=Pillow.DecompressionBombWarning),
-            Pillow.open(BytesIO(data), formats=("JPEG", "PNG", "WEBP")) as image,
+            warnings.catch_warnings(action="error", category=pillow.DecompressionBombWarning),
+            pillow.open(BytesIO(data), formats=("JPEG", "PNG", "WEBP")) as image,
         ):
             if max(image.size) > LARGEST_SIDE:
                 raise ValueError(f"{image.size[0]} x {image.size[1]} pixels; {too_large}")
             return np.asarray(image.convert("RGB"))
-    except (Pillow.DecompressionBombError, Pillow.DecompressionBombWarning):
+    except (pillow.DecompressionBombError, pillow.DecompressionBombWarning):
         raise ValueError(f"far too many pixels; {too_large}") from None
     except UnidentifiedImageError:
         raise ValueError("is neither a JPEG nor a PNG or WebP") from None

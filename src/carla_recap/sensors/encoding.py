@@ -149,8 +149,12 @@ class VideoStream:
         return b"".join(bytes(packet) for packet in self._context.encode(frame))
 
 
-def load_pillow() -> Any:
+def load_pillow(feature: str = "an image of a camera", extra: str = _EXTRA) -> Any:
     """Return Pillow's module `Image`.
+
+    Args:
+        feature: What needs it, in the error.
+        extra: The extra that installs it.
 
     Raises:
         MissingExtra: It is not installed.
@@ -158,5 +162,5 @@ def load_pillow() -> Any:
     try:
         from PIL import Image
     except ImportError:
-        raise MissingExtra("an image of a camera", _EXTRA) from None
+        raise MissingExtra(feature, extra) from None
     return Image

@@ -9,6 +9,7 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.queries.sensors import has_images, sensors
+from carla_recap.sensors.encoding import load_pillow, webp
 from carla_recap.util.text import first_of
 
 if TYPE_CHECKING:
@@ -87,7 +88,6 @@ def page_images(recording: Recording, camera: str, spans: Iterable[tuple[float, 
         MissingExtra: An optional dependency is not installed.
     """
     from carla_recap.sensors.decoding import StoredImages
-    from carla_recap.sensors.encoding import webp
 
     size, step = (0, 0), 1 / RATE
     times: list[float] = []
@@ -111,8 +111,6 @@ def page_images(recording: Recording, camera: str, spans: Iterable[tuple[float, 
 
 def _smaller(image: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """Return an image whose sides are at most `LARGEST`."""
-    from PIL import Image
-
-    picture = Image.fromarray(image)
+    picture = load_pillow().fromarray(image)
     picture.thumbnail((LARGEST, LARGEST))
     return np.asarray(picture)

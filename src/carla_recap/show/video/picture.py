@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from carla_recap.editing.convert import check_destination
-from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.errors import RecapError
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay import Player
 from carla_recap.scene.captions import shown_options
+from carla_recap.sensors.encoding import load_pillow
 from carla_recap.show.video.encoding import check_size
 from carla_recap.show.video.film import Film, followed_of, opened_renderer, recorded_size, submit
 from carla_recap.show.video.video import SIZE
@@ -118,7 +119,7 @@ def picture(
         FormatError: The file contradicts its format.
         MissingExtra: An optional dependency is not installed.
     """
-    Image = _pillow()  # noqa: N806
+    Image = load_pillow("a picture", "cameras")  # noqa: N806
     follow = followed_of(source, view, follow)
     size = size or recorded_size(source, view) or SIZE
     check_size(size)
@@ -139,14 +140,6 @@ def picture(
     file = io.BytesIO()
     Image.fromarray(pixels[..., 2::-1]).save(file, form, quality=88, compress_level=4)
     return PictureFile(file.getvalue())
-
-
-def _pillow() -> Any:
-    try:
-        from PIL import Image
-    except ImportError:
-        raise MissingExtra("a picture", "cameras") from None
-    return Image
 
 
 def _check_followed(source: Recording, followed: int | None, shot: VideoShot) -> None:
