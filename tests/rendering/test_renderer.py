@@ -452,6 +452,11 @@ def test_images_of_impossible_sizes_are_refused(renderer: Renderer, width: int, 
         renderer.draw(replace(camera(), width=width, height=height))
 
 
+def test_an_unknown_quality_is_refused() -> None:
+    with pytest.raises(RecapError, match="quality 'high'; one of low, epic was expected"):
+        Renderer(PLANE, quality="high")  # type: ignore[arg-type]
+
+
 def test_bytes_are_the_same_each_time_and_by_each_renderer(renderer: Renderer) -> None:
     seen, box = camera(), boxes((10, 0, 2), (15, 3, 1))
     first = renderer.draw(seen, box, ALL)

@@ -5,16 +5,28 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from math import radians, tan
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
+
+from carla_recap.errors import RecapError
 
 if TYPE_CHECKING:
     from carla_recap.util.arrays import Floats
 
 
 Quality = Literal["low", "epic"]
-"""The quality of images: low has neither shadows nor smooth edges, epic has both."""
+"""The quality of RGB images: low has neither shadows nor grain of surfaces nor smooth edges, epic has them."""
+
+
+def check_quality(quality: str) -> None:
+    """Check a quality.
+
+    Raises:
+        RecapError: There is no such quality.
+    """
+    if quality not in get_args(Quality):
+        raise RecapError(f"quality {quality!r:.200}; one of {', '.join(get_args(Quality))} was expected")
 
 
 class ImageKind(StrEnum):

@@ -26,8 +26,8 @@ import numpy as np
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering.buffers import image_format
-from carla_recap.rendering.camera import ImageKind
-from carla_recap.rendering.renderer import LARGEST, Quality, Renderer
+from carla_recap.rendering.camera import ImageKind, check_quality
+from carla_recap.rendering.renderer import LARGEST, Renderer
 from carla_recap.scene.models import MODELS, own_models
 from carla_recap.util.processes import (
     close_pipes,
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.rendering.buffers import ModelShape, TiledMesh
-    from carla_recap.rendering.camera import Camera
+    from carla_recap.rendering.camera import Camera, Quality
     from carla_recap.rendering.sky import Sky
     from carla_recap.scene.instances import Instances
     from carla_recap.scene.mesh import Mesh
@@ -89,7 +89,7 @@ class RenderProcess:
 
     Raises:
         MissingExtra: moderngl is not installed.
-        RecapError: There is no driver for OpenGL, or the process cannot be started.
+        RecapError: There is no driver for OpenGL or no such quality, or the process cannot be started.
     """
 
     def __init__(
@@ -97,10 +97,10 @@ class RenderProcess:
         town: TiledMesh | Callable[[], TiledMesh | None] | None = None,
         *,
         models: Sequence[ModelShape] | None = None,
-        quality: Quality | str = Quality.EPIC,
+        quality: Quality = "epic",
         supersampling: int | tuple[int, int] | None = None,
     ) -> None:
-        quality = Quality(quality)
+        check_quality(quality)
 
         @cache
         def setup() -> bytes:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import ctypes
 import sys
 from collections import OrderedDict
-from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
@@ -31,7 +30,7 @@ from carla_recap.rendering.buffers import (
     fill,
     instance_table,
 )
-from carla_recap.rendering.camera import ImageKind
+from carla_recap.rendering.camera import ImageKind, check_quality
 from carla_recap.rendering.camera_view import CameraView, valid_camera
 from carla_recap.rendering.sky import Sky
 
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.rendering.buffers import ModelShape, TiledMesh
-    from carla_recap.rendering.camera import Camera
+    from carla_recap.rendering.camera import Camera, Quality
     from carla_recap.scene.instances import Instances
 
     Images = dict[ImageKind, NDArray[Any]]
@@ -56,26 +55,19 @@ _GRAIN: Final = 256  # pixels of the texture of surfaces and clouds
 _SKY_MAP: Final = 1024  # pixels along a side of the map of the sky
 
 
-class Quality(StrEnum):
-    """How images are drawn: `LOW` without shadows, grain of surfaces and smoothing, `EPIC` with them."""
-
-    LOW = "low"
-    EPIC = "epic"
-
-
 class Renderer:
     """Draws images of a town and its actors.
 
     Args:
         town: The town; None for none.
         models: The models that instances refer to; by default, those of this package.
-        quality: How images are drawn.
+        quality: How RGB images are drawn.
         supersampling: The RGB image alone is drawn this many times as wide and high, and averaged: 1 to 4, for both or for
-            each. None: by the quality, (1, 2) for `EPIC`, which smooths what is nearly level, such as markings far away.
+            each. None: by the quality, (1, 2) for epic, which smooths what is nearly level, such as markings far away.
 
     Raises:
         MissingExtra: moderngl is not installed.
-        RecapError: There is no driver for OpenGL.
+        RecapError: There is no driver for OpenGL, or no such quality.
     """
 
     def __init__(
@@ -83,16 +75,17 @@ class Renderer:
         town: TiledMesh | None = None,
         *,
         models: Sequence[ModelShape] | None = None,
-        quality: Quality | str = Quality.EPIC,
+        quality: Quality = "epic",
         supersampling: int | tuple[int, int] | None = None,
     ) -> None:
         if models is None:
             from carla_recap.scene.models import MODELS
 
             models = MODELS
-        self._quality = Quality(quality)
+        check_quality(quality)
+        self._is_epic = quality == "epic"
         if supersampling is None:
-            supersampling = (1, 2) if self._quality is Quality.EPIC else 1
+            supersampling = (1, 2) if self._is_epic else 1
         samples = (supersampling, supersampling) if isinstance(supersampling, int) else supersampling
         self._samples = max(1, min(4, samples[0])), max(1, min(4, samples[1]))
         self._context = _create_context()
@@ -207,7 +200,7 @@ class Renderer:
         groups: list[InstanceGroup] = []
         halos = np.zeros(0, HALO)
         if instances is not None:
-            with_shadows = ImageKind.RGB in kinds and self._quality is Quality.EPIC
+            with_shadows = ImageKind.RGB in kinds and self._is_epic
             seen, offsets = self._in_view(view, instances, without, view.shadow_length if with_shadows else 0.0)
             groups = self._groups(view, seen, offsets, previous[1] if previous else None)
             if ImageKind.RGB in kinds:
@@ -306,7 +299,7 @@ class Renderer:
                 if not group.model.is_flat:
                     count = group.load()
                     self._array("blob", group.model).render(context.TRIANGLE_STRIP, instances=count)
-                    if group.shadows and self._quality is Quality.EPIC and view.shadow_length:
+                    if group.shadows and self._is_epic and view.shadow_length:
                         self._array("shadow", group.model).render(instances=group.shadows)
             context.blend_equation = context.FUNC_ADD
             _mask(framebuffer, (True, True, True, True))
@@ -422,7 +415,7 @@ class Renderer:
     def _surface(self, kinds: tuple[ImageKind, ...], model: ModelBuffers | None, *options: str) -> Any:
         if model is not None:
             options = (*options, "INSTANCED")
-        elif self._quality is Quality.EPIC and ImageKind.RGB in kinds:
+        elif self._is_epic and ImageKind.RGB in kinds:
             options = (*options, "GRAIN")
         key = kinds, model, options
         if key not in self._arrays:

@@ -55,11 +55,6 @@ LIGHTS: Final[tuple[tuple[str, Color], ...]] = (
 )
 """The states of a traffic light, in the order of CARLA's numbers."""
 
-LAMP_UP: Final = 4.5  # m; the height of the lamp of a traffic light, which is not recorded
-LAMP: Final = 0.8  # m, across
-POLE: Final[Color] = (95, 95, 105)
-POLE_WIDTH: Final = 0.12  # m
-
 ROADS: Final[tuple[tuple[str, Color, float], ...]] = (
     ("junctions", (70, 76, 92), 0.10),
     ("centre_lines", (66, 70, 82), 0.08),

@@ -55,8 +55,6 @@ TRANSFORMS: Final = "/tf/sensors"
 """The topic of the poses of all sensors in the world."""
 WORLD: Final = "world"
 """The frame of all positions."""
-LARGEST_ID: Final = (1 << 24) - 1
-"""The largest id of an actor in an image of instances."""
 
 _AHEAD: Final = 2  # moments whose messages are made while one is used
 _OPTICAL: Final = (-0.5, 0.5, -0.5, 0.5)  # x, y, z, w of the rotation from forward, left, up to right, down, forward
