@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from carla_recap import MissingExtra, RecapError, create_recording, export_parquet, open_recording
+from carla_recap.cli.export import export as export_command
 from carla_recap.files import parquet as exporter
 from carla_recap.model.records import UE4, Bone, Bones
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, on_terminal, run, the_line, wrote
-from tests.samples import log_header, names_in, packet, save, small_log, start
+from tests.samples import log_header, names_in, packet, save, start
 
 pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
 from pyarrow import parquet
@@ -26,12 +28,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 ANSWERS = {"actors.parquet", "collisions.parquet", "incidents.parquet"}
-
-
-@pytest.fixture
-def small(tmp_path: Path) -> Path:
-    """A recording with records of each type."""
-    return save(tmp_path / "small.log", small_log())
 
 
 @pytest.fixture(scope="module")
@@ -211,8 +207,8 @@ def test_the_command(tmp_path: Path, exported: Path) -> None:
     ids=lambda o: o[0],
 )
 def test_options_of_the_viewers_are_refused(tmp_path: Path, option: tuple[str, str]) -> None:
-    message = error("export", CROSSING, tmp_path / "out", "--to", "parquet", *option)
-    assert message.startswith(f"{option[0]} does not go with --to parquet.")
+    done = CliRunner().invoke(export_command, [str(CROSSING), str(tmp_path / "out"), "--to", "parquet", *option])
+    assert (done.exit_code, f"{option[0]} does not go with --to parquet." in done.output) == (2, True)
     assert names_in(tmp_path) == []
 
 

@@ -1,14 +1,11 @@
-"""A browser for pages, and a cluster."""
+"""A cluster."""
 
 from __future__ import annotations
 
 import pytest
 
 from carla_recap.fleet.cluster import connect
-from tests.show.page.conftest import chromium
 from tests.waiting import PATIENCE
-
-__all__ = ["chromium"]
 
 
 @pytest.fixture(scope="module")

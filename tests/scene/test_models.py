@@ -7,7 +7,7 @@ import pytest
 
 from carla_recap.scene.gltf import read_glb
 from carla_recap.scene.materials import MATERIALS, Material, Tag
-from carla_recap.scene.models import INDEX, MODELS, Model
+from carla_recap.scene.models import INDEX, MODELS
 from tools.models.__main__ import FOLDER, models
 
 SOLID = [model for model in MODELS if model.name != "collision mark"]
@@ -47,58 +47,50 @@ def test_the_files_are_small():
     assert sum(sizes) < 1_500_000
 
 
-def named(model: Model) -> str:
-    return model.name
+def test_a_model_fills_the_box_and_nothing_else():
+    for model in MODELS:
+        flat = np.array(model.size) < 1e-3
+        assert np.abs(model.mesh.vertices).max(axis=0)[~flat] == pytest.approx(1), model.name
+        assert model.mesh.vertices.min(axis=0)[~flat] == pytest.approx(-1), model.name
 
 
-@pytest.mark.parametrize("model", MODELS, ids=named)
-def test_a_model_fills_the_box_and_nothing_else(model):
-    flat = np.array(model.size) < 1e-3
-    assert np.abs(model.mesh.vertices).max(axis=0)[~flat] == pytest.approx(1)
-    assert model.mesh.vertices.min(axis=0)[~flat] == pytest.approx(-1)
+def test_corners_of_a_triangle_are_of_one_material_and_its_normals_have_length_1():
+    for model in MODELS:
+        materials = model.mesh.materials[model.mesh.triangles]
+        assert (materials == materials[:, :1]).all(), model.name
+        assert np.linalg.norm(model.mesh.normals, axis=1) == pytest.approx(1, abs=1e-4), model.name
 
 
-@pytest.mark.parametrize("model", MODELS, ids=named)
-def test_corners_of_a_triangle_are_of_one_material_and_its_normals_have_length_1(model):
-    materials = model.mesh.materials[model.mesh.triangles]
-    assert (materials == materials[:, :1]).all()
-    assert np.linalg.norm(model.mesh.normals, axis=1) == pytest.approx(1, abs=1e-4)
+def test_corners_run_counterclockwise_about_the_normals():
+    for model in MODELS:
+        corners = model.mesh.vertices[model.mesh.triangles].astype(np.float64) * np.array(model.size)
+        facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals = model.mesh.normals[model.mesh.triangles].mean(axis=1) / np.maximum(model.size, 1e-6)
+        large = np.linalg.norm(facing, axis=1) > 1e-7
+        assert ((facing * normals).sum(axis=1)[large] > 0).all(), model.name
 
 
-@pytest.mark.parametrize("model", MODELS, ids=named)
-def test_corners_run_counterclockwise_about_the_normals(model):
-    corners = model.mesh.vertices[model.mesh.triangles].astype(np.float64) * np.array(model.size)
-    facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = model.mesh.normals[model.mesh.triangles].mean(axis=1) / np.maximum(model.size, 1e-6)
-    large = np.linalg.norm(facing, axis=1) > 1e-7
-    assert ((facing * normals).sum(axis=1)[large] > 0).all()
-
-
-@pytest.mark.parametrize("model", SOLID, ids=named)
-def test_the_sides_face_outward(model):
+def test_the_sides_face_outward():
     """Of all that a ray from outside meets first, the front is seen."""
-    corners = model.mesh.vertices[model.mesh.triangles].astype(np.float64)
-    volume = (corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])).sum() / 6
-    assert volume > 0
+    for model in SOLID:
+        corners = model.mesh.vertices[model.mesh.triangles].astype(np.float64)
+        volume = (corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+        assert volume > 0, model.name
 
 
-@pytest.mark.parametrize("model", SOLID, ids=named)
-def test_a_model_is_low_poly(model):
-    assert len(model.mesh.triangles) <= 1000
+def test_models_are_low_poly():
+    assert max(len(model.mesh.triangles) for model in SOLID) <= 1000
+    for name in ("man 0", "woman 1", "child 2", *CARS):
+        most = 900 if name in CARS else 400
+        assert 150 <= len(MODELS[INDEX[name]].mesh.triangles) <= most, name
 
 
-@pytest.mark.parametrize("name", ["man 0", "woman 1", "child 2", *CARS])
-def test_the_commonest_models_are_light(name):
-    most = 900 if name in CARS else 400
-    assert 150 <= len(MODELS[INDEX[name]].mesh.triangles) <= most
-
-
-@pytest.mark.parametrize("name", CARS + TRUCKS)
-def test_left_and_right_mirror_each_other(name):
-    mesh = MODELS[INDEX[name]].mesh
-    points = {tuple(point) for point in np.round(mesh.vertices, 3).tolist()}
-    mirrored = {tuple(point) for point in (np.round(mesh.vertices, 3) * (1, -1, 1)).tolist()}
-    assert points == mirrored
+def test_left_and_right_mirror_each_other():
+    for name in (*CARS, *TRUCKS):
+        mesh = MODELS[INDEX[name]].mesh
+        points = {tuple(point) for point in np.round(mesh.vertices, 3).tolist()}
+        mirrored = {tuple(point) for point in (np.round(mesh.vertices, 3) * (1, -1, 1)).tolist()}
+        assert points == mirrored, name
 
 
 @pytest.mark.parametrize(
@@ -112,22 +104,22 @@ def test_left_and_right_mirror_each_other(name):
         (Material.RIGHT_INDICATOR, 0, -1),
     ],
 )
-@pytest.mark.parametrize("name", CARS + TRUCKS)
-def test_lamps_are_where_they_belong(name, material, ahead, left):
-    mesh = MODELS[INDEX[name]].mesh
-    points = mesh.vertices[mesh.materials == material]
-    assert len(points)
-    assert not ahead or (points[:, 0] * ahead).max() > 0.95
-    assert not ahead or (points[:, 0] * ahead > 0.2).all() or name == "pickup"  # with a lamp on its cab
-    assert not left or (points[:, 1] * left > 0).all()
+def test_lamps_are_where_they_belong(material, ahead, left):
+    for name in (*CARS, *TRUCKS):
+        mesh = MODELS[INDEX[name]].mesh
+        points = mesh.vertices[mesh.materials == material]
+        assert len(points), name
+        assert not ahead or (points[:, 0] * ahead).max() > 0.95, name
+        assert not ahead or (points[:, 0] * ahead > 0.2).all() or name == "pickup"  # with a lamp on its cab
+        assert not left or (points[:, 1] * left > 0).all(), name
 
 
-@pytest.mark.parametrize("model", [m for m in MODELS if "sign" not in m.name and "limit" not in m.name], ids=named)
-def test_parts_of_an_actor_have_its_tag(model):
-    if model.name in ("traffic light", "collision mark"):
-        return
-    tags = {MATERIALS[Material(number)].tag for number in np.unique(model.mesh.materials)}
-    assert tags <= {None, Tag.RIDER, Tag.VEGETATION}
+def test_parts_of_an_actor_have_its_tag():
+    others = "traffic light", "collision mark"
+    for model in MODELS:
+        if "sign" not in model.name and "limit" not in model.name and model.name not in others:
+            tags = {MATERIALS[Material(number)].tag for number in np.unique(model.mesh.materials)}
+            assert tags <= {None, Tag.RIDER, Tag.VEGETATION}, model.name
 
 
 def test_front_wheels_are_steered_about_their_middle():

@@ -81,16 +81,26 @@ def temporary(tmp_path, monkeypatch):
     assert list(folder.iterdir()) == []
 
 
-@pytest.fixture
-def limited():
-    """Runs code in a process whose files are limited to a number of bytes, as on a full disk."""
+LIMITED = """
+import resource, signal, sys
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+code, *sizes = sys.argv[1:]
+for size in map(int, sizes):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+    try:
+        exec(code)
+    except Exception as error:
+        print(f"{type(error).__name__}: {error}")
+"""
 
-    def run(code, size):
-        limit = (
-            "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
-            f"resource.setrlimit(resource.RLIMIT_FSIZE, ({size}, {size}))\n"
-        )
-        command = [sys.executable, "-B", "-c", limit + code]
-        return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
 
-    return run
+def limited(code, *sizes):
+    """Run code in a process whose files are limited to a number of bytes, as on a full disk, and then to others.
+
+    Returns:
+        The error that it raises with each limit.
+    """
+    command = [sys.executable, "-B", "-c", LIMITED, code, *map(str, sizes)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout.splitlines()

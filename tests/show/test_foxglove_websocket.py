@@ -18,8 +18,11 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final
 
 import pytest
+from click.testing import CliRunner
 
 from carla_recap import MissingExtra, RecapError, export, open_recording
+from carla_recap.cli.capture import watch
+from carla_recap.cli.export import view
 from tests.cli.command import COMMAND, ENVIRONMENT, error
 from tests.waiting import PATIENCE
 
@@ -383,10 +386,14 @@ def test_a_recording_that_is_cut_while_it_plays_is_an_error(tmp_path: Path) -> N
 
 
 def test_wrong_arguments_are_errors() -> None:
-    assert "--web goes with Rerun's viewer" in error("view", CROSSING, "--foxglove", "--web")
-    assert "--view goes with Rerun's viewer" in error("view", CROSSING, "--foxglove", "--view", "top")
+    for command, option, *further in (
+        (view, "--web", str(CROSSING)),
+        (view, "--view", "top", str(CROSSING)),
+        (watch, "--to", "out.rrd"),
+    ):
+        done = CliRunner().invoke(command, ["--foxglove", option, *further])
+        assert (done.exit_code, f"{option} goes with Rerun's viewer" in done.output) == (2, True)
     assert "no actor 7 to follow" in error("view", CROSSING, "--foxglove", "--follow", "7")
-    assert "--to goes with Rerun's viewer" in error("watch", "--foxglove", "--to", "out.rrd")
 
 
 def test_a_port_in_use_is_an_error() -> None:

@@ -315,68 +315,62 @@ def _glow(lamp: Material) -> tuple[int, ...]:
     return tuple(glow)
 
 
-VIEWERS = ["rerun", "foxglove", "page"]
+ALL = ("rerun", "foxglove", "page")
 
 
-@pytest.mark.parametrize("viewer", VIEWERS)
-def test_the_same_actors_are_there(shown, viewer):
+def compared(shown, viewers=("rerun", "foxglove")):
+    """Yield the viewer and the time, what a video shows, and what the viewer shows."""
     times, found = shown
-    assert any(each.places for each in found["video"])
-    for time, one, other in zip(times, found["video"], found[viewer], strict=True):
-        assert set(other.places) == set(one.places), time
+    for viewer in viewers:
+        for time, one, other in zip(times, found["video"], found[viewer], strict=True):
+            yield (viewer, time), one, other
 
 
-@pytest.mark.parametrize("viewer", VIEWERS)
-def test_they_are_at_the_same_places(shown, viewer):
-    times, found = shown
-    for time, one, other in zip(times, found["video"], found[viewer], strict=True):
+def test_the_same_actors_are_there(shown):
+    assert any(each.places for each in shown[1]["video"])
+    for where, one, other in compared(shown, ALL):
+        assert set(other.places) == set(one.places), where
+
+
+def test_they_are_at_the_same_places(shown):
+    for where, one, other in compared(shown, ALL):
         for id, place in one.places.items():
             known = len(other.places[id])
             reach = 0.05 if known == 3 else 0.6  # the page has the locations of actors, not the centres of their bodies
-            assert other.places[id] == pytest.approx(place[:known], abs=reach), (time, id)
+            assert other.places[id] == pytest.approx(place[:known], abs=reach), (where, id)
             if id in one.yaws:
-                assert math.remainder(other.yaws[id] - one.yaws[id], 360) == pytest.approx(0, abs=1.5), (time, id)
+                assert math.remainder(other.yaws[id] - one.yaws[id], 360) == pytest.approx(0, abs=1.5), (where, id)
 
 
-@pytest.mark.parametrize("viewer", ["rerun", "foxglove"])
-def test_the_same_lamps_are_lit(shown, viewer):
-    times, found = shown
-    for time, one, other in zip(times, found["video"], found[viewer], strict=True):
-        assert other.lamps == one.lamps, time
+def test_the_same_lamps_are_lit(shown):
+    for where, one, other in compared(shown):
+        assert other.lamps == one.lamps, where
 
 
-@pytest.mark.parametrize("viewer", ["rerun", "foxglove"])
-def test_the_same_walkers_lie(shown, viewer):
-    times, found = shown
-    for time, one, other in zip(times, found["video"], found[viewer], strict=True):
-        assert other.lying == one.lying, time
+def test_the_same_walkers_lie(shown):
+    for where, one, other in compared(shown):
+        assert other.lying == one.lying, where
 
 
-@pytest.mark.parametrize("viewer", ["rerun", "foxglove"])
-def test_the_same_collisions_are_marked(shown, viewer):
-    times, found = shown
-    for time, one, other in zip(times, found["video"], found[viewer], strict=True):
-        assert len(other.marks) == len(one.marks), time
+def test_the_same_collisions_are_marked(shown):
+    for where, one, other in compared(shown):
+        assert len(other.marks) == len(one.marks), where
         for mark, expected in zip(sorted(other.marks), sorted(one.marks), strict=True):
-            assert mark == pytest.approx(expected, abs=0.05), time
+            assert mark == pytest.approx(expected, abs=0.05), where
 
 
-@pytest.mark.parametrize("viewer", VIEWERS)
-def test_the_followed_actor_is_as_fast(shown, viewer):
-    times, found = shown
-    for time, one, other in zip(times, found["video"], found[viewer], strict=True):
-        assert (other.speed is None) == (one.speed is None), time
+def test_the_followed_actor_is_as_fast(shown):
+    for where, one, other in compared(shown, ALL):
+        assert (other.speed is None) == (one.speed is None), where
         if one.speed is not None:
-            assert other.speed == pytest.approx(one.speed, abs=0.01), time
+            assert other.speed == pytest.approx(one.speed, abs=0.01), where
 
 
-@pytest.mark.parametrize("viewer", ["rerun", "foxglove"])
-def test_its_pedals_and_the_light_ahead_are_the_same(shown, viewer):
-    times, found = shown
-    for time, one, other in zip(times, found["video"], found[viewer], strict=True):
-        assert other.light == one.light, time
+def test_its_pedals_and_the_light_ahead_are_the_same(shown):
+    for where, one, other in compared(shown):
+        assert other.light == one.light, where
         if one.pedals is not None:
-            assert other.pedals == pytest.approx(one.pedals, abs=1e-6), time
+            assert other.pedals == pytest.approx(one.pedals, abs=1e-6), where
 
 
 def test_the_same_actors_are_see_through(shown):
@@ -396,7 +390,7 @@ def test_the_same_incidents_are_captioned_and_listed(recorded, logs, tmp_path):
     """What the page lists is in both logs in the same words, and in a caption of the video with readable names."""
     recording, start = recorded
     found = incidents(recording.reader, WITHOUT_ROADS)
-    write_report(recording, tmp_path / "page", WITHOUT_ROADS)
+    write_report(recording, tmp_path / "page", WITHOUT_ROADS, pictures="none")
     assert [each["text"] for each in data(tmp_path / "page", "report")["incidents"]] == [each.text for each in found]
     for log in logs:
         assert {each.text for each in found if each.start >= start} <= set(log)
@@ -417,9 +411,8 @@ def test_something_is_to_be_compared(request, shown):
     assert found["video"][0].see_through == {1, 2} or "way" not in name
 
 
-def test_an_actor_without_a_spawn_is_there_as_a_small_box(request, shown):
-    if "without a spawn" not in request.node.name:
-        pytest.skip("this is about the actor that was never spawned")
+@pytest.mark.parametrize("recorded", ["without a spawn"], indirect=True, scope="module")
+def test_an_actor_without_a_spawn_is_there_as_a_small_box(shown):
     times, found = shown
     for seen_by in found.values():
         assert [9 in each.places for each in seen_by] == [time > 1.95 for time in times]
@@ -427,9 +420,8 @@ def test_an_actor_without_a_spawn_is_there_as_a_small_box(request, shown):
     assert found["video"][-1].places[9][2] == pytest.approx(0.15)
 
 
-def test_a_parked_car_is_there_once_it_is_on_the_road(request, shown):
-    if "parked below" not in request.node.name:
-        pytest.skip("this is about the car that is parked below the road")
+@pytest.mark.parametrize("recorded", ["parked below"], indirect=True, scope="module")
+def test_a_parked_car_is_there_once_it_is_on_the_road(shown):
     times, found = shown
     for seen_by in found.values():
         assert [2 in each.places for each in seen_by] == [time > 1.95 for time in times]

@@ -34,7 +34,26 @@ def runs(pid: int) -> bool:
     return True
 
 
-def test_one_viewer_takes_several_pictures(crossing_rrd, tmp_path, temporary):
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    """An empty home, in which the viewer must leave no usage data and no settings."""
+    folder = tmp_path / "home"
+    folder.mkdir()
+    for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", str(folder))
+    yield folder
+    assert not [path for path in folder.rglob("*") if "rerun" in path.name]
+
+
+@pytest.fixture(scope="module")
+def window(crossing_rrd):
+    """A viewer with its whole window, and the first picture that it takes."""
+    with ScreenshotTaker(crossing_rrd, (800, 600)) as screenshots:
+        yield screenshots, screenshots.take(24.6)
+
+
+def test_one_viewer_takes_several_pictures(crossing_rrd, tmp_path, temporary, home):
     from carla_recap.show.rerun import Rrd, camera_views, write
 
     with open_recording(SAMPLE) as recording:
@@ -56,21 +75,23 @@ def test_one_viewer_takes_several_pictures(crossing_rrd, tmp_path, temporary):
         assert len(image.getcolors(1 << 24)) > 100
 
 
-def test_the_whole_window_shows_the_blueprint_of_the_recording(crossing_rrd, temporary):
-    with ScreenshotTaker(crossing_rrd, (800, 600)) as screenshots:
-        picture = screenshots.take(24.6)
-        views = screenshots.state.views
+def test_the_whole_window_shows_the_blueprint_of_the_recording(window):
+    screenshots, picture = window
+    views = screenshots.state.views
     assert Image.open(io.BytesIO(picture)).size == (800, 600)
     assert {"3D", "2D", "TimeSeries", "TextLog"} <= {view.view_class for view in views}
     assert not [report for view in views for report in view.reports]
 
 
-def test_no_notices_cover_the_first_picture(crossing_rrd):
-    with ScreenshotTaker(crossing_rrd, (800, 600)) as screenshots:
-        early = screenshots.take(24.6)
-        threading.Event().wait(1.5)
-        late = screenshots.take(24.6)
-    assert early == late
+def test_no_notices_cover_the_first_picture(window):
+    screenshots, early = window
+    threading.Event().wait(1.5)
+    assert screenshots.take(24.6) == early
+
+
+def test_the_viewer_listens_on_the_loopback_alone(window):
+    sockets = psutil.Process(window[0]._process.pid).net_connections("inet")
+    assert {socket.laddr.ip for socket in sockets} == {viewer.HOST}
 
 
 def test_without_a_graphics_driver_the_error_says_what_to_install(crossing_rrd, temporary, monkeypatch):
@@ -136,24 +157,7 @@ def test_a_terminated_process_ends_its_viewer(crossing_rrd, temporary):
     assert not runs(pid)
 
 
-def test_no_usage_data_and_no_settings_are_left(crossing_rrd, tmp_path, monkeypatch):
-    home = tmp_path / "home"
-    home.mkdir()
-    for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("HOME", str(home))
-    with ScreenshotTaker(crossing_rrd) as screenshots:
-        screenshots.take(21)
-    assert not [path for path in home.rglob("*") if "rerun" in path.name]
-
-
 def test_without_the_viewer_the_error_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun_cli", None)
     with pytest.raises(MissingExtra, match=r"the Rerun viewer needs .*\.\[rerun\]"):
         ScreenshotTaker("any.rrd").__enter__()
-
-
-def test_the_viewer_listens_on_the_loopback_alone(crossing_rrd):
-    with ScreenshotTaker(crossing_rrd) as screenshots:
-        sockets = psutil.Process(screenshots._process.pid).net_connections("inet")
-        assert {socket.laddr.ip for socket in sockets} == {viewer.HOST}

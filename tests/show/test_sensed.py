@@ -190,7 +190,7 @@ def test_a_walker_that_was_knocked_down_before_lies(tmp_path: Path, start: float
     source = write(tmp_path / "accident.log", accident(40), tick=0.1)
     rays = {"range": 50.0, "channels": 64, "points_per_second": 1_000_000, "upper_fov": 20.0, "lower_fov": -80.0}
     rig = SensorRig.of([{"type": "sensor.lidar.ray_cast_semantic", "id": "lidar", "x": 0.0, "y": 0.0, "z": 2.2, **rays}])
-    part = {"start": start, "duration": 1.0}
+    part = {"start": start, "duration": 0.5}
     export(source, tmp_path / "sensed.mcap", rig, actor=CAR, **part)
     with open_recording(source) as recording:
         expected = [walker_of(frame.samples["lidar"].data) for frame in sense(recording, rig, actor=CAR, **part)]

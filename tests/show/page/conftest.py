@@ -1,29 +1,25 @@
-"""Pages, and a browser."""
+"""Pages, and what is in them."""
 
 from __future__ import annotations
 
 import base64
 import json
-import shutil
 import struct
 import zlib
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from carla_recap import ActorKind, Attribute, Spawn, create_recording, open_recording
+from carla_recap import open_recording
 from carla_recap.queries.incidents import IncidentOptions
 from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.show.page import write_report
-from tests.waiting import PATIENCE
+from tests.replay.scripts import write
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from selenium.webdriver import Chrome
+    from collections.abc import Mapping, Sequence
 
 CROSSING = Path(__file__).parents[3] / "samples" / "crossing.log"
 NASTY = "</script><img src=x onerror=\"document.title='broken'\">\u2028\u2029\x01\"'&amp;"
@@ -73,21 +69,9 @@ def numbers(content: bytes, offset: int, count: int, planes: int, unit: float, o
     return values * unit
 
 
-def spawn(id: int, type_id: str = "vehicle.audi.tt", **attributes: str) -> Spawn:
-    kinds = {"vehicle": ActorKind.VEHICLE, "walker": ActorKind.WALKER, "traffic": ActorKind.TRAFFIC_LIGHT}
-    kind = kinds.get(type_id.partition(".")[0], ActorKind.OTHER)
-    pairs = [Attribute(3, *pair) for pair in attributes.items()]
-    return Spawn(id, kind, 0, 0, 0, 0, 0, 0, 0, type_id, pairs)
-
-
-def record(
-    path: Path, frames: Sequence[Mapping[str, Any]], *, tick: float = 0.05, map_name: str = "Town01", **options: Any
-) -> Path:
+def record(path: Path, frames: Sequence[Mapping[str, Any]], *, tick: float = 0.05, **options: Any) -> Path:
     """Write a recording, one mapping of records per frame."""
-    with create_recording(path, map_name=map_name, date=0, **options) as recorder:
-        for index, frame in enumerate(frames):
-            recorder.add_frame(index * tick, **frame)
-    return path
+    return write(path, frames, tick=tick, **options)
 
 
 def report(source: Path, folder: Path, **options: Any) -> Path:
@@ -95,33 +79,3 @@ def report(source: Path, folder: Path, **options: Any) -> Path:
     with open_recording(source) as recording:
         write_report(recording, folder, WITHOUT_ROADS, **options)
     return folder
-
-
-@contextmanager
-def browser(*arguments: str) -> Iterator[Chrome]:
-    """Yield a browser without a window; skips the test if it is not installed."""
-    binary, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if not binary or not driver:
-        pytest.skip("chromium or chromedriver is not installed")
-    webdriver = pytest.importorskip("selenium.webdriver")
-    from selenium.webdriver.chrome.service import Service
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = binary
-    for argument in ("headless=new", "no-sandbox", "disable-background-networking", "window-size=1440,900", *arguments):
-        options.add_argument(f"--{argument}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    chrome = webdriver.Chrome(options=options, service=Service(driver))
-    chrome.set_script_timeout(PATIENCE)
-    chrome.set_page_load_timeout(PATIENCE)
-    try:
-        yield chrome
-    finally:
-        chrome.quit()
-
-
-@pytest.fixture(scope="session")
-def chromium() -> Iterator[Chrome]:
-    """A browser for all tests."""
-    with browser("disable-gpu") as chrome:
-        yield chrome

@@ -10,8 +10,9 @@ import pytest
 from carla_recap import open_recording
 from carla_recap.replay import Player, right_handed
 from carla_recap.show.page import Opening
+from tests.replay.scripts import spawn
 from tests.samples import carla_log
-from tests.show.page.conftest import CROSSING, NASTY, data, record, report, spawn
+from tests.show.page.conftest import CROSSING, NASTY, data, record, report
 from tests.waiting import wait_until
 
 if TYPE_CHECKING:
@@ -235,18 +236,15 @@ def test_a_recording_of_one_frame_without_actors(chromium: Chrome, tmp_path: Pat
     assert page.errors == []
 
 
-def test_a_minute_of_dense_traffic_loads_at_once(chromium: Chrome, tmp_path: Path, record_property: Any) -> None:
+def test_all_of_150_actors_are_shown(chromium: Chrome, tmp_path: Path) -> None:
     ids = np.arange(1, 151)
-    turns = np.linspace(0, 40, 1201)[:, None] + ids
+    turns = np.linspace(0, 1, 21)[:, None] + ids
     frames: list[dict[str, Any]] = [
         {"transforms": {"id": ids, "x": 9000 * np.cos(turn), "y": 9000 * np.sin(turn), "yaw": np.degrees(turn) % 360}}
         for turn in turns
     ]
     frames[0]["spawned"] = [spawn(id) for id in ids.tolist()]
-    folder = report(record(tmp_path / "a.mcap", frames), tmp_path / "page")
-    page = Page(chromium, folder)
-    record_property("first_frame_ms", page.ask("performance.getEntriesByName('recap-first-frame')[0].startTime"))
-    record_property("megabytes", sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) / 1e6)
+    page = Page(chromium, report(record(tmp_path / "a.mcap", frames), tmp_path / "page"))
     assert page.ask("replay.stage.shown.length") == 150
     assert page.errors == []
 

@@ -8,8 +8,9 @@ import pytest
 
 from carla_recap import RecapError, open_recording
 from carla_recap.show.page import write_report
+from tests.replay.scripts import spawn
 from tests.samples import names_in
-from tests.show.page.conftest import WITHOUT_ROADS, record, spawn
+from tests.show.page.conftest import WITHOUT_ROADS, record
 from tests.show.page.test_browser import Page
 from tests.show.page.test_look import emulated
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.show.page.conftest import record, report, spawn
+from tests.replay.scripts import spawn
+from tests.show.page.conftest import record, report
 from tests.show.page.test_browser import Page
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ import pytest
 
 from carla_recap import RecapError
 from carla_recap.show.page import report as module
-from tests.show.page.conftest import data, record, report, spawn
+from tests.replay.scripts import spawn
+from tests.show.page.conftest import data, record, report
 
 if TYPE_CHECKING:
     from pathlib import Path

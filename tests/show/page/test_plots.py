@@ -10,7 +10,8 @@ import pytest
 
 from carla_recap import open_recording
 from carla_recap.scene.follow import followed_series
-from tests.show.page.conftest import record, report, spawn
+from tests.replay.scripts import spawn
+from tests.show.page.conftest import record, report
 from tests.show.page.test_browser import Page
 
 if TYPE_CHECKING:

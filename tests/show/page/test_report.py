@@ -11,8 +11,9 @@ from carla_recap.queries.incidents import incidents
 from carla_recap.rendering.town import load_town_of
 from carla_recap.show.page import Opening, samples, write_report
 from carla_recap.show.page import report as module
+from tests.replay.scripts import spawn
 from tests.samples import names_in
-from tests.show.page.conftest import CROSSING, NASTY, WITHOUT_ROADS, data, record, report, spawn
+from tests.show.page.conftest import CROSSING, NASTY, WITHOUT_ROADS, data, record, report
 
 if TYPE_CHECKING:
     from pathlib import Path

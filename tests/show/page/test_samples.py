@@ -10,7 +10,8 @@ import pytest
 from carla_recap import open_recording
 from carla_recap.replay import Player, right_handed
 from carla_recap.show.page.samples import BLOCK, Sampler
-from tests.show.page.conftest import CROSSING, record, spawn
+from tests.replay.scripts import spawn
+from tests.show.page.conftest import CROSSING, record
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -10,8 +10,9 @@ import pytest
 
 from carla_recap import IncidentOptions, RecapError, open_recording, write_report
 from carla_recap.show.page.script import Packer
+from tests.replay.scripts import spawn
 from tests.samples import names_in
-from tests.show.page.conftest import CROSSING, NASTY, data, record, report, spawn, unpack
+from tests.show.page.conftest import CROSSING, NASTY, data, record, report, unpack
 from tests.show.page.test_browser import Page
 from tests.waiting import wait_until
 
@@ -21,9 +22,16 @@ if TYPE_CHECKING:
     from selenium.webdriver import Chrome
 
 
-def test_it_opens_without_a_network_and_asks_for_no_other_file(chromium: Chrome, tmp_path: Path) -> None:
-    single = report(CROSSING, tmp_path / "page.html")
-    assert names_in(tmp_path) == ["page.html"]
+@pytest.fixture(scope="module")
+def single(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of the sample as one file."""
+    folder = tmp_path_factory.mktemp("single")
+    page = report(CROSSING, folder / "page.html")
+    assert names_in(folder) == ["page.html"]
+    return page
+
+
+def test_it_opens_without_a_network_and_asks_for_no_other_file(chromium: Chrome, single: Path) -> None:
     chromium.execute_cdp_cmd("Network.enable", {})
     offline = {"offline": True, "latency": 0, "downloadThroughput": 0, "uploadThroughput": 0}
     chromium.execute_cdp_cmd("Network.emulateNetworkConditions", offline)
@@ -40,8 +48,8 @@ def test_it_opens_without_a_network_and_asks_for_no_other_file(chromium: Chrome,
         chromium.execute_cdp_cmd("Network.emulateNetworkConditions", offline | {"offline": False})
 
 
-def test_its_policy_permits_only_its_own_scripts(chromium: Chrome, tmp_path: Path) -> None:
-    page = Page(chromium, report(CROSSING, tmp_path / "page.html"))
+def test_its_policy_permits_only_its_own_scripts(chromium: Chrome, single: Path) -> None:
+    page = Page(chromium, single)
     page.browser.execute_script(
         "document.body.append(Object.assign(document.createElement('script'), {textContent: 'window.strange = 1'}))"
     )
@@ -81,7 +89,9 @@ def test_a_minute_of_traffic_is_less_than_one_and_a_half_megabytes(tmp_path: Pat
         where = {"x": 9000 * np.cos(turn), "y": 9000 * np.sin(2 * turn), "yaw": np.degrees(turn) % 360}
         frames.append({"transforms": {"id": ids, **where}})
     frames[0]["spawned"] = [spawn(id) for id in ids.tolist()]
-    assert report(record(tmp_path / "a.mcap", frames), tmp_path / "page.html").stat().st_size < 1_500_000
+    with open_recording(record(tmp_path / "a.mcap", frames)) as recording:
+        write_report(recording, tmp_path / "page.html", IncidentOptions(kinds=["collision"]))
+    assert (tmp_path / "page.html").stat().st_size < 1_500_000
 
 
 def test_a_file_that_exists_is_kept_without_force(tmp_path: Path) -> None:
@@ -96,8 +106,7 @@ def test_a_file_that_exists_is_kept_without_force(tmp_path: Path) -> None:
         report(CROSSING, tmp_path / "folder.html", force=True)
 
 
-def test_the_data_are_those_of_the_folder(crossing_page: Path, tmp_path: Path) -> None:
-    single = report(CROSSING, tmp_path / "page.html")
+def test_the_data_are_those_of_the_folder(crossing_page: Path, single: Path) -> None:
     assert data(single, "report") == data(crossing_page, "report")
     assert data(single, "recording")["x"].tolist() == data(crossing_page, "recording")["x"].tolist()
     assert not re.search(r'(src|href)="(?!data:|#)', single.read_text("utf-8"))

@@ -9,8 +9,9 @@ import pytest
 
 from carla_recap import RecapError
 from carla_recap.show.page import page_server, samples
+from tests.browser import browser
 from tests.samples import names_in
-from tests.show.page.conftest import CROSSING, browser, data, report
+from tests.show.page.conftest import CROSSING, data, report
 from tests.waiting import wait_until
 
 if TYPE_CHECKING:

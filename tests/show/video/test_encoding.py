@@ -18,6 +18,7 @@ from PIL import Image
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.show.video.encoding import check_packages, check_size, check_video, create_video
 from tests.samples import names_in
+from tests.show.conftest import limited
 
 COLORS = [(200, 40, 40), (40, 180, 60), (30, 60, 200), (128, 128, 128)]
 
@@ -87,7 +88,7 @@ def test_a_missing_folder_is_an_error_of_one_line(tmp_path: Path, suffix: str) -
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no such limits")
 @pytest.mark.parametrize("suffix", [".mp4", ".gif"])
-def test_a_full_disk_is_an_error_of_one_line(tmp_path: Path, limited: Any, suffix: str) -> None:
+def test_a_full_disk_is_an_error_of_one_line(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"out{suffix}"
     lines = (
         "from pathlib import Path",
@@ -97,8 +98,7 @@ def test_a_full_disk_is_an_error_of_one_line(tmp_path: Path, limited: Any, suffi
         "    for seed in range(60):",
         "        file.add(np.random.default_rng(seed).integers(0, 255, (180, 320, 4), np.uint8))",
     )
-    done = limited("\n".join(lines), 100_000)
-    assert done.stderr.splitlines()[-1].endswith(f"out{suffix}: cannot be written: File too large")
+    assert limited("\n".join(lines), 100_000) == [f"RecapError: {path}: cannot be written: File too large"]
     assert names_in(tmp_path) == []
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
-import time
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,12 +23,13 @@ from carla_recap.show.video.film import Film
 from tests.cli.command import COMMAND, ENVIRONMENT, error, run
 from tests.replay.scripts import pose, spawn, write
 from tests.samples import carla_log, names_in
-from tests.show.page.conftest import browser
 from tests.show.video.conftest import SAMPLES
-from tests.waiting import PATIENCE
+from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from selenium.webdriver import Chrome
 
     from carla_recap.recording import Recording
     from carla_recap.rendering.process import RenderProcess
@@ -169,7 +169,7 @@ def test_a_recorded_camera_films_with_its_size_and_field_of_view(tmp_path: Path,
 def test_clips_have_videos(tmp_path: Path, renderer: RenderProcess) -> None:
     from carla_recap import clips
 
-    (first, second) = clips(SAMPLES / "crossing.log", tmp_path / "clips", before=0.2, after=0.2, rerun=False, video=True)
+    (first, second) = clips(SAMPLES / "crossing.log", tmp_path / "clips", before=0, after=0.1, rerun=False, video=True)
     for clip in (first, second):
         assert clip.video == clip.recording.with_suffix(".mp4")
         with av.open(str(clip.video)) as container, open_recording(clip.recording) as recording:
@@ -284,8 +284,7 @@ def test_errors_of_the_command(tmp_path: Path, arguments: tuple[str, ...], messa
 def test_ctrl_c_leaves_nothing(tmp_path: Path, renderer: RenderProcess) -> None:
     command = [COMMAND, "video", SAMPLES / "crossing.log", tmp_path / "out.mp4", "--size", "320x180"]
     with subprocess.Popen(command, env=ENVIRONMENT, stderr=subprocess.PIPE) as process:
-        while process.poll() is None and not names_in(tmp_path):
-            time.sleep(0.02)
+        wait_until(lambda: process.poll() is not None or names_in(tmp_path))
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE) == 130
         assert process.stderr is not None
@@ -306,13 +305,12 @@ video.play().catch(error => done({error: String(error)}));
 """
 
 
-def test_a_browser_plays_it(crossing: Recording, tmp_path: Path, renderer: RenderProcess) -> None:
+def test_a_browser_plays_it(chromium: Chrome, crossing: Recording, tmp_path: Path, renderer: RenderProcess) -> None:
     path, page = tmp_path / "out.mp4", tmp_path / "page.html"
     export_video(crossing, path, renderer=renderer, start=24, duration=1, size=SMALL)
     page.write_text("<!doctype html><body></body>")
-    with browser("disable-gpu", "autoplay-policy=no-user-gesture-required") as chrome:
-        chrome.get(page.as_uri())
-        played = chrome.execute_async_script(PLAYED, path.as_uri())
+    chromium.get(page.as_uri())
+    played = chromium.execute_async_script(PLAYED, path.as_uri())
     assert played == {"duration": pytest.approx(1, abs=0.02), "width": 320, "time": pytest.approx(1, abs=0.05)}, json.dumps(
         played
     )
