@@ -20,6 +20,7 @@ from carla_recap.queries.incidents import Incident, incidents
 from carla_recap.queries.matching import Match, MatchedBy, match
 from carla_recap.queries.paths import PathComparison, PathTotals
 from carla_recap.queries.recorded_actors import actors
+from carla_recap.roads.find import map_key
 from carla_recap.tables import Rows
 from carla_recap.util.text import readable
 
@@ -474,7 +475,7 @@ def _start(row: EventDifference) -> float:
 
 def _reasons(found: Differences) -> Iterator[str]:
     a, b = found.a, found.b
-    if _town(a.map_name) != _town(b.map_name):
+    if map_key(a.map_name) != map_key(b.map_name):
         yield f"the maps are {a.map_name or 'unnamed'} and {b.map_name or 'unnamed'}"
     first = found.first
     if first is not None:
@@ -506,11 +507,6 @@ def _rank(row: ActorDifference) -> int:
     if row.role_name == HERO:
         return 0
     return 1 if row.kind == "vehicle" else 2
-
-
-def _town(map_name: str) -> str:
-    """Return a map without its folder; the layered variant of a map is the same."""
-    return map_name.rpartition("/")[2].lower().removesuffix("_opt")
 
 
 def _differ(rows: Sequence[object]) -> str:

@@ -41,6 +41,11 @@ def plain_name(map_name: str) -> str:
     return re.split(r"[/\\]", map_name)[-1]
 
 
+def map_key(map_name: str) -> str:
+    """Return the name by which maps are compared: the layered variant of a map is the same map."""
+    return plain_name(map_name).lower().removesuffix(_LAYERED.lower())
+
+
 def described_folder(folder: Path | str | None = None) -> str:
     """Return the folder of maps for messages, with what is wrong with it; see `find_map`."""
     path = folder or os.environ.get(FOLDER)

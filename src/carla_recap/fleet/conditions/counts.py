@@ -17,7 +17,7 @@ from carla_recap.model.lives import ROAD_USERS
 from carla_recap.queries.differences import differences, metres, name_of
 from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import open_recording
-from carla_recap.roads.find import plain_name
+from carla_recap.roads.find import map_key, plain_name
 from carla_recap.util.text import number, readable
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class IncidentCount:
-    """The number of incidents of some kinds.
+    """Bounds of the number of incidents of some kinds.
 
     Attributes:
         kinds: The kinds, such as `collision`.
@@ -99,7 +99,7 @@ class IncidentCount:
 
 @dataclass(frozen=True, slots=True)
 class LongestStop:
-    """How long vehicles and walkers stand still.
+    """The longest time for which vehicles and walkers stand still.
 
     Attributes:
         of: The actors; any: vehicles and walkers.
@@ -135,10 +135,10 @@ class LongestStop:
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """The length of the recording.
+    """Bounds of the length of the recording.
 
     Attributes:
-        unit: `s`: the duration counts, or `frames`: their number.
+        unit: `s` for the duration, or `frames` for their number.
         bounds: The valid numbers.
     """
 
@@ -166,13 +166,13 @@ class Size:
 
     @property
     def _unit(self) -> str:
-        """What is counted, behind bounds that have no unit."""
+        """The suffix of bounds that are written without a unit."""
         return "" if self.unit == "s" else f" {self.unit}"
 
 
 @dataclass(frozen=True, slots=True)
 class ActorCount:
-    """The number of actors.
+    """Bounds of the number of actors.
 
     Attributes:
         of: The actors.
@@ -231,14 +231,9 @@ class MapName:
         return Finding(False, f"{message} instead of {' or '.join(self.names)}")
 
 
-def map_key(name: str) -> str:
-    """Return a map's name as it is compared."""
-    return plain_name(name).lower().removesuffix("_opt")
-
-
 @dataclass(frozen=True, slots=True)
 class SameAs:
-    """That a recording shows the same as a baseline.
+    """A demand that a recording shows the same as a baseline.
 
     Attributes:
         baseline: The baseline, or the folder of baselines, in which that of a recording has the same name.

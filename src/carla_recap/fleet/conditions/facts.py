@@ -1,4 +1,4 @@
-"""What conditions ask of a recording, and what they find in it."""
+"""What conditions need to know of a recording, and what they find in it."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Offence(NamedTuple):
 
     Attributes:
         text: What happens: a sentence without its full stop.
-        time: When, in elapsed seconds; None if it has no time.
+        time: The elapsed seconds; None if it has no time.
         actors: The ids of the actors.
     """
 
@@ -72,7 +72,7 @@ class Finding(NamedTuple):
 
 
 class Positions(NamedTuple):
-    """Where an actor is over time, in each frame and in between, at most 0.5 m apart except where it jumps.
+    """The positions of an actor in each frame and in between, at most 0.5 m apart except where it jumps.
 
     Attributes:
         time: Elapsed seconds, ascending, (n,).
@@ -87,15 +87,15 @@ class Positions(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Needs:
-    """What a condition asks of a recording, so that the answers for all conditions are found at once.
+    """What a condition needs to know of a recording, so that the answers for all conditions are found at once.
 
     Attributes:
         incidents: The kinds of incidents.
-        stop_time: The duration above which stops are asked for, in s; None: stops are not.
-        extremes: Of which actors the extreme value of which measure.
-        values: Of which actors the values over time of which measure.
-        positions: Of which actors the positions.
-        places: The places that these are related to.
+        stop_time: The duration in s above which stops are needed; None: none are.
+        extremes: Measures, and the actors of which the extreme value is needed.
+        values: Measures, and the actors of which the values over time are needed.
+        positions: The actors of which the positions are needed.
+        places: The places that these are compared with.
     """
 
     incidents: frozenset[str] = frozenset()
@@ -119,7 +119,7 @@ class Condition(Protocol):
     """What a rule demands."""
 
     def needs(self) -> Needs:
-        """Return what the condition asks of a recording."""
+        """Return what the condition needs to know of a recording."""
         ...
 
     def text(self) -> str:
@@ -127,7 +127,7 @@ class Condition(Protocol):
         ...
 
     def judge(self, facts: Facts) -> Finding:
-        """Return what a recording has of it.
+        """Return the finding on a recording.
 
         Raises:
             RecapError: The recording is damaged.
@@ -136,11 +136,11 @@ class Condition(Protocol):
 
 
 class Facts:
-    """What the conditions of some rules ask of a recording; each question is asked once, and only if a rule needs it.
+    """Answers about a recording for the conditions of rules; each is computed once, when it is first needed.
 
     Args:
         recording: The recording.
-        needs: What all conditions that will be judged ask.
+        needs: What all conditions that will be judged need to know.
         road_map: The map, or the folder of maps; None: the usual folders.
     """
 
@@ -230,7 +230,7 @@ class Facts:
         return self._once(("positions", id(life)), lambda: self._positions(life))
 
     def outside(self, place: Place, life: ActorLife) -> Floats:
-        """Return how far the positions of an actor are outside a place, in m."""
+        """Return how far the positions of an actor are outside a place, in m, (n,)."""
         return self._once(("outside", place, id(life)), lambda: place.outside(self.positions(life).points, self.roads_with))
 
     def first(self, occasion: Occasion, life: ActorLife) -> float:

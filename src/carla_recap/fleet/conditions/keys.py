@@ -137,8 +137,8 @@ def _bounds(_: Reading, min: Quantity | None = None, max: Quantity | None = None
 
 def bounds(type: ValueType, *names: str) -> KeyGroup:
     """Return the keys `min` and `max` of values of a type, or one of them."""
-    texts = {"min": "the least valid value", "max": "the greatest valid value"}
-    return KeyGroup("bounds", tuple(Key(name, type, texts[name]) for name in names or texts), _bounds)
+    meanings = {"min": "the least valid value", "max": "the greatest valid value"}
+    return KeyGroup("bounds", tuple(Key(name, type, meanings[name]) for name in names or meanings), _bounds)
 
 
 def _function(value: Any, reading: Reading) -> tuple[str, str, str]:
@@ -189,7 +189,7 @@ def _is_point(value: Any) -> bool:
 
 
 def _sign(reading: Reading) -> float:
-    """Return the factor of y in a file of rules that makes it right-handed."""
+    """Return the factor by which y in a file of rules becomes right-handed."""
     return 1.0 if reading.axes == "right-handed" else -1.0
 
 

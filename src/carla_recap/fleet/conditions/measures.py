@@ -30,15 +30,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class MeasureBounds:
-    """The values of a measure.
+    """Bounds of the values of a measure.
 
     Attributes:
         measure: The measure, such as `time_to_collision`.
         of: The actors; any: vehicles and walkers.
         bounds: The valid values, in the measure's unit.
         scope: When and where values count.
-        tolerate: How long values may be outside the bounds at a time.
-        lasting: How long they have to be within the bounds at least once, without a break; None: all the time.
+        tolerate: The longest time without a break in which values may be outside the bounds; None: 0 s.
+        lasting: The time for which they have to be within the bounds once, without a break; None: all the time.
     """
 
     measure: str
@@ -86,7 +86,7 @@ class MeasureBounds:
         return not self.scope.is_whole or self.tolerate is not None or self.lasting is not None or beyond is not None
 
     def _extremes(self, facts: Facts) -> Iterator[tuple[float, bool, Offence]]:
-        """Yield the extreme value of each actor, whether it is valid, and what to say of it."""
+        """Yield the extreme value of each actor, whether it is valid, and the offence that it would be."""
         for row in facts.measures:
             chosen = row.measure == self.measure and self.of.matches(facts.actors.at(row.actor, row.time))
             if chosen and math.isfinite(row.value):
@@ -97,7 +97,7 @@ class MeasureBounds:
                 )
 
     def _over_time(self, facts: Facts) -> Iterator[tuple[float, bool, Offence]]:
-        """Yield the worst value of each time in which the values of an actor are valid, or are not; see `_extremes`."""
+        """Yield the worst value of each interval in which the values of an actor are valid, or not; see `_extremes`."""
         for life, found, counts in self._measured(facts):
             valid = self._valid(found, counts)
             for is_valid in (True, False):
@@ -112,7 +112,7 @@ class MeasureBounds:
                     yield value, is_valid, offence
 
     def _lasts(self, facts: Facts) -> Finding:
-        """Return whether each actor has valid values for a time without a break."""
+        """Return the finding on whether each actor has valid values for long enough without a break."""
         assert self.lasting is not None
         offences, longest = [], []
         for life, found, counts in self._measured(facts):
@@ -134,7 +134,7 @@ class MeasureBounds:
         return Finding(True, f"{what} {self.bounds} for {min(longest):.2f} s")
 
     def _unmeasured(self, facts: Facts) -> Finding:
-        """Return the finding without any value, as of the time to collision of actors on no collision course."""
+        """Return the finding if there is no value, such as a time to collision where no paths meet."""
         absent = self.scope.absent(self.of, facts)
         return Finding(True, f"no {self._name} was measured{absent}", applies=not absent)
 
@@ -159,7 +159,7 @@ class MeasureBounds:
         return valid
 
     def _badness(self, value: float) -> float:
-        """Return how far a value is towards the bounds, or beyond them; below 0 within them."""
+        """Return by how much a value is outside the bounds; negative within them."""
         least, most = self.bounds.least, self.bounds.most
         return max(-math.inf if least is None else least.value - value, -math.inf if most is None else value - most.value)
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PlaceDemand:
-    """That actors do something at a place; the base of `Reaches` and `Leaves`.
+    """A demand that actors do something at a place; the base of `Reaches` and `Leaves`.
 
     Attributes:
         of: The actors, each of which has to.
@@ -40,7 +40,7 @@ class PlaceDemand:
     before: Quantity | None = None
 
     verbs: ClassVar[tuple[str, str]]
-    """What several actors have to do, and one."""
+    """The verb for several actors, and for one."""
 
     def needs(self) -> Needs:
         """See `Condition.needs`."""
@@ -68,16 +68,16 @@ class PlaceDemand:
         return f"{self.place}{_before(self.before)}"
 
     def _time(self, facts: Facts, life: ActorLife) -> float:
-        """Return when an actor does it; inf if it never does."""
+        """Return the elapsed seconds at which an actor meets the demand; inf if it never does."""
         raise NotImplementedError
 
     def _never(self, facts: Facts, life: ActorLife) -> Offence:
-        """Return what an actor does that never does it."""
+        """Return the offence of an actor that never meets the demand."""
         raise NotImplementedError
 
 
 class Reaches(PlaceDemand):
-    """That actors come to a place."""
+    """A demand that actors come to a place."""
 
     __slots__ = ()
     verbs = ("reach", "reaches")
@@ -95,7 +95,7 @@ class Reaches(PlaceDemand):
 
 
 class Leaves(PlaceDemand):
-    """That actors that are in a place leave it."""
+    """A demand that actors are in a place, and leave it."""
 
     __slots__ = ()
     verbs = ("leave", "leaves")
@@ -113,14 +113,14 @@ class Leaves(PlaceDemand):
 
 @dataclass(frozen=True, slots=True)
 class Stays:
-    """That actors stay in a place, or out of it.
+    """A demand that actors stay in a place, or out of it.
 
     Attributes:
         of: The actors.
         place: The place.
         is_inside: Whether they have to stay in it, not out of it.
-        tolerate: How long they may be elsewhere at a time.
-        scope: When and where this is judged.
+        tolerate: The longest time without a break in which they may be elsewhere; None: 0 s.
+        scope: When and where the demand is judged.
     """
 
     of: Selector
@@ -163,7 +163,7 @@ class Stays:
 
 @dataclass(frozen=True, slots=True)
 class Passes:
-    """That actors come to places in their order.
+    """A demand that actors come to places in their order.
 
     Attributes:
         of: The actors, each of which has to.
@@ -213,7 +213,7 @@ class Passes:
 
 @dataclass(frozen=True, slots=True)
 class DistanceDriven:
-    """How far actors drive.
+    """Bounds of the distance that actors drive.
 
     Attributes:
         of: The actors.
@@ -274,12 +274,12 @@ def _each(
 
     Args:
         of: The actors.
-        subjects: Those of them that are there.
-        offences: Where they do not meet it.
-        verbs: What they have to do, of several actors and of one.
-        what: To what.
-        facts: The recording.
-        times: When those that meet it do so.
+        subjects: Those of them that are in the recording.
+        offences: The offences of those that do not meet it.
+        verbs: The verb for several actors, and for one.
+        what: The object of the verb.
+        facts: The answers about the recording.
+        times: The elapsed seconds at which the others meet it.
         is_demand: Whether it is broken if there are no such actors.
     """
     plural, singular = verbs
@@ -311,5 +311,5 @@ def _before(limit: Quantity | None) -> str:
 
 
 def _is_before(time: float, limit: Quantity | None) -> bool:
-    """Return whether a time is, and is at the latest at a limit, if there is one."""
+    """Return whether a time is finite, and at a limit or before it if there is one."""
     return time < math.inf if limit is None else time <= limit.value + SAME_TIME

@@ -27,11 +27,11 @@ class UnexpectedValue(Exception):
 
 
 class UnexpectedKeys(Exception):
-    """Keys are wrong together.
+    """Keys do not go together.
 
     Args:
         fault: What is wrong.
-        key: The key that is to blame; empty if it is none alone.
+        key: The key that is wrong; empty if it is not one alone.
     """
 
     def __init__(self, fault: str, key: str = "") -> None:
@@ -58,7 +58,7 @@ class Reading:
     places: Mapping[str, Place | None] = field(default_factory=dict)
 
     def of(self, prefix: str) -> Reading:
-        """Return what reads a part, with its prefix in faults."""
+        """Return a reader of a part, whose prefix begins its faults."""
         return replace(self, prefix=prefix)
 
     def refuse(self, value: Any, expected: str) -> None:
@@ -119,9 +119,9 @@ class ValueType:
     """A type of values.
 
     Attributes:
-        name: What such a value is, as in docs/ci.md.
-        expected: The same for errors, with all that is needed to write one.
-        read: Returns what a value of a file means.
+        name: The name in docs/ci.md.
+        expected: The description in errors, with all that is needed to write such a value.
+        read: Converts a value of a file.
     """
 
     name: str
@@ -136,8 +136,8 @@ class Key:
     Attributes:
         name: The name in the file.
         type: The type of its values.
-        text: What it says, as in docs/ci.md.
-        field: The field of what is made of it; by default of the same name.
+        text: The meaning, as in docs/ci.md.
+        field: The field that gets the value; by default that of the same name.
         default: The value without it.
         required: Whether it has to be given.
     """
@@ -155,13 +155,13 @@ class Key:
 
 @dataclass(frozen=True)
 class KeyGroup:
-    """Keys that mean something together, such as the bounds of a number.
+    """Keys that make one value together, such as the bounds of a number.
 
     Attributes:
-        field: The field of what they are for.
+        field: The field that gets the value.
         keys: The keys.
-        make: Returns what they mean, from their values by field.
-        title: What stands for the keys in the tables of docs/ci.md; empty: the keys themselves.
+        make: Returns the value, from those of the keys by field.
+        title: The name of the group in the tables of docs/ci.md; empty: the keys are listed.
     """
 
     field: str

@@ -26,7 +26,7 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = {
     "m/s²": {"m/s²": 1.0, "m/s^2": 1.0, "m/s2": 1.0, "g": 9.80665},
     "m/s³": {"m/s³": 1.0, "m/s^3": 1.0, "m/s3": 1.0},
 }
-"""The units of quantities, and how many of the first one each of them is."""
+"""The units in which quantities can be written, with their sizes in the unit of the values."""
 
 _LARGE: Final = 1e6  # from which on a value is shown with an exponent
 _MANY: Final = {HERO: "the hero", "vehicle": "vehicles", "walker": "walkers", OBJECT: "static objects"}
@@ -60,7 +60,7 @@ class Selector:
 
     @property
     def behind(self) -> str:
-        """The words behind what is theirs, such as ` of the hero`; none for any."""
+        """The actors as a suffix of a noun, such as ` of the hero`; empty for any."""
         return "" if self.text == ANY else f" of {self}"
 
     def __str__(self) -> str:
@@ -97,7 +97,7 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """The least and the greatest valid number; None where there is none.
+    """The least and the greatest valid number; None for no limit.
 
     Attributes:
         least: The least valid number.
@@ -130,7 +130,7 @@ class Bounds:
 
 
 def tolerated(time: Quantity | None) -> str:
-    """Return how long a condition may be broken at a time, in words behind it; None: not at all."""
+    """Return the tolerated time as a suffix of a condition; empty for None."""
     return "" if time is None else f", except for up to {time} at a time"
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from carla_recap.errors import RecapError
 from carla_recap.roads.elements import DocumentShape, read_elements
 from carla_recap.roads.files import expecting, read_parts
-from carla_recap.roads.find import plain_name
+from carla_recap.roads.find import map_key, plain_name
 from carla_recap.util.text import first_of, visible
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def route_for(routes: Sequence[Route], source: Reader, id: str | None = None) ->
         )
     if not fitting:
         raise RecapError(f"{files}: there is no route {visible(wanted or '')!r}; it has {_listed(routes)}")
-    if not (of_town := [route for route in fitting if _is_of(route, town)]):
+    if not (of_town := [route for route in fitting if map_key(route.town) == map_key(town)]):
         towns = first_of(sorted({visible(route.town) for route in fitting}))
         raise RecapError(f"{location}: is of the map {visible(town)!r}, and the route of {files} is of {towns}")
     folder = Path(location).absolute().parent
@@ -125,10 +125,6 @@ def repetition(location: str) -> int:
     """Return the number of the repetition in the name of a recording of the evaluator; else 0."""
     named = _RECORDED.search(Path(location).name)
     return int(named[2][:9]) if named else 0
-
-
-def _is_of(route: Route, town: str) -> bool:
-    return plain_name(route.town).removesuffix("_Opt") == town.removesuffix("_Opt")
 
 
 def _listed(routes: Sequence[Route]) -> str:

@@ -19,6 +19,7 @@ from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import Recording
 from carla_recap.rendering.town import load_town_of, town_of_map
 from carla_recap.replay.player import Player
+from carla_recap.roads.find import map_key
 from carla_recap.roads.surfaces import road_network_of_map
 from carla_recap.scene.style import LIGHTS, OTHER, STYLES
 from carla_recap.show.page import script
@@ -287,7 +288,7 @@ def _check_destination(path: Path, *, single: bool, force: bool) -> None:
 def _check_maps(recordings: Sequence[Recording]) -> None:
     """Refuse recordings of different maps; the layered variant of a map is the same."""
     names = [readable(recording.header.map_name).rpartition("/")[2] for recording in recordings]
-    if len({name.lower().removesuffix("_opt") for name in names if name}) > 1:
+    if len({map_key(name) for name in names if name}) > 1:
         first, second = (recording.location for recording in recordings)
         raise RecapError(f"{first} is of the map {names[0]}, {second} of {names[1]}; recordings of one map were expected")
 
