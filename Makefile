@@ -3,9 +3,10 @@ python := .venv/bin/python
 node_modules := tests/node/node_modules
 protoc = $(python) -m grpc_tools.protoc --proto_path=proto $(wildcard proto/carla_recap/v1/*.proto)
 generated := src/carla_recap/v1
+durations := benchmarks/durations.txt
 demo_extras := sim,video,foxglove
 
-.PHONY: help venv test lint types proto check-proto models wheel check nuscenes docs bench performance soak search demo clean
+.PHONY: help venv test durations lint types proto check-proto models wheel check nuscenes docs bench performance soak search demo clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -14,6 +15,10 @@ venv: .venv/stamp ## Make .venv with everything a developer needs
 
 test: venv $(node_modules) ## Run the whole test suite
 	$(python) -m pytest -n 2
+
+durations: venv $(node_modules) ## Run the whole test suite, and keep its slowest tests in benchmarks/durations.txt
+	$(python) -c 'from benchmarks.results import *; print(*vars(current_conditions()).values(), sep=", ")' >$(durations)
+	$(python) -m pytest -n 2 --durations=50 | tee /dev/stderr | sed -n '/slowest/,$$p' >>$(durations)
 
 lint: venv ## Check style, format, and which modules import which
 	$(python) -m ruff check
