@@ -1,4 +1,4 @@
-"""The installed command, as a shell and a terminal see it."""
+"""The command line, as a shell and a terminal see it, in processes that are forked off one that has imported it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ import pty
 import re
 import subprocess
 import sys
+import tempfile
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+from tests.cli.fork_server import ForkServer
 from tests.samples import SAMPLES
 from tests.waiting import PATIENCE, time_limit
 
@@ -31,12 +34,26 @@ def before_others(folder: Path) -> str:
     return os.pathsep.join(filter(None, (str(folder), ENVIRONMENT.get("PYTHONPATH"))))
 
 
-def run(*arguments: object, **options: Any) -> Done:
-    """Run the command, with its output in pipes."""
-    command = [COMMAND, *map(os.fspath, map(_as_path, arguments))]
-    return subprocess.run(
-        command, capture_output=True, env=ENVIRONMENT, stdin=subprocess.DEVNULL, timeout=PATIENCE, check=False, **options
-    )
+@cache
+def _server() -> ForkServer:
+    return ForkServer(ENVIRONMENT)
+
+
+def run(*arguments: object, cwd: Path | None = None) -> Done:
+    """Run the command, without a terminal."""
+    words = [os.fspath(_as_path(each)) for each in arguments]
+    if _server().environment != ENVIRONMENT:
+        command = [COMMAND, *words]
+        return subprocess.run(
+            command, capture_output=True, env=ENVIRONMENT, stdin=subprocess.DEVNULL, timeout=PATIENCE, check=False, cwd=cwd
+        )
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        code = _server().start(words, out.fileno(), err.fileno(), os.fspath(cwd or Path.cwd())).wait(PATIENCE)
+        printed = []
+        for file in (out, err):
+            file.seek(0)
+            printed.append(file.read())
+    return Done(words, code, *printed)
 
 
 def answer(*arguments: object) -> str:
@@ -78,14 +95,16 @@ def on_terminal(*arguments: object, stream: str = "stdout") -> tuple[int, str, b
     Returns:
         The exit code, the text on the terminal, and the bytes of the other stream.
     """
+    words = [os.fspath(_as_path(each)) for each in arguments]
     ours, theirs = pty.openpty()
-    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: theirs}
-    command = [COMMAND, *map(os.fspath, map(_as_path, arguments))]
-    with subprocess.Popen(command, env=ENVIRONMENT, stdin=subprocess.DEVNULL, **streams) as process:
+    with tempfile.TemporaryFile() as file:
+        streams = (theirs, file.fileno()) if stream == "stdout" else (file.fileno(), theirs)
+        command = _server().start(words, *streams, os.fspath(Path.cwd()))
         os.close(theirs)
         shown = read_terminal(ours)
-        other = (process.stderr or process.stdout).read()
-        code = process.wait(PATIENCE)
+        code = command.wait(PATIENCE)
+        file.seek(0)
+        other = file.read()
     os.close(ours)
     return code, shown, other
 
