@@ -7,7 +7,6 @@ import io
 import math
 import os
 import sys
-from contextlib import ExitStack, closing
 from dataclasses import asdict
 from datetime import date, datetime, time
 from decimal import Decimal
@@ -40,7 +39,6 @@ FAILED: Final = 2
 Form = Literal["table", "json", "csv"]
 _PAGE: Final = 500  # rows of a table whose columns are as wide as needed for all of them
 _BATCH: Final = 4096  # rows that are Python objects at a time
-_LEAST: Final = 5  # characters of each column beside what it needs at least, with which a table is readable
 _ENCODER: Final = JSONEncoder(ensure_ascii=False)
 
 
@@ -58,27 +56,15 @@ _ENCODER: Final = JSONEncoder(ensure_ascii=False)
 @click.option("--retry", is_flag=True, help="Read recordings again that could not be read, also unchanged ones.")
 @click.option("--all", "again", is_flag=True, help="Read all recordings again, also unchanged ones.")
 @options.written
-def index(
-    sources: tuple[str, ...],
-    index_file: str,
-    jobs: int | None,
-    dask: str | None,
-    measures: bool,
-    road_map: str | None,
-    route: str | None,
-    prune: bool,
-    retry: bool,
-    again: bool,
-) -> NoReturn:
+def index(sources: tuple[str, ...], index_file: str, dask: str | None, **how: Any) -> NoReturn:
     """Write what many recordings contain into INDEX, a DuckDB file such as runs.duckdb.
 
     Recordings that INDEX has, and that have not changed, are not read again. Without --measures, only their events are read.
     """
-    from carla_recap.cli.many import client_of
+    from carla_recap.cli.many import cluster
     from carla_recap.cli.progress import SourcesBar
     from carla_recap.fleet.index.writing import write_index
     from carla_recap.queries.roads import WITHOUT_ROADS
-    from carla_recap.util.signals import unwind_on_termination
     from carla_recap.util.text import readable
 
     bar = SourcesBar("indexing", None)
@@ -94,23 +80,8 @@ def index(
         with bar.aside():
             fail(error)
 
-    with ExitStack() as stack:
-        stack.enter_context(unwind_on_termination())
-        client = stack.enter_context(closing(client_of(dask))) if dask else None
-        summary = write_index(
-            sources,
-            index_file,
-            jobs=jobs,
-            client=client,
-            measures=measures,
-            road_map=road_map,
-            route=route,
-            prune=prune,
-            retry=retry,
-            again=again,
-            progress=watched,
-            report=report,
-        )
+    with cluster(dask) as client:
+        summary = write_index(sources, index_file, client=client, progress=watched, report=report, **how)
     counts = [f"{summary.read:,} read", f"{summary.failed:,} failed", f"{summary.unchanged:,} unchanged"]
     if summary.unreadable:
         counts[-1] += f", {summary.unreadable:,} of them with an error"
@@ -118,7 +89,7 @@ def index(
         counts.append(f"{summary.removed:,} removed")
     things = "recording" if summary.recordings == 1 else "recordings"
     told = [f"{summary.recordings:,} {things} ({', '.join(counts)})"]
-    if summary.read > summary.failed and not measures:
+    if summary.read > summary.failed and not how["measures"]:
         told.append("events alone (--measures adds near misses)")
     wrote(index_file, *told, **asdict(summary))
     if summary.unknown_maps:
@@ -251,31 +222,24 @@ def _print_table(names: list[str], rows: Iterator[tuple[Any, ...]]) -> None:
     from rich.console import Console
     from rich.text import Text
 
+    from carla_recap.queries.output.terminal import TableColumn, fits, print_table
+
     console = Console()
     count = 0
     while page := list(islice(rows, _PAGE)):
-        table = _table_of(names, page, headed=not count)
-        if len(names) > 1 and console.measure(table).minimum + _LEAST * len(names) > console.width:
+        numbers = [all(value is None or _is_number(value) for value in values) for values in zip(*page, strict=True)]
+        columns = [
+            TableColumn(name, is_number=is_number, narrowed="never" if is_number else "words", least=1)
+            for name, is_number in zip(names, numbers, strict=True)
+        ]
+        cells = [list(map(_shown, row)) for row in page]
+        if len(names) == 1 or fits(columns, cells, console.width):
+            print_table(console, columns, cells, headed=not count)
+        else:
             for row in page:
                 console.print(_list_of(names, row))
-        else:
-            console.print(table)
         count += len(page)
-    console.print(Text(f"{count} row{'' if count == 1 else 's'}"))
-
-
-def _table_of(names: list[str], rows: list[tuple[Any, ...]], *, headed: bool) -> Table:
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, show_header=headed)
-    for column, name in enumerate(names):
-        is_number = all(row[column] is None or _is_number(row[column]) for row in rows)
-        table.add_column(Text(visible(name)), justify="right" if is_number else "left", overflow="fold")
-    for row in rows:
-        table.add_row(*(Text(visible(_shown(value))) for value in row))
-    return table
+    console.print(Text(counted(count, "row")))
 
 
 def _list_of(names: list[str], row: tuple[Any, ...]) -> Table:

@@ -84,6 +84,13 @@ def print_table(
         console.print(Text(f"({names}: in a wider terminal, or with --json)", style="dim"))
 
 
+def fits(columns: Sequence[TableColumn], rows: Sequence[Sequence[str]], width: int) -> bool:
+    """Return whether all columns of a table fit into a width, with those that may be narrowed as narrow as can be read."""
+    shown = [list(map(visible, cells)) for cells in zip(*rows, strict=True)]
+    kept = range(len(columns))
+    return sum(_limited(columns, shown, kept, _LEAST)) + _GAP * (len(kept) - 1) <= width
+
+
 def _made(
     columns: Sequence[TableColumn],
     shown: Sequence[Sequence[str]],
