@@ -29,8 +29,7 @@ INTERRUPTED: Final = 130
 _COMMANDS: Final = {
     "queries": ("info", "summary", "collisions", "blocked", "actors", "incidents", "measures"),
     "editing": ("convert", "recover", "clip", "import"),
-    "export": ("export", "clips", "view", "snapshot", "video", "report"),
-    "sense": ("sense",),
+    "export": ("export", "clips", "view", "snapshot", "video", "sense", "report"),
     "sim": ("record", "replay"),
     "server": ("serve",),
     "capture": ("capture", "watch"),

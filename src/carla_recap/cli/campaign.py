@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.many import client_of
+from carla_recap.cli.check import loaded_rules
+from carla_recap.cli.many import cluster
 from carla_recap.cli.output import BAD_INPUT, counted, fail, note, print_pieces, say, warn, wrote
+from carla_recap.cli.parameter_types import NUMBER, POSITIVE
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Sequence
@@ -45,16 +47,14 @@ _SHOWN: Final = 5  # of the worst runs, and of failed ones
     "--param", "params", multiple=True, metavar="NAME=V,...", help="Values of a parameter, or a range A..B to search."
 )
 @click.option("--town", metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
-@click.option(
-    "--duration", type=options.NUMBER, default=0, metavar="S", help="Tick on until this time when FUNCTION returns."
-)
+@click.option("--duration", type=NUMBER, default=0, metavar="S", help="Tick on until this time when FUNCTION returns.")
 @click.option("--additional-data", is_flag=True, help="Record velocities, boxes, physics and times, too.")
 @click.option("--again", is_flag=True, help="Make recordings anew that another function, code, town or duration has made.")
 @click.option(
-    "--limit", type=options.POSITIVE, metavar="S", help="End a run that takes more wall-clock seconds; else none is ended."
+    "--limit", type=POSITIVE, metavar="S", help="End a run that takes more wall-clock seconds; else none is ended."
 )
 @click.option(
-    "--workers", type=click.IntRange(1, 10_000), metavar="N", help="Worker processes; else one for each processor."
+    "--workers", "jobs", type=click.IntRange(1, 10_000), metavar="N", help="Worker processes; else one for each processor."
 )
 @click.option("--dask", metavar="ADDRESS", help="Run on the Dask cluster with this scheduler.")
 @click.option(
@@ -88,11 +88,7 @@ def campaign(
     seeds: str,
     params: tuple[str, ...],
     town: str | None,
-    duration: float,
-    additional_data: bool,
-    again: bool,
-    limit: float | None,
-    workers: int | None,
+    jobs: int | None,
     dask: str | None,
     rules_file: str | None,
     routes_file: str | None,
@@ -107,6 +103,7 @@ def campaign(
     pages: int,
     road_map: str | None,
     form: str | None,
+    **how: Any,
 ) -> NoReturn:
     """Run a simulation with many seeds and parameters, each run a recording, and compare them.
 
@@ -118,7 +115,6 @@ def campaign(
     from carla_recap.fleet.campaign.report import row_of
     from carla_recap.fleet.campaign.results import SCORE, result_named
     from carla_recap.sim import load_town
-    from carla_recap.util.signals import unwind_on_termination
 
     context = click.get_current_context()
     if (function is None) == (script is None):
@@ -132,7 +128,7 @@ def campaign(
     scoring = _scoring(routes_file, route_id, road_map, from_drive=from_drive)
     if compared is SCORE and scoring is None:
         raise click.UsageError("a score needs --route or --from-drive.", context)
-    rules = _rules(rules_file)
+    rules = None if rules_file is None else loaded_rules(rules_file)
     if town is not None:
         load_town(town)  # whose error would be that of each run
     values = _parameters(params, is_search=is_search)
@@ -140,17 +136,13 @@ def campaign(
         function=_function(function, script, [*values]),
         out=out,
         town=town,
-        duration=duration,
-        additional_data=additional_data,
-        again=again,
-        limit=limit,
-        jobs=workers,
+        jobs=jobs,
         scoring=scoring,
+        **how,
     )
     rows: list[CampaignRow] = []
     with ExitStack() as stack:
-        stack.enter_context(unwind_on_termination())
-        client = stack.enter_context(closing(client_of(dask))) if dask else None
+        client = stack.enter_context(cluster(dask))
         made = replace(made, client=client)
         total, runs = _runs(made, seeds, values, (objective, maximize is not None, count) if objective else None)
         folder = _folder_of_report(report, out)
@@ -164,9 +156,9 @@ def campaign(
             raise RecapError("no runs were made")
         checked: dict[str, CheckedRecording] = {}
         if rules is not None:
-            rows, checked = _judged(rows, rules, road_map, workers, client)
+            rows, checked = _judged(rows, rules, road_map, jobs, client)
         if folder is not None:
-            rows = _reported(rows, checked, folder, compared, pages, road_map, workers, client, function or str(script))
+            rows = _reported(rows, checked, folder, compared, pages, road_map, jobs, client, function or str(script))
     _show(rows, compared, form, folder)
     failed, broken = sum(row.error is not None for row in rows), sum(bool(row.broken) for row in rows)
     there = sum(row.was_there for row in rows)
@@ -189,19 +181,6 @@ def _scoring(routes_file: str | None, route_id: str | None, road_map: str | None
     if routes_file is not None:
         return Scoring(tuple(read_routes(routes_file)), route_id, road_map)
     return Scoring(None, road_map=road_map) if from_drive else None
-
-
-def _rules(path: str | None) -> RuleSet | None:
-    from carla_recap.fleet.rules import RulesError, load_rules
-
-    if path is None:
-        return None
-    try:
-        return load_rules(path)
-    except RulesError as error:
-        for fault in error.faults:
-            fail(fault)
-        sys.exit(BAD_INPUT)
 
 
 def _folder_of_report(report: str | None, out: str) -> Path | None:

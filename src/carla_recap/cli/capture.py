@@ -10,19 +10,18 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.output import counted, note, wrote
+from carla_recap.cli.parameter_types import FOLLOW, NUMBER
 from carla_recap.util.text import first_of
 
 if TYPE_CHECKING:
-    from carla_recap.replay.follow import Follow
     from carla_recap.sensors.rig import SensorRig
-    from carla_recap.show.rerun.blueprint import View
 
 _CUT_SHORT: Final = 1
 """The exit code if what was to be recorded is gone before the end."""
 
 _follow = click.option(
     "--follow",
-    type=options.FOLLOW,
+    type=FOLLOW,
     default="hero",
     show_default=True,
     metavar="ID|hero",
@@ -39,7 +38,7 @@ _server = options.together(
 @_server
 @click.option(
     "--duration",
-    type=options.NUMBER,
+    type=NUMBER,
     default=math.inf,
     metavar="S",
     help="Simulated s to record; else until Ctrl-C.",
@@ -52,14 +51,10 @@ _server = options.together(
 @options.written
 def capture(
     destination: str,
-    host: str,
-    port: int,
     duration: float,
-    additional_data: bool,
     rig: SensorRig | None,
-    actor: Follow,
     sensors: Literal["existing"] | None,
-    force: bool,
+    **given: Any,
 ) -> None:
     """Record what a CARLA server does, as one of its clients, to .mcap or .log; with sensors, to .mcap."""
     from carla_recap.capture import capture as run
@@ -67,17 +62,8 @@ def capture(
 
     if rig is not None and sensors is not None:
         raise click.UsageError("--rig and --sensors exclude each other.", click.get_current_context())
-    captured = run(
-        destination,
-        host=host,
-        port=port,
-        duration=duration,
-        additional_data=additional_data,
-        sensors=sensors if rig is None else rig,
-        actor=actor,
-        force=force,
-        progress=watch_ticks("capturing", duration),
-    )
+    progress = watch_ticks("capturing", duration)
+    captured = run(destination, duration=duration, sensors=sensors if rig is None else rig, progress=progress, **given)
     notes = [f"{counted(captured.missed, 'tick')} missed"] if captured.missed else []
     facts: dict[str, Any] = {"missed": captured.missed, "end": captured.why}
     if rig is not None or sensors is not None:
@@ -106,9 +92,7 @@ def _layouts(path: str) -> list[str]:
 
 @click.command()
 @_server
-@click.option(
-    "--duration", type=options.NUMBER, default=math.inf, metavar="S", help="Simulated s to show; else until Ctrl-C."
-)
+@click.option("--duration", type=NUMBER, default=math.inf, metavar="S", help="Simulated s to show; else until Ctrl-C.")
 @options.force
 @click.option(
     "--to", metavar="FILE|URL", help="Write an .rrd, or send to the viewer at rerun+http://...; else one is opened."
@@ -119,14 +103,9 @@ def _layouts(path: str) -> list[str]:
 @options.foxglove
 def watch(
     to: str | None,
-    host: str,
-    port: int,
-    duration: float,
-    follow: Follow,
-    view: View,
-    force: bool,
     foxglove: bool,
     foxglove_port: int | None,
+    **given: Any,
 ) -> None:
     """Show what a CARLA server does live, in Rerun's viewer or in Foxglove."""
     from carla_recap.capture.live import watch as run
@@ -134,6 +113,5 @@ def watch(
     foxglove_port = options.foxglove_port_of(foxglove, foxglove_port)
     if foxglove_port is not None and to is not None:
         raise click.UsageError("--to goes with Rerun's viewer.", click.get_current_context())
-    shown: dict[str, Any] = {"follow": follow, "view": view, "foxglove_port": foxglove_port, "ready": click.echo}
-    why = run(to, host=host, port=port, duration=duration, force=force, **shown)
+    why = run(to, foxglove_port=foxglove_port, ready=click.echo, **given)
     note(f"{to or ('the viewer' if foxglove_port is None else 'Foxglove')}: {why}")

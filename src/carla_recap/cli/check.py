@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.many import Messages, client_of, watched
+from carla_recap.cli.many import Messages, SourcesRequest, cluster, watched
 from carla_recap.cli.output import BAD_INPUT, counted, fail, wrote
 from carla_recap.util.text import visible
 
@@ -40,8 +40,9 @@ _STYLES: Final = {"pass": "green", "fail": "red", "error": "magenta"}
 @options.dask
 @options.json
 @options.plain
+@options.gathered("request", lambda: SourcesRequest)
 def check(
-    sources: tuple[str, ...],
+    request: SourcesRequest,
     rules_file: str,
     junit: str | None,
     html: str | None,
@@ -49,8 +50,6 @@ def check(
     is_strict: bool,
     road_map: str | None,
     force: bool,
-    jobs: int | None,
-    dask: str | None,
     form: str | None,
 ) -> NoReturn:
     """Check recordings by rules.
@@ -61,29 +60,19 @@ def check(
     from carla_recap.errors import RecapError
     from carla_recap.fleet.check import check_sources, strict, worst
     from carla_recap.fleet.junit import write_junit
-    from carla_recap.fleet.rules import RulesError, load_rules
     from carla_recap.util.files import prepare_file
-    from carla_recap.util.signals import unwind_on_termination
 
     if html is None and clips:
         raise click.UsageError("--clips goes with --html.", click.get_current_context())
-    try:
-        rules = load_rules(rules_file)
-    except RulesError as error:
-        for fault in error.faults:
-            fail(fault)
-        sys.exit(BAD_INPUT)
+    rules = loaded_rules(rules_file)
     if junit:
         prepare_file(junit)
     judged: list[CheckedRecording] = []
     checked, is_judged, failures = judged, False, []
     try:
-        with ExitStack() as stack:
-            stack.enter_context(unwind_on_termination())
-            room = stack.enter_context(_folder_of_pages(html, force=force))
-            client = stack.enter_context(closing(client_of(dask))) if dask else None
-            found, bar = watched(sources, "checking")
-            with bar, closing(check_sources(found, rules, road_map=road_map, jobs=jobs, client=client)) as given:
+        with cluster(request.dask) as client, _folder_of_pages(html, force=force) as room:
+            found, bar = watched(request.sources, "checking")
+            with bar, closing(check_sources(found, rules, road_map=road_map, jobs=request.jobs, client=client)) as given:
                 messages = Messages(bar)
                 for each in given:
                     judged.append(strict(each) if is_strict else each)
@@ -93,7 +82,7 @@ def check(
             shown = (
                 judged
                 if room is None
-                else _write_pages(judged, rules, room, messages, clips=clips, road_map=road_map, jobs=jobs)
+                else _write_pages(judged, rules, room, messages, clips=clips, road_map=road_map, jobs=request.jobs)
             )
         checked = shown
     except RecapError as error:
@@ -114,6 +103,18 @@ def check(
     if failures:  # after the verdicts, which took longer than the writing
         raise failures[0]
     sys.exit(_EXIT_CODES[worst(each.status for each in checked)])
+
+
+def loaded_rules(path: str) -> RuleSet:
+    """Return the rules of a file; end the program with a line for each of its faults."""
+    from carla_recap.fleet.rules import RulesError, load_rules
+
+    try:
+        return load_rules(path)
+    except RulesError as error:
+        for fault in error.faults:
+            fail(fault)
+        sys.exit(BAD_INPUT)
 
 
 def _write_pages(

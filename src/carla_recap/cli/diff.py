@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Final, NoReturn
 
 import click
 
-from carla_recap.cli import options
+from carla_recap.cli import opening, options
 from carla_recap.cli.output import counted, print_pieces, wrote
+from carla_recap.cli.parameter_types import NUMBER
 
 if TYPE_CHECKING:
     from carla_recap.queries.differences import Differences
@@ -25,11 +26,11 @@ DIFFERENT: Final = 1
 @click.argument("first", type=click.Path(), metavar="A")
 @click.argument("second", type=click.Path(), metavar="B")
 @click.option(
-    "--tolerance", type=options.NUMBER, default=0, show_default=True, metavar="M", help="The distance that is equal, in m."
+    "--tolerance", type=NUMBER, default=0, show_default=True, metavar="M", help="The distance that is equal, in m."
 )
 @click.option(
     "--time-tolerance",
-    type=options.NUMBER,
+    type=NUMBER,
     metavar="S",
     help="The time that is equal, of spawns, lights and events, in s; 0, or 1 with a tolerance.",
 )
@@ -86,7 +87,7 @@ def _write_rrd(a: Recording, b: Recording, path: str, road_map: str | None, *, f
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.show.rrd import export_rerun
 
-    roads = options.road_map_of(a, road_map)
+    roads = opening.road_map_of(a, road_map)
     played = export_rerun(a, path, ghost=b, road_map=roads, force=force, progress=watch_scenes("exporting"))
     wrote(path, frames=played.frames, seconds=played.seconds)
 
@@ -95,6 +96,6 @@ def _write_page(a: Recording, b: Recording, found: Differences, path: str, road_
     from carla_recap.cli.progress import watch_scenes
     from carla_recap.show.page import write_report
 
-    progress, town = watch_scenes("sampling"), options.town_of(a, road_map)
+    progress, town = watch_scenes("sampling"), opening.town_of(a, road_map)
     written = write_report(a, path, other=b, differences=found, town=town, force=force, progress=progress)
     wrote(path, counted(written.incidents, "incident"), size=written.size, incidents=written.incidents)

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from carla_recap.cli import options
+from carla_recap.cli import opening, options
 from carla_recap.cli.output import wrote
+from carla_recap.cli.parameter_types import DATE
 from carla_recap.cli.writing import WriteRequest, writes
 from carla_recap.fleet.outcomes import WrittenFile
-
-if TYPE_CHECKING:
-    from datetime import datetime
-
-    from carla_recap.editing.import_tracks import AngleUnit, LengthUnit, TimeUnit, TrackAxes
 
 _format = click.option(
     "--format",
@@ -87,7 +83,7 @@ def _clip(given: dict[str, Any], source: str, destination: str, force: bool) -> 
     from carla_recap.cli.progress import watch
     from carla_recap.editing.clip import clip as run
 
-    source, given = options.timed(source, given)
+    source, given = opening.timed(source, given)
     extent = run(source, destination, force=force, progress=watch("cutting"), **given)
     return WrittenFile(frames=extent.frames, seconds=extent.duration)
 
@@ -96,9 +92,7 @@ def _clip(given: dict[str, Any], source: str, destination: str, force: bool) -> 
 @click.argument("source", type=click.Path(), metavar="CSV")
 @options.destination
 @click.option("--map-name", default="", metavar="NAME", help="The name of the map, such as Town01.")
-@click.option(
-    "--date", type=options.DATE, help="The beginning, such as 2024-05-01T12:30; else Unix times of the file, or 1970."
-)
+@click.option("--date", type=DATE, help="The beginning, such as 2024-05-01T12:30; else Unix times of the file, or 1970.")
 @click.option("--hero", metavar="ID", help="The object with the role name hero.")
 @click.option(
     "--column",
@@ -122,15 +116,8 @@ def _clip(given: dict[str, Any], source: str, destination: str, force: bool) -> 
 def import_(
     source: str,
     destination: str,
-    map_name: str,
-    date: datetime | None,
-    hero: str | None,
     columns: tuple[str, ...],
-    time_unit: TimeUnit | None,
-    length_unit: LengthUnit,
-    angle_unit: AngleUnit,
-    axes: TrackAxes,
-    force: bool,
+    **given: Any,
 ) -> None:
     """Make a recording of tracks: a CSV file with a row for each object at each time.
 
@@ -145,17 +132,5 @@ def import_(
         if not (name and separator and in_file):
             raise click.BadParameter(f"{column!r} is no NAME=COLUMN, such as x=east.", param_hint="--column")
         names[name] = in_file
-    extent = import_tracks(
-        source,
-        destination,
-        map_name=map_name,
-        date=date,
-        columns=names,
-        time_unit=time_unit,
-        length_unit=length_unit,
-        angle_unit=angle_unit,
-        axes=axes,
-        hero=hero,
-        force=force,
-    )
+    extent = import_tracks(source, destination, columns=names, **given)
     wrote(destination, frames=extent.frames, seconds=extent.duration)

@@ -1,4 +1,4 @@
-"""The commands that export: files for viewers, clips, pictures, the incident page; and the viewer itself."""
+"""The commands that export: files for viewers, clips, pictures, data of sensors, the incident page; the viewer itself."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 from click.core import ParameterSource
 
-from carla_recap.cli import options
+from carla_recap.cli import opening, options
 from carla_recap.cli.output import counted, note, wants_json, wrote
+from carla_recap.cli.parameter_types import POSITIVE, SIZE, TIME
 from carla_recap.cli.writing import WriteRequest, writes
 from carla_recap.exports import FORMATS, find_format, write_part
 from carla_recap.exports import export as write_export
@@ -24,10 +25,8 @@ if TYPE_CHECKING:
 
     from carla_recap.exports import ExportFormat
     from carla_recap.queries.incidents import IncidentOptions
-    from carla_recap.replay.follow import Follow
     from carla_recap.show.clips import IncidentClip
     from carla_recap.show.rerun.blueprint import View
-    from carla_recap.show.video.camera_paths import VideoView
 
 _OF_DATASETS = ("split",)  # options of all datasets that are not those of a part
 _window = options.together(options.follow, options.start, options.duration, options.road_map)
@@ -101,11 +100,9 @@ def _export_dataset(
 
 def _export_part(to: str, shown: dict[str, Any], source: str, folder: Path, name: str) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.recording import open_recording
 
-    source, shown = options.timed(source, shown)
-    given = {key: value for key, value in shown.items() if key in FORMATS[to].options and value is not None}
-    with open_recording(source) as recording:
+    with opening.opened_part(source, shown) as (recording, part):
+        given = {key: value for key, value in part.items() if key in FORMATS[to].options and value is not None}
         done = write_part(recording, folder, to=to, name=name, progress=watch_scenes("sensing"), **given)
     return WrittenFile(frames=done.frames, seconds=done.seconds)
 
@@ -116,7 +113,7 @@ def _export(name: str, shown: dict[str, Any], source: str, destination: str, for
 
     accepted = FORMATS[name].options
     if "start" in accepted:
-        source, shown = options.timed(source, shown)
+        source, shown = opening.timed(source, shown)
     given = {key: value for key, value in shown.items() if key in accepted}
     with open_recording(source) as recording:
         done = write_export(recording, destination, to=name, progress=watch_all("exporting"), force=force, **given)
@@ -136,7 +133,9 @@ def _export(name: str, shown: dict[str, Any], source: str, destination: str, for
 @click.option(
     "--format", "suffix", type=click.Choice(["mcap", "log"]), default="mcap", show_default=True, help="Of the clips."
 )
-@click.option("--rrd/--no-rrd", default=None, help="Write an .rrd beside each clip; by default if Rerun is installed.")
+@click.option(
+    "--rrd/--no-rrd", "rerun", default=None, help="Write an .rrd beside each clip; by default if Rerun is installed."
+)
 @click.option("--video", is_flag=True, help="Write a video beside each clip.")
 @options.models
 @options.incident_options
@@ -149,12 +148,8 @@ def clips(
     folder: str,
     wanted: IncidentOptions,
     suffix: str,
-    rrd: bool | None,
-    video: bool,
-    before: float,
-    after: float,
-    limit: int,
-    force: bool,
+    rerun: bool | None,
+    **how: Any,
 ) -> None:
     """Cut a clip of each incident, into a folder."""
     from carla_recap.cli.progress import watch_incidents
@@ -162,22 +157,18 @@ def clips(
     from carla_recap.show.clips import clips as run
 
     with open_recording(source) as recording:
-        roads = options.road_map_of(recording, wanted.road_map) if rrd is not False else None
-        town = partial(options.town_of, recording, wanted.road_map)
+        roads = opening.road_map_of(recording, wanted.road_map) if rerun is not False else None
+        town = partial(opening.town_of, recording, wanted.road_map)
     written = run(
         source,
         folder,
         wanted,
-        before=before,
-        after=after,
         suffix=f".{suffix}",
-        rerun=rrd,
-        video=video,
+        rerun=rerun,
         road_map=roads,
         town=town,
-        limit=limit,
         progress=watch_incidents("cutting"),
-        force=force,
+        **how,
     )
     for each in written:
         wrote(each.recording, each.incident.text, **_facts(each))
@@ -212,36 +203,34 @@ def view(
     SRC#t=12.1 means from 5 s before that moment to 5 s after it.
     """
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.recording import open_recording
 
     port, context = options.foxglove_port_of(foxglove, foxglove_port), click.get_current_context()
     for name in ("view", "web"):
         if port is not None and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
             raise click.UsageError(f"--{name} goes with Rerun's viewer.", context)
-    source, shown = options.timed(source, shown)
-    shown["ready"] = _announce
-    with open_recording(source) as recording:
-        roads = options.road_map_of(recording, road_map, shown["start"], shown["duration"])
+    with opening.opened_part(source, shown) as (recording, part):
+        roads = opening.road_map_of(recording, road_map, part["start"], part["duration"])
         if port is None:
             from carla_recap.show.viewer import view as open_viewer
 
-            open_viewer(recording, road_map=roads, progress=watch_scenes("exporting"), view=view, web=web, **shown)
+            progress = watch_scenes("exporting")
+            open_viewer(recording, road_map=roads, progress=progress, view=view, web=web, ready=_announce, **part)
         else:
             from carla_recap.show.foxglove import layout_hints
             from carla_recap.show.foxglove.websocket import serve_recording
 
-            shown["ready"] = partial(_announce, hints=layout_hints(recording.location))
-            serve_recording(recording, road_map=roads, progress=watch_scenes("searching"), port=port, **shown)
+            ready = partial(_announce, hints=layout_hints(recording.location))
+            serve_recording(recording, road_map=roads, progress=watch_scenes("searching"), port=port, ready=ready, **part)
 
 
 @click.command()
 @options.source
 @options.destination
-@click.option("--at", type=options.TIME, metavar="S", help="The moment, in s; negative: before the end. Or as SRC#t=S.")
+@click.option("--at", type=TIME, metavar="S", help="The moment, in s; negative: before the end. Or as SRC#t=S.")
 @options.follow
 @options.any_view
 @options.road_map
-@click.option("--size", type=options.SIZE, metavar="WxH", help="In pixels; 1280x720, or of a recorded camera its own.")
+@click.option("--size", type=SIZE, metavar="WxH", help="In pixels; 1280x720, or of a recorded camera its own.")
 @options.overlay
 @options.shown_kinds
 @options.models
@@ -251,33 +240,18 @@ def snapshot(
     source: str,
     destination: str,
     at: float | None,
-    follow: Follow | None,
-    view: VideoView,
     road_map: str | None,
-    size: tuple[int, int] | None,
-    overlay: bool,
     kinds: frozenset[str] | Literal["all"],
-    force: bool,
+    **shown: Any,
 ) -> None:
     """Take a picture of a moment, without GPU or display."""
     from carla_recap.recording import open_recording
     from carla_recap.show.video import snapshot as run
 
-    source, time = options.moment(source, at)
+    source, time = opening.moment(source, at)
     with open_recording(source) as recording:
-        town = partial(options.town_of, recording, road_map, time, options.MOMENT)
-        run(
-            recording,
-            destination,
-            at=time,
-            follow=follow,
-            view=view,
-            town=town,
-            size=size,
-            overlay=overlay,
-            incidents=options.shown_incidents(kinds, road_map),
-            force=force,
-        )
+        town = partial(opening.town_of, recording, road_map, time, opening.MOMENT)
+        run(recording, destination, at=time, town=town, incidents=options.shown_incidents(kinds, road_map), **shown)
     wrote(destination, f"a picture at {number(time)} s", time=time)
 
 
@@ -301,10 +275,10 @@ def snapshot(
 @options.rig("Sensors on the hero, or --follow, as JSON.")
 @_window
 @click.option(
-    "--speed", type=options.POSITIVE, default=1, metavar="X", help="2: twice as fast as it happened; 0.25: in slow motion."
+    "--speed", type=POSITIVE, default=1, metavar="X", help="2: twice as fast as it happened; 0.25: in slow motion."
 )
-@click.option("--size", type=options.SIZE, metavar="WxH", help="In pixels; 1280x720, of a GIF 640x360, of a camera its own.")
-@click.option("--fps", "rate", type=options.POSITIVE, metavar="N", help="Frames per second; 30, of a GIF 12.5.")
+@click.option("--size", type=SIZE, metavar="WxH", help="In pixels; 1280x720, of a GIF 640x360, of a camera its own.")
+@click.option("--fps", "rate", type=POSITIVE, metavar="N", help="Frames per second; 30, of a GIF 12.5.")
 @click.option("--smooth", is_flag=True, help="Draw smooth edges, which takes about twice as long.")
 @options.overlay
 @options.shown_kinds
@@ -336,16 +310,45 @@ def video(
 
 def _video(shown: dict[str, Any], source: str, destination: str, force: bool) -> WrittenFile:
     from carla_recap.cli.progress import watch_scenes
-    from carla_recap.recording import open_recording
     from carla_recap.show.video import export_video
 
-    source, shown = options.timed(source, shown)
-    with open_recording(source) as recording:
-        town = partial(options.town_of, recording, shown["road_map"], shown["start"], shown["duration"])
-        written = export_video(recording, destination, town=town, progress=watch_scenes("filming"), force=force, **shown)
+    with opening.opened_part(source, shown) as (recording, part):
+        town = partial(opening.town_of, recording, part["road_map"], part["start"], part["duration"])
+        written = export_video(recording, destination, town=town, progress=watch_scenes("filming"), force=force, **part)
     width, height = written.size
     facts = {"width": width, "height": height}
     return WrittenFile((f"{width}x{height}",), written.frames, written.seconds, facts=facts)
+
+
+@click.command()
+@writes
+@options.rig("The sensors, as JSON.", is_required=True)
+@options.start
+@options.duration
+@options.sensing
+@options.road_map
+@click.option("--video", is_flag=True, help="Write RGB images as H.264, which takes less room, instead of as JPEGs.")
+@options.models
+def sense(request: WriteRequest, **given: Any) -> None:
+    """Write recordings with what the sensors of a rig would have measured: .mcap files.
+
+    DST is the recording, and has its scene and the data of the sensors for Foxglove, Lichtblick and Rerun; layouts for the
+    first two are beside it. SRC#t=12.1 means from 5 s before that moment to 5 s after it. Many recordings go to a folder.
+    """
+    request.write(partial(_sense, given), None, "mcap", "sensing")
+
+
+def _sense(given: dict[str, Any], source: str, destination: str, force: bool) -> WrittenFile:
+    from carla_recap.cli.progress import watch_scenes
+    from carla_recap.show.foxglove.layouts import hints_of
+    from carla_recap.show.foxglove.sensed import export_sensed
+
+    with opening.opened_part(source, given) as (recording, part):
+        done = export_sensed(recording, destination, force=force, progress=watch_scenes("sensing"), **part)
+    samples = sum(done.samples.values())
+    notes = counted(len(done.samples), "sensor"), counted(samples, "sample")
+    facts = {"samples": dict(done.samples), "layouts": [str(path) for path in done.layouts.values()]}
+    return WrittenFile(notes, done.frames, done.seconds, facts=facts, hints=tuple(hints_of(done.layouts)))
 
 
 @click.command()
@@ -434,7 +437,7 @@ def _report(
             destination,
             wanted,
             other=others[0] if others else None,
-            road_map=options.road_map_of(recording, wanted.road_map) if viewer else None,
+            road_map=opening.road_map_of(recording, wanted.road_map) if viewer else None,
             viewer=viewer,
             progress=watch_scenes("sampling"),
             force=force,

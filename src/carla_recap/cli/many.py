@@ -6,13 +6,14 @@ import os
 import re
 import signal
 import sys
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
-from carla_recap.cli import options
+from carla_recap.cli.opening import opened
 from carla_recap.cli.output import (
     BAD_INPUT,
     PYTHON_HINT,
@@ -27,12 +28,12 @@ from carla_recap.cli.output import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Iterator
 
     from distributed import Client
 
     from carla_recap.cli.progress import SourcesBar
-    from carla_recap.fleet.answers import Query, RecordingAnswer
+    from carla_recap.fleet.answers import Form, Query, RecordingAnswer
     from carla_recap.fleet.sources import SourceFile
 
 _PAGE: Final = 200  # rows of a table
@@ -41,49 +42,77 @@ _MEGABYTE: Final = 1 << 20
 _LONGEST: Final = 300  # characters of the names of maps
 
 
-def answer(
-    query: Query,
-    sources: Sequence[str],
-    form: str | None,
-    *,
-    compat: bool = False,
-    max_rows: int | None = None,
-    jobs: int | None = None,
-    dask: str | None = None,
-) -> NoReturn:
-    """Print the answer to a query for one recording or for many, and end the program.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SourcesRequest:
+    """The recordings that a command is given, and what goes through many of them.
 
-    The exit code is 2 if a recording cannot be read, else 1 if all have more rows together than allowed.
-
-    Args:
-        query: The query: a function of a module, or a partial of one.
+    Attributes:
         sources: The recordings, and what means recordings.
+        jobs: The number of processes; None: as many as are worthwhile.
+        dask: The address of a Dask scheduler; None: processes of this machine go through them.
+    """
+
+    sources: tuple[str, ...]
+    jobs: int | None
+    dask: str | None
+
+    @contextmanager
+    def opened(self, title: str) -> Iterator[tuple[Iterable[SourceFile], Client | None, SourcesBar]]:
+        """Yield the recordings, the client of a Dask cluster, if any, and a progress bar.
+
+        Signals end the `with` block; see `watched`, too.
+
+        Args:
+            title: What is done, for the progress bar.
+        """
+        with cluster(self.dask) as client:
+            found, bar = watched(self.sources, title)
+            with bar:
+                yield found, client, bar
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QueryRequest(SourcesRequest):
+    """A query of one recording or of many.
+
+    Attributes:
         form: See `show`.
         compat: Whether the answer has the mistakes of CARLA 0.9.16.
         max_rows: The number of rows that are allowed.
-        jobs: The number of processes; None: as many as are worthwhile.
-        dask: The address of a Dask scheduler.
     """
-    shape = form_of(form, compat=compat)
-    if len(sources) == 1 and is_one(sources[0]):
-        warned = collect_warnings() if shape == "json" else None
-        show(query(options.opened(sources[0])), form, max_rows, warned)
-    with ExitStack() as stack:
-        from carla_recap.fleet.answers import answers
-        from carla_recap.util.signals import unwind_on_termination
 
-        stack.enter_context(unwind_on_termination())
-        client = stack.enter_context(closing(client_of(dask))) if dask else None
-        found, bar = watched(sources, "reading")
-        stack.enter_context(bar)
-        given = stack.enter_context(closing(answers(query, shape, found, jobs=jobs, client=client)))
-        try:
-            code = _print(given, shape, bar, max_rows)
-        except BrokenPipeError:
-            stack.close()
-            _end_as_by_a_closed_pipe()
-            raise
-    os._exit(code)  # see `show`
+    form: str | None
+    compat: bool = False
+    max_rows: int | None = None
+
+    @property
+    def shape(self) -> Form:
+        """The form in which the answer is printed."""
+        return form_of(self.form, compat=self.compat)
+
+    def answer(self, query: Query) -> NoReturn:
+        """Print the answer to the query, and end the program.
+
+        The exit code is 2 if a recording cannot be read, else 1 if all have more rows together than allowed.
+
+        Args:
+            query: The query: a function of a module, or a partial of one.
+        """
+        if len(self.sources) == 1 and is_one(self.sources[0]):
+            warned = collect_warnings() if self.shape == "json" else None
+            show(query(opened(self.sources[0])), self.form, self.max_rows, warned)
+        from carla_recap.fleet.answers import answers
+
+        with ExitStack() as stack:
+            found, client, bar = stack.enter_context(self.opened("reading"))
+            given = stack.enter_context(closing(answers(query, self.shape, found, jobs=self.jobs, client=client)))
+            try:
+                code = _print(given, self.shape, bar, self.max_rows)
+            except BrokenPipeError:
+                stack.close()
+                _end_as_by_a_closed_pipe()
+                raise
+        os._exit(code)  # see `show`
 
 
 def is_one(source: str) -> bool:
@@ -93,6 +122,21 @@ def is_one(source: str) -> bool:
     from carla_recap.fleet.sources import means_one
 
     return means_one(source)
+
+
+@contextmanager
+def cluster(address: str | None) -> Iterator[Client | None]:
+    """Yield a client of the Dask cluster at an address, if there is one; signals end the `with` block."""
+    from carla_recap.util.signals import unwind_on_termination
+
+    with unwind_on_termination():
+        if address is None:
+            yield None
+            return
+        from carla_recap.fleet.cluster import connect
+
+        with closing(connect(address)) as client:
+            yield client
 
 
 def watched(sources: Iterable[str], title: str) -> tuple[Iterable[SourceFile], SourcesBar]:
@@ -108,13 +152,6 @@ def watched(sources: Iterable[str], title: str) -> tuple[Iterable[SourceFile], S
         return found, SourcesBar(title, None)
     found = list(found)  # whose number the bar needs
     return found, SourcesBar(title, len(found))
-
-
-def client_of(address: str) -> Client:
-    """Return a client of a Dask cluster."""
-    from carla_recap.fleet.cluster import connect
-
-    return connect(address)
 
 
 def _print(given: Iterable[RecordingAnswer], form: str, bar: SourcesBar, max_rows: int | None) -> int:

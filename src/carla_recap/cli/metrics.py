@@ -8,7 +8,7 @@ from typing import Final
 
 import click
 
-from carla_recap.cli import options
+from carla_recap.cli import opening, options
 from carla_recap.cli.output import warn
 
 FAILED: Final = 1
@@ -32,7 +32,7 @@ def metrics(ctx: click.Context, metric: str, source: str, criteria: str | None, 
     from carla_recap.recording import open_recording
 
     with open_recording(source) as recording:
-        opendrive = options.map_file_of(recording, road_map)
+        opendrive = opening.map_file_of(recording, road_map)
         if opendrive is None:
             warn(f"no map for {recording.header.map_name!r}: the metric's town_map is None; --map names the file")
         try:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.many import answer, is_one
-from carla_recap.cli.output import form_of, note
+from carla_recap.cli.many import QueryRequest, is_one
+from carla_recap.cli.output import note
+from carla_recap.cli.parameter_types import FOLLOW, MEASURED, TIME
 
 if TYPE_CHECKING:
     from carla_recap.model.lives import ActorName
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 _EPILOG = "Each SOURCE is a recording, a folder, a glob in quotes, or a URL; - is a list of them on stdin, one in a line."
 
 _sources = options.together(options.sources, options.json, options.text)
-_many = options.together(options.jobs, options.dask)
+_many = options.together(options.jobs, options.dask, options.gathered("request", lambda: QueryRequest))
 _report = options.together(_sources, options.compat)
 
 
@@ -27,13 +29,11 @@ _report = options.together(_sources, options.compat)
 @_report
 @click.option("--all", "everything", is_flag=True, help="Every record of every frame, not only the events.")
 @_many
-def info(
-    sources: tuple[str, ...], everything: bool, form: str | None, compat: bool, jobs: int | None, dask: str | None
-) -> None:
+def info(request: QueryRequest, everything: bool) -> None:
     """Print the contents: spawns, collisions and other events."""
     from carla_recap.queries.info import info as query
 
-    answer(partial(query, all=everything, compat=compat), sources, form, compat=compat, jobs=jobs, dask=dask)
+    request.answer(partial(query, all=everything, compat=request.compat))
 
 
 @click.command(epilog=_EPILOG)
@@ -47,60 +47,39 @@ def info(
 )
 @options.max_rows
 @_many
-def collisions(
-    sources: tuple[str, ...],
-    types: str,
-    form: str | None,
-    compat: bool,
-    max_rows: int | None,
-    jobs: int | None,
-    dask: str | None,
-) -> None:
+def collisions(request: QueryRequest, types: str) -> None:
     """Print the collisions."""
     from carla_recap.queries.collisions import check_letters
     from carla_recap.queries.collisions import collisions as query
 
     if len(types) != 2:
         raise click.BadParameter(f"{types!r} is not two of the letters h, v, w, t, o, a, such as hv.", param_hint="--types")
-    if not compat:
+    if not request.compat:
         check_letters(*types)
-    speeds = form_of(form, compat=compat) != "text"  # CARLA's text has none
-    asked = partial(query, type1=types[0], type2=types[1], compat=compat, speeds=speeds)
-    answer(asked, sources, form, compat=compat, max_rows=max_rows, jobs=jobs, dask=dask)
+    speeds = request.shape != "text"  # CARLA's text has none
+    request.answer(partial(query, type1=types[0], type2=types[1], compat=request.compat, speeds=speeds))
 
 
 @click.command(epilog=_EPILOG)
 @_report
-@click.option(
-    "--min-time", type=options.TIME, default=30, show_default=True, metavar="S", help="Shortest stop to report, in s."
-)
+@click.option("--min-time", type=TIME, default=30, show_default=True, metavar="S", help="Shortest stop to report, in s.")
 @options.min_distance
 @options.max_rows
 @_many
-def blocked(
-    sources: tuple[str, ...],
-    min_time: float,
-    min_distance: float,
-    form: str | None,
-    compat: bool,
-    max_rows: int | None,
-    jobs: int | None,
-    dask: str | None,
-) -> None:
+def blocked(request: QueryRequest, min_time: float, min_distance: float) -> None:
     """Print the actors that stood still for long."""
     from carla_recap.queries.blocked import blocked as query
 
-    if min_time < 0 and not compat:  # which CARLA accepts
+    if min_time < 0 and not request.compat:  # which CARLA accepts
         raise click.BadParameter(f"'{min_time:g}' is not a number of 0 or more.", param_hint="'--min-time'")
-    asked = partial(query, min_time=min_time, min_distance=min_distance, compat=compat)
-    answer(asked, sources, form, compat=compat, max_rows=max_rows, jobs=jobs, dask=dask)
+    request.answer(partial(query, min_time=min_time, min_distance=min_distance, compat=request.compat))
 
 
 @click.command(epilog=_EPILOG)
 @_sources
 @options.road_map
 @_many
-def summary(sources: tuple[str, ...], form: str | None, road_map: str | None, jobs: int | None, dask: str | None) -> None:
+def summary(request: QueryRequest, road_map: str | None) -> None:
     """Print an overview: actors by kind, how far and how fast the hero drives, incidents by kind.
 
     Of many recordings, that is a line each.
@@ -108,19 +87,19 @@ def summary(sources: tuple[str, ...], form: str | None, road_map: str | None, jo
     from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.queries.summary import summary as query
 
-    if len(sources) == 1 and is_one(sources[0]):
-        form = form or "text"
-    answer(partial(query, options=IncidentOptions(kinds="all", road_map=road_map)), sources, form, jobs=jobs, dask=dask)
+    if len(request.sources) == 1 and is_one(request.sources[0]):
+        request = replace(request, form=request.form or "text")
+    request.answer(partial(query, options=IncidentOptions(kinds="all", road_map=road_map)))
 
 
 @click.command(epilog=_EPILOG)
 @_sources
 @_many
-def actors(sources: tuple[str, ...], form: str | None, jobs: int | None, dask: str | None) -> None:
+def actors(request: QueryRequest) -> None:
     """Print the actors, and when they existed."""
     from carla_recap.queries.recorded_actors import actors as query
 
-    answer(query, sources, form, jobs=jobs, dask=dask)
+    request.answer(query)
 
 
 @click.command(epilog=_EPILOG)
@@ -129,14 +108,7 @@ def actors(sources: tuple[str, ...], form: str | None, jobs: int | None, dask: s
 @options.incident_options
 @options.max_rows
 @_many
-def incidents(
-    sources: tuple[str, ...],
-    form: str | None,
-    wanted: IncidentOptions,
-    max_rows: int | None,
-    jobs: int | None,
-    dask: str | None,
-) -> None:
+def incidents(request: QueryRequest, wanted: IncidentOptions) -> None:
     """Print the incidents: collisions, hard braking, long stops, and with --kinds others.
 
     Only stops of vehicles and walkers are incidents. The page of 'report' also lists near misses and, where the map is
@@ -145,10 +117,9 @@ def incidents(
     """
     from carla_recap.queries.incidents import incidents as query
 
-    if wanted.kinds is None and form is None and sys.stdout.isatty():
+    if wanted.kinds is None and request.form is None and sys.stdout.isatty():
         note("collisions, hard braking and long stops; --kinds all also finds near misses and broken rules")
-    asked = partial(query, options=wanted)
-    answer(asked, sources, form, max_rows=max_rows, jobs=jobs, dask=dask)
+    request.answer(partial(query, options=wanted))
 
 
 @click.command(epilog=_EPILOG)
@@ -156,7 +127,7 @@ def incidents(
 @click.option(
     "--actor",
     "actors",
-    type=options.MEASURED,
+    type=MEASURED,
     multiple=True,
     metavar="ID|hero|all",
     help="The actor to measure, may be repeated; else the hero, or if there is none, all vehicles.",
@@ -164,7 +135,7 @@ def incidents(
 @click.option("--over-time", is_flag=True, help="Print the measures in each frame instead of their extremes.")
 @click.option(
     "--pair",
-    type=options.FOLLOW,
+    type=FOLLOW,
     nargs=2,
     metavar="A B",
     help="Two actors, each measured over time as if the other were the only one.",
@@ -173,14 +144,11 @@ def incidents(
 @options.road_map
 @_many
 def measures(
-    sources: tuple[str, ...],
-    form: str | None,
+    request: QueryRequest,
     actors: tuple[int | Literal["hero", "all"], ...],
     over_time: bool,
     pair: tuple[ActorName, ActorName] | None,
     road_map: str | None,
-    jobs: int | None,
-    dask: str | None,
 ) -> None:
     """Print how close others came, how hard and how fast an actor drives.
 
@@ -200,7 +168,5 @@ def measures(
             raise click.UsageError("--map is about the extremes: it does not go with --over-time or --pair.")
         from carla_recap.queries.measures import measures_over_time
 
-        moments = partial(measures_over_time, actors=words[0] if words else ids or None, pair=pair)
-        answer(moments, sources, form, jobs=jobs, dask=dask)
-    asked = partial(query, actors=words[0] if words else ids or None, road_map=road_map)
-    answer(asked, sources, form, jobs=jobs, dask=dask)
+        request.answer(partial(measures_over_time, actors=words[0] if words else ids or None, pair=pair))
+    request.answer(partial(query, actors=words[0] if words else ids or None, road_map=road_map))

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any, Final, NoReturn
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.many import Messages, client_of, watched
+from carla_recap.cli.many import Messages, SourcesRequest
 from carla_recap.cli.output import BAD_INPUT, TOO_MANY, fail, print_pieces, wrote
+from carla_recap.cli.parameter_types import FOLLOW
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ class _Limit(click.ParamType[Any]):
     show_default=True,
     help="The version of the Leaderboard whose formula counts.",
 )
-@click.option("--actor", type=options.FOLLOW, default="hero", metavar="ID|hero", help="The vehicle to score; else the hero.")
+@click.option("--actor", type=FOLLOW, default="hero", metavar="ID|hero", help="The vehicle to score; else the hero.")
 @click.option("--min-score", type=click.FloatRange(0, 100), metavar="N", help="End with exit code 1 if a score is lower.")
 @click.option("--min-completion", type=click.FloatRange(0, 100), metavar="N", help="The same for the completion in %.")
 @click.option(
@@ -92,8 +93,9 @@ class _Limit(click.ParamType[Any]):
 @options.dask
 @options.json
 @options.plain
+@options.gathered("request", lambda: SourcesRequest)
 def score(
-    sources: tuple[str, ...],
+    request: SourcesRequest,
     route_files: tuple[str, ...],
     route_id: str | None,
     from_drive: bool,
@@ -105,8 +107,6 @@ def score(
     limits: tuple[tuple[str, int], ...],
     junit: str | None,
     road_map: str | None,
-    jobs: int | None,
-    dask: str | None,
     form: str | None,
 ) -> NoReturn:
     """Score recordings of drives along routes, as CARLA's Leaderboard does.
@@ -118,7 +118,6 @@ def score(
     from carla_recap.fleet.scores import ScoreLimits, checked, score_sources
     from carla_recap.queries.score import ScoreOptions, read_routes
     from carla_recap.util.files import prepare_file
-    from carla_recap.util.signals import unwind_on_termination
 
     if bool(route_files) == from_drive:
         raise click.UsageError("One of --route and --from-drive was expected.", click.get_current_context())
@@ -135,13 +134,9 @@ def score(
         prepare_file(junit)
     outcomes: list[Outcome[Score]] = []
     with ExitStack() as stack:
-        stack.enter_context(unwind_on_termination())
-        client = stack.enter_context(closing(client_of(dask))) if dask else None
-        found, bar = watched(sources, "scoring")
-        stack.enter_context(bar)
-        given = stack.enter_context(
-            closing(score_sources(found, routes, wanted, route_id=route_id, jobs=jobs, client=client))
-        )
+        found, client, bar = stack.enter_context(request.opened("scoring"))
+        scored = score_sources(found, routes, wanted, route_id=route_id, jobs=request.jobs, client=client)
+        given = stack.enter_context(closing(scored))
         messages = Messages(bar)
         for outcome in given:
             outcomes.append(outcome)

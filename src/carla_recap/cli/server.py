@@ -13,6 +13,7 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.output import log_to_stderr, note, warn
+from carla_recap.cli.parameter_types import FOLLOW, POSITIVE
 from carla_recap.errors import RecapError, RecapWarning
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, metavar="K", help="The seed of everything random."
 )
-@click.option("--fps", type=options.POSITIVE, metavar="N", help="Ticks of equal length, N in a second; else as time passes.")
+@click.option("--fps", type=POSITIVE, metavar="N", help="Ticks of equal length, N in a second; else as time passes.")
 @click.option(
     "--quality",
     type=click.Choice(["low", "epic"], case_sensitive=False),
@@ -64,7 +65,7 @@ _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 @options.foxglove
 @click.option(
     "--follow",
-    type=options.FOLLOW,
+    type=FOLLOW,
     metavar="ID|hero",
     help="The actor that its camera follows; else the hero, or one that moves.",
 )

@@ -11,6 +11,7 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.output import log_to_stderr, wrote
+from carla_recap.cli.parameter_types import NUMBER, POSITIVE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,7 +42,7 @@ _additional_data = click.option("--additional-data", is_flag=True, help="Record 
 @click.option("--town", callback=_not_empty, metavar="NAME", help="A map's name or an .xodr; else the built-in town.")
 @click.option("--vehicles", type=click.IntRange(0, 1000), default=30, show_default=True, metavar="N", help="On autopilot.")
 @click.option("--walkers", type=click.IntRange(0, 1000), default=10, show_default=True, metavar="N", help="On foot.")
-@click.option("--duration", type=options.POSITIVE, default=60, show_default=True, metavar="S", help="How long, in s.")
+@click.option("--duration", type=POSITIVE, default=60, show_default=True, metavar="S", help="How long, in s.")
 @click.option("--hero", is_flag=True, help="The first vehicle is the hero, with a collision sensor.")
 @click.option("--junction", is_flag=True, help="All begin around the town's largest junction with traffic lights.")
 @click.option("--crash", is_flag=True, help="Add a crash: the hero hits a walker, then a van that blocks its lane.")
@@ -91,7 +92,7 @@ def record(
 @options.start
 @options.duration
 @click.option(
-    "--then", type=options.NUMBER, default=10, show_default=True, metavar="S", help="How long to go on by autopilot, in s."
+    "--then", type=NUMBER, default=10, show_default=True, metavar="S", help="How long to go on by autopilot, in s."
 )
 @click.option("--ignore-hero", is_flag=True, help="Leave the hero out.")
 @_additional_data

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack, closing
+from contextlib import closing
 from dataclasses import dataclass
-from functools import partial, wraps
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from carla_recap.cli import options
-from carla_recap.cli.many import Messages, client_of, is_one, watched
+from carla_recap.cli.many import Messages, SourcesRequest, is_one
 from carla_recap.cli.output import BAD_INPUT, counted, not_written, note, wrote
 from carla_recap.util.files import size_of
 
@@ -38,25 +38,26 @@ _options = options.together(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class WriteRequest:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WriteRequest(SourcesRequest):
     """What commands are given that write a file for each recording.
 
     Attributes:
-        sources: The recordings, and what means recordings.
         destination: A file, or the folder of many; a path or a URL.
         force: Replace what is there.
         newer: Skip recordings whose file is newer, and replace what is older.
-        jobs: The number of processes; None: as many as are worthwhile.
-        dask: The address of a Dask scheduler.
     """
 
-    sources: tuple[str, ...]
     destination: str
     force: bool
     newer: bool
-    jobs: int | None
-    dask: str | None
+
+    def __post_init__(self) -> None:
+        if not self.sources:
+            ctx = click.get_current_context()
+            raise click.MissingParameter(ctx=ctx, param_hint="'DST'", param_type="argument")
+        if not self.destination:
+            raise click.BadParameter("a path or a URL was expected.", param_hint="'DST'")
 
     @property
     def has_many(self) -> bool:
@@ -171,15 +172,9 @@ class WriteRequest:
             take: Is called with what is written.
             end: Is called when all is written.
         """
-        from carla_recap.util.signals import unwind_on_termination
-
-        found, bar = watched(self.sources, title)
-        messages, written, failed, hints = Messages(bar), 0, list[dict[str, str]](), dict[str, None]()
-        with ExitStack() as stack:
-            stack.enter_context(unwind_on_termination())
-            client = stack.enter_context(closing(client_of(self.dask))) if self.dask else None
-            stack.enter_context(bar)
-            outcomes = stack.enter_context(closing(write(found, client)))
+        written, failed, hints = 0, list[dict[str, str]](), dict[str, None]()
+        with self.opened(title) as (found, client, bar), closing(write(found, client)) as outcomes:
+            messages = Messages(bar)
             for outcome in outcomes:
                 messages.add(outcome.source.location, outcome.warnings, outcome.error)
                 if outcome.value is None:
@@ -213,25 +208,5 @@ def _say(written: WrittenFile) -> None:
     wrote(written.path, *written.notes, frames=written.frames, seconds=written.seconds, size=written.size, **written.facts)
 
 
-def writes(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command the arguments and options of those that write a file for each recording, as one argument."""
-
-    @_options
-    @wraps(command)
-    def with_request(
-        sources: tuple[str, ...],
-        destination: str,
-        force: bool,
-        newer: bool,
-        jobs: int | None,
-        dask: str | None,
-        **given: Any,
-    ) -> None:
-        if not sources:
-            ctx = click.get_current_context()
-            raise click.MissingParameter(ctx=ctx, param_hint="'DST'", param_type="argument")
-        if not destination:
-            raise click.BadParameter("a path or a URL was expected.", param_hint="'DST'")
-        command(WriteRequest(sources, destination, force, newer, jobs, dask), **given)
-
-    return with_request
+writes = options.together(_options, options.gathered("request", lambda: WriteRequest))
+"""The arguments and options of commands that write a file for each recording, as a `WriteRequest`."""

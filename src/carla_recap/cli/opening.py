@@ -1,0 +1,161 @@
+"""The recordings that arguments name, the parts of them that are meant, and the maps of their towns."""
+
+from __future__ import annotations
+
+from contextlib import closing, contextmanager
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.formats.sources import TimeFragment
+    from carla_recap.recording import Recording
+    from carla_recap.rendering.town import TownMesh
+    from carla_recap.roads import RoadMap
+
+MOMENT: Final = 1e-3
+"""The seconds of a recording that a picture shows."""
+
+AROUND: Final = 5.0
+"""The seconds before and after an incident, or a moment, that are shown."""
+
+_PRINTED: Final = 0.06  # s by which a printed time may be after the end
+
+
+def opened(path: str) -> Reader:
+    """Open a recording, which is closed when the command ends."""
+    from carla_recap.formats import open_reader
+
+    reader = open_reader(path)
+    click.get_current_context().call_on_close(reader.close)
+    return reader
+
+
+@contextmanager
+def opened_part(source: str, given: dict[str, Any]) -> Iterator[tuple[Recording, dict[str, Any]]]:
+    """Open the recording that a source means, and yield it with the options of the part that is meant; see `timed`."""
+    from carla_recap.recording import open_recording
+
+    location, given = timed(source, given)
+    with open_recording(location) as recording:
+        yield recording, given
+
+
+def timed(source: str, given: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Return a source without the times at its end (`#t=12.1`), and options with the start and duration that are meant.
+
+    A moment is shown with the seconds around it that clips of incidents have. What the options say prevails.
+
+    Args:
+        source: The source.
+        given: The options of a command, of which `start` and `duration` are None if they are not given.
+    """
+    from carla_recap.errors import RecapError
+
+    location, times = _split(source)
+    start, duration = given["start"], given["duration"]
+    if times is None or start is not None:
+        return location, given | {"start": start or 0.0, "duration": duration or 0.0}
+    begin, end = max(times.start - AROUND, 0.0), times.start + AROUND
+    if times.stop is None:
+        _check_moment(location, times.start)
+    else:
+        begin, end = times.start, times.stop
+    if not begin < end:
+        raise RecapError(f"{source}: an end after {begin:g} s was expected")
+    return location, given | {"start": begin, "duration": end - begin if duration is None else duration}
+
+
+def moment(source: str, time: float | None) -> tuple[str, float]:
+    """Return a source without the time at its end (`#t=12.1`), and the time that is meant: that of the option, if any.
+
+    Raises:
+        click.MissingParameter: There is neither.
+    """
+    location, times = _split(source)
+    if time is None and times is None:
+        ctx = click.get_current_context()
+        raise click.MissingParameter("SRC#t=S says it, too.", ctx=ctx, param_hint="'--at'", param_type="option")
+    return location, times.start if time is None and times is not None else time or 0.0
+
+
+def _split(source: str) -> tuple[str, TimeFragment | None]:
+    """Return a source without the times at its end, and these, if it has any.
+
+    Raises:
+        RecapError: What it has is no time.
+    """
+    from carla_recap.errors import RecapError
+    from carla_recap.formats.sources import split_time
+
+    location, times = split_time(source)
+    name, mark, text = source.rpartition("#t=")
+    if times is None and name and mark and not _exists(source):
+        raise RecapError(f"{source}: {text!r} is no time; seconds were expected, such as #t=12.1, or #t=12.1,20")
+    return location, times
+
+
+def _exists(source: str) -> bool:
+    """Return whether there is a file of exactly this name."""
+    from pathlib import Path
+
+    try:
+        return Path(source).exists()
+    except (OSError, ValueError):  # such as a name that is too long
+        return False
+
+
+def _check_moment(location: str, time: float) -> None:
+    """Refuse a time after the end of a recording of this machine; others are not read twice.
+
+    Raises:
+        RecapError: It is one, or the recording cannot be read.
+    """
+    from carla_recap.errors import RecapError
+    from carla_recap.formats import open_reader
+    from carla_recap.formats.sources import is_remote
+
+    if is_remote(location):
+        return
+    with closing(open_reader(location)) as reader:
+        end = reader.extent().duration
+    if time > end + _PRINTED:
+        raise RecapError(f"{location}: nothing at {time:g} s; the recording ends at {end:g} s")
+
+
+def road_map_of(recording: Recording, path: str | None, start: float = 0.0, duration: float = 0.0) -> RoadMap | None:
+    """Return the map of a recording's town; without one, what its vehicles have driven along.
+
+    None if that is not known either, or if an extra is missing; a warning says so.
+
+    Args:
+        recording: The recording; its map name is looked for.
+        path: The map, or the folder to look in; None: the usual folders.
+        start: The elapsed seconds from which on the recording is shown; negative: before the end.
+        duration: The seconds that are shown; 0: all of the rest.
+
+    Raises:
+        RecapError: The given folder has no such map, or the map is damaged.
+    """
+    from carla_recap.replay.recorded_map import load_map_of
+    from carla_recap.roads import load_map
+
+    return load_map_of(recording, path, load_map, lambda corridors: corridors, start, duration)
+
+
+def town_of(recording: Recording, path: str | None, start: float = 0.0, duration: float = 0.0) -> TownMesh | None:
+    """Return a recording's town as a mesh; see `road_map_of`."""
+    from carla_recap.rendering.town import load_town_of
+
+    return load_town_of(recording, path, start, duration)
+
+
+def map_file_of(recording: Recording, path: str | None) -> Path | None:
+    """Return the OpenDRIVE file of a recording's town; None if it is unknown; see `road_map_of`."""
+    from carla_recap.replay.recorded_map import find_map_of
+
+    return find_map_of(recording, path)
