@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.capture.packets import attribute_types, kind_of, spawn
 from carla_recap.errors import RecapWarning
 from carla_recap.model.lives import HERO
-from carla_recap.model.records import UE4, ActorKind
+from carla_recap.model.records import UE4, ActorKind, Attribute, Spawn
 from carla_recap.replay.pose import detach
-from carla_recap.sim.recording.packets import CM_PER_M
+from carla_recap.sim.recording.packets import CM_PER_M, box_row, physics_record, pose, wheel_row
 from carla_recap.sim.recording.snapshots import WITH_POSE
 
 if TYPE_CHECKING:
@@ -20,8 +19,10 @@ if TYPE_CHECKING:
 
     import carla
 
-    from carla_recap.capture.packets import Pose
+    from carla_recap.model.records import Physics
+    from carla_recap.sim.recording.packets import Pose, Row
 
+    Types = dict[str, dict[str, int]]
     Rows = list[tuple[float, ...]]
     Snapshots = Mapping[int, carla.ActorSnapshot]
 
@@ -34,6 +35,15 @@ UNANSWERED: Final = (RuntimeError, *UNREADABLE)
 """What CARLA's client raises if a request is not answered."""
 OWN: Final = "carla-recap"
 """The role of this package's own sensors, which are left out."""
+_STRING: Final = 3
+_TYPES_FROM: Final = 1  # clients number the types of attributes from 1, recordings from 0
+_KINDS: Final = {
+    "vehicle.": ActorKind.VEHICLE,
+    "walker.": ActorKind.WALKER,
+    "traffic.traffic_light": ActorKind.TRAFFIC_LIGHT,
+    "traffic.": ActorKind.TRAFFIC_SIGN,
+    "sensor.": ActorKind.SENSOR,
+}
 _EACH_FRAME: Final = (ActorKind.VEHICLE, ActorKind.WALKER, ActorKind.TRAFFIC_LIGHT)
 
 
@@ -98,12 +108,12 @@ class ActorTracker:
             snapshots: Their poses.
             attached: Whether those with parents have poses relative to these, as recorders write them after the beginning.
         """
-        poses = {actor.id: pose_of(snapshots[actor.id].get_transform()) for actor in came}
+        poses = {actor.id: pose(snapshots[actor.id].get_transform()) for actor in came}
         parents = {actor.id: parent.id for actor in came if (parent := parent_of(actor)) is not None}
         if attached:
             for id, parent in parents.items():
                 if parent in snapshots:
-                    place = np.array(pose_of(snapshots[parent].get_transform()))
+                    place = np.array(pose(snapshots[parent].get_transform()))
                     x, y, z, roll, pitch, yaw = detach(place, np.array(poses[id])).tolist()
                     poses[id] = x, y, z, roll, pitch, yaw
         return {
@@ -121,7 +131,7 @@ class ActorTracker:
         vehicles, walkers, lights = (self._of[kind] for kind in _EACH_FRAME)
         with_pose = [id for kind in WITH_POSE for id in self._of[kind]]
         rows: dict[str, Rows] = {
-            "transforms": [(id, *pose_of(snapshots[id].get_transform())) for id in sorted(with_pose)],
+            "transforms": [(id, *pose(snapshots[id].get_transform())) for id in sorted(with_pose)],
             "light_states": [
                 (id, light.is_frozen(), light.get_elapsed_time(), int(light.get_state())) for id, light in lights.items()
             ],
@@ -171,11 +181,57 @@ def _is_own(actor: carla.Actor) -> bool:
     return bool(actor.type_id.startswith("sensor.") and actor.attributes.get("role_name") == OWN)
 
 
-def pose_of(transform: carla.Transform) -> Pose:
-    """Return a transform as a pose in cm and degrees, in CARLA's axes."""
-    location, rotation = transform.location, transform.rotation
-    x, y, z = location.x * CM_PER_M, location.y * CM_PER_M, location.z * CM_PER_M
-    return x, y, z, rotation.roll, rotation.pitch, rotation.yaw
+# --- the records of single actors, as far as a client gets their data ------------------------------------
+
+
+def kind_of(type_id: str) -> ActorKind:
+    """Return the kind of an actor, by its blueprint."""
+    return next((kind for begin, kind in _KINDS.items() if type_id.startswith(begin)), ActorKind.OTHER)
+
+
+def attribute_types(library: carla.BlueprintLibrary) -> Types:
+    """Return the types of the attributes of each blueprint, as recordings number them."""
+    return {blueprint.id: {each.id: int(each.type) - _TYPES_FROM for each in blueprint} for blueprint in library}
+
+
+def spawn(actor: carla.Actor, pose: Pose, types: Types) -> Spawn:
+    """Return the spawn of an actor, without the number of its blueprint, which clients do not get.
+
+    Args:
+        actor: The actor.
+        pose: Its pose, in cm and degrees.
+        types: The types of attributes.
+    """
+    known = types.get(actor.type_id, {})
+    attributes = [Attribute(known.get(key, _STRING), key, value) for key, value in actor.attributes.items() if key]
+    return Spawn(actor.id, kind_of(actor.type_id), *pose, type_id=actor.type_id, attributes=attributes)
+
+
+def bounding_box(actor: carla.Actor) -> list[Row]:
+    """Return the box of an actor, in its own axes, if it has one; asks the server."""
+    volume = actor.bounding_box
+    return [box_row(actor.id, volume.location, volume.extent)] if volume.extent.length() > 0 else []
+
+
+def trigger_volume(sign: carla.TrafficSign) -> list[Row]:
+    """Return the trigger volume of a light or sign, if it has one."""
+    volume = sign.trigger_volume
+    if not volume.extent.length():
+        return []
+    return [box_row(sign.id, sign.get_transform().transform(volume.location), volume.extent)]
+
+
+def light_times(light: carla.TrafficLight) -> Row:
+    """Return the times of a traffic light, in s."""
+    return light.id, light.get_green_time(), light.get_yellow_time(), light.get_red_time()
+
+
+def physics(vehicle: carla.Vehicle) -> list[Physics]:
+    """Return the physics of a vehicle; asks the server."""
+    control = vehicle.get_physics_control()
+    torque_curve, steering_curve = (((at.x, at.y) for at in each) for each in (control.torque_curve, control.steering_curve))
+    wheels = (wheel_row(wheel, (wheel.position.x, wheel.position.y, wheel.position.z)) for wheel in control.wheels)
+    return [physics_record(vehicle.id, control, torque_curve, steering_curve, wheels)]
 
 
 def _velocity(id: int, snapshot: carla.ActorSnapshot) -> tuple[float, ...]:

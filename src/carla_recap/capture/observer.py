@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
 
 import carla
 
-from carla_recap.capture import packets
+from carla_recap.capture import actors
 from carla_recap.capture.actors import UNANSWERED, ActorTracker, readable
 from carla_recap.capture.collisions import CollisionListener
 from carla_recap.errors import RecapError
@@ -122,9 +122,9 @@ class Observer:
         self._connect()
         self._tracker = ActorTracker(self._world, additional_data=self._additional)
         self._listener = CollisionListener(self._world, self._note_collision, attach=self._attach)
-        actors = readable(self._world.get_actors())
-        self._present = {actor.id for actor in actors}
-        self._newcomers.extend((0, actor) for actor in actors)
+        present = readable(self._world.get_actors())
+        self._present = {actor.id for actor in present}
+        self._newcomers.extend((0, actor) for actor in present)
         if self._additional:
             self._introduce()
         self._ask()
@@ -328,22 +328,22 @@ class Observer:
         """Request the data of new actors that are not in snapshots."""
         while self._newcomers and not self.why:
             frame, actor = self._newcomers.popleft()
-            kind = packets.kind_of(actor.type_id)
+            kind = actors.kind_of(actor.type_id)
             if kind == ActorKind.TRAFFIC_LIGHT:
                 self.answer(partial(self._note_light_times, frame, actor), None)
             requests: dict[str, Callable[[Any], list[Any]]] = {}
             if kind in (ActorKind.TRAFFIC_LIGHT, ActorKind.TRAFFIC_SIGN):
-                requests["trigger_volumes"] = packets.trigger_volume
+                requests["trigger_volumes"] = actors.trigger_volume
             elif kind != ActorKind.SENSOR:
-                requests["bounding_boxes"] = packets.bounding_box
+                requests["bounding_boxes"] = actors.bounding_box
             if kind == ActorKind.VEHICLE:
-                requests["physics"] = lambda vehicle: [packets.physics(vehicle)]
+                requests["physics"] = actors.physics
             for name, request in requests.items():
                 records: list[Any] = self.answer(partial(request, actor), [])
                 self._later.extend((frame, name, record) for record in records)
 
     def _note_light_times(self, frame: int, light: carla.TrafficLight) -> None:
-        times = packets.light_times(light)
+        times = actors.light_times(light)
         if self._light_times.get(light.id) != times:
             self._light_times[light.id] = times
             self._later.append((frame, "light_times", times))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Self
 import carla
 import numpy as np
 
-from carla_recap.capture.actors import OWN, UNANSWERED, parent_of, pose_of, readable
+from carla_recap.capture.actors import OWN, UNANSWERED, parent_of, readable
 from carla_recap.capture.observer import ANSWER
 from carla_recap.capture.samples import SensorFrame
 from carla_recap.errors import RecapError, RecapWarning
@@ -21,6 +21,7 @@ from carla_recap.model.records import CM
 from carla_recap.replay.pose import LOCATION, detach
 from carla_recap.sensors.kinds import SENSOR_TYPES
 from carla_recap.sensors.rig import SensorRig, SensorSpec
+from carla_recap.sim.recording.packets import pose
 from carla_recap.util.text import first_of, single_line
 
 if TYPE_CHECKING:
@@ -283,8 +284,8 @@ def _receiver(spec: SensorSpec, callback: Callable[[SensorFrame], None]) -> Call
 
 def _mount(sensor: carla.Actor) -> list[float]:
     """Return the pose of a sensor in m and degrees: on its parent, else in the world."""
-    pose = np.array(pose_of(sensor.get_transform()))
+    mount = np.array(pose(sensor.get_transform()))
     if (parent := parent_of(sensor)) is not None:
-        pose = detach(np.array(pose_of(parent.get_transform())), pose)
-    pose[LOCATION] *= CM
-    return [float(value) for value in pose]
+        mount = detach(np.array(pose(parent.get_transform())), mount)
+    mount[LOCATION] *= CM
+    return [float(value) for value in mount]

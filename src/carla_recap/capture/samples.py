@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.capture.actors import pose_of
 from carla_recap.errors import RecapError
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.replay.pose import MIRROR, right_handed
 from carla_recap.sensors.cameras import decoded
 from carla_recap.sensors.sensing import ANGULAR_MIRROR, DETECTION, FIX, INERTIA, POINT, SEMANTIC_POINT, Sample
+from carla_recap.sim.recording.packets import pose
 
 if TYPE_CHECKING:
     import carla
@@ -65,7 +65,7 @@ class SensorFrame(NamedTuple):
         Raises:
             RecapError: The data are none of such a sensor.
         """
-        pose = right_handed(np.array(pose_of(self.transform)))
+        place = right_handed(np.array(pose(self.transform)))
         kind, data = self.spec.kind, self.data
         values: NDArray[Any]
         if kind == "camera":
@@ -79,7 +79,7 @@ class SensorFrame(NamedTuple):
             values = np.array((felt * MIRROR, turning * ANGULAR_MIRROR, data.compass), INERTIA)
         else:
             values = np.array(data)
-        return Sample(self.spec, elapsed, pose, values)
+        return Sample(self.spec, elapsed, place, values)
 
     def _image(self, ids: NDArray[np.uint32]) -> NDArray[Any]:
         spec, data = self.spec, self.data

@@ -5,7 +5,7 @@ A pose is six numbers, as in `carla_recap.replay.pose`: x, y, z in cm, then roll
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -22,14 +22,17 @@ if TYPE_CHECKING:
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.actors.lights import Sign, TrafficLight
     from carla_recap.sim.actors.moving import Vehicle
-    from carla_recap.sim.physics.physics_control import WheelPhysics
     from carla_recap.sim.town.loading import Town
 
 Row = tuple[float, ...]
+Pose = tuple[float, float, float, float, float, float]
 
 _PHYSICS: Final[RecordType] = UE4.named("physics")
 _HALF_HEIGHT: Final = 1.0  # m, of trigger volumes, which stand on the road
 CM_PER_M: Final = 100.0
+_OTHERS: Final = ("id", "use_gear_auto_box", "center_of_mass_x", "center_of_mass_y", "center_of_mass_z")
+_SAME: Final = [name for name, kind in _PHYSICS.layout.fields.items() if isinstance(kind, str) and name not in _OTHERS]
+"""The numbers that a `PhysicsControl` has under the names that they have in a record."""
 
 
 def spawn(actor: Actor) -> Spawn:
@@ -41,8 +44,12 @@ def spawn(actor: Actor) -> Spawn:
 
 def bounding_box(actor: Actor) -> Row:
     """Return the box of an actor, in its own axes."""
-    centre, extent = actor.box.location, actor.box.extent
-    return (actor.id, *(CM_PER_M * value for value in (centre.x, centre.y, centre.z, extent.x, extent.y, extent.z)))
+    return box_row(actor.id, actor.box.location, actor.box.extent)
+
+
+def box_row(id: int, centre: Any, extent: Any) -> Row:
+    """Return the record of a box, of its centre and its extent in m."""
+    return (id, *(CM_PER_M * value for value in (centre.x, centre.y, centre.z, extent.x, extent.y, extent.z)))
 
 
 def trigger_volumes(sign: Sign, town: Town) -> list[Row]:
@@ -63,56 +70,63 @@ def light_times(light: TrafficLight) -> Row:
 def physics(vehicle: Vehicle) -> Physics:
     """Return the physics of a vehicle; the positions of its wheels are in the world, as CARLA records them."""
     control, transform = vehicle.physics_control, vehicle.transform
+    wheels = []
+    for wheel in control.wheels:
+        x, y, z = wheel.position.x / CM_PER_M, wheel.position.y / CM_PER_M, wheel.position.z / CM_PER_M
+        place = transform.transform(Location(x, y, z))
+        wheels.append(wheel_row(wheel, (CM_PER_M * place.x, CM_PER_M * place.y, CM_PER_M * place.z)))
+    return physics_record(vehicle.id, control, control.torque_curve, control.steering_curve, wheels)
+
+
+def physics_record(
+    id: int, control: Any, torque_curve: Iterable[Row], steering_curve: Iterable[Row], wheels: Iterable[Row]
+) -> Physics:
+    """Return the record of the physics of a vehicle.
+
+    Args:
+        id: The id of the vehicle.
+        control: A `PhysicsControl`, or that of CARLA's client.
+        torque_curve: Its curve as pairs of numbers.
+        steering_curve: Its curve as pairs of numbers.
+        wheels: Its wheels as rows.
+    """
     centre = control.center_of_mass
-    wheels = [_wheel(wheel, transform) for wheel in control.wheels]
-    gears: list[Row] = [(gear.ratio, gear.down_ratio, gear.up_ratio) for gear in control.forward_gears]
     return Physics(
-        id=vehicle.id,
-        max_rpm=control.max_rpm,
-        moi=control.moi,
-        damping_rate_full_throttle=control.damping_rate_full_throttle,
-        damping_rate_zero_throttle_clutch_engaged=control.damping_rate_zero_throttle_clutch_engaged,
-        damping_rate_zero_throttle_clutch_disengaged=control.damping_rate_zero_throttle_clutch_disengaged,
+        id=id,
         use_gear_auto_box=int(control.use_gear_autobox),
-        clutch_strength=control.clutch_strength,
-        final_ratio=control.final_ratio,
-        mass=control.mass,
-        drag_coefficient=control.drag_coefficient,
         center_of_mass_x=centre.x,
         center_of_mass_y=centre.y,
         center_of_mass_z=centre.z,
-        torque_curve=_rows("torque_curve", list(control.torque_curve)),
-        forward_gears=_rows("forward_gears", gears),
-        steering_curve=_rows("steering_curve", list(control.steering_curve)),
+        torque_curve=_rows("torque_curve", torque_curve),
+        forward_gears=_rows(
+            "forward_gears", ((each.ratio, each.down_ratio, each.up_ratio) for each in control.forward_gears)
+        ),
+        steering_curve=_rows("steering_curve", steering_curve),
         wheels=_rows("wheels", wheels),
+        **{name: getattr(control, name) for name in _SAME},
     )
 
 
-def _wheel(wheel: WheelPhysics, transform: Transform) -> Row:
-    x, y, z = wheel.position.x / CM_PER_M, wheel.position.y / CM_PER_M, wheel.position.z / CM_PER_M
-    position = transform.transform(Location(x, y, z))
-    return (
-        wheel.tire_friction,
-        wheel.damping_rate,
-        wheel.max_steer_angle,
-        wheel.radius,
-        wheel.max_brake_torque,
-        wheel.max_handbrake_torque,
-        wheel.lat_stiff_max_load,
-        wheel.lat_stiff_value,
-        wheel.long_stiff_value,
-        *(CM_PER_M * value for value in (position.x, position.y, position.z)),
-    )
+def wheel_row(wheel: Any, position: Row) -> Row:
+    """Return a wheel as a row; its position is in cm."""
+    return (*(getattr(wheel, name) for name in _OF_WHEELS), *position)
 
 
-def _rows(field: str, rows: list[Row]) -> NDArray[np.void]:
+def _rows(field: str, rows: Iterable[Row]) -> NDArray[np.void]:
+    return np.array(list(rows), _layout(field).dtype(wide=False))
+
+
+def _layout(field: str) -> Layout:
     many = _PHYSICS.layout.fields[field]
     assert not isinstance(many, str)
     layout: Layout = many.layouts[0]
-    return np.array(rows, layout.dtype(wide=False))
+    return layout
 
 
-def pose(transform: Transform) -> tuple[float, float, float, float, float, float]:
+_OF_WHEELS: Final = [name for name in _layout("wheels").fields if not name.startswith("position_")]
+
+
+def pose(transform: Transform) -> Pose:
     """Return the pose of a transform."""
     location, rotation = transform.location, transform.rotation
     return (
