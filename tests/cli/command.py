@@ -7,7 +7,7 @@ import pty
 import re
 import subprocess
 import sys
-import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -39,21 +39,22 @@ def _server() -> ForkServer:
     return ForkServer(ENVIRONMENT)
 
 
-def run(*arguments: object, cwd: Path | None = None) -> Done:
-    """Run the command, without a terminal."""
+def run(*arguments: object, cwd: Path | None = None, **options: Any) -> Done:
+    """Run the command, with its output in pipes."""
     words = [os.fspath(_as_path(each)) for each in arguments]
-    if _server().environment != ENVIRONMENT:
-        command = [COMMAND, *words]
-        return subprocess.run(
-            command, capture_output=True, env=ENVIRONMENT, stdin=subprocess.DEVNULL, timeout=PATIENCE, check=False, cwd=cwd
-        )
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        code = _server().start(words, out.fileno(), err.fileno(), os.fspath(cwd or Path.cwd())).wait(PATIENCE)
-        printed = []
-        for file in (out, err):
-            file.seek(0)
-            printed.append(file.read())
-    return Done(words, code, *printed)
+    if options or _server().environment != ENVIRONMENT:
+        options = {"env": ENVIRONMENT, "stdin": subprocess.DEVNULL, "timeout": PATIENCE, "cwd": cwd, **options}
+        return subprocess.run([COMMAND, *words], capture_output=True, check=False, **options)
+    (out, out_end), (err, err_end) = os.pipe(), os.pipe()
+    command = _server().start(words, out_end, err_end, cwd)
+    with ThreadPoolExecutor(2) as threads:
+        printed = threads.map(_read, (out, err))
+        return Done(words, command.wait(PATIENCE), *printed)
+
+
+def _read(descriptor: int) -> bytes:
+    with open(descriptor, "rb") as file:
+        return file.read()
 
 
 def answer(*arguments: object) -> str:
@@ -96,17 +97,15 @@ def on_terminal(*arguments: object, stream: str = "stdout") -> tuple[int, str, b
         The exit code, the text on the terminal, and the bytes of the other stream.
     """
     words = [os.fspath(_as_path(each)) for each in arguments]
-    ours, theirs = pty.openpty()
-    with tempfile.TemporaryFile() as file:
-        streams = (theirs, file.fileno()) if stream == "stdout" else (file.fileno(), theirs)
-        command = _server().start(words, *streams, os.fspath(Path.cwd()))
-        os.close(theirs)
+    (ours, theirs), (pipe, pipe_end) = pty.openpty(), os.pipe()
+    streams = (theirs, pipe_end) if stream == "stdout" else (pipe_end, theirs)
+    command = _server().start(words, *streams)
+    with ThreadPoolExecutor(1) as threads:
+        other = threads.submit(_read, pipe)
         shown = read_terminal(ours)
         code = command.wait(PATIENCE)
-        file.seek(0)
-        other = file.read()
     os.close(ours)
-    return code, shown, other
+    return code, shown, other.result()
 
 
 def read_terminal(terminal: int) -> str:

@@ -55,19 +55,21 @@ class ForkServer:
             )
         atexit.register(self._close)
 
-    def start(self, arguments: list[str], stdout: int, stderr: int, folder: str) -> ForkedCommand:
+    def start(self, arguments: list[str], stdout: int, stderr: int, folder: Path | None = None) -> ForkedCommand:
         """Start a command.
 
         Args:
             arguments: The arguments.
-            stdout: Where it prints, a file descriptor.
-            stderr: Where it prints errors, a file descriptor.
-            folder: Its working directory.
+            stdout: Where it prints, a file descriptor, which is closed here.
+            stderr: Where it prints errors; see `stdout`.
+            folder: Its working directory; None: that of this process.
         """
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
-            request = json.dumps([folder, *arguments]).encode()
+            request = json.dumps([os.fspath(folder or Path.cwd()), *arguments]).encode()
             socket.send_fds(self._socket, [request], [stdout, stderr, theirs.fileno()])
+        for each in {stdout, stderr}:
+            os.close(each)
         return ForkedCommand(ours)
 
     def _close(self) -> None:

@@ -91,6 +91,7 @@ def physics_record(
         wheels: Its wheels as rows.
     """
     centre = control.center_of_mass
+    gears = ((gear.ratio, gear.down_ratio, gear.up_ratio) for gear in control.forward_gears)
     return Physics(
         id=id,
         use_gear_auto_box=int(control.use_gear_autobox),
@@ -98,9 +99,7 @@ def physics_record(
         center_of_mass_y=centre.y,
         center_of_mass_z=centre.z,
         torque_curve=_rows("torque_curve", torque_curve),
-        forward_gears=_rows(
-            "forward_gears", ((each.ratio, each.down_ratio, each.up_ratio) for each in control.forward_gears)
-        ),
+        forward_gears=_rows("forward_gears", gears),
         steering_curve=_rows("steering_curve", steering_curve),
         wheels=_rows("wheels", wheels),
         **{name: getattr(control, name) for name in _SAME},
