@@ -16,7 +16,7 @@ from carla_recap.model import braking as braking_module
 from carla_recap.model.frame import LAST_FRAME_DURATION, Header
 from carla_recap.model.records import NO_ACTOR, Spawn, attributes
 from carla_recap.queries.incidents import Incident, IncidentOptions, incidents
-from carla_recap.queries.kinds import KINDS, kinds_without_roads
+from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.queries.output.json import json as json_text
 from carla_recap.queries.output.table import table
 from carla_recap.queries.output.text import text
@@ -416,18 +416,6 @@ def test_limits_of_near_misses_are_options(make: Make) -> None:
 def test_limits_of_near_misses_without_a_sense_are_errors(name: str, value: float) -> None:
     with pytest.raises(RecapError, match=f"^{name} is {value:g} s; 0 to 60 s were expected$"):
         IncidentOptions(**{name: value})
-
-
-@pytest.mark.parametrize("kinds", ["near miss", "near-miss", ["near_miss", "collision"]])
-def test_a_name_has_spaces_hyphens_or_underscores(make: Make, kinds: Any) -> None:
-    reader = make(*crossing(0.4), durations=[1 / RATE] * 120 + [LAST_FRAME_DURATION])
-    assert [row.kind for row in incidents(reader, IncidentOptions(kinds=kinds))] == ["near miss"]
-
-
-def test_a_kind_that_does_not_exist_is_an_error_that_lists_the_kinds(make: Make) -> None:
-    names = ", ".join(kind.option for kind in KINDS.values())
-    with pytest.raises(RecapError, match=f"^'near misses' is no kind of incident; there are {names}$"):
-        incidents(make({"spawned": CAST}), IncidentOptions(kinds=["near misses"]))
 
 
 @pytest.mark.parametrize(("actor", "found"), [(None, [(1, 2), (3, 5)]), ("hero", [(1, 2)]), (2, [(1, 2)]), (5, [(3, 5)])])

@@ -13,7 +13,7 @@ from click import Context
 from carla_recap import RecapError, open_recording
 from carla_recap.cli import cli, options
 from carla_recap.fleet.rules import check, parse_rules
-from carla_recap.queries.incidents import Incident, IncidentOptions
+from carla_recap.queries.incidents import Incident
 from carla_recap.queries.kinds import KINDS, kind_named, kinds_named
 from carla_recap.queries.measures import MEASURES, measures
 from carla_recap.queries.output.table import cells
@@ -134,15 +134,11 @@ def test_kinds_of_options_that_are_repeated_are_joined(given: tuple[str, ...], k
 
 @pytest.mark.parametrize("name", ["", "near misses", "nearmiss"])
 def test_another_name_is_an_error_that_lists_the_kinds(name: str) -> None:
-    with pytest.raises(RecapError, match=r"is no kind of incident; there are collision, .*, near-miss, "):
+    names = ", ".join(kind.option for kind in KINDS.values())
+    with pytest.raises(RecapError, match=f"^{name!r} is no kind of incident; there are {names}$"):
         kind_named(name)
 
 
 def test_icons_and_colours_are_different() -> None:
     for field in ("icon", "dark", "light", "plural", "text"):
         assert len({getattr(kind, field) for kind in KINDS.values()}) == len(KINDS)
-
-
-def test_options_say_what_is_wrong() -> None:
-    with pytest.raises(RecapError, match="must be above 0"):
-        IncidentOptions(deceleration=-1.0)

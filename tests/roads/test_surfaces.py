@@ -9,7 +9,7 @@ from carla_recap.roads.network import LIGHT, STOP, RoadNetwork
 from carla_recap.roads.surfaces import build_network
 from tests.roads.straight_road import STRAIGHT_ROAD
 
-EASTWARD, WESTWARD = 0.0, np.pi
+EASTWARD = 0.0
 
 
 def with_light(s: float, lanes: tuple[int, int] | None = (-1, -1), orientation: str = "+", road: int = 1) -> RoadNetwork:
