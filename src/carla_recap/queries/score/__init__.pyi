@@ -1,0 +1,11 @@
+from carla_recap.queries.score.infractions import FORMULAS as FORMULAS
+from carla_recap.queries.score.infractions import INFRACTIONS as INFRACTIONS
+from carla_recap.queries.score.infractions import Formula as Formula
+from carla_recap.queries.score.infractions import Infraction as Infraction
+from carla_recap.queries.score.infractions import InfractionKind as InfractionKind
+from carla_recap.queries.score.route_files import Route as Route
+from carla_recap.queries.score.route_files import read_routes as read_routes
+from carla_recap.queries.score.route_files import route_for as route_for
+from carla_recap.queries.score.scoring import Score as Score
+from carla_recap.queries.score.scoring import ScoreOptions as ScoreOptions
+from carla_recap.queries.score.scoring import score as score

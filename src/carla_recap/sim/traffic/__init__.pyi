@@ -1,0 +1,1 @@
+from carla_recap.sim.traffic.spawning import populate as populate
