@@ -50,6 +50,14 @@ settings.register_profile("search", max_examples=1500, **_SETTINGS)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "suite"))
 
 
+@pytest.fixture(scope="session")
+def driver() -> None:
+    """Skip the test where nothing can be drawn."""
+    from tests.rendering.test_renderer import create
+
+    create(None).close()
+
+
 @pytest.fixture
 def small(tmp_path: Path) -> Path:
     """Return the path of the small log."""

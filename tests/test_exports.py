@@ -13,7 +13,6 @@ from click.testing import CliRunner
 from carla_recap import MissingExtra, RecapError, export, open_recording
 from carla_recap.cli import cli
 from carla_recap.exports import FORMATS, ExportFormat, find_format
-from tests.rendering.test_renderer import create
 from tests.samples import ROOT
 from tests.waiting import PATIENCE
 
@@ -36,13 +35,13 @@ every_format = pytest.mark.parametrize("form", FORMATS.values(), ids=FORMATS)
 
 @every_format
 @pytest.mark.filterwarnings("ignore:.*the map Crossing is not found")
-def test_a_recording_is_exported(tmp_path: Path, form: ExportFormat) -> None:
+def test_a_recording_is_exported(request: pytest.FixtureRequest, tmp_path: Path, form: ExportFormat) -> None:
     destination = tmp_path / f"out{form.suffix}"
     if form.extra:
         pytest.importorskip(PACKAGES[form.extra], reason=f"the extra {form.extra} is not installed")
     part: dict[str, Any] = {"start": 20, "duration": 1} if "start" in form.options else {}
     if form.dataset:
-        create(None).close()  # skips where there is no driver
+        request.getfixturevalue("driver")
         part |= {"rig": RIG, "actor": 100, "rate": 10, "quality": "low"}
     with open_recording(CROSSING) as recording:
         done = export(recording, destination, to=form.name, **part)

@@ -14,7 +14,6 @@ from carla_recap.errors import RecapError
 from carla_recap.fleet.datasets import splits_of
 from carla_recap.model.records import ActorKind, Spawn
 from tests.cli.command import error, run
-from tests.rendering.test_renderer import create
 from tests.sensors.test_sensing import drive
 
 if TYPE_CHECKING:
@@ -24,9 +23,8 @@ SHORT = ("--rate", "20", "--quality", "low")
 
 
 @pytest.fixture
-def runs(tmp_path: Path) -> Path:
+def runs(driver: None, tmp_path: Path) -> Path:
     """Return a folder with a recording, the same in a folder below, and one without a hero."""
-    create(None).close()  # skips where there is no driver
     folder = tmp_path / "runs"
     (folder / "deep").mkdir(parents=True)
     drive(folder / "a.mcap", 2)

@@ -21,7 +21,6 @@ from carla_recap import RecapError, RecapWarning, SensorRig, export
 from carla_recap.files.coco import encoded
 from carla_recap.files.nuscenes import TABLES, VERSION
 from carla_recap.sensors.sensing import sense
-from tests.rendering.test_renderer import create
 from tests.sensors.test_sensing import AHEAD, BOX, CAMERA_HEIGHT, CARS, GAP, LEFT, RAISED, RIGHT, SPEED, STEP, drive
 from tests.waiting import PATIENCE
 
@@ -51,8 +50,7 @@ NEAR = 0.05  # m
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    create(None).close()  # skips where there is no driver
+def recording(driver: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return drive(tmp_path_factory.mktemp("datasets") / "cars.mcap", raised=LEFT)
 
 

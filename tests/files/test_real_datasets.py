@@ -18,7 +18,6 @@ from carla_recap.files.nuscenes import VERSION
 from carla_recap.replay.pose import right_handed, rotations
 from carla_recap.sensors.sensing import sense
 from tests.files.test_datasets import DEVKIT, EXACT, NEAR, WITHIN, kitti_calibration, kitti_labels
-from tests.rendering.test_renderer import create
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -78,8 +77,7 @@ class Truth(NamedTuple):
 
 
 @pytest.fixture(scope="module", params=SCENES, ids=lambda scene: scene.name)
-def scene(request: pytest.FixtureRequest) -> Scene:
-    create(None).close()  # skips where there is no driver
+def scene(driver: None, request: pytest.FixtureRequest) -> Scene:
     found: Scene = request.param
     return found
 

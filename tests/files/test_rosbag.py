@@ -11,7 +11,6 @@ import pytest
 import carla_recap
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.sensors.rig import SensorRig
-from tests.rendering.test_renderer import create
 from tests.sensors.test_sensing import AHEAD, GAP, LEFT, RAISED, RIG, RIGHT, SPEED, STEP, drive
 
 pytest.importorskip("rosbags")
@@ -44,8 +43,7 @@ def exported(source: Path, folder: Path, **options: Any) -> Messages:
 
 
 @pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    create(None).close()  # skips where there is no driver
+def bag(driver: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("rosbag")
     with carla_recap.open_recording(drive(folder / "cars.mcap", raised=LEFT)) as recording:
         carla_recap.export(recording, folder / "bag", to="rosbag2", rig=RIG)

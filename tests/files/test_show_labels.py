@@ -16,9 +16,8 @@ pytest.importorskip("embreex", reason="the extra `cameras` is not installed")
 from PIL import Image
 
 import carla_recap
-from carla_recap import RecapError, RecapWarning, SensorRig, export
+from carla_recap import RecapWarning, SensorRig, export
 from tests.files.test_datasets import kitti_labels, size_of
-from tests.rendering.test_renderer import create
 from tests.roads.towns import town
 from tests.samples import carla_log
 from tests.waiting import PATIENCE
@@ -28,14 +27,7 @@ SCRIPT = ROOT / "samples" / "show_labels.py"
 KITTI = ROOT / "samples" / "rigs" / "kitti.json"
 PART = {"duration": 1, "rate": 1, "quality": "low"}
 
-
-@pytest.fixture(autouse=True)
-def driver() -> None:
-    """Skip the test where nothing can draw."""
-    try:
-        create(None).close()
-    except RecapError as error:
-        pytest.skip(str(error))
+pytestmark = pytest.mark.usefixtures("driver")
 
 
 def show_labels(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -89,7 +81,7 @@ def test_the_rig_beside_the_road_sees_the_hero_come(tmp_path: Path) -> None:
     assert distances[-1] < 30
 
 
-def test_a_rig_on_the_hero_sees_nobody_which_a_warning_says(tmp_path: Path) -> None:
+def test_a_rig_on_the_hero_sees_no_other_road_user_which_a_warning_says(tmp_path: Path) -> None:
     said = r"0\.9\.13-lane-center\.log: no other road user is seen in any image"
     with (
         carla_recap.open_recording(carla_log("carla-0.9.13-lane-center.log")) as recording,

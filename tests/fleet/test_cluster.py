@@ -22,7 +22,6 @@ from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.sources import SourceFile
 from tests.cli.command import CROSSING, run, the_line
 from tests.fleet.test_workers import HOSTILE, LIMIT, hostile
-from tests.rendering.test_renderer import create
 from tests.sensors.test_sensing import drive
 from tests.waiting import time_limit, wait_until
 
@@ -208,8 +207,7 @@ def test_an_address_without_a_scheduler_is_an_error_in_one_line(monkeypatch):
                 connect(address)
 
 
-def test_a_cluster_writes_a_dataset(cluster, tmp_path):
-    create(None).close()  # skips where there is no driver
+def test_a_cluster_writes_a_dataset(driver, cluster, tmp_path):
     (tmp_path / "runs").mkdir()
     for name in ("a", "b", "c"):
         drive(tmp_path / "runs" / f"{name}.mcap", 2)

@@ -32,8 +32,7 @@ BOXES = boxes((10, 0, 2), (15, 4, 1))
 
 
 @pytest.fixture(scope="module")
-def process() -> Iterator[RenderProcess]:
-    create(None).close()  # skips where there is no driver
+def process(driver: None) -> Iterator[RenderProcess]:
     with RenderProcess(PLANE, models=MODELS) as process:
         yield process
 
@@ -122,8 +121,7 @@ def test_a_picture_is_sent_while_another_one_is_drawn(process: RenderProcess) ->
     assert [future.result(PATIENCE)[RGB].shape[1] for future in futures] == [32, 64]
 
 
-def test_of_pictures_that_are_sent_only_the_first_fails_if_the_process_dies() -> None:
-    create(None).close()
+def test_of_pictures_that_are_sent_only_the_first_fails_if_the_process_dies(driver: None) -> None:
     with RenderProcess(PLANE, models=MODELS) as process:
         assert process.pid is not None
         os.kill(process.pid, signal.SIGSTOP)
@@ -134,8 +132,7 @@ def test_of_pictures_that_are_sent_only_the_first_fails_if_the_process_dies() ->
         assert second.result(PATIENCE)[RGB].any()
 
 
-def test_a_process_that_dies_again_is_started_again_later(monkeypatch: pytest.MonkeyPatch) -> None:
-    create(None).close()
+def test_a_process_that_dies_again_is_started_again_later(driver: None, monkeypatch: pytest.MonkeyPatch) -> None:
     now = 100.0
     monkeypatch.setattr(process_module, "monotonic", lambda: now)
     with RenderProcess(None, models=MODELS) as process:
@@ -153,12 +150,11 @@ def test_a_process_that_dies_again_is_started_again_later(monkeypatch: pytest.Mo
         assert process.draw(camera(), BOXES)[RGB].any()
 
 
-def test_pauses_between_restarts_in_vain_grow(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pauses_between_restarts_in_vain_grow(driver: None, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail() -> None:
         starts.append(now)
         raise RenderProcessEnded("killed")
 
-    create(None).close()
     now, starts = 100.0, list[float]()
     monkeypatch.setattr(process_module, "monotonic", lambda: now)
     with RenderProcess(None, models=MODELS) as process:
@@ -174,8 +170,7 @@ def test_pauses_between_restarts_in_vain_grow(monkeypatch: pytest.MonkeyPatch) -
     assert np.diff(starts).tolist() == [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0]
 
 
-def test_closing_ends_the_process_and_cancels_what_is_not_drawn() -> None:
-    create(None).close()
+def test_closing_ends_the_process_and_cancels_what_is_not_drawn(driver: None) -> None:
     process = RenderProcess(PLANE, models=MODELS)
     pid = process.pid
     assert pid is not None
@@ -200,8 +195,7 @@ time.sleep(600)
 """
 
 
-def test_the_process_ends_with_its_parent() -> None:
-    create(None).close()
+def test_the_process_ends_with_its_parent(driver: None) -> None:
     parent = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, env=dict(os.environ))
     assert parent.stdout is not None
     with parent:

@@ -15,7 +15,6 @@ from carla_recap.scene.materials import Tag
 from carla_recap.scene.models import MODELS
 from carla_recap.sensors.rig import SensorRig
 from carla_recap.sensors.sensing import SensedFrame, sense
-from tests.rendering.test_renderer import create
 from tests.samples import carla_log
 
 if TYPE_CHECKING:
@@ -90,9 +89,8 @@ def spawn(id: int, pose: np.ndarray, role: str = "") -> Spawn:
 
 
 @pytest.fixture(scope="module")
-def frames(tmp_path_factory: pytest.TempPathFactory) -> list[SensedFrame]:
+def frames(driver: None, tmp_path_factory: pytest.TempPathFactory) -> list[SensedFrame]:
     """Return what the rig measures in three frames."""
-    create(None).close()  # skips where there is no driver
     path = drive(tmp_path_factory.mktemp("sensing") / "cars.mcap")
     with carla_recap.open_recording(path) as recording:
         return list(sense(recording, RIG, quality="low"))
@@ -384,8 +382,7 @@ def test_without_a_driver_other_sensors_go_on(tmp_path: Path, monkeypatch: pytes
     assert frame.samples.keys() == {"imu", "speed"}
 
 
-def test_a_camera_behind_its_carrier_sees_it(tmp_path: Path) -> None:
-    create(None).close()
+def test_a_camera_behind_its_carrier_sees_it(driver: None, tmp_path: Path) -> None:
     behind = {"type": "sensor.camera.instance_segmentation", "id": "ids", **CAMERA, "x": -8.0, "z": 3.0, "pitch": -10.0}
     with carla_recap.open_recording(drive(tmp_path / "cars.mcap", 1)) as recording:
         (frame,) = sense(recording, SensorRig.of([behind]), quality="low")

@@ -22,7 +22,6 @@ from carla_recap.sensors.rig import SensorRig
 from carla_recap.sensors.sensing import SEMANTIC_POINT, sense
 from carla_recap.show.foxglove import export_foxglove
 from carla_recap.show.foxglove.layouts import write_layouts
-from tests.rendering.test_renderer import create
 from tests.replay.scripts import write
 from tests.samples import names_in
 from tests.scene.test_falls_and_marks import CAR, WALKER, accident
@@ -121,9 +120,8 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def path(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def path(driver: None, source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """That recording with the data of a rig."""
-    create(None).close()  # skips where there is no driver
     path = tmp_path_factory.mktemp("sensed") / "sensed.mcap"
     done = export(source, path, RIG, quality="low")
     assert (done.frames, done.seconds) == (FRAMES, pytest.approx((FRAMES - 1) * STEP))
@@ -312,9 +310,8 @@ def test_images_are_jpegs_of_the_size_of_the_camera(topics: Any) -> None:
         assert np.asarray(image).std() > 10
 
 
-def test_a_video_is_decoded_to_as_many_images(source: Path, tmp_path: Path) -> None:
+def test_a_video_is_decoded_to_as_many_images(driver: None, source: Path, tmp_path: Path) -> None:
     av = pytest.importorskip("av", reason="the extra video is not installed")
-    create(None).close()
     rig = SensorRig.of([{"type": "sensor.camera.rgb", "id": "front", **CAMERA, "width": 320, "height": 240}])
     export(source, tmp_path / "video.mcap", rig, video=True, quality="low")
     messages = read(tmp_path / "video.mcap")["/sensors/front/video"]

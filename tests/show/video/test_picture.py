@@ -14,41 +14,21 @@ pytest.importorskip("PIL", reason="the extra `cameras` is not installed")
 from PIL import Image
 
 from carla_recap import open_recording
-from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.errors import RecapError
 from carla_recap.rendering.town import load_town_mesh
 from carla_recap.roads import find_map
 from carla_recap.show.video import picture, snapshot
 from tests.cli.command import COMMAND, ENVIRONMENT, before_others, the_line
 from tests.replay.scripts import pose, spawn, write
 from tests.samples import carla_log, names_in
-from tests.show.conftest import SAMPLE
+from tests.show.video.conftest import SAMPLES
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from carla_recap.recording import Recording
     from carla_recap.rendering.process import RenderProcess
-
-
-@pytest.fixture(scope="module")
-def renderer() -> Iterator[RenderProcess]:
-    """What draws; skips the test where nothing can be drawn."""
-    from carla_recap.rendering.process import RenderProcess
-
-    try:
-        process = RenderProcess(None, quality="low")
-    except (MissingExtra, RecapError) as error:
-        pytest.skip(str(error))
-    with process:
-        yield process
-
-
-@pytest.fixture
-def crossing() -> Iterator[Recording]:
-    with open_recording(SAMPLE) as recording:
-        yield recording
 
 
 def pixels(data: bytes) -> Any:
@@ -66,7 +46,7 @@ def test_a_snapshot_is_a_png_of_the_size(crossing: Recording, tmp_path: Path, re
 
 def test_the_map_of_the_recording_is_found_by_its_name(renderer: RenderProcess) -> None:
     town = load_town_mesh(find_map("Brickfield"))
-    with open_recording(SAMPLE.with_name("crash.mcap")) as recording:
+    with open_recording(SAMPLES / "crash.mcap") as recording:
         found, given = (picture(recording, at=12, size=(320, 180), **options) for options in ({}, {"town": town}))
     assert found == given
 
@@ -170,7 +150,7 @@ def test_a_missing_folder_is_an_error(crossing: Recording, tmp_path: Path, rende
 def test_without_a_package_the_error_names_the_extra(tmp_path: Path, package: str) -> None:
     (tmp_path / "hidden").mkdir()
     (tmp_path / "hidden" / f"{package}.py").write_text(f"raise ModuleNotFoundError(name={package!r})")
-    command = [COMMAND, "snapshot", SAMPLE, tmp_path / "out.png", "--at", "24"]
+    command = [COMMAND, "snapshot", SAMPLES / "crossing.log", tmp_path / "out.png", "--at", "24"]
     environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path / "hidden")}
     done = subprocess.run(command, capture_output=True, env=environment, timeout=PATIENCE)
     expected = "carla-recap snapshot needs an optional dependency: pip install '.[cameras]' in a clone of carla-recap"
