@@ -10,8 +10,7 @@ from typing import Any
 import msgpack
 
 import carla_recap.server.calls  # noqa: F401  (registers the calls)
-from carla_recap.server.client import Client
-from carla_recap.server.host import Host
+from carla_recap.server.host import Client, Host
 from carla_recap.server.rpc.connection import ClientConnection
 from carla_recap.server.rpc.registry import CALLS
 from carla_recap.sim.town.loading import Town, load_town
@@ -29,7 +28,7 @@ class Inside:
     def __init__(self) -> None:
         self.world = World(_town())
         self.host = Host(self.world)
-        self._client = Client(self.host, ClientConnection(CALLS, self.host.connections, lambda _: self._client))
+        self._client = client_inside(self.host)
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Return the encoded answer to a call, without CARLA's `Response` around it; errors are raised."""
@@ -46,6 +45,12 @@ class Inside:
         """Return the answers to a batch of commands, each [number, fields]."""
         answers: list[Any] = self.call("apply_batch", [[command] for command in commands], False)
         return answers
+
+
+def client_inside(host: Host) -> Client:
+    """Return a client of a host that has no connection."""
+    client = Client(host, ClientConnection(CALLS, host.connections, lambda _: client))
+    return client
 
 
 @cache

@@ -7,7 +7,6 @@ import struct
 import threading
 from concurrent.futures import wait
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,21 +19,22 @@ from carla_recap.scene.materials import Material, Tag
 from carla_recap.server.host import Host
 from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.sensors import dispatch, surfaces
-from carla_recap.server.sensors.cameras import BlankImages, camera_at
+from carla_recap.server.sensors.active_cameras import BlankImages, camera_at
 from carla_recap.server.sensors.images import ImagesUnavailable
+from carla_recap.server.sensors.surfaces import TownSurfaces
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Location, Rotation, Transform
 from carla_recap.sim.world import World
+from tests.server.inside import client_inside
 from tests.server.test_sensor_feeds import sensor, vehicle
 from tests.sim.flat import at, flat_town, flat_world
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
 
     from carla_recap.server.sensors.images import View
     from carla_recap.sim.town.loading import Town
-from carla_recap.server.sensors.surfaces import TownSurfaces
-from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 
 SMALL = {"image_size_x": "32", "image_size_y": "16", "fov": "70"}
 SYNCHRONOUS = EpisodeSettings(synchronous_mode=True, fixed_delta_seconds=0.05)
@@ -47,7 +47,10 @@ class Painter:
         views: The views that it has drawn.
         go: While it is not set, nothing is drawn.
         errors: The errors of the next images.
+        missing: Why it cannot be opened.
     """
+
+    missing: Exception | None = None
 
     def __init__(self) -> None:
         self.views: list[View] = []
@@ -71,15 +74,13 @@ class Painter:
 
 
 class Served:
-    """A host whose cameras are drawn by a painter, in an event loop."""
+    """A host whose cameras are drawn by a painter; it needs an event loop.
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, painter: Painter | Exception) -> None:
-        def open_painter(*_: object) -> Painter:
-            if isinstance(painter, Exception):
-                raise painter
-            return painter
+    Attributes:
+        host: The host, in synchronous mode.
+    """
 
-        monkeypatch.setattr(dispatch, "DrawnImages", open_painter)
+    def __init__(self) -> None:
         self.host = Host(flat_world())
         self.host.apply_settings(SYNCHRONOUS)
 
@@ -96,6 +97,24 @@ class Served:
                 await asyncio.sleep(0.005)
 
 
+@pytest.fixture
+def painter() -> Painter:
+    return Painter()
+
+
+@pytest.fixture
+def served(monkeypatch: pytest.MonkeyPatch, painter: Painter) -> Iterator[Served]:
+    def opened(*_: object) -> Painter:
+        if painter.missing is not None:
+            raise painter.missing
+        return painter
+
+    monkeypatch.setattr(dispatch, "DrawnImages", opened)
+    served = Served()
+    yield served
+    served.host.close()
+
+
 @pytest.mark.parametrize(
     ("camera", "number", "pixel"),
     [
@@ -107,189 +126,140 @@ class Served:
         ("dvs", 3, b""),
     ],
 )
-def test_without_the_extra_images_are_blank_and_the_log_says_why_once(
-    camera: str, number: int, pixel: bytes, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+async def test_without_the_extra_images_are_blank_and_the_log_says_why_once(
+    camera: str, number: int, pixel: bytes, served: Served, painter: Painter, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def run() -> None:
-        served = Served(monkeypatch, MissingExtra("images of cameras", "cameras"))
-        images = sensor(served.host, f"camera.{camera}", **SMALL)
-        for _ in range(3):
-            await served.tick()
-            await served.settle()
-        first, *others = images.take()
-        assert first[0][0] == number
-        assert struct.unpack("<IIf", first[1][:12]) == (32, 16, 70.0)
-        assert first[1][12:] == pixel * 512
-        assert len(others) == 2
-        served.host.close()
-
-    asyncio.run(run())
-    expected = (
-        []
-        if camera == "cosmos_visualization"
-        else ["cameras are blank: " + str(MissingExtra("images of cameras", "cameras"))]
-    )
-    assert caplog.messages == expected
-
-
-def test_each_tick_has_its_image_with_its_frame_time_and_transform(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def run() -> None:
-        served = Served(monkeypatch, Painter())
-        car = vehicle(served.host)
-        images = sensor(served.host, "camera.rgb", car, at(1.0, z=2.0), **SMALL)
-        expected = []
-        for step in range(50):
-            car.transform = at(float(step), 3.0, 90.0)
-            frame = await served.tick()
-            expected.append((frame, served.host.world.elapsed, step))
-        await served.settle()
-        found = images.take()
-        assert [(header[1], header[2]) for header, _ in found] == [(frame, time) for frame, time, _ in expected]
-        for (header, payload), (_, _, step) in zip(found, expected, strict=True):
-            assert header[3:] == pytest.approx((step, 4.0, 2.0, 0.0, 90.0, 0.0), abs=1e-4)
-            assert payload[12] == step + 1
-        served.host.close()
-
-    asyncio.run(run())
-
-
-def test_a_tick_waits_for_the_images_of_the_ones_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def run() -> None:
-        painter = Painter()
-        served = Served(monkeypatch, painter)
-        sensor(served.host, "camera.rgb", **SMALL)
-        await served.tick()
-        painter.go.clear()
-        await served.tick()
-        await served.tick()
-        pending = served.host.sensors.pending()
-        assert pending
-        painter.go.set()
-        await asyncio.wait_for(asyncio.wait(pending), PATIENCE)
-        await served.settle()
-        assert not served.host.sensors.pending()
-        served.host.close()
-
-    asyncio.run(run())
-
-
-def test_in_asynchronous_mode_images_are_left_out_while_others_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def run() -> None:
-        painter = Painter()
-        served = Served(monkeypatch, painter)
-        served.host.apply_settings(EpisodeSettings())
-        often = sensor(served.host, "camera.rgb", **SMALL)
-        seldom = sensor(served.host, "camera.depth", **SMALL, sensor_tick="0.15")
+    painter.missing = MissingExtra("images of cameras", "cameras")
+    images = sensor(served.host, f"camera.{camera}", **SMALL)
+    for _ in range(3):
         await served.tick()
         await served.settle()
-        begin = await served.tick()
+    first, *others = images.take()
+    assert first[0][0] == number
+    assert struct.unpack("<IIf", first[1][:12]) == (32, 16, 70.0)
+    assert first[1][12:] == pixel * 512
+    assert len(others) == 2
+    assert caplog.messages == ([] if camera == "cosmos_visualization" else [f"cameras are blank: {painter.missing}"])
+
+
+async def test_each_tick_has_its_image_with_its_frame_time_and_transform(served: Served) -> None:
+    car = vehicle(served.host)
+    images = sensor(served.host, "camera.rgb", car, at(1.0, z=2.0), **SMALL)
+    expected = []
+    for step in range(50):
+        car.transform = at(float(step), 3.0, 90.0)
+        frame = await served.tick()
+        expected.append((frame, served.host.world.elapsed, step))
+    await served.settle()
+    found = images.take()
+    assert [(header[1], header[2]) for header, _ in found] == [(frame, time) for frame, time, _ in expected]
+    for (header, payload), (_, _, step) in zip(found, expected, strict=True):
+        assert header[3:] == pytest.approx((step, 4.0, 2.0, 0.0, 90.0, 0.0), abs=1e-4)
+        assert payload[12] == step + 1
+
+
+async def test_a_tick_waits_for_the_images_of_the_ones_before(served: Served, painter: Painter) -> None:
+    sensor(served.host, "camera.rgb", **SMALL)
+    await served.tick()
+    painter.go.clear()
+    await served.tick()
+    await served.tick()
+    pending = served.host.sensors.pending()
+    assert pending
+    painter.go.set()
+    await asyncio.wait_for(asyncio.wait(pending), PATIENCE)
+    await served.settle()
+    assert not served.host.sensors.pending()
+
+
+async def test_in_asynchronous_mode_images_are_left_out_while_others_are_drawn(served: Served, painter: Painter) -> None:
+    served.host.apply_settings(EpisodeSettings())
+    often = sensor(served.host, "camera.rgb", **SMALL)
+    seldom = sensor(served.host, "camera.depth", **SMALL, sensor_tick="0.15")
+    await served.tick()
+    await served.settle()
+    begin = await served.tick()
+    await served.settle()
+    often.take(), seldom.take()
+    painter.go.clear()
+    for _ in range(4):  # the second camera ticks in one of them
+        served.host.tick(0.05)
+    painter.go.set()
+    await served.settle()
+    last = served.host.tick(0.05)
+    await served.settle()
+    assert [header[1] for header, _ in often.take()] == [begin + 1, last]
+    assert [header[1] for header, _ in seldom.take()] == [last]  # late, but not lost
+
+
+async def test_cameras_of_one_pose_are_drawn_together(served: Served, painter: Painter) -> None:
+    car = vehicle(served.host)
+    same = [sensor(served.host, f"camera.{kind}", car, at(3.0), **SMALL) for kind in ("rgb", "depth", "optical_flow")]
+    other = sensor(served.host, "camera.depth", car, at(3.5), **SMALL)
+    wide = sensor(served.host, "camera.depth", car, at(3.0), **{**SMALL, "fov": "71"})
+    for _ in range(3):
+        await served.tick()
         await served.settle()
-        often.take(), seldom.take()
-        painter.go.clear()
-        for _ in range(4):  # the second camera ticks in one of them
-            served.host.tick(0.05)
-        painter.go.set()
-        await served.settle()
-        last = served.host.tick(0.05)
-        await served.settle()
-        assert [header[1] for header, _ in often.take()] == [begin + 1, last]
-        assert [header[1] for header, _ in seldom.take()] == [last]  # late, but not lost
-        served.host.close()
-
-    asyncio.run(run())
-
-
-def test_cameras_of_one_pose_are_drawn_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def run() -> None:
-        painter = Painter()
-        served = Served(monkeypatch, painter)
-        car = vehicle(served.host)
-        same = [sensor(served.host, f"camera.{kind}", car, at(3.0), **SMALL) for kind in ("rgb", "depth", "optical_flow")]
-        other = sensor(served.host, "camera.depth", car, at(3.5), **SMALL)
-        wide = sensor(served.host, "camera.depth", car, at(3.0), **{**SMALL, "fov": "71"})
-        for _ in range(3):
-            await served.tick()
-            await served.settle()
-        assert [len(listener.take()) for listener in (*same, other, wide)] == [3] * 5
-        kinds = [set(view.kinds) for view in painter.views]
-        assert len(kinds) == 9
-        assert kinds.count({ImageKind.RGB, ImageKind.DEPTH, ImageKind.FLOW}) == 3
-        flows = [view for view in painter.views if ImageKind.FLOW in view.kinds]
-        assert [view.previous for view in flows] == [None, flows[0].scene, flows[1].scene]
-        served.host.close()
-
-    asyncio.run(run())
+    assert [len(listener.take()) for listener in (*same, other, wide)] == [3] * 5
+    kinds = [set(view.kinds) for view in painter.views]
+    assert len(kinds) == 9
+    assert kinds.count({ImageKind.RGB, ImageKind.DEPTH, ImageKind.FLOW}) == 3
+    flows = [view for view in painter.views if ImageKind.FLOW in view.kinds]
+    assert [view.previous for view in flows] == [None, flows[0].scene, flows[1].scene]
 
 
 @pytest.mark.parametrize(("side", "closed"), [(16, False), (2500, True)])
-def test_what_has_drawn_large_images_is_closed_with_the_last_camera(
-    monkeypatch: pytest.MonkeyPatch, side: int, closed: bool
+async def test_what_has_drawn_large_images_is_closed_with_the_last_camera(
+    served: Served, painter: Painter, side: int, closed: bool
 ) -> None:
-    async def run() -> None:
-        painter = Painter()
-        served = Served(monkeypatch, painter)
-        car = vehicle(served.host)
-        size = {"image_size_x": str(side), "image_size_y": str(side)}
-        for _ in range(2):
-            sensor(served.host, "camera.depth", car, **size)
-        for _ in range(2):
-            await served.tick()
-            await served.settle()
-            assert not painter.closed
-            car.children[0].destroy()
-        await served.tick()
-        images = sensor(served.host, "camera.rgb", car, **SMALL)
+    car = vehicle(served.host)
+    size = {"image_size_x": str(side), "image_size_y": str(side)}
+    for _ in range(2):
+        sensor(served.host, "camera.depth", car, **size)
+    for _ in range(2):
         await served.tick()
         await served.settle()
-        assert painter.closed == closed
-        assert len(images.take()) == 1
-        served.host.close()
-
-    asyncio.run(run())
-
-
-def test_nothing_is_drawn_without_rendering_and_without_subscribers(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def run() -> None:
-        painter = Painter()
-        served = Served(monkeypatch, painter)
-        served.host.world.spawn("sensor.camera.rgb", Transform(), **SMALL)
-        images, blank = (sensor(served.host, f"camera.{kind}", **SMALL) for kind in ("rgb", "cosmos_visualization"))
-        served.host.apply_settings(EpisodeSettings(no_rendering_mode=True, synchronous_mode=True, fixed_delta_seconds=0.05))
-        await served.tick()
-        await served.settle()
-        assert not painter.views + images.take() + blank.take()
-        served.host.apply_settings(SYNCHRONOUS)
-        await served.tick()
-        await served.settle()
-        assert (len(painter.views), len(images.take()), len(blank.take())) == (1, 1, 1)
-        served.host.close()
-
-    asyncio.run(run())
+        assert not painter.closed
+        car.children[0].destroy()
+    await served.tick()
+    images = sensor(served.host, "camera.rgb", car, **SMALL)
+    await served.tick()
+    await served.settle()
+    assert painter.closed == closed
+    assert len(images.take()) == 1
 
 
-def test_a_view_that_cannot_be_drawn_is_blank_and_others_go_on(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+async def test_nothing_is_drawn_without_rendering_and_without_subscribers(served: Served, painter: Painter) -> None:
+    served.host.world.spawn("sensor.camera.rgb", Transform(), **SMALL)
+    images, blank = (sensor(served.host, f"camera.{kind}", **SMALL) for kind in ("rgb", "cosmos_visualization"))
+    served.host.apply_settings(EpisodeSettings(no_rendering_mode=True, synchronous_mode=True, fixed_delta_seconds=0.05))
+    await served.tick()
+    await served.settle()
+    assert not painter.views + images.take() + blank.take()
+    served.host.apply_settings(SYNCHRONOUS)
+    await served.tick()
+    await served.settle()
+    assert (len(painter.views), len(images.take()), len(blank.take())) == (1, 1, 1)
+
+
+async def test_a_view_that_cannot_be_drawn_is_blank_and_others_go_on(
+    served: Served, painter: Painter, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def run() -> None:
-        painter = Painter()
-        served = Served(monkeypatch, painter)
-        images = sensor(served.host, "camera.rgb", **SMALL)
-        painter.errors = [RecapError("the process has ended")]
+    images = sensor(served.host, "camera.rgb", **SMALL)
+    painter.errors = [RecapError("the process has ended")]
+    await served.tick()
+    await served.settle()
+    painter.errors = [RecapError("no memory")] * 3
+    for _ in range(3):
         await served.tick()
         await served.settle()
-        painter.errors = [RecapError("no memory")] * 3
-        for _ in range(3):
-            await served.tick()
-            await served.settle()
-        other = sensor(served.host, "camera.rgb", image_size_x="8", image_size_y="8")
-        await served.tick()
-        await served.settle()
-        assert [payload[12] for _, payload in images.take()] == [1, 128, 128, 128, 128]
-        assert [payload[12] for _, payload in other.take()] == [2]
-        served.host.close()
-        assert painter.closed
-
-    asyncio.run(run())
+    other = sensor(served.host, "camera.rgb", image_size_x="8", image_size_y="8")
+    await served.tick()
+    await served.settle()
+    assert [payload[12] for _, payload in images.take()] == [1, 128, 128, 128, 128]
+    assert [payload[12] for _, payload in other.take()] == [2]
+    served.host.close()
+    assert painter.closed
     text = "an image of 32 x 16 pixels cannot be drawn: "
     assert caplog.messages == [
         text + "the process has ended",
@@ -299,107 +269,74 @@ def test_a_view_that_cannot_be_drawn_is_blank_and_others_go_on(
     ]
 
 
-def test_while_nothing_can_be_drawn_no_size_is_given_up_and_the_log_has_a_line(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+async def test_while_nothing_can_be_drawn_no_size_is_given_up_and_the_log_has_a_line(
+    served: Served, painter: Painter, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def run() -> None:
-        painter = Painter()
-        served = Served(monkeypatch, painter)
-        images = sensor(served.host, "camera.rgb", **SMALL)
-        painter.errors = [ImagesUnavailable("not started again yet")] * 8
-        for _ in range(9):
-            await served.tick()
-            await served.settle()
-        assert [payload[12] for _, payload in images.take()] == [128] * 8 + [1]
-        served.host.close()
-
-    asyncio.run(run())
+    images = sensor(served.host, "camera.rgb", **SMALL)
+    painter.errors = [ImagesUnavailable("not started again yet")] * 8
+    for _ in range(9):
+        await served.tick()
+        await served.settle()
+    assert [payload[12] for _, payload in images.take()] == [128] * 8 + [1]
     assert caplog.messages == [
         "an image of 32 x 16 pixels cannot be drawn: not started again yet",
         "images are drawn again",
     ]
 
 
-def test_in_a_new_town_sizes_are_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def run() -> None:
-        painter = Painter()
-        served = Served(monkeypatch, painter)
-        images = sensor(served.host, "camera.rgb", **SMALL)
-        painter.errors = [RecapError("no memory")] * 3
-        for _ in range(3):
-            await served.tick()
-            await served.settle()
-        served.host.sensors._images.prepare(flat_town().renamed("Other")).result(PATIENCE)
+async def test_in_a_new_town_sizes_are_tried_again(served: Served, painter: Painter) -> None:
+    images = sensor(served.host, "camera.rgb", **SMALL)
+    painter.errors = [RecapError("no memory")] * 3
+    for _ in range(3):
         await served.tick()
         await served.settle()
-        assert [payload[12] for _, payload in images.take()] == [128, 128, 128, 1]
-        served.host.close()
-
-    asyncio.run(run())
+    served.host.sensors._images.prepare(flat_town().renamed("Other")).result(PATIENCE)
+    await served.tick()
+    await served.settle()
+    assert [payload[12] for _, payload in images.take()] == [128, 128, 128, 1]
 
 
 @pytest.mark.parametrize(("fov", "drawn"), [("360", 175.0), ("0", 0.1), ("-10", 0.1), ("70", 70.0)])
-def test_images_carry_the_field_of_view_that_is_drawn(fov: str, drawn: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def run() -> None:
-        painter = Painter()
-        served = Served(monkeypatch, painter)
-        images = sensor(served.host, "camera.rgb", **{**SMALL, "fov": fov})
-        await served.tick()
-        await served.settle()
-        ((_, payload),) = images.take()
-        assert struct.unpack("<IIf", payload[:12]) == (32, 16, pytest.approx(drawn))
-        assert painter.views[0].scene.camera.fov == drawn
-        served.host.close()
-
-    asyncio.run(run())
+async def test_images_carry_the_field_of_view_that_is_drawn(
+    fov: str, drawn: float, served: Served, painter: Painter
+) -> None:
+    images = sensor(served.host, "camera.rgb", **{**SMALL, "fov": fov})
+    await served.tick()
+    await served.settle()
+    ((_, payload),) = images.take()
+    assert struct.unpack("<IIf", payload[:12]) == (32, 16, pytest.approx(drawn))
+    assert painter.views[0].scene.camera.fov == drawn
 
 
-def test_a_camera_that_is_destroyed_while_it_is_drawn_is_no_harm(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def run() -> None:
-        painter = Painter()
-        served = Served(monkeypatch, painter)
-        gone, there = sensor(served.host, "camera.rgb", **SMALL), sensor(served.host, "camera.rgb", **SMALL)
-        painter.go.clear()
+async def test_a_camera_that_is_destroyed_while_it_is_drawn_is_no_harm(served: Served, painter: Painter) -> None:
+    gone, there = sensor(served.host, "camera.rgb", **SMALL), sensor(served.host, "camera.rgb", **SMALL)
+    painter.go.clear()
+    served.host.tick()
+    served.host.world.actors[gone.stream - there.stream + max(served.host.world.actors)].destroy()
+    served.host.streams.remove(gone.stream, gone)
+    served.host.tick()
+    painter.go.set()
+    await served.settle()
+    assert (len(gone.take()), len(there.take())) == (0, 2)
+
+
+async def test_the_server_ends_while_images_are_drawn(served: Served, painter: Painter) -> None:
+    sensor(served.host, "camera.rgb", **SMALL)
+    for _ in range(3):
         served.host.tick()
-        served.host.world.actors[gone.stream - there.stream + max(served.host.world.actors)].destroy()
-        served.host.streams.remove(gone.stream, gone)
-        served.host.tick()
-        painter.go.set()
-        await served.settle()
-        assert (len(gone.take()), len(there.take())) == (0, 2)
-        served.host.close()
-
-    asyncio.run(run())
+    served.host.sensors._images.prepare(served.host.world.town).result(PATIENCE)
+    served.host.close()
+    assert painter.closed
+    served.host.tick()
 
 
-def test_the_server_ends_while_images_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def run() -> None:
-        painter = Painter()
-        served = Served(monkeypatch, painter)
-        sensor(served.host, "camera.rgb", **SMALL)
-        for _ in range(3):
-            served.host.tick()
-        served.host.sensors._images.prepare(served.host.world.town).result(PATIENCE)
-        served.host.close()
-        assert painter.closed
-        served.host.tick()
-
-    asyncio.run(run())
-
-
-def test_a_camera_inside_its_carrier_does_not_see_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def run() -> None:
-        painter = Painter()
-        served = Served(monkeypatch, painter)
-        car = vehicle(served.host)
-        sensor(served.host, "camera.rgb", car, at(0.5, z=1.0), **SMALL)
-        sensor(served.host, "camera.rgb", car, at(-5.0, z=1.0), **SMALL)
-        await served.tick()
-        await served.settle()
-        assert {view.hidden for view in painter.views} == {frozenset((car.id,)), frozenset()}
-        served.host.close()
-
-    asyncio.run(run())
+async def test_a_camera_inside_its_carrier_does_not_see_it(served: Served, painter: Painter) -> None:
+    car = vehicle(served.host)
+    sensor(served.host, "camera.rgb", car, at(0.5, z=1.0), **SMALL)
+    sensor(served.host, "camera.rgb", car, at(-5.0, z=1.0), **SMALL)
+    await served.tick()
+    await served.settle()
+    assert {view.hidden for view in painter.views} == {frozenset((car.id,)), frozenset()}
 
 
 def test_a_camera_looks_where_its_sensor_does() -> None:
@@ -435,8 +372,8 @@ def test_the_surfaces_of_each_map_are_loaded_ahead_if_that_is_asked_for(monkeypa
     monkeypatch.setattr(surfaces, "_load", load)
     monkeypatch.setattr(dispatch, "find_spec", lambda _: True)
     first, second, third = (replace(flat_town().renamed(name), opendrive="<OpenDRIVE/>") for name in ("A", "B", "C"))
-    host, client = Host(World(first)), SimpleNamespace(stream=0)
-    host.snapshots.open(client)
+    host = Host(World(first))
+    client = client_inside(host)
     host.begin_episode(second, client)
     host.load_ahead()
     wait([host.sensors._surfaces.mesh(second)], PATIENCE)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from carla_recap.server.navmesh import detour, navigation_files, navigation_mesh
-from carla_recap.server.navmesh.detour import mesh_bytes
-from carla_recap.server.navmesh.walkways import CORNERS, CROSSWALK, ROAD, SIDEWALK, WalkwayEditor, walkable_surface
+from carla_recap.server import navmesh
+from carla_recap.server.navmesh import mesh_bytes, navigation_files, navigation_mesh
+from carla_recap.server.walkways import CORNERS, CROSSWALK, ROAD, SIDEWALK, WalkwayEditor, walkable_surface
 from carla_recap.sim.town.loading import BUILT_IN, Town, load_town
 from carla_recap.sim.town.sidewalks import WalkwayGraph
 from tests.roads.towns import opendrive, road, town
@@ -73,13 +73,13 @@ def read(data: bytes) -> Mesh:
         assert rows.nbytes % 4 == 0
         return rows
 
-    (set_header,), (tile_header,) = take(detour.SET_HEADER), take(detour.TILE_HEADER)
+    (set_header,), (tile_header,) = take(navmesh.SET_HEADER), take(navmesh.TILE_HEADER)
     assert tile_header["size"] == len(data) - place
-    (header,) = take(detour.MESH_HEADER)
-    corners, polygons = take(detour.CORNER, header["corners"]), take(detour.POLYGON, header["polygons"])
-    take(detour.LINK, header["links"])
-    details, triangles = take(detour.DETAIL, header["details"]), take(detour.TRIANGLE, header["triangles"])
-    boxes = take(detour.BOX, header["boxes"])
+    (header,) = take(navmesh.MESH_HEADER)
+    corners, polygons = take(navmesh.CORNER, header["corners"]), take(navmesh.POLYGON, header["polygons"])
+    take(navmesh.LINK, header["links"])
+    details, triangles = take(navmesh.DETAIL, header["details"]), take(navmesh.TRIANGLE, header["triangles"])
+    boxes = take(navmesh.BOX, header["boxes"])
     assert place == len(data)
     return Mesh(set_header, tile_header, header, corners, polygons, details, triangles, boxes)
 
@@ -151,9 +151,9 @@ def reached(walks: WalkwayGraph) -> int:
 
 
 def test_layout_is_the_one_that_the_client_reads() -> None:
-    dtypes = detour.SET_HEADER, detour.TILE_HEADER, detour.MESH_HEADER, detour.CORNER, detour.POLYGON, detour.LINK
+    dtypes = navmesh.SET_HEADER, navmesh.TILE_HEADER, navmesh.MESH_HEADER, navmesh.CORNER, navmesh.POLYGON, navmesh.LINK
     assert [dtype.itemsize for dtype in dtypes] == [40, 8, 100, 12, 32, 12]
-    assert [dtype.itemsize for dtype in (detour.DETAIL, detour.TRIANGLE, detour.BOX)] == [12, 4, 16]
+    assert [dtype.itemsize for dtype in (navmesh.DETAIL, navmesh.TRIANGLE, navmesh.BOX)] == [12, 4, 16]
     data = navigation_mesh(loaded(BUILT_IN))
     assert data[:8] == b"TESM\1\0\0\0"
     assert data[48:56] == b"VAND\7\0\0\0"
@@ -282,7 +282,7 @@ def test_sidewalk_that_is_but_a_place_has_no_mesh() -> None:
 
 
 def test_more_than_a_tile_can_hold_has_no_mesh() -> None:
-    count = detour.MOST // 2 + 2
+    count = navmesh.MOST // 2 + 2
     nodes = [(4.0 * number, float(number % 2)) for number in range(count)]
     assert mesh_bytes(walkable_surface(WalkwayEditor(graph(nodes, *pairwise(range(count)))))) == b""
     flat = flat_town()

@@ -15,14 +15,14 @@ from carla_recap.server.actor_records import stream_of
 from carla_recap.server.host import Host
 from carla_recap.server.sensors import SENSOR_KINDS, Support, dispatch
 from carla_recap.server.sensors.rays import ActorBoxes
-from carla_recap.server.streaming.streams import Subscriber
+from carla_recap.server.streams import Subscriber
 from carla_recap.sim.actors.blueprints import standard_library
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from tests.sim.flat import at, flat_world
 
 if TYPE_CHECKING:
-    from carla_recap.server.sensors.feed import Feed, FeedContext
+    from carla_recap.server.sensors.feeds import Feed, FeedContext
     from carla_recap.sim.actors.actor import Actor
 
 HERE = Transform()

@@ -4,7 +4,7 @@ import asyncio
 import struct
 
 from carla_recap.server.rpc.connection import ConnectionPool
-from carla_recap.server.streaming.streams import Streams
+from carla_recap.server.streams import Streams
 
 
 class Wire(asyncio.Transport):

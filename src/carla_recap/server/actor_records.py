@@ -33,7 +33,7 @@ from carla_recap.sim.geometry import Location, Vector
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from carla_recap.server.streaming.streams import Streams
+    from carla_recap.server.streams import Streams
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
     from carla_recap.sim.geometry import Box, Transform

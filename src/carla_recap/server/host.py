@@ -1,31 +1,31 @@
-"""The served world: its time, its episodes, and what clients get of it."""
+"""The served world: its time, its episodes, and what clients get of it; and the clients."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from carla_recap.server.actor_records import ActorCache, encoded_definitions
 from carla_recap.server.controllers import AckermannController, ConstantVelocity, Takeover
 from carla_recap.server.maps import Maps
 from carla_recap.server.navmesh import prepare_navigation
-from carla_recap.server.quirks import SnapshotStreams
 from carla_recap.server.recordings import Recordings
 from carla_recap.server.rpc.connection import ConnectionPool
 from carla_recap.server.rpc.registry import CallError
 from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.sensors import Sensors
-from carla_recap.server.streaming.snapshots import SnapshotEncoder, with_map_changed
-from carla_recap.server.streaming.streams import Streams
-from carla_recap.server.traffic_manager import TrafficManagerRegistry
+from carla_recap.server.snapshots import SnapshotEncoder, with_map_changed
+from carla_recap.server.streams import SnapshotStreams, Streams
+from carla_recap.server.traffic_manager import TrafficManagerCycle, TrafficManagerRegistry
 from carla_recap.sim.errors import DeadActor
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Awaitable, Callable
 
     from carla_recap.rendering.camera import Quality
     from carla_recap.server.actor_records import DestroyedActor
-    from carla_recap.server.quirks import SnapshotReceiver
+    from carla_recap.server.rpc.connection import ClientConnection
+    from carla_recap.server.traffic_manager import TrafficManagerPause
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.town.loading import Town
     from carla_recap.sim.world import World
@@ -112,13 +112,13 @@ class Host:
         self.publish()
         return self.frame
 
-    def begin_episode(self, town: Town, client: SnapshotReceiver) -> None:
+    def begin_episode(self, town: Town, client: Client) -> None:
         """Begin a new episode for a client, and send its first snapshot to all; see `SnapshotStreams.renew`."""
         frames = self.world.frame
         self.world.reload(town)
         self.sensors.end_episode()
         self.check_episode(frames)
-        self.snapshots.renew(client)
+        client.stream = self.snapshots.renew(client.stream)
         self.publish()
 
     def apply_settings(self, settings: EpisodeSettings) -> None:
@@ -154,14 +154,14 @@ class Host:
         """Do some of the work of the next tick, while clients are busy with the latest one."""
         self._encoder.look_ahead()
 
-    def publish_again(self, client: SnapshotReceiver) -> None:
+    def publish_again(self, client: Client) -> None:
         """Send a client a snapshot of the unchanged world as a new frame."""
         self._frames_before += 1
         self.prepare_snapshot(client)
 
-    def prepare_snapshot(self, client: SnapshotReceiver) -> None:
+    def prepare_snapshot(self, client: Client) -> None:
         """Keep a snapshot for a client that is about to subscribe."""
-        self.snapshots.send(client, self._encoder.encode(self.episode, self.frame))
+        self.streams.keep(client.stream, self._encoder.encode(self.episode, self.frame))
 
     def check_episode(self, frames: int) -> bool:
         """Return whether a new episode has begun, after the given number of frames of the last one."""
@@ -210,3 +210,56 @@ class Host:
         self._is_new = True
         self._actors.evict_destroyed()
         self._encoder = SnapshotEncoder(self.world)
+
+
+class Client:
+    """A client, and what the server knows of it.
+
+    Args:
+        host: The served world.
+        connection: The connection of the client.
+
+    Attributes:
+        host: The served world.
+        stream: The number of its stream of snapshots; see `SnapshotStreams`.
+        cycle: The state of its traffic manager.
+        pause: The pause of its traffic manager, while an episode begins.
+    """
+
+    def __init__(self, host: Host, connection: ClientConnection) -> None:
+        self.host = host
+        self.cycle = TrafficManagerCycle()
+        self.pause: TrafficManagerPause | None = None
+        self._connection = connection
+        self.stream = host.snapshots.open()
+
+    @property
+    def address(self) -> str:
+        """The address of the client's machine."""
+        return self._connection.address
+
+    @property
+    def known_episode(self) -> int:
+        """The number of the episode that the client learns of; while its traffic manager pauses, of the one before.
+
+        The first snapshot then tells the client of a new episode, which makes it reset its traffic manager.
+        """
+        return self.host.episode - (self.pause is not None)
+
+    def in_background(self, work: Awaitable[None]) -> None:
+        """Run something after the current call; it is cancelled when the client leaves."""
+        self._connection.in_background(work)
+
+    def begin_call(self, name: str) -> None:
+        """Take note of a call of the client, or of its traffic manager: they share a connection."""
+        self.cycle.begin_call(name)
+
+    def hold(self, name: str, answer: Any) -> Any:
+        """Return the answer to a call, or an awaitable of it while the traffic manager pauses."""
+        return answer if self.pause is None else self.pause.hold(name, answer)
+
+    def leave(self) -> None:
+        """Release everything when the client has left."""
+        self.cycle.expect([])
+        self.host.traffic_managers.remove_all(self)
+        self.host.snapshots.close(self.stream)

@@ -11,7 +11,7 @@
 | `listen` returns before the client has subscribed | the datum of the tick that follows is lost \
 | `quirks.PendingSubscriptions` | `test_synchronous_mode`, `test_a_tick_waits_for_the_subscriptions_of_its_client` |
 | a client that begins an episode has none until its call has returned \
-| learning of the new one from its stream before, its process aborts | `quirks.SnapshotStreams` \
+| learning of the new one from its stream before, its process aborts | `streams.SnapshotStreams` \
 | `test_episodes_begin_while_it_lives`, `test_a_client_that_begins_an_episode_gets_it_in_a_new_stream` |
 | its threads may then still be busy with a snapshot or an image of the episode before \
 | its process aborts, now and then | `quirks.settled` \
@@ -19,7 +19,7 @@
 | meanwhile, the thread of its traffic manager looks at the episode | its process aborts \
 | `traffic_manager.TrafficManagerPause` | `test_episodes_begin_while_it_lives` |
 | the client resets its traffic manager only when a snapshot has another episode than `get_episode_info` had \
-| on a map that it has loaded, its traffic drives along the lanes of the map before | `client.Client` \
+| on a map that it has loaded, its traffic drives along the lanes of the map before | `host.Client` \
 | `test_the_manager_drives_on_the_map_that_its_client_loads` |
 | CARLA's `BasicAgent` ignores what is exactly ahead, at an angle of 0; CARLA's vehicles, which settle on their springs, \
 are never exactly in line | it drives into a car that stands in its lane | `quirks.slightly_aside` \
@@ -32,13 +32,12 @@ are never exactly in line | it drives into a car that stands in its lane | `quir
 from __future__ import annotations
 
 import asyncio
-import itertools
 import os
 import selectors
 import sys
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.sim.geometry import Location, Transform
 
@@ -154,70 +153,3 @@ _SETTLED: Final = 0.05  # s
 async def settled() -> None:
     """Wait until clients have handled what they have been sent."""
     await asyncio.sleep(_SETTLED)
-
-
-# --- a stream of snapshots for each connection --------------------------------------------------------------------------
-
-
-class SnapshotReceiver(Protocol):
-    """A client that gets snapshots.
-
-    Attributes:
-        stream: The number of its stream of snapshots.
-    """
-
-    stream: int
-
-
-class FrameSender(Protocol):
-    """The streams of a server, as far as snapshots need them."""
-
-    def keep(self, stream: int, payload: bytes) -> None:
-        """Send a frame now, and to later subscribers."""
-
-    def silence(self, stream: int) -> None:
-        """Send nothing more to the subscribers of a stream."""
-
-    def close(self, stream: int) -> None:
-        """End a stream."""
-
-
-class SnapshotStreams:
-    """The streams of snapshots: one for each connection, and a new one when its client begins an episode.
-
-    Args:
-        streams: All streams of the server.
-    """
-
-    def __init__(self, streams: FrameSender) -> None:
-        self._streams = streams
-        self._numbers = itertools.count(1)
-        self._receivers: dict[int, SnapshotReceiver] = {}
-
-    def open(self, client: SnapshotReceiver) -> None:
-        """Give a new client its stream."""
-        client.stream = next(self._numbers)
-        self._receivers[client.stream] = client
-
-    def renew(self, client: SnapshotReceiver) -> None:
-        """Give a client that begins an episode a new stream, which it asks for when its call has been answered.
-
-        The old one stays open and silent: through it, the client would learn of the episode while it has none.
-        """
-        self._streams.silence(client.stream)
-        del self._receivers[client.stream]
-        self.open(client)
-
-    def close(self, client: SnapshotReceiver) -> None:
-        """End the stream of a client that has left."""
-        self._receivers.pop(client.stream, None)
-        self._streams.close(client.stream)
-
-    def publish(self, payload: bytes) -> None:
-        """Send a snapshot to all clients."""
-        for stream in self._receivers:
-            self._streams.keep(stream, payload)
-
-    def send(self, client: SnapshotReceiver, payload: bytes) -> None:
-        """Send a snapshot to one client."""
-        self._streams.keep(client.stream, payload)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import carla_recap.server.calls  # noqa: F401  (registers the calls)
 from carla_recap.errors import RecapError
-from carla_recap.server.client import Client
+from carla_recap.server.host import Client
 from carla_recap.server.rpc.connection import ClientConnection
 from carla_recap.server.rpc.registry import CALLS
 from carla_recap.util.signals import call_on_termination

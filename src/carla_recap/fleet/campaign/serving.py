@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from carla_recap.fleet.campaign.plan import CampaignRun
-    from carla_recap.server.quirks import SnapshotReceiver
+    from carla_recap.server.host import Client
     from carla_recap.sim.town.loading import Town
     from carla_recap.sim.world import World
 
@@ -42,7 +42,7 @@ class _RunHost(Host):
         self._additional_data = additional_data
         self._synchronize()
 
-    def begin_episode(self, town: Town, client: SnapshotReceiver) -> None:
+    def begin_episode(self, town: Town, client: Client) -> None:
         """See `Host.begin_episode`."""
         if not self.settings.synchronous_mode:
             self._synchronize()

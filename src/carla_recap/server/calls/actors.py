@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from carla_recap.model.records import ActorKind
 from carla_recap.server import actor_records
 from carla_recap.server.actor_records import check_attributes
-from carla_recap.server.client import Client
+from carla_recap.server.host import Client
 from carla_recap.server.quirks import slightly_aside
 from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import ActorDescription, ActorRecord, BoxStruct

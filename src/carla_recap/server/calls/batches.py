@@ -9,7 +9,7 @@ from typing import Any, Final
 from carla_recap.server.calls import actors, unsupported, vehicles, world  # noqa: F401  (register the calls)
 from carla_recap.server.calls.actors import spawn
 from carla_recap.server.calls.session import when_done
-from carla_recap.server.client import Client
+from carla_recap.server.host import Client
 from carla_recap.server.rpc.codec import DecodeError, decoder
 from carla_recap.server.rpc.connection import error_text
 from carla_recap.server.rpc.registry import CALLS, Call, bare_call, unregistered_call

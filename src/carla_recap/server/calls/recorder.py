@@ -20,7 +20,7 @@ from carla_recap.queries.collisions import collisions
 from carla_recap.queries.info import info
 from carla_recap.roads.find import plain_name
 from carla_recap.server import recordings
-from carla_recap.server.client import Client
+from carla_recap.server.host import Client
 from carla_recap.server.rpc.codec import DecodeError, decoder
 from carla_recap.server.rpc.registry import call
 from carla_recap.sim.errors import MapMissing

@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from carla_recap.server.actor_records import sensor_of
-from carla_recap.server.client import Client
+from carla_recap.server.host import Client
 from carla_recap.server.navmesh import NAVIGATION, navigation_files, navigation_mesh
 from carla_recap.server.quirks import settled
 from carla_recap.server.rpc.registry import CallError, call

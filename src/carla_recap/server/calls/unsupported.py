@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Final
 
-from carla_recap.server.client import Client
+from carla_recap.server.host import Client
 from carla_recap.server.rpc.codec import encoder
 from carla_recap.server.rpc.registry import CALLS, Call, CallError
 from carla_recap.server.rpc.structs import SkeletonPose

@@ -12,8 +12,8 @@ import numpy as np
 from carla_recap.model.kinematics import GRAVITY
 from carla_recap.server.actor_records import DestroyedActor
 from carla_recap.server.calls.actors import expect
-from carla_recap.server.client import Client
 from carla_recap.server.controllers import AckermannControl, AckermannSettings
+from carla_recap.server.host import Client
 from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import Telemetry, VehicleLightState, WheelTelemetry
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl

@@ -9,7 +9,7 @@ import numpy as np
 from carla_recap.model.kinematics import GRAVITY
 from carla_recap.server import actor_records
 from carla_recap.server.calls.actors import expect
-from carla_recap.server.client import Client
+from carla_recap.server.host import Client
 from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import BoxStruct, EnvironmentObject, LabelledPoint
 from carla_recap.server.sensors.rays import ActorBoxes, solid_actors

@@ -19,13 +19,13 @@ from carla_recap.scene.materials import Tag
 from carla_recap.server import actor_records
 from carla_recap.server.rpc.codec import encoder
 from carla_recap.server.rpc.structs import ActorDescription, ActorRecord, BoxStruct
-from carla_recap.server.sensors import cameras, events, inertial, rays
-from carla_recap.server.sensors.cameras import BlankImages, Cameras
-from carla_recap.server.sensors.feed import number, silent
+from carla_recap.server.sensors import active_cameras, feeds, rays
+from carla_recap.server.sensors.active_cameras import BlankImages, Cameras
+from carla_recap.server.sensors.feeds import number, silent
 from carla_recap.server.sensors.images import ImageThread
 from carla_recap.server.sensors.surfaces import DrawnImages, TownSurfaces
 from carla_recap.server.sensors.v2x import RadioChannel, message_bytes, v2x
-from carla_recap.server.streaming.snapshots import sensor_header
+from carla_recap.server.snapshots import sensor_header
 from carla_recap.sim.actors.actor import Sensor
 from carla_recap.sim.geometry import Location, Vector
 
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from carla_recap.rendering.rays import RayScene
     from carla_recap.scene.instances import Instances
     from carla_recap.server.actor_records import DestroyedActor
-    from carla_recap.server.sensors.feed import Feed, MakeFeed, V2xMessage
-    from carla_recap.server.sensors.scene import WorldActors
-    from carla_recap.server.streaming.streams import Streams
+    from carla_recap.server.sensors.drawn_actors import WorldActors
+    from carla_recap.server.sensors.feeds import Feed, MakeFeed, V2xMessage
+    from carla_recap.server.streams import Streams
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.world import World
 
@@ -108,7 +108,7 @@ _CAM: Final = "cooperative awareness messages of other vehicles in range"
 
 SENSOR_KINDS: Final[Mapping[str, SensorKind]] = MappingProxyType(
     {
-        "sensor.camera.cosmos_visualization": SensorKind(16, Support.BLANK, "grey", cameras.blank),
+        "sensor.camera.cosmos_visualization": SensorKind(16, Support.BLANK, "grey", active_cameras.blank),
         "sensor.camera.depth": _camera(1, ImageKind.DEPTH, "the depth along the axis of view, up to 1,000 m"),
         "sensor.camera.dvs": SensorKind(
             3, Support.LIVE, "changes of brightness between two images", image=ImageKind.RGB, has_events=True
@@ -120,11 +120,11 @@ SENSOR_KINDS: Final[Mapping[str, SensorKind]] = MappingProxyType(
         "sensor.camera.semantic_segmentation": _camera(14, ImageKind.SEMANTIC, "CARLA's semantic tags"),
         "sensor.lidar.ray_cast": SensorKind(11, Support.LIVE, _SURFACES, rays.lidar, casts=True),
         "sensor.lidar.ray_cast_semantic": SensorKind(10, Support.LIVE, _SURFACES, rays.semantic_lidar, casts=True),
-        "sensor.other.collision": SensorKind(0, Support.LIVE, _COLLISIONS, events.collisions, by_event=True),
-        "sensor.other.gnss": SensorKind(4, Support.LIVE, _POSITION, inertial.gnss),
-        "sensor.other.imu": SensorKind(5, Support.LIVE, "the motion of its parent; with noise", inertial.imu),
+        "sensor.other.collision": SensorKind(0, Support.LIVE, _COLLISIONS, feeds.collisions, by_event=True),
+        "sensor.other.gnss": SensorKind(4, Support.LIVE, _POSITION, feeds.gnss),
+        "sensor.other.imu": SensorKind(5, Support.LIVE, "the motion of its parent; with noise", feeds.imu),
         "sensor.other.lane_invasion": SensorKind(6, Support.LIVE, "found by the client itself"),
-        "sensor.other.obstacle": SensorKind(7, Support.LIVE, f"{_SURFACES}; and barriers", events.obstacles, casts=True),
+        "sensor.other.obstacle": SensorKind(7, Support.LIVE, f"{_SURFACES}; and barriers", rays.obstacles, casts=True),
         "sensor.other.radar": SensorKind(9, Support.LIVE, _SURFACES, rays.radar, casts=True),
         "sensor.other.rss": SensorKind(12, Support.SILENT, "needs a client that is built with RSS"),
         "sensor.other.v2x": SensorKind(20, Support.LIVE, _CAM, v2x),
@@ -164,7 +164,7 @@ class Sensors:
 
     @cached_property
     def _actors(self) -> WorldActors:
-        from carla_recap.server.sensors.scene import WorldActors  # it imports the models
+        from carla_recap.server.sensors.drawn_actors import WorldActors  # it imports the models
 
         return WorldActors(self._world)
 

@@ -14,7 +14,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from carla_recap.errors import RecapError
-from carla_recap.server.streaming.streams import framed
+from carla_recap.server.streams import framed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from carla_recap.rendering.camera import Camera, ImageKind
     from carla_recap.scene.instances import Instances
-    from carla_recap.server.streaming.streams import Streams
+    from carla_recap.server.streams import Streams
     from carla_recap.sim.settings import Weather
     from carla_recap.sim.town.loading import Town
 

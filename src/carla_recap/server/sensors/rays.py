@@ -1,4 +1,4 @@
-"""Rays of sensors in the world, and the feeds of those that cast them: lidars and radars."""
+"""Rays of sensors in the world, and the feeds of those that cast them: lidars, radars and obstacle detectors."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ import numpy as np
 
 from carla_recap.rendering.rays import OrientedBoxes, SurfaceHits
 from carla_recap.replay.pose import MIRROR
+from carla_recap.scene.materials import Tag
 from carla_recap.sensors.beams import LidarBeams, LidarReturns, RadarBeams, detections
-from carla_recap.server.actor_records import tag
-from carla_recap.server.sensors.feed import interval, numbers, warn_of
+from carla_recap.server import actor_records
+from carla_recap.server.sensors.feeds import axes, flag, interval, number, numbers, packed, row, warn_of
 from carla_recap.sim.actors.actor import Prop
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.geometry import Vector
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from carla_recap.server.sensors.feed import Feed, FeedContext
+    from carla_recap.server.sensors.feeds import Feed, FeedContext
     from carla_recap.sim.actors.actor import Actor
-    from carla_recap.sim.geometry import Location, Transform
+    from carla_recap.sim.geometry import Location
     from carla_recap.util.arrays import Floats
 
 
@@ -31,16 +32,9 @@ if TYPE_CHECKING:
 _LIDAR_HEADER: Final = struct.Struct("<fI")
 _POINT: Final = np.dtype([("location", "<(3,)f4"), ("intensity", "<f4")])
 _SEMANTIC_POINT: Final = np.dtype([("location", "<(3,)f4"), ("cosine", "<f4"), ("actor", "<u4"), ("tag", "<u4")])
-
-
-def axes(transform: Transform) -> Floats:
-    """Return the axes of a transform, (3, 3); see `Rotation.matrix`."""
-    return np.array(transform.rotation.matrix())
-
-
-def row(value: Location | Vector) -> Floats:
-    """Return a location or a direction as (3,)."""
-    return np.array((value.x, value.y, value.z))
+_LEAST_COSINE: Final = 1e-3
+_Obstacle = tuple[float, int | None, int]
+"""A distance in m, the id of an actor, and the semantic tag of what is no actor."""
 
 
 def rows(values: Iterable[Location | Vector]) -> Floats:
@@ -65,7 +59,7 @@ def cast(sensor: Actor, context: FeedContext, rays: Floats, reach: float) -> Sur
         boxes = ActorBoxes(visible_actors(sensor))
         hits = boxes.cast(origin, directions, reach)
         ids = np.array([actor.id for actor in boxes.actors], np.int64)
-        tags = np.array([tag(actor) for actor in boxes.actors], np.int64)
+        tags = np.array([actor_records.tag(actor) for actor in boxes.actors], np.int64)
         return SurfaceHits(hits.ray, ids[hits.box], hits.distance, hits.cosine, tags[hits.box])
     instances = context.instances()
     others = ~np.isin(instances.ids, [actor.id for actor in _own_actors(sensor)])
@@ -186,3 +180,51 @@ def _velocities(sensor: Actor, hits: SurfaceHits) -> Floats:
     met, index = np.unique(hits.actor, return_inverse=True)
     actors = [sensor.context.actors.get(id) for id in met.tolist()]
     return rows(Vector() if actor is None else actor.velocity for actor in actors)[index]
+
+
+def obstacles(sensor: Actor, context: FeedContext) -> Feed:
+    """Return the feed of an obstacle detector: the carrier, the nearest obstacle ahead, and its distance in m, if any."""
+    reach, radius = max(number(sensor, "distance"), 0.0), max(number(sensor, "hit_radius"), 0.0)
+    only_dynamics = flag(sensor, "only_dynamics")
+
+    def frames() -> Iterable[bytes]:
+        found = list(_actors(sensor, reach, radius, only_dynamics=only_dynamics))
+        if not only_dynamics:
+            found += [*_barriers(sensor, reach, radius), *_surfaces(sensor, context, reach, radius)]
+        if found:
+            distance, other, tag = min(found, key=lambda obstacle: obstacle[0])
+            own = (sensor.parent or sensor).id
+            yield packed(context.actor_record(own), context.actor_record(other, tag), distance)
+
+    return frames
+
+
+def _actors(sensor: Actor, reach: float, radius: float, *, only_dynamics: bool) -> Iterator[_Obstacle]:
+    actors = [actor for actor in visible_actors(sensor) if not only_dynamics or isinstance(actor, MovingActor)]
+    transform = sensor.transform
+    hits = ActorBoxes(actors, margin=radius).cast(row(transform.location), row(transform.forward())[None], reach)
+    for box, distance in zip(hits.box.tolist(), hits.distance.tolist(), strict=True):
+        yield distance, actors[box].id, Tag.UNLABELLED
+
+
+def _barriers(sensor: Actor, reach: float, radius: float) -> Iterator[_Obstacle]:
+    start, ahead = sensor.transform.location, sensor.transform.forward()
+    end = start.x + reach * ahead.x, start.y + reach * ahead.y, start.z + reach * ahead.z
+    hit = sensor.context.plane.first_wall((start.x, start.y, start.z), end, radius)
+    if hit is not None:
+        body, share = hit
+        owner = sensor.context.owner(body)
+        yield share * reach, None if owner is None else owner.id, Tag.WALLS
+
+
+def _surfaces(sensor: Actor, context: FeedContext, reach: float, radius: float) -> Iterator[_Obstacle]:
+    """Yield the surface that a ball meets whose middle moves ahead, such as a road that rises, if there is one."""
+    scene = context.ray_scene()
+    if scene is None:
+        return
+    origin, ahead = row(sensor.transform.location) * MIRROR, row(sensor.transform.forward()) * MIRROR
+    hits = scene.cast(origin, ahead[None], reach + radius)
+    for distance, cosine, tag in zip(hits.distance.tolist(), hits.cosine.tolist(), hits.tag.tolist(), strict=True):
+        until = max(distance - radius / max(cosine, _LEAST_COSINE), 0.0)
+        if until <= reach:
+            yield until, None, tag

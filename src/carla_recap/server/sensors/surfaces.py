@@ -49,7 +49,7 @@ class TownSurfaces:
         if self._mesh is None or town is not self._town:
             self._town, self._rays = town, None
             self._mesh = _in_thread(_load, town)
-            _in_thread(import_module, "carla_recap.server.sensors.scene")  # it takes time, too
+            _in_thread(import_module, "carla_recap.server.sensors.drawn_actors")  # it takes time, too
         return self._mesh
 
     def rays(self, town: Town) -> Future[RayScene]:

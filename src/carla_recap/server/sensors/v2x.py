@@ -15,16 +15,15 @@ import numpy as np
 
 from carla_recap.sensors.noise import Noise, generator
 from carla_recap.sensors.position import UPWARDS
-from carla_recap.server.sensors.feed import V2xMessage, flag, number, numbers
-from carla_recap.server.sensors.inertial import receiver
-from carla_recap.server.sensors.rays import ActorBoxes, axes, row, solid_actors
+from carla_recap.server.sensors.feeds import V2xMessage, axes, flag, number, numbers, receiver, row
+from carla_recap.server.sensors.rays import ActorBoxes, solid_actors
 from carla_recap.sim.actors.blueprints import CUSTOM_V2X_SENSOR, V2X_SENSOR
 from carla_recap.sim.actors.moving import Vehicle
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from carla_recap.server.sensors.feed import Feed, FeedContext
+    from carla_recap.server.sensors.feeds import Feed, FeedContext
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.geometry import Location, Vector
     from carla_recap.util.arrays import Floats

@@ -1,4 +1,4 @@
-"""What all kinds of sensors share: feeds, and attributes as numbers."""
+"""The feeds of sensors: what all kinds share, and those of collision sensors, GNSS receivers and IMUs."""
 
 from __future__ import annotations
 
@@ -7,15 +7,21 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+import msgpack
+import numpy as np
 
 from carla_recap.scene.materials import Tag
+from carla_recap.sensors.position import Gnss, Imu, geo_reference
 
 if TYPE_CHECKING:
     from carla_recap.rendering.rays import RayScene
     from carla_recap.scene.instances import Instances
     from carla_recap.sensors.noise import Numbers
     from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.geometry import Location, Transform, Vector
+    from carla_recap.util.arrays import Floats
 
 _LOG: Final = logging.getLogger("carla_recap.server")
 _TOO_LARGE: Final = 1e10  # for any number of a sensor
@@ -89,6 +95,66 @@ def warn_of(sensor: Actor) -> Callable[[str], None]:
     return partial(_LOG.warning, "%s %d: %s", sensor.type_id, sensor.id)
 
 
+def axes(transform: Transform) -> Floats:
+    """Return the axes of a transform, (3, 3); see `Rotation.matrix`."""
+    return np.array(transform.rotation.matrix())
+
+
+def row(value: Location | Vector) -> Floats:
+    """Return a location or a direction as (3,)."""
+    return np.array((value.x, value.y, value.z))
+
+
+def packed(*values: Any) -> bytes:
+    """Return values as MessagePack, as CARLA has them in frames."""
+    data: bytes = msgpack.packb(values, unicode_errors="surrogateescape")
+    return data
+
+
 def silent(sensor: Actor, context: FeedContext) -> Feed:
     """Return the feed of a sensor that sends nothing."""
     return lambda: ()
+
+
+def collisions(sensor: Actor, context: FeedContext) -> Feed:
+    """Return the feed of a collision sensor: for each collision of the parent both actors, and its impulse in N s."""
+
+    def frames() -> Iterable[bytes]:
+        for collision in sensor.context.events.collisions:
+            if sensor.parent is not None and collision.actor1 == sensor.parent.id:
+                impulse = collision.impulse
+                actors = context.actor_record(collision.actor1), context.actor_record(collision.actor2)
+                yield packed(*actors, [impulse.x, impulse.y, impulse.z])
+
+    return frames
+
+
+def receiver(sensor: Actor) -> Gnss:
+    """Return the GNSS receiver of a sensor, in the map that it is in."""
+    return Gnss(numbers(sensor), geo_reference(sensor.context.town.opendrive))
+
+
+def gnss(sensor: Actor, context: FeedContext) -> Feed:
+    """Return the feed of a GNSS receiver: latitude, longitude and altitude."""
+    own = receiver(sensor)
+
+    def frames() -> Iterable[bytes]:
+        yield packed(*own.measure(row(sensor.transform.location)).tolist())
+
+    return frames
+
+
+def imu(sensor: Actor, context: FeedContext) -> Feed:
+    """Return the feed of an IMU: acceleration in m/s² with gravity, rotation in rad/s, compass in radians from north.
+
+    The motion is that of the parent's origin, in the axes of the sensor.
+    """
+    own = Imu(numbers(sensor))
+
+    def frames() -> Iterable[bytes]:
+        transform = sensor.transform
+        motion = row(sensor.acceleration), row(sensor.angular_velocity)
+        acceleration, rotation, compass = own.measure(axes(transform), transform.rotation.yaw, *motion)
+        yield packed(acceleration.tolist(), rotation.tolist(), compass)
+
+    return frames

@@ -1,23 +1,40 @@
-"""Walkable surfaces as Detour navigation meshes, byte for byte as CARLA's client reads them.
+"""Navigation meshes of towns: what walkers with CARLA's AI controllers, which the client itself steers, walk on.
 
-The layout is that of Recast's sample programs: a set of tiles ("MSET", version 1), here of one tile ("DNAV", version 7),
-with 32-bit references. Detour's axes are x, up and z: CARLA's x, z and y. All numbers are little-endian.
+They are Detour's, byte for byte as CARLA's client reads them. The layout is that of Recast's sample programs: a set of tiles
+("MSET", version 1), here of one tile ("DNAV", version 7), with 32-bit references. Detour's axes are x, up and z: CARLA's x,
+z and y. All numbers are little-endian.
 """
 
 from __future__ import annotations
 
+import logging
+from functools import lru_cache
+from hashlib import sha256
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.server.navmesh.walkways import CORNERS, CROSSWALK, ROAD, SIDEWALK
+from carla_recap.server.walkways import (
+    CORNERS,
+    CROSSWALK,
+    ROAD,
+    SIDEWALK,
+    WalkwayEditor,
+    cross_roads,
+    walkable_surface,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from carla_recap.server.navmesh.walkways import WalkableSurface
+    from carla_recap.server.walkways import WalkableSurface
+    from carla_recap.sim.town.loading import Town
     from carla_recap.util.arrays import Integers
 
+NAVIGATION: Final = "Nav"
+"""The folder of the files that clients need to steer walkers."""
+_LOG: Final = logging.getLogger("carla_recap.server")
+_MOST_NODES: Final = 50_000  # of the walkway graph: about 250 km of sidewalks
 
 MOST: Final = 0xFFFF
 """The most corners, and the most polygons, of a tile: their indices have 16 bits."""
@@ -93,6 +110,40 @@ _HEIGHT, _RADIUS = 1.8, 0.3  # m: of CARLA's walkers, from carla/nav/Navigation.
 _CLIMB = 0.4  # m: above or below a polygon that one is on
 _STEP = 0.1  # m: the grid of boxes, where 16 bits hold the town
 _MARGIN = 1.0  # m: between the outermost corner and the edge of the tile
+
+
+@lru_cache(maxsize=4)
+def navigation_mesh(town: Town) -> bytes:
+    """Return the sidewalks and crossings of a town, and some paths across its roads, as a navigation mesh.
+
+    Returns:
+        The bytes; none if the town has no sidewalks, or more than such a mesh can hold.
+    """
+    if len(town.walks.nodes) > _MOST_NODES:
+        return b""
+    walkways = WalkwayEditor(town.walks)
+    walkways.loosen()
+    cross_roads(walkways, town)
+    walkways.straighten()
+    return mesh_bytes(walkable_surface(walkways))
+
+
+def prepare_navigation(town: Town) -> None:
+    """Compute the navigation mesh of a town before clients ask for it; a failure is logged, and costs only the mesh."""
+    try:
+        navigation_mesh(town)
+    except Exception as error:  # whatever an odd map causes
+        _LOG.error("%s: no navigation mesh can be made: %r", town.name, error)
+
+
+def navigation_files(town: Town) -> dict[str, bytes]:
+    """Return the files that a client needs to steer walkers, by name.
+
+    A client caches files in a folder of its own under their names for ever: so a name contains a hash of the file, and
+    differs from CARLA's names.
+    """
+    mesh = navigation_mesh(town)
+    return {f"carla-recap/Nav/{sha256(mesh).hexdigest()[:16]}.bin": mesh} if mesh else {}
 
 
 def mesh_bytes(surface: WalkableSurface) -> bytes:

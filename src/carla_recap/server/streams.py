@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import struct
 from collections import defaultdict
+from itertools import count
 from typing import TYPE_CHECKING, Final, cast
 
 from carla_recap.server.quirks import PendingSubscriptions
@@ -114,6 +115,44 @@ class Streams:
         subscribers.discard(subscriber)
         if not subscribers:
             del self._subscribers[stream]
+
+
+class SnapshotStreams:
+    """The streams of snapshots: one for each connection, and a new one when its client begins an episode; see `quirks`.
+
+    Args:
+        streams: All streams of the server.
+    """
+
+    def __init__(self, streams: Streams) -> None:
+        self._streams = streams
+        self._numbers = count(1)
+        self._open: dict[int, None] = {}
+
+    def open(self) -> int:
+        """Return the number of the stream of a new client."""
+        stream = next(self._numbers)
+        self._open[stream] = None
+        return stream
+
+    def renew(self, stream: int) -> int:
+        """Return the number of a new stream for a client that begins an episode; it asks for it when its call is answered.
+
+        The old one stays open and silent: through it, the client would learn of the episode while it has none.
+        """
+        self._streams.silence(stream)
+        del self._open[stream]
+        return self.open()
+
+    def close(self, stream: int) -> None:
+        """End the stream of a client that has left."""
+        self._open.pop(stream, None)
+        self._streams.close(stream)
+
+    def publish(self, payload: bytes) -> None:
+        """Send a snapshot to all clients."""
+        for stream in self._open:
+            self._streams.keep(stream, payload)
 
 
 class Subscriber(asyncio.Protocol):

@@ -11,9 +11,8 @@ import numpy as np
 from carla_recap.rendering.camera import Camera, ImageKind
 from carla_recap.replay.pose import MIRROR
 from carla_recap.sensors.kinds import LARGEST_SIDE, NARROWEST, WIDEST
-from carla_recap.server.sensors.feed import flag, number
+from carla_recap.server.sensors.feeds import axes, flag, number, row
 from carla_recap.server.sensors.images import CameraScene, Shot, View
-from carla_recap.server.sensors.rays import axes, row
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.scene.instances import Instances
-    from carla_recap.server.sensors.feed import Feed, FeedContext
+    from carla_recap.server.sensors.feeds import Feed, FeedContext
     from carla_recap.server.sensors.images import ImageThread
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.geometry import Transform

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from carla_recap.scene.materials import Material
-from carla_recap.server.sensors.scene import WorldActors
+from carla_recap.server.sensors.drawn_actors import WorldActors
 from carla_recap.sim import VehicleControl
 from tests.sim.flat import at, flat_world
 

@@ -1,1 +1,0 @@
-"""What the server sends by itself: streams, their subscribers, and the snapshots of the world."""
