@@ -54,6 +54,11 @@ TESTS = """
 def vehicles(run):
     return len(run.world.get_actors().filter("vehicle.*"))
 
+def test_the_server_alone(carla_server):
+    client = carla.Client("127.0.0.1", carla_server)
+    client.set_timeout(600.0)
+    assert any(name.endswith("Brickfield") for name in client.get_available_maps())
+
 def test_leaves_actors_settings_and_weather(carla_world):
     assert carla_world.world.get_settings().synchronous_mode
     point = carla_world.world.get_map().get_spawn_points()[0]
@@ -98,7 +103,7 @@ def test_has_a_traffic_manager_of_its_own(carla_world):
     speeds = [actor.get_velocity().length() for actor in carla_world.world.get_actors().filter("vehicle.*")]
     assert max(speeds) > 0.5
 
-@pytest.mark.parametrize("time", range(3))
+@pytest.mark.parametrize("time", range(2))
 def test_the_hero_drives_off(carla_world, time):
     point = carla_world.world.get_map().get_spawn_points()[0]
     hero = spawn(carla_world.world, "vehicle.tesla.model3", point, role_name="hero")
@@ -197,8 +202,18 @@ class Run(NamedTuple):
 
 
 def run_pytest(folder: Path, *options: str) -> Run:
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--junitxml=out.xml", *options]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-p",
+        "no:cacheprovider",
+        "--basetemp=temporary",
+        "--junitxml=out.xml",
+        *options,
+    ]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.returncode in (0, 1), done.stdout + done.stderr
     cases = ElementTree.parse(folder / "out.xml").iter("testcase")
     return Run(done.stdout + done.stderr, {case.get("name", ""): list(case) for case in cases}, folder)
 
@@ -304,14 +319,14 @@ def test_workers_have_servers_of_their_own(pytester: pytest.Pytester) -> None:
         def test_mine(carla_world, carla_server, number):
             carla_world.tick(0.5)
             print(f"port {carla_server}")
-            assert number < 2
+            assert number < 3
         """)
     )
     done = pytester.runpytest_subprocess("-n2", "-rA", "--dist=load")
-    done.assert_outcomes(passed=2, failed=2)
+    done.assert_outcomes(passed=3, failed=1)
     ports = set(re.findall(r"port (\d+)", done.stdout.str()))
     assert len(ports) == 2
-    assert len(list((pytester.path / "carla-recordings").glob("*.mcap"))) == 2
+    assert len(list((pytester.path / "carla-recordings").glob("*.mcap"))) == 1
 
 
 @pytest.fixture

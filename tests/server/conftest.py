@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
+from inspect import iscoroutinefunction, signature
 from typing import TYPE_CHECKING
 
 import carla
 import pytest
 
 from carla_recap.server import running
+from tests.server.client import SYNCHRONOUS, connect
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -17,6 +20,16 @@ if TYPE_CHECKING:
 
 QUIET = 0.01
 """The time in s in which the thread of a client leaves its callbacks; released within them, it aborts the process."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run a test that is a coroutine in an event loop of its own."""
+    if not iscoroutinefunction(pyfuncitem.obj):
+        return None
+    arguments = {name: pyfuncitem.funcargs[name] for name in signature(pyfuncitem.obj).parameters}
+    asyncio.run(asyncio.wait_for(pyfuncitem.obj(**arguments), PATIENCE))
+    return True
 
 
 @pytest.fixture(scope="package")
@@ -34,12 +47,10 @@ def port(recordings: Path) -> Iterator[int]:
 @pytest.fixture
 def client(port: int, recordings: Path) -> Iterator[carla.Client]:
     """The official client; the world is in synchronous mode, without actors at the end."""
-    client = carla.Client("127.0.0.1", port)
-    client.set_files_base_folder(str(recordings))  # where it keeps navigation meshes; else in the home folder
-    client.set_timeout(PATIENCE)
+    client = connect(port, recordings)
     world = client.get_world()
     before, episode = {actor.id for actor in world.get_actors()}, world.id
-    world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
+    world.apply_settings(SYNCHRONOUS)
     yield client
     client.stop_recorder()
     client.stop_replayer(False)
@@ -57,8 +68,7 @@ def client(port: int, recordings: Path) -> Iterator[carla.Client]:
 @pytest.fixture
 def other_client(port: int) -> Iterator[carla.Client]:
     """A second client in the same process."""
-    client = carla.Client("127.0.0.1", port)
-    client.set_timeout(PATIENCE)
+    client = connect(port)
     yield client
     time.sleep(QUIET)
 

@@ -8,26 +8,15 @@ import carla
 import pytest
 
 from carla_recap.errors import RecapError
+from tests.server.client import FAR, spawn, ticks
 from tests.server.inside import Inside
 
-FAR = carla.Transform(carla.Location(500.0, 500.0, 0.5))
-"""A transform without actors or lanes nearby."""
-
-
-def spawn(
-    world: carla.World, name: str = "vehicle.tesla.model3", at: carla.Transform | None = None, **attributes: str
-) -> carla.Actor:
-    blueprint = world.get_blueprint_library().find(name)
-    for key, value in attributes.items():
-        blueprint.set_attribute(key, value)
-    actor = world.spawn_actor(blueprint, at or world.get_map().get_spawn_points()[0])
-    world.tick()
-    return actor
-
-
-def ticks(world: carla.World, count: int) -> None:
-    for _ in range(count):
-        world.tick()
+NAMED = {
+    *("vehicle.lincoln.mkz_2017", "static.trigger.friction", "sensor.camera.cosmos_visualization"),
+    *("sensor.other.v2x", "sensor.other.v2x_custom"),
+    *("static.prop.warningconstruction", "static.prop.warningaccident", "static.prop.dirtdebris02"),
+}
+"""Blueprints that programs of CARLA's users name."""
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +43,7 @@ def test_blueprints_have_carlas_attributes(world: carla.World) -> None:
         1.8,
         4,
     ]
+    assert {blueprint.id for blueprint in library} >= NAMED
     assert len(library.filter("vehicle.*")) == 41
     assert len(library.filter("controller.ai.walker")) == 1
 
@@ -82,6 +72,16 @@ def test_all_blueprints_can_be_spawned_and_their_attributes_read_back(client: ca
             if attribute.is_modifiable:
                 assert actor.attributes[attribute.id] == attribute.recommended_values[0], (blueprint.id, attribute.id)
     client.apply_batch_sync([carla.command.DestroyActor(id) for id in actors], True)
+
+
+def test_yaws_of_spawn_points_are_those_that_vehicles_report(client: carla.Client, world: carla.World) -> None:
+    points = world.get_map().get_spawn_points()[::7]
+    model = world.get_blueprint_library().find("vehicle.tesla.model3")
+    answers = client.apply_batch_sync([carla.command.SpawnActor(model, point) for point in points], True)
+    snapshot = world.get_snapshot()
+    for answer, point in zip(answers, points, strict=True):
+        assert not answer.error
+        assert snapshot.find(answer.actor_id).get_transform().rotation.yaw == pytest.approx(point.rotation.yaw, abs=0.01)
 
 
 def test_the_record_of_an_actor_has_its_attributes(world: carla.World) -> None:

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from carla_recap.server.controllers import AckermannControl
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
+from tests.server.client import FAR, spawn
 from tests.server.inside import Inside
-from tests.server.test_actors import FAR, spawn
 
 if TYPE_CHECKING:
     from carla_recap.sim.actors.actor import Actor

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-from contextlib import contextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -14,13 +12,10 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.scene.materials import Tag
-from carla_recap.util.processes import module_command, module_environment
-from tests.server.test_sensors import Data, of_frame, sensor, start, vehicle
+from tests.server.client import SYNCHRONOUS, Data, connect, of_frame, sensor, serving, start, vehicle
 from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from numpy.typing import NDArray
 
 pytest.importorskip("moderngl", reason="moderngl is not installed")
@@ -68,7 +63,7 @@ def focal_length(image: Any) -> float:
 
 
 def test_a_car_ahead_is_in_all_images_where_it_is(world: carla.World) -> None:
-    car, other = vehicle(world), vehicle(world, ahead=14.9)
+    car, other = vehicle(world), vehicle(world, distance=14.9)
     kinds = ("rgb", "depth", "semantic_segmentation", "instance_segmentation", "normals")
     cameras = [Data(sensor(world, f"camera.{kind}", car, EYE, **SIZE)) for kind in kinds]
     start(world, *cameras)
@@ -103,7 +98,7 @@ def test_the_ground_is_as_far_as_the_camera_is_high(world: carla.World) -> None:
 
 def test_the_colour_converters_of_carla_apply(world: carla.World) -> None:
     car = vehicle(world)
-    vehicle(world, ahead=14.9)
+    vehicle(world, distance=14.9)
     depth, semantic = (
         Data(sensor(world, f"camera.{kind}", car, EYE, **SIZE)) for kind in ("depth", "semantic_segmentation")
     )
@@ -150,8 +145,8 @@ def test_an_event_camera_sees_changes_alone(world: carla.World) -> None:
     start(world, dvs)
     world.tick()
     assert len(of_frame(dvs, world.tick())) == 0
-    other = vehicle(world, ahead=14.9)
-    events = of_frame(dvs, world.tick())
+    other = vehicle(world, distance=14.9)
+    events = of_frame(dvs, world.get_snapshot().frame)
     assert len(events) > 100
     found = np.frombuffer(events.raw_data, np.dtype([("x", "<u2"), ("y", "<u2"), ("t", "<i8"), ("polarity", "?")]))
     assert (np.diff(found["t"]) >= 0).all()
@@ -173,7 +168,7 @@ def test_weather_is_seen(world: carla.World) -> None:
 
 @pytest.mark.usefixtures("ground")
 def test_a_lidar_meets_the_road_and_the_car_ahead(world: carla.World) -> None:
-    car, other = vehicle(world), vehicle(world, ahead=14.9)
+    car, other = vehicle(world), vehicle(world, distance=14.9)
     rays = {"range": "60", "rotation_frequency": "20", "points_per_second": "200000", "channels": "32"}
     lidar = Data(sensor(world, "lidar.ray_cast_semantic", car, carla.Transform(carla.Location(z=2.0)), **rays))
     start(world, lidar)
@@ -193,7 +188,7 @@ def test_a_lidar_meets_the_road_and_the_car_ahead(world: carla.World) -> None:
 def test_lidar_points_are_where_a_depth_camera_sees_them(world: carla.World) -> None:
     """The same rays, at the same place: points in an image fall on pixels of the same depth, tag and id."""
     car = vehicle(world)
-    vehicle(world, ahead=14.9)
+    vehicle(world, distance=14.9)
     mount = carla.Transform(carla.Location(x=1.0, z=2.2))
     rays = {"range": "80", "rotation_frequency": "20", "points_per_second": "400000", "channels": "64", "upper_fov": "5"}
     lidar = Data(sensor(world, "lidar.ray_cast_semantic", car, mount, **rays))
@@ -235,14 +230,14 @@ def test_a_level_obstacle_detector_does_not_report_the_road(world: carla.World) 
 def test_another_map_is_drawn_after_a_load(world: carla.World, client: carla.Client) -> None:
     text = world.get_map().to_opendrive()
     other = client.generate_opendrive_world(text)
-    other.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
+    other.apply_settings(SYNCHRONOUS)
     rgb = Data(sensor(other, "camera.semantic_segmentation", vehicle(other), EYE, **SIZE))
     start(other, rgb)
     assert Tag.ROADS in pixels(of_frame(rgb, other.tick()))[..., 0]
 
 
 def test_a_camera_on_a_replayed_actor_films_the_recording(world: carla.World, client: carla.Client) -> None:
-    car, other = vehicle(world), vehicle(world, ahead=14.9)
+    car, other = vehicle(world), vehicle(world, distance=14.9)
     client.start_recorder("film.log")
     car.apply_control(carla.VehicleControl(throttle=0.3))
     for _ in range(20):
@@ -323,9 +318,8 @@ def test_the_world_is_loaded_anew_while_images_are_drawn(world: carla.World, cli
 
 
 def test_a_server_that_ends_while_images_are_drawn_leaves_no_process() -> None:
-    with served() as (process, port):
-        client = carla.Client("127.0.0.1", port)
-        client.set_timeout(PATIENCE)
+    with serving() as (process, port):
+        client = connect(port)
         world = client.get_world()
         rgb = Data(sensor(world, "camera.rgb", vehicle(world), EYE, image_size_x="1920", image_size_y="1080"))
         rgb.get(timeout=PATIENCE)
@@ -337,22 +331,9 @@ def test_a_server_that_ends_while_images_are_drawn_leaves_no_process() -> None:
 
 
 def test_a_server_that_is_killed_while_its_town_is_loaded_leaves_no_process() -> None:
-    with served(CARLA_RECAP_CACHE="") as (process, _):
+    with serving(CARLA_RECAP_CACHE="") as (process, _):
         server = psutil.Process(process.pid)
         children = wait_until(lambda: server.children(recursive=True))
         process.kill()
         process.wait(PATIENCE)
     assert not psutil.wait_procs(children, PATIENCE)[1]
-
-
-@contextmanager
-def served(**environment: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
-    """Run a server as from a command line, where it loads the town ahead."""
-    command = module_command("carla_recap", "serve", "--port=0")
-    variables = module_environment(**environment)
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=variables) as process:
-        try:
-            assert process.stdout is not None
-            yield process, int(process.stdout.readline().rsplit(":", 1)[-1])
-        finally:
-            process.kill()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
+import resource
 from typing import TYPE_CHECKING, Any
 
 import msgpack
@@ -12,7 +13,7 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.server.rpc import connection as connections
-from carla_recap.server.rpc.connection import ClientConnection, ConnectionPool
+from carla_recap.server.rpc.connection import ClientConnection, ConnectionPool, connection_limit
 from carla_recap.server.rpc.registry import unregistered_call
 from carla_recap.server.rpc.structs import VehicleLightState  # noqa: TC001  (calls read annotations)
 
@@ -176,18 +177,15 @@ async def _leave(connection: ClientConnection) -> None:
         await asyncio.sleep(0)
 
 
-def test_a_client_that_leaves_early_leaves_no_coroutine_unawaited(recwarn: pytest.WarningsRecorder) -> None:
-    async def run() -> None:
-        connection, _ = connected()
-        connection.data_received(request(1, "slow"))
-        await _leave(connection)
-
-    asyncio.run(run())
+async def test_a_client_that_leaves_early_leaves_no_coroutine_unawaited(recwarn: pytest.WarningsRecorder) -> None:
+    connection, _ = connected()
+    connection.data_received(request(1, "slow"))
+    await _leave(connection)
     gc.collect()
     assert not [str(warning.message) for warning in recwarn]
 
 
-def test_a_held_answer_of_a_client_that_leaves_early_is_awaited_too(recwarn: pytest.WarningsRecorder) -> None:
+async def test_a_held_answer_of_a_client_that_leaves_early_is_awaited_too(recwarn: pytest.WarningsRecorder) -> None:
     async def later(answer: Any) -> Any:
         return answer
 
@@ -195,15 +193,33 @@ def test_a_held_answer_of_a_client_that_leaves_early_is_awaited_too(recwarn: pyt
         def hold(self, name: str, answer: Any) -> Awaitable[Any]:
             return later(answer)
 
-    async def run() -> None:
-        connection = ClientConnection(CALLS, ConnectionPool(), lambda _: Holding())
-        connection.connection_made(Transport())
-        connection.data_received(request(1, "double", 1))
-        await _leave(connection)
-
-    asyncio.run(run())
+    connection = ClientConnection(CALLS, ConnectionPool(), lambda _: Holding())
+    connection.connection_made(Transport())
+    connection.data_received(request(1, "double", 1))
+    await _leave(connection)
     gc.collect()
     assert not [str(warning.message) for warning in recwarn]
+
+
+@pytest.mark.parametrize(
+    ("soft", "hard", "raised", "expected"),
+    [
+        (1024, 4096, 2100, 2000),
+        (1024, resource.RLIM_INFINITY, 2100, 2000),
+        (2100, 2100, None, 2000),
+        (resource.RLIM_INFINITY, resource.RLIM_INFINITY, None, 2000),
+        (256, 300, 300, 200),
+        (64, 64, 64, 1),
+    ],
+)
+def test_there_are_as_many_connections_as_files_can_be_opened(
+    soft: int, hard: int, raised: int | None, expected: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limits: list[tuple[int, int]] = []
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (soft, hard))
+    monkeypatch.setattr(resource, "setrlimit", lambda _, pair: limits.append(pair))
+    assert connection_limit() == expected
+    assert limits == ([] if raised is None else [(raised, hard)])
 
 
 def test_an_error_that_no_client_waits_for_is_logged(caplog: pytest.LogCaptureFixture) -> None:

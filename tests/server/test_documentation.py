@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import queue
 import re
+import shutil
 from typing import TYPE_CHECKING, Any
 
 import carla
 import pytest
 
+from carla_recap.sim import World, load_town
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -23,17 +25,17 @@ def vehicle(world: carla.World) -> carla.Vehicle:
     return vehicle
 
 
-@pytest.fixture
-def camera(client: carla.Client, world: carla.World, vehicle: carla.Vehicle) -> int:
+@pytest.fixture(scope="module")
+def camera(recordings: Path) -> int:
     """The id of a vehicle that is in recording01.log, col2.log and col3.log, of 5 s each."""
-    for name in ("recording01.log", "col2.log", "col3.log"):
-        client.start_recorder(name)
-        for _ in range(101):
-            world.tick()
-        client.stop_recorder()
-    vehicle.destroy()
-    world.tick()
-    return int(vehicle.id)
+    names = ("recording01.log", "col2.log", "col3.log")
+    with World(load_town()) as world:
+        vehicle = world.spawn("vehicle.tesla.model3", world.town.spawn_points[0])
+        path = world.start_recorder(recordings / names[0])
+        world.run(5.05)
+    for name in names[1:]:
+        shutil.copy(path, recordings / name)
+    return vehicle.id
 
 
 # --- the recorder --------------------------------------------------------------------------------------------------------

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import signal
-import subprocess
 
-import carla
 import pytest
 
-from tests.cli.command import COMMAND, ENVIRONMENT, error
+from tests.cli.command import error
+from tests.server.client import connect, serving, spawn
 from tests.waiting import PATIENCE
 
 pytest.importorskip("foxglove", reason="the extra foxglove-live is not installed")
@@ -20,22 +19,13 @@ from tests.show.test_foxglove_websocket import connected, decoded
 
 
 def test_a_viewer_sees_what_a_client_does() -> None:
-    command = [COMMAND, "serve", "--port", "0", "--fps", "20", "--foxglove-port", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT) as process:
-        try:
-            assert process.stdout is not None
-            client = carla.Client("127.0.0.1", int(process.stdout.readline().split(":")[-1]))
-            client.set_timeout(PATIENCE)
-            world = client.get_world()
-            blueprint = world.get_blueprint_library().find("vehicle.tesla.model3")
-            blueprint.set_attribute("role_name", "hero")
-            hero = world.spawn_actor(blueprint, world.get_map().get_spawn_points()[0])
-            with connected(process.stdout.readline().strip()) as viewer:
-                found = viewer.latest("/map", "/hero", "/scene/vehicles")
-            process.send_signal(signal.SIGINT)
-            assert process.wait(PATIENCE) == 0
-        finally:
-            process.kill()
+    with serving("--fps", 20, "--foxglove-port", 0) as (process, port):
+        hero = spawn(connect(port).get_world(), role_name="hero")
+        assert process.stdout is not None
+        with connected(process.stdout.readline().strip()) as viewer:
+            found = viewer.latest("/map", "/hero", "/scene/vehicles")
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0
     assert decoded(viewer, "/hero", found["/hero"]).id == hero.id
     assert [entity.id for entity in decoded(viewer, "/scene/vehicles", found["/scene/vehicles"]).entities] == [
         f"actor {hero.id}"

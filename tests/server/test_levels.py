@@ -8,8 +8,8 @@ import carla
 import pytest
 
 from carla_recap.server import running
+from tests.server.client import SYNCHRONOUS, connect
 from tests.sim.two_levels import BRIDGE, two_levels
-from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,11 +19,8 @@ if TYPE_CHECKING:
 def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[carla.World]:
     folder = tmp_path_factory.mktemp("levels")
     with running(str(two_levels(folder)), recordings=folder) as port:
-        client = carla.Client("127.0.0.1", port)
-        client.set_files_base_folder(str(folder))
-        client.set_timeout(PATIENCE)
-        world = client.get_world()
-        world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
+        world = connect(port, folder).get_world()
+        world.apply_settings(SYNCHRONOUS)
         yield world
 
 

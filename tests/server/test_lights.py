@@ -6,8 +6,8 @@ import carla
 import pytest
 
 from carla_recap.errors import RecapError
+from tests.server.client import ticks
 from tests.server.inside import Inside
-from tests.server.test_actors import ticks
 
 RED, YELLOW, GREEN = carla.TrafficLightState.Red, carla.TrafficLightState.Yellow, carla.TrafficLightState.Green
 

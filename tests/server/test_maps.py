@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import shutil
-from contextlib import suppress
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Any, Final
@@ -23,14 +23,16 @@ from carla_recap.server.serving import serve
 from carla_recap.sim.town import town
 from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
+from tests.server.client import connect
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Iterator
+    from collections.abc import AsyncIterator, Iterator
 
     from carla_recap.sim.town.loading import Town
 
 SAMPLES: Final = Path(__file__).parents[2] / "samples"
+Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 LAYERED: Final = "/Game/Carla/Maps/Town10HD_Opt"
 
 
@@ -50,9 +52,7 @@ def port(folder: Path) -> Iterator[int]:
 
 @pytest.fixture
 def client(port: int) -> carla.Client:
-    client = carla.Client("127.0.0.1", port)
-    client.set_timeout(PATIENCE)
-    return client
+    return connect(port)
 
 
 def test_a_layered_map_is_a_map_of_its_own(client: carla.Client) -> None:
@@ -110,40 +110,40 @@ def test_our_town_stands_in_for_a_missing_map(caplog: pytest.LogCaptureFixture) 
     )
 
 
-def test_clients_get_the_name_that_they_asked_for() -> None:
-    with running(town="Town05", stand_in=True) as port:
-        client = carla.Client("127.0.0.1", port)
-        client.set_timeout(PATIENCE)
-        assert client.get_world().get_map().name == "Carla/Maps/Town05"
-        assert client.load_world("Town03").get_map().name == "Carla/Maps/Town03"
-        assert client.load_world("Town05").get_map().name == "Carla/Maps/Town05"
+@pytest.fixture(scope="module")
+def stood_in(tmp_path_factory: pytest.TempPathFactory) -> Iterator[carla.Client]:
+    """A client of a server whose own town stands in for others."""
+    recordings = tmp_path_factory.mktemp("recordings")
+    shutil.copy(SAMPLES / "crossing.log", recordings)
+    with running(town="Town05", stand_in=True, recordings=recordings) as port:
+        yield connect(port)
 
 
-def test_a_replay_of_a_missing_map_is_stood_in_for(tmp_path: Path) -> None:
-    with running(town="Town05", stand_in=True, recordings=tmp_path) as port:
-        client = carla.Client("127.0.0.1", port)
-        client.set_timeout(PATIENCE)
-        client.start_recorder("stood_in.log")
-        client.get_world().wait_for_tick()
-        client.stop_recorder()
-        client.load_world("Brickfield")
-        answer = client.replay_file("stood_in.log", 0.0, 0.0, 0)
-        assert "Loading map" in answer
-        assert "Could not load" not in answer
-        assert client.get_world().get_map().name == "Carla/Maps/Town05"
+def test_clients_get_the_name_that_they_asked_for(stood_in: carla.Client) -> None:
+    assert stood_in.get_world().get_map().name == "Carla/Maps/Town05"
+    assert stood_in.load_world("Town03").get_map().name == "Carla/Maps/Town03"
+    assert stood_in.load_world("Town05").get_map().name == "Carla/Maps/Town05"
 
 
-def test_a_replay_of_a_map_that_is_not_served_is_on_its_corridors(tmp_path: Path) -> None:
-    shutil.copy(SAMPLES / "crossing.log", tmp_path)
-    with running(stand_in=True, recordings=tmp_path) as port:
-        client = carla.Client("127.0.0.1", port)
-        client.set_timeout(PATIENCE)
-        answer = client.replay_file("crossing.log", 0.0, 0.0, 0)
-        assert "There is no map Crossing: the corridors that the vehicles have driven are its roads" in answer
-        assert client.get_world().get_map().name.endswith("Crossing")
+def test_a_replay_of_a_missing_map_is_stood_in_for(stood_in: carla.Client) -> None:
+    stood_in.load_world("Town05")
+    stood_in.start_recorder("stood_in.log")
+    stood_in.get_world().wait_for_tick()
+    stood_in.stop_recorder()
+    stood_in.load_world("Brickfield")
+    answer = stood_in.replay_file("stood_in.log", 0.0, 0.0, 0)
+    assert "Loading map" in answer
+    assert "Could not load" not in answer
+    assert stood_in.get_world().get_map().name == "Carla/Maps/Town05"
 
 
-async def reply(streams: tuple[asyncio.StreamReader, asyncio.StreamWriter], name: str, *arguments: object) -> list[Any]:
+def test_a_replay_of_a_map_that_is_not_served_is_on_its_corridors(stood_in: carla.Client) -> None:
+    answer = stood_in.replay_file("crossing.log", 0.0, 0.0, 0)
+    assert "There is no map Crossing: the corridors that the vehicles have driven are its roads" in answer
+    assert stood_in.get_world().get_map().name.endswith("Crossing")
+
+
+async def reply(streams: Streams, name: str, *arguments: object) -> list[Any]:
     """Make a call over a bare connection, and return the reply."""
     reader, writer = streams
     writer.write(msgpack.packb([0, 1, name, [[False], *arguments]]))
@@ -154,18 +154,21 @@ async def reply(streams: tuple[asyncio.StreamReader, asyncio.StreamWriter], name
             return list(value)
 
 
-async def while_serving(host: Host, work: Callable[[int], Awaitable[None]]) -> None:
-    """Serve a world while something is done with its port."""
-    ports: asyncio.Queue[int] = asyncio.Queue()
-    server = asyncio.create_task(serve(host, "127.0.0.1", 0, ports.put_nowait))
-    async with asyncio.timeout(PATIENCE):
-        await work(await ports.get())
+@asynccontextmanager
+async def connections(host: Host, count: int) -> AsyncIterator[list[Streams]]:
+    """Serve a world until the end of the block; yield bare connections to it."""
+    port: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+    server = asyncio.create_task(serve(host, "127.0.0.1", 0, port.set_result))
+    opened = [await asyncio.open_connection("127.0.0.1", await port) for _ in range(count)]
+    yield opened
+    for _, writer in opened:
+        writer.close()
     server.cancel()
     with suppress(asyncio.CancelledError):
         await server
 
 
-def test_the_server_answers_and_ticks_while_it_loads(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_server_answers_and_ticks_while_it_loads(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     may_load = Event()
 
     def slow(name: str, folder: Path | None) -> Town:
@@ -174,9 +177,7 @@ def test_the_server_answers_and_ticks_while_it_loads(folder: Path, monkeypatch: 
 
     monkeypatch.setattr(server_maps, "load_town", slow)
     host = Host(World(load_town(), maps=folder))
-
-    async def work(port: int) -> None:
-        one, other = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
+    async with connections(host, 2) as (one, other):
         loading = asyncio.create_task(reply(one, "load_new_episode", "Town10HD", True, 0))
         for name in ("version", "get_episode_info", "get_episode_settings", "get_map_info"):
             assert (await reply(other, name))[2] is None
@@ -187,13 +188,9 @@ def test_the_server_answers_and_ticks_while_it_loads(folder: Path, monkeypatch: 
         may_load.set()
         assert await loading == [1, 1, None, [[False]]]
         assert (await reply(other, "get_map_info"))[3][0][1][0] == "Carla/Maps/Town10HD"
-        for _, writer in (one, other):
-            writer.close()
-
-    asyncio.run(while_serving(host, work))
 
 
-def test_the_server_answers_while_a_replay_loads_a_map(
+async def test_the_server_answers_while_a_replay_loads_a_map(
     folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     may_parse = Event()
@@ -210,9 +207,7 @@ def test_the_server_answers_while_a_replay_loads_a_map(
     host.world.stop_recorder()
     town._towns.clear()
     monkeypatch.setattr(town, "make_town", slow)
-
-    async def work(port: int) -> None:
-        one, other = [await asyncio.open_connection("127.0.0.1", port) for _ in range(2)]
+    async with connections(host, 2) as (one, other):
         replaying = asyncio.create_task(reply(one, "replay_file", "other.log", 0.0, 0.0, 0))
         assert (await reply(other, "version"))[2] is None
         await asyncio.sleep(0.2)
@@ -220,10 +215,6 @@ def test_the_server_answers_while_a_replay_loads_a_map(
         assert not replaying.done()
         may_parse.set()
         assert "Loading map Town10HD" in (await replaying)[3][0][1]
-        for _, writer in (one, other):
-            writer.close()
-
-    asyncio.run(while_serving(host, work))
 
 
 def test_a_town_without_a_navigation_mesh_is_served(
@@ -238,23 +229,18 @@ def test_a_town_without_a_navigation_mesh_is_served(
     assert caplog.messages == ["Odd: no navigation mesh can be made: ZeroDivisionError('odd')"]
 
 
-def test_first_calls_find_everything_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_first_calls_find_everything_computed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A client's first `get_world` used to wait for the navigation mesh, and the event loop with it."""
 
     def computed(*_: object) -> bytes:
         raise AssertionError("nothing is computed in a call")
 
     host = Host(World(load_town().renamed("Fresh")))
-
-    async def work(port: int) -> None:
+    actor_records.encoded_definitions.cache_clear()
+    async with connections(host, 1) as (streams,):
         monkeypatch.setattr(navmesh, "walkable_surface", computed)
         monkeypatch.setattr(actor_records, "definition", computed)
-        streams = await asyncio.open_connection("127.0.0.1", port)
         for name, *arguments in (("get_required_files", "Nav"), ("get_actor_definitions",), ("get_required_files", "Nav")):
             status, value = (await reply(streams, name, *arguments))[3][0]
             assert status == 1
             assert value
-        streams[1].close()
-
-    actor_records.encoded_definitions.cache_clear()
-    asyncio.run(while_serving(host, work))

@@ -1,3 +1,5 @@
+"""The server as a process of its own: it ends with its parent, and completes its recording."""
+
 from __future__ import annotations
 
 import socket
@@ -5,24 +7,15 @@ import subprocess
 import sys
 from typing import TYPE_CHECKING
 
-import carla
 import pytest
 
 from carla_recap import RecapError, open_recording
 from carla_recap.server import running
+from tests.server.client import SYNCHRONOUS, connect, ticks
 from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-TEST = """
-import carla
-
-def test_the_town(carla_server):
-    client = carla.Client("127.0.0.1", carla_server)
-    client.set_timeout(600.0)
-    assert client.get_world().get_map().name.endswith("Brickfield")
-"""
 
 KILLED = """
 import os, sys
@@ -58,36 +51,23 @@ def refuses_connections(port: int) -> bool:
     return False
 
 
-def test_the_end_of_the_block_completes_the_recording(tmp_path: Path) -> None:
+def test_the_end_of_the_block_completes_the_recording_and_nothing_is_printed(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     with running(recordings=tmp_path) as port:
-        client = carla.Client("127.0.0.1", port)
-        client.set_timeout(PATIENCE)
+        client = connect(port)
         world = client.get_world()
-        world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
+        world.apply_settings(SYNCHRONOUS)
         client.start_recorder("drive.mcap")
-        for _ in range(10):
-            world.tick()
+        ticks(world, 10)
     with open_recording(tmp_path / "drive.mcap") as recording:
         assert recording.info.frames == 10
+    assert capfd.readouterr() == ("", "")
 
 
 def test_a_server_that_does_not_start_says_why() -> None:
     with pytest.raises(RecapError, match="Atlantis"), running("Atlantis"):
         pass
-
-
-def test_users_tests_have_a_fixture(tmp_path: Path) -> None:
-    (tmp_path / "test_town.py").write_text(TEST)
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", tmp_path],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout
-    assert "1 passed" in done.stdout
 
 
 def test_a_recording_begins_where_interpreters_start_slowly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,8 +84,7 @@ if any("writer_process" in word for word in sys.orig_argv):
     monkeypatch.syspath_prepend(tmp_path)  # which started processes have, too
     may_start.touch()
     with running(recordings=tmp_path) as port:
-        client = carla.Client("127.0.0.1", port)
-        client.set_timeout(PATIENCE)
+        client = connect(port)
         for count, name in enumerate(("a.mcap", "b.mcap"), 1):
             may_start.touch()
             wait_until(lambda count=count: len(list(tmp_path.glob("*.started"))) >= count)
@@ -114,9 +93,3 @@ if any("writer_process" in word for word in sys.orig_argv):
             client.stop_recorder()
             client.get_server_version()
         may_start.touch()
-
-
-def test_a_server_of_a_script_prints_nothing(capfd):
-    with running():
-        pass
-    assert capfd.readouterr() == ("", "")

@@ -24,10 +24,9 @@ from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.traffic import populate
 from tests.samples import CARLA_LOGS
+from tests.server.client import connect, ticks
 from tests.server.inside import Inside
-from tests.server.test_actors import ticks as run_ticks
 from tests.sim.recording.test_recorder import disk_of, run_until_it_fails
-from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -94,8 +93,7 @@ def test_a_recording_has_the_format_of_its_suffix(
     client: carla.Client, world: carla.World, recordings: Path, name: str, file: str
 ) -> None:
     assert client.start_recorder(name, True) == str(recordings / file)
-    for _ in range(10):
-        world.tick()
+    ticks(world, 10)
     client.stop_recorder()
     answer = client.show_recorder_file_info(name, True)
     assert answer.startswith("Version: 1\nMap: Brickfield\nDate: ")
@@ -171,13 +169,12 @@ def test_any_other_suffix_and_drives_record_the_format_of_carla_there(
 def test_a_file_is_there_from_the_start_and_complete_without_another_call(
     client: carla.Client, world: carla.World, name: str
 ) -> None:
-    for ticks in range(1, 8):
+    for count in (1, 5):
         path = Path(client.start_recorder(name))
         assert path.exists()
-        for _ in range(ticks):
-            world.tick()
+        ticks(world, count)
         client.stop_recorder()  # which does not wait
-        assert frames(path) == ticks
+        assert frames(path) == count
 
 
 def frames(path: Path) -> int:
@@ -354,9 +351,9 @@ def test_a_replay_that_follows_a_missing_actor_runs_without_following(recordings
 def drive_on(client: carla.Client, world: carla.World) -> carla.Vehicle:
     """Return the hero of a replay that has ended, which the autopilot of the server drives."""
     client.replay_file("drive", 2.0, 0.0, 0)
-    run_ticks(world, 10)
+    ticks(world, 10)
     client.stop_replayer(True)
-    run_ticks(world, 2)
+    ticks(world, 2)
     hero = vehicles(world)["vehicle.tesla.model3"]
     assert isinstance(hero, carla.Vehicle)
     assert hero.get_velocity().length() > 5.0
@@ -372,7 +369,7 @@ def test_a_client_stops_a_vehicle_after_a_replay(client: carla.Client, world: ca
         client.apply_batch_sync([carla.command.ApplyVehicleControl(hero, carla.VehicleControl(brake=1.0))])
     else:
         hero.apply_ackermann_control(carla.VehicleAckermannControl(speed=0.0))
-    run_ticks(world, 80)
+    ticks(world, 80)
     assert hero.get_velocity().length() == pytest.approx(0.0, abs=0.05)
 
 
@@ -469,8 +466,7 @@ def test_a_replay_that_begins_ends_the_one_before(client: carla.Client, world: c
 
 def test_a_recording_that_runs_is_completed_and_can_be_replayed(client: carla.Client, world: carla.World) -> None:
     client.start_recorder("fresh")
-    for _ in range(5):
-        world.tick()
+    ticks(world, 5)
     assert "Total time recorded: 0.2\n" in client.replay_file("fresh", 0.0, 0.0, 0)
 
 
@@ -482,8 +478,7 @@ def test_the_time_factor_takes_effect_at_once(client: carla.Client, world: carla
     def way(factor: float) -> float:
         client.set_replayer_time_factor(factor)
         before = hero.get_location()
-        for _ in range(10):
-            world.tick()
+        ticks(world, 10)
         return float(before.distance(hero.get_location()))
 
     normal = way(1.0)
@@ -505,8 +500,7 @@ def test_the_spectator_follows_at_an_offset(client: carla.Client, world: carla.W
     for offset in offsets:
         arguments = () if offset is offsets[0] else (False, offset)
         client.replay_file("drive", 0.0, 0.0, int(id), *arguments)
-        for _ in range(10):
-            world.tick()
+        ticks(world, 10)
         car, camera = vehicles(world)["vehicle.tesla.model3"].get_transform(), world.get_spectator().get_transform()
         expected = carla.Transform(car.location, carla.Rotation(yaw=car.rotation.yaw)).transform(offset.location)
         assert camera.location.distance(expected) < 0.01
@@ -583,8 +577,7 @@ def test_a_recording_ends_a_replay_unless_a_newer_client_records_it(recordings: 
 @pytest.fixture(scope="module")
 def confined(recordings: Path) -> Iterator[carla.Client]:
     with running(recordings=recordings, confine=True) as port:
-        client = carla.Client("127.0.0.1", port)
-        client.set_timeout(PATIENCE)
+        client = connect(port)
         yield client
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.server.test_sensors import Data, sensor, settle
+from tests.server.client import Data, sensor
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -27,7 +27,6 @@ def test_sensors_on_both_replayed_actors_get_the_recorded_collision(client: carl
     (hero,) = (actor for actor in actors.filter(HERO) if actor.attributes["role_name"] == "hero")
     (walker,) = actors.filter(WALKER)
     data = [Data(sensor(world, "other.collision", actor)) for actor in (hero, walker)]
-    settle()
     while world.get_snapshot().timestamp.elapsed_seconds < begin + IMPACT - START + 0.5:
         world.tick()
     events = [each.get(timeout=PATIENCE) for each in data]

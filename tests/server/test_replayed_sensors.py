@@ -13,8 +13,7 @@ from carla_recap import open_recording
 from carla_recap.server import running
 from tests.roads.towns import town
 from tests.samples import carla_log
-from tests.server.clients.calls import ahead, spawn, straight
-from tests.server.test_sensors import Data, of_frame, sensor, settle, start
+from tests.server.client import SYNCHRONOUS, Data, ahead, connect, of_frame, sensor, settle, spawn, start, straight
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -45,9 +44,9 @@ def eye_of(actor: carla.Actor) -> carla.Location:
     return actor.get_transform().transform(carla.Location(*EYE))
 
 
-def replayed(client: carla.Client, path: Path, id: int, begin: float, **options: Any) -> carla.Vehicle:
+def replayed(client: carla.Client, path: Path, id: int, begin: float) -> carla.Vehicle:
     """Begin a replay, and return the actor that is where the recorded one is; other ids may be taken."""
-    client.replay_file(str(path), begin, 0.0, 0, options.get("sensors", False))
+    client.replay_file(str(path), begin, 0.0, 0, False)
     world = client.get_world()
     world.tick()
     there = place_at(way_of(path, id), begin + DELTA)
@@ -86,7 +85,6 @@ def test_lane_invasions_of_a_replayed_car_come_where_it_changes_lanes(client: ca
     car = replayed(client, JUNCTION, CHANGING, begin)
     first = world.get_snapshot().timestamp.elapsed_seconds
     data = Data(sensor(world, "other.lane_invasion", car, carla.Transform()))
-    settle()
     for _ in range(80):
         world.tick()
     settle()
@@ -121,7 +119,7 @@ def collision(client: carla.Client, world: carla.World, tmp_path: Path) -> tuple
     """A recording of a hero with sensors that hits a van, the time of impact in s, and half of the length of the van."""
     place = straight(world, 60.0)
     hero = spawn(world, "vehicle.tesla.model3", place, role_name="hero")
-    van = spawn(world, "vehicle.mercedes.sprinter", ahead(place, 25.0, up=place.location.z))
+    van = spawn(world, "vehicle.mercedes.sprinter", ahead(place, 25.0))
     world.tick()
     path = tmp_path / "collision.log"
     client.start_recorder(str(path), True)
@@ -130,7 +128,6 @@ def collision(client: carla.Client, world: carla.World, tmp_path: Path) -> tuple
     camera = sensor(world, "camera.depth", hero, ON_CAR, image_size_x="64", image_size_y="48", fov="60")
     sensors = [camera, *(sensor(world, f"other.{kind}", hero) for kind in ("collision", "lane_invasion", "imu"))]
     data, length = Data(sensors[1]), van.bounding_box.extent.x
-    settle()
     hero.apply_control(carla.VehicleControl(throttle=1.0))
     for _ in range(90):
         world.tick()
@@ -160,7 +157,6 @@ def test_recorded_sensors_can_be_listened_to(
     assert sensors["sensor.camera.depth"].attributes["fov"] == "60"
     camera, events = Data(sensors["sensor.camera.depth"]), Data(sensors["sensor.other.collision"])
     start(world, camera)
-    settle()
     while world.get_snapshot().timestamp.elapsed_seconds - first + 0.5 + DELTA < impact - 2 * DELTA:
         image = of_frame(camera, world.tick())
         pixels = np.frombuffer(image.raw_data, np.uint8).reshape(image.height, image.width, 4)[24, 32].astype(float)
@@ -200,7 +196,6 @@ def test_a_sensor_goes_on_after_the_end_and_in_the_next_replay(
     events = Data(sensor(world, "other.collision", hero))
     image = Data(sensor(world, "camera.rgb", hero, image_size_x="64", image_size_y="48"))
     start(world, image)
-    settle()
     for _ in range(40):  # 1 s of it are the replay
         frame = world.tick()
         assert of_frame(image, frame).frame == frame
@@ -220,14 +215,12 @@ def test_a_sensor_goes_on_after_the_end_and_in_the_next_replay(
 # --- recordings of CARLA -----------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def in_town(tmp_path: Path) -> Iterator[carla.Client]:
+@pytest.fixture(scope="module")
+def in_town(tmp_path_factory: pytest.TempPathFactory) -> Iterator[carla.Client]:
     """A client of a server that has CARLA's Town01."""
-    with running(maps=town("Town01").parent, recordings=tmp_path) as port:
-        client = carla.Client("127.0.0.1", port)
-        client.set_timeout(PATIENCE)
-        client.set_files_base_folder(str(tmp_path))
-        yield client
+    folder = tmp_path_factory.mktemp("town")
+    with running(maps=town("Town01").parent, recordings=folder) as port:
+        yield connect(port, folder)
 
 
 @pytest.mark.parametrize(("name", "hero"), [("0.9.10", 259), ("0.9.13", 234)])
@@ -236,7 +229,7 @@ def test_sensors_of_a_recording_of_carla_send_again(in_town: carla.Client, name:
     way = way_of(path, hero)
     in_town.replay_file(str(path), 8.0, 0.0, 0, True)
     world = in_town.get_world()
-    world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=DELTA))
+    world.apply_settings(SYNCHRONOUS)
     actors = world.get_actors()
     (car,) = (actor for actor in actors.filter("vehicle.*") if actor.attributes["role_name"] == "hero")
     kinds = {"sensor.other.gnss", "sensor.other.imu", "sensor.camera.rgb"}

@@ -5,48 +5,14 @@ from __future__ import annotations
 import queue
 import socket
 import struct
-import time
-from itertools import pairwise
 from typing import Any
 
 import carla
 import numpy as np
 import pytest
 
+from tests.server.client import Data, of_frame, sensor, settle, start, ticks, vehicle
 from tests.waiting import PATIENCE, wait_until
-
-AHEAD = carla.Transform(carla.Location(x=2.5, z=0.8))
-
-
-def vehicle(world: carla.World, number: int = 0, ahead: float = 0.0) -> carla.Vehicle:
-    """Spawn a car at a spawn point, or some metres ahead of it."""
-    place = world.get_map().get_spawn_points()[number]
-    way = place.get_forward_vector()
-    place.location += carla.Location(way.x * ahead, way.y * ahead, 0.0)
-    return world.spawn_actor(world.get_blueprint_library().find("vehicle.tesla.model3"), place)
-
-
-def sensor(
-    world: carla.World, kind: str, parent: carla.Actor | None = None, place: carla.Transform = AHEAD, **attributes: str
-) -> carla.Sensor:
-    blueprint = world.get_blueprint_library().find(f"sensor.{kind}")
-    for key, value in attributes.items():
-        blueprint.set_attribute(key, value)
-    return world.spawn_actor(blueprint, place, attach_to=parent)
-
-
-class Data(queue.Queue[Any]):
-    """The data of a sensor; it keeps the sensor, since the client stops listening when the object is garbage."""
-
-    def __init__(self, sensor: carla.Sensor) -> None:
-        super().__init__()
-        self.sensor = sensor
-        sensor.listen(self.put)
-
-
-def settle() -> None:
-    """Wait until subscriptions have begun or ended, for which the client does not wait."""
-    time.sleep(0.3)
 
 
 def is_silent(world: carla.World, data: Data) -> bool:
@@ -59,16 +25,6 @@ def is_silent(world: carla.World, data: Data) -> bool:
     return not comes
 
 
-def start(world: carla.World, *sensors: Data) -> None:
-    """Tick until sensors with data in each frame have sent some."""
-
-    def have_begun() -> bool:
-        world.tick()
-        return not any(data.empty() for data in sensors)
-
-    wait_until(have_begun)
-
-
 def tick_until(world: carla.World, data: Data, most: int = 200) -> Any:
     """Tick until a sensor sends data."""
     for _ in range(most):
@@ -78,14 +34,6 @@ def tick_until(world: carla.World, data: Data, most: int = 200) -> Any:
         except queue.Empty:
             continue
     pytest.fail("the sensor has told nothing")
-
-
-def of_frame(data: Data, frame: int) -> Any:
-    """Return the data of a frame, as the usual loop of synchronous scripts does."""
-    while True:
-        measurement = data.get(timeout=PATIENCE)
-        if measurement.frame == frame:
-            return measurement
 
 
 def test_each_frame_comes_to_queues_of_several_sensors_on_several_vehicles(world: carla.World) -> None:
@@ -120,9 +68,8 @@ def test_each_frame_comes_to_queues_of_several_sensors_on_several_vehicles(world
 
 
 def test_a_collision_is_told_with_whom_and_how_hard(world: carla.World) -> None:
-    car, other = vehicle(world), vehicle(world, ahead=15.0)
+    car, other = vehicle(world), vehicle(world, distance=15.0)
     data = Data(sensor(world, "other.collision", car))
-    settle()
     car.apply_control(carla.VehicleControl(throttle=1.0))
     event = tick_until(world, data)
     assert isinstance(event, carla.CollisionEvent)
@@ -136,7 +83,6 @@ def test_a_collision_is_told_with_whom_and_how_hard(world: carla.World) -> None:
 def test_a_barrier_has_a_type_too(world: carla.World) -> None:
     car = vehicle(world)
     data = Data(sensor(world, "other.collision", car))
-    settle()
     world.tick()
     place = car.get_transform()
     place.rotation.yaw += 90.0  # to the side of the road
@@ -186,7 +132,7 @@ def test_a_lane_invasion_is_found_by_the_client(world: carla.World) -> None:
 
 
 def test_an_obstacle_is_reported_with_its_distance(world: carla.World) -> None:
-    car, other = vehicle(world), vehicle(world, ahead=12.0)
+    car, other = vehicle(world), vehicle(world, distance=12.0)
     data = Data(sensor(world, "other.obstacle", car, distance="20", hit_radius="0.3", only_dynamics="True"))
     start(world, data)
     event = of_frame(data, world.tick())
@@ -196,7 +142,7 @@ def test_an_obstacle_is_reported_with_its_distance(world: carla.World) -> None:
 
 
 def test_radar_and_lidars_see_the_car_ahead(world: carla.World) -> None:
-    car, other = vehicle(world), vehicle(world, ahead=14.0)
+    car, other = vehicle(world), vehicle(world, distance=14.0)
     radar = Data(sensor(world, "other.radar", car))
     rays = {"range": "50", "rotation_frequency": "20", "lower_fov": "-10"}
     exact = {"dropoff_general_rate": "0", "dropoff_intensity_limit": "0"}
@@ -227,13 +173,27 @@ def test_images_that_would_be_too_large_are_refused(world: carla.World) -> None:
         sensor(world, "camera.rgb", vehicle(world), image_size_x="5000")
 
 
-def test_sensor_tick_is_honoured(world: carla.World) -> None:
-    gnss = Data(sensor(world, "other.gnss", vehicle(world), sensor_tick="0.2"))
-    settle()
-    frames = [world.tick() for _ in range(20)]
-    told = [gnss.get(timeout=PATIENCE).frame for _ in range(5)]
-    assert set(told) <= set(frames)
-    assert [later - earlier for earlier, later in pairwise(told)] == [4] * 4
+def test_sensors_send_at_once_and_then_every_sensor_tick(world: carla.World) -> None:
+    ticks(world, 3)
+    kinds = ("other.gnss", "other.imu", "other.radar", "lidar.ray_cast", "lidar.ray_cast_semantic")
+    sensors = [Data(sensor(world, kind, None, carla.Transform(carla.Location(z=3.0)), sensor_tick="0.2")) for kind in kinds]
+    first = world.tick()
+    ticks(world, 9)
+    for data in sensors:
+        assert [data.get(timeout=PATIENCE).frame for _ in range(3)] == [first, first + 4, first + 8]
+
+
+def test_sensors_repeat_their_noise_in_every_episode(client: carla.Client) -> None:
+    runs = []
+    for _ in range(2):
+        world = client.reload_world(False)
+        car, _ = vehicle(world), vehicle(world, distance=15.0)
+        radar = Data(sensor(world, "other.radar", car, noise_seed="54283"))
+        gnss = Data(sensor(world, "other.gnss", car, noise_seed="54283", noise_lat_stddev="0.001"))
+        ticks(world, 5)
+        runs.append([(bytes(radar.get(timeout=PATIENCE).raw_data), gnss.get(timeout=PATIENCE).latitude) for _ in range(5)])
+    assert runs[0] == runs[1]
+    assert all(len(set(values)) > 1 for values in zip(*runs[0], strict=True))
 
 
 def test_a_sensor_can_be_stopped_and_listened_to_again(world: carla.World) -> None:
@@ -247,7 +207,6 @@ def test_a_sensor_can_be_stopped_and_listened_to_again(world: carla.World) -> No
     assert not gnss.is_listening()
     wait_until(lambda: is_silent(world, first))
     again = Data(gnss)
-    settle()
     of_frame(again, world.tick())
     assert gnss.destroy()
     wait_until(lambda: is_silent(world, again))

@@ -3,18 +3,27 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
+from pkgutil import walk_packages
 from typing import TYPE_CHECKING
 
-import carla
 import msgpack
-import pytest
 
+import carla_recap.server
 from carla_recap.sim import World, load_town
 from tests.cli.command import error
+from tests.server.client import connect, serving
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+IMPORTS = """
+import importlib, sys
+for name in sys.argv[1:]:
+    for loaded in [loaded for loaded in sys.modules if loaded.startswith("carla_recap.server")]:
+        del sys.modules[loaded]
+    importlib.import_module(name)
+"""
 
 
 def test_clients_that_leave_before_their_replies_do_no_harm(port: int) -> None:
@@ -22,16 +31,13 @@ def test_clients_that_leave_before_their_replies_do_no_harm(port: int) -> None:
     for _ in range(50):
         with socket.create_connection(("127.0.0.1", port)) as leaving:
             leaving.sendall(calls)
-    client = carla.Client("127.0.0.1", port)
-    client.set_timeout(PATIENCE)
+    client = connect(port)
     assert client.get_server_version() == "0.9.16"
 
 
-@pytest.mark.parametrize(
-    "module", ["rpc.connection", "client", "host", "traffic_manager", "calls", "rpc.registry", "actor_records"]
-)
-def test_each_module_can_be_imported_first(module: str) -> None:
-    subprocess.run([sys.executable, "-c", f"import carla_recap.server.{module}"], timeout=PATIENCE, check=True)
+def test_each_module_can_be_imported_first() -> None:
+    names = [module.name for module in walk_packages(carla_recap.server.__path__, "carla_recap.server.")]
+    subprocess.run([sys.executable, "-c", IMPORTS, *names], timeout=PATIENCE, check=True)
 
 
 def test_invalid_folders_are_errors_in_one_line(tmp_path: Path) -> None:
@@ -44,12 +50,9 @@ def test_invalid_folders_are_errors_in_one_line(tmp_path: Path) -> None:
 
 
 def test_serving_other_machines_prints_how_they_connect() -> None:
-    command = [sys.executable, "-m", "carla_recap", "serve", "--port=0", "--host=0.0.0.0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        port = process.stdout.readline().rsplit(":", 1)[1].strip()
+    with serving("--host=0.0.0.0") as (process, port):
         process.terminate()
-        _, said = process.communicate()
+        _, said = process.communicate(timeout=PATIENCE)
     assert f"carla.Client('HOST', {port}), with the name or address of this machine" in said
 
 
@@ -60,11 +63,8 @@ def test_a_warning_is_printed_once(tmp_path: Path) -> None:
             world.tick()
     path = tmp_path / "cut.log"
     path.write_bytes(path.read_bytes()[:-100])
-    command = [sys.executable, "-m", "carla_recap", "serve", "--port=0", f"--recordings={tmp_path}"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        client = carla.Client("127.0.0.1", int(process.stdout.readline().rsplit(":", 1)[1]))
-        client.set_timeout(PATIENCE)
+    with serving("--recordings", tmp_path) as (process, port):
+        client = connect(port)
         for _ in range(3):
             assert "Frames: " in client.show_recorder_file_info("cut.log", False)
         process.terminate()

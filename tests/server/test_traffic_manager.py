@@ -1,16 +1,16 @@
+"""Traffic managers, which run in the processes of clients, and the traffic that they drive."""
+
 from __future__ import annotations
 
 import json
 import subprocess
 import sys
-from typing import TYPE_CHECKING
 
+import carla
 import pytest
 
+from tests.server.client import destroy, ticks
 from tests.waiting import PATIENCE
-
-if TYPE_CHECKING:
-    import carla
 
 BEGIN = """
 import json, math, os, sys
@@ -65,11 +65,11 @@ world.apply_settings(carla.WorldSettings())
 RELOAD = """
 ticks = []
 in_step = arguments[0] == "synchronous"
-for number in range(6):
+for number in range(4):
     world.apply_settings(synchronous if in_step else carla.WorldSettings())
     manage(int(arguments[1]), in_step)
     world.on_tick(lambda snapshot: ticks.append(snapshot.frame))
-    for _ in range(10):
+    for _ in range(5):
         world.tick()
     world = client.load_world("Brickfield", number % 2 == 0) if number % 3 == 0 else client.reload_world(number % 2 == 0)
 assert ticks == sorted(ticks)
@@ -107,12 +107,42 @@ world = client.get_world()
 world.tick()
 print(world.id)
 """
-DIE = """
+KILLED = """
 world.apply_settings(synchronous)
-manage(5)
-for _ in range(20):
+manager, vehicles = manage(20)
+library = world.get_blueprint_library()
+sensors = [library.find(name) for name in ("sensor.other.collision", "sensor.lidar.ray_cast", "sensor.other.imu")]
+for vehicle in vehicles:
+    for sensor in sensors:
+        world.spawn_actor(sensor, carla.Transform(carla.Location(z=2.0)), attach_to=vehicle).listen(lambda data: None)
+for _ in range(int(arguments[0])):
+    world.tick()
+if len(arguments) > 1:
+    client.start_recorder(arguments[1])
     world.tick()
 os.kill(os.getpid(), 9)
+"""
+HYBRID = """
+world.apply_settings(synchronous)
+counts = []
+for _ in range(2):
+    hero = world.get_blueprint_library().find("vehicle.audi.tt")
+    hero.set_attribute("role_name", "hero")
+    world.spawn_actor(hero, world.get_map().get_spawn_points()[0]).set_autopilot(True, MANAGER)
+    manager, vehicles = manage(100)
+    manager.set_hybrid_physics_mode(True)
+    manager.set_hybrid_physics_radius(50.0)
+    world.tick()
+    places = [vehicle.get_location() for vehicle in vehicles]
+    for _ in range(40):
+        world.tick()
+    ways = [vehicle.get_location().distance(place) for vehicle, place in zip(vehicles, places)]
+    counts.append((len(ways), sum(way > 1.0 for way in ways), all(map(math.isfinite, ways))))
+    world = client.reload_world(False)
+manager.set_synchronous_mode(False)
+manager.shut_down()
+world.apply_settings(carla.WorldSettings())
+print(json.dumps(counts))
 """
 
 
@@ -164,10 +194,31 @@ def test_another_client_begins_episodes_while_it_lives(client: carla.Client, por
     assert int(output) == world.id
 
 
-def test_the_manager_of_a_killed_client_is_removed(client: carla.Client, port: int) -> None:
-    run(DIE, port, code=-9)
-    world = client.get_world()
-    for _ in range(20):
-        world.tick()
-    run(DIE, port, code=-9)  # at the same port, at once
-    client.get_world().tick()
+def test_clients_are_killed_while_they_drive_listen_and_record(client: carla.Client, world: carla.World, port: int) -> None:
+    for arguments in (("0",), ("7", "killed.log")):  # the second client has the same port for its manager
+        run(KILLED, port, *arguments, code=-9)
+        frame = world.tick()
+        for _ in range(20):
+            frame += 1
+            assert world.tick() == frame
+        destroy(client, world.get_actors().filter("sensor.*"))
+        destroy(client, world.get_actors().filter("vehicle.*"))
+
+
+def test_hybrid_physics_of_a_hundred_cars_and_reloads(client: carla.Client, port: int) -> None:
+    for spawned, driven, finite in json.loads(run(HYBRID, port)):
+        assert spawned == 100
+        assert driven > 20
+        assert finite
+
+
+def test_cars_that_sleep_lose_their_physics_and_are_destroyed(client: carla.Client, world: carla.World) -> None:
+    model = world.get_blueprint_library().find("vehicle.tesla.model3")
+    cars = [world.spawn_actor(model, point) for point in world.get_map().get_spawn_points()[:60:5]]
+    cars[0].apply_control(carla.VehicleControl(throttle=0.3))
+    ticks(world, 40)
+    for car in cars[1:]:
+        car.set_simulate_physics(False)
+    world.tick()
+    destroy(client, cars)
+    assert not world.get_actors().filter("vehicle.*")

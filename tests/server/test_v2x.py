@@ -13,6 +13,8 @@ import pytest
 from carla_recap.server.sensors.v2x import PathLoss, message_bytes
 from carla_recap.sim.actors.moving import VehicleControl
 from carla_recap.sim.geometry import Vector
+from tests.server.client import place
+from tests.server.client import sensor as sensor_on
 from tests.server.test_sensor_feeds import HERE, Listener, sensor, served, vehicle
 from tests.sim.flat import at
 from tests.waiting import wait_until
@@ -208,12 +210,8 @@ def test_messages_of_clients_come_in_several_forms(message: Any, expected: bytes
 # --- the official client ---------------------------------------------------------------------------------
 
 
-def spawn(world: carla.World, name: str, parent: carla.Actor | None = None, x: float = 0.0, **attributes: str) -> Any:
-    blueprint = world.get_blueprint_library().find(name)
-    for key, value in attributes.items():
-        blueprint.set_attribute(key, value)
-    place = carla.Transform() if parent is not None else carla.Transform(carla.Location(3000.0 + x, 3000.0, 0.5))
-    return world.spawn_actor(blueprint, place, attach_to=parent)
+def carrier(world: carla.World, name: str, x: float = 0.0) -> carla.Actor:
+    return place(world, name, carla.Transform(carla.Location(3000.0 + x, 3000.0, 0.5)))
 
 
 def received(world: carla.World, data: queue.Queue[Any], act: Any = lambda: None) -> Any:
@@ -229,9 +227,8 @@ def received(world: carla.World, data: queue.Queue[Any], act: Any = lambda: None
 
 
 def test_the_client_reads_cams(world: carla.World) -> None:
-    bus = spawn(world, "vehicle.mitsubishi.fusorosa", x=30.0)
-    car = spawn(world, "vehicle.lincoln.mkz_2017")
-    sending, listening = (spawn(world, "sensor.other.v2x", parent, fixed_rate="true") for parent in (bus, car))
+    bus, car = carrier(world, "vehicle.mitsubishi.fusorosa", 30.0), carrier(world, "vehicle.lincoln.mkz_2017")
+    sending, listening = (sensor_on(world, "other.v2x", parent, fixed_rate="true") for parent in (bus, car))
     bus.set_light_state(carla.VehicleLightState(carla.VehicleLightState.LowBeam))
     data: queue.Queue[Any] = queue.Queue()
     listening.listen(data.put)
@@ -258,8 +255,8 @@ def test_the_client_reads_cams(world: carla.World) -> None:
 
 
 def test_the_client_sends_and_reads_messages_of_its_own(world: carla.World) -> None:
-    cars = [spawn(world, "vehicle.audi.tt", x=x) for x in (0.0, 30.0, 900.0)]
-    radios = [spawn(world, "sensor.other.v2x_custom", car) for car in cars]
+    cars = [carrier(world, "vehicle.audi.tt", x) for x in (0.0, 30.0, 900.0)]
+    radios = [sensor_on(world, "other.v2x_custom", car) for car in cars]
     near: queue.Queue[Any] = queue.Queue()
     far: queue.Queue[Any] = queue.Queue()
     own: queue.Queue[Any] = queue.Queue()
@@ -286,7 +283,7 @@ def test_the_client_sends_and_reads_messages_of_its_own(world: carla.World) -> N
 
 
 def test_a_radio_without_a_carrier_is_silent(world: carla.World) -> None:
-    alone = spawn(world, "sensor.other.v2x_custom")
+    alone = sensor_on(world, "other.v2x_custom")
     data: queue.Queue[Any] = queue.Queue()
     alone.listen(data.put)
     for _ in range(5):

@@ -10,8 +10,8 @@ import pytest
 
 from carla_recap import open_recording
 from carla_recap.errors import RecapError
+from tests.server.client import FAR, spawn, ticks
 from tests.server.inside import Inside
-from tests.server.test_actors import FAR, spawn, ticks
 
 if TYPE_CHECKING:
     from pathlib import Path

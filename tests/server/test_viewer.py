@@ -2,48 +2,34 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import carla
 import pytest
 
 from carla_recap.errors import RecapError
-from tests.cli.command import COMMAND, ENVIRONMENT, error
+from carla_recap.server.viewer import ViewerProcess
+from tests.cli.command import ENVIRONMENT, error
+from tests.server.client import SYNCHRONOUS, connect, serving
 from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
 pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
-
-
-@contextmanager
-def showing(*options: object) -> Iterator[carla.World]:
-    """The world of a server that shows itself."""
-    command = [COMMAND, "serve", "--port=0", *map(str, options)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT) as process:
-        try:
-            assert process.stdout is not None
-            client = carla.Client("127.0.0.1", int(process.stdout.readline().split(":")[-1]))
-            client.set_timeout(PATIENCE)
-            yield client.get_world()
-            process.terminate()
-            process.wait(PATIENCE)
-        finally:
-            process.kill()
 
 
 @pytest.fixture(scope="module")
 def rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A hero comes, and drives until it hits something."""
     path = tmp_path_factory.mktemp("live") / "live.rrd"
-    with showing("--rerun-to", path) as world:
-        world.apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=0.05))
+    with serving("--rerun-to", path) as (process, port):
+        world = connect(port).get_world()
+        world.apply_settings(SYNCHRONOUS)
 
         def is_written_to() -> bool:
             world.tick()
@@ -71,6 +57,8 @@ def rrd(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 return any("collides with vehicle.volkswagen.t2" in text for text in events(copy))
 
         wait_until(has_collision, pause=0.1)
+        process.terminate()
+        process.wait(PATIENCE)
     return path
 
 
@@ -112,15 +100,18 @@ def test_the_camera_follows_the_hero(rrd: Path) -> None:
 def test_without_a_display_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delitem(ENVIRONMENT, name, raising=False)
+        monkeypatch.delenv(name, raising=False)
     expected = "there is no display for the Rerun viewer; an .rrd can be written instead"
-    for options in (("--rerun",), ("--follow", "hero")):
-        assert error("serve", "--port", 0, *options) == expected
+    with pytest.raises(RecapError, match=f"^{re.escape(expected)}$"):
+        ViewerProcess()
+    assert error("serve", "--port", 0, "--follow", "hero") == expected
 
 
 def test_what_it_cannot_be_written_to(tmp_path: Path) -> None:
-    assert error("serve", "--rerun-to", "live.png").startswith("live.png: an .rrd, or the address of a viewer")
     (tmp_path / "live.rrd").touch()
-    assert "exists already" in error("serve", "--rerun-to", tmp_path / "live.rrd")
+    for to, reason in (("live.png", "an .rrd, or the address of a viewer"), (str(tmp_path / "live.rrd"), "exists already")):
+        with pytest.raises(RecapError, match=rf"^{re.escape(to)}: .*{reason}"):
+            ViewerProcess(to)
 
 
 def test_without_rerun_it_says_so() -> None:

@@ -8,8 +8,8 @@ import carla
 import pytest
 
 from carla_recap.errors import RecapError
+from tests.server.client import FAR, spawn, ticks
 from tests.server.inside import Inside
-from tests.server.test_actors import FAR, spawn, ticks
 
 
 @pytest.fixture

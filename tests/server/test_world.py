@@ -8,8 +8,8 @@ import carla
 import pytest
 
 from carla_recap.errors import RecapError
+from tests.server.client import spawn
 from tests.server.inside import Inside
-from tests.server.test_actors import spawn
 
 
 def test_a_ray_meets_cars_and_the_road(world: carla.World) -> None:
