@@ -20,7 +20,7 @@ from carla_recap.server.host import Host
 from carla_recap.server.maps import Maps
 from carla_recap.server.rpc.registry import CallError
 from carla_recap.server.serving import serve
-from carla_recap.sim.town import town
+from carla_recap.sim.town import loading
 from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
 from tests.server.client import connect
@@ -194,7 +194,7 @@ async def test_the_server_answers_while_a_replay_loads_a_map(
     folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     may_parse = Event()
-    make = town.make_town
+    make = loading.make_town
 
     def slow(*arguments: Any) -> Town:
         assert may_parse.wait(PATIENCE)
@@ -205,8 +205,8 @@ async def test_the_server_answers_while_a_replay_loads_a_map(
     host.world.tick()
     host.world.reload("Brickfield")
     host.world.stop_recorder()
-    town._towns.clear()
-    monkeypatch.setattr(town, "make_town", slow)
+    loading._towns.clear()
+    monkeypatch.setattr(loading, "make_town", slow)
     async with connections(host, 2) as (one, other):
         replaying = asyncio.create_task(reply(one, "replay_file", "other.log", 0.0, 0.0, 0))
         assert (await reply(other, "version"))[2] is None
