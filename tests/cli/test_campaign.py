@@ -112,7 +112,7 @@ def test_an_interrupted_campaign_says_how_many_runs_are_done(tmp_path):
     [
         ([], "either FILE.py:FUNCTION or --serve"),
         (["gone.py:run"], "gone.py: No such file"),
-        ([f"{FILE}:gone"], "has no function gone; it has drive, wait_here, misbehave, record_elsewhere"),
+        ([f"{FILE}:gone"], "has no function gone; it has drive, wait_here, misbehave"),
         ([f"{FILE}:drive", "--seeds", "5:1"], "seeds 5:1: end before they begin"),
         (
             [f"{FILE}:drive", "--param", "speed=8"],

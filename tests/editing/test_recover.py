@@ -241,14 +241,16 @@ def test_a_packet_that_contradicts_its_type_is_left_out(tmp_path):
 
 def test_thousands_of_unknown_packets_take_little_time(tmp_path):
     """After each, the next frame is searched, in vain."""
-    data = log_header() + start(1, 0.0) + END + start(2, 0.1) + packet(150, b"") * 190_000 + bytes((0,)) * 4_000_000
+    data = log_header() + start(1, 0.0) + END + start(2, 0.1) + packet(150, b"") * 50_000 + bytes(1_000_000)
     with time_limit(), warnings_ignored():
         recovery = recover(save(tmp_path / "many.log", data), tmp_path / "saved.log")
     assert recovery.frames == 2
 
 
-def test_a_frame_of_too_many_packets_is_cut(tmp_path):
-    data = log_header() + start(1, 0.0) + packet(150, b"") * 200_010 + END + start(2, 0.1) + END
+def test_a_frame_of_too_many_packets_is_cut(tmp_path, monkeypatch):
+    for module in ("editing.recover", "formats.log_scan"):
+        monkeypatch.setattr(f"carla_recap.{module}.PACKETS_LIMIT", 2_000)
+    data = log_header() + start(1, 0.0) + packet(150, b"") * 2_010 + END + start(2, 0.1) + END
     with time_limit(), warnings_ignored():
         recovery = recover(save(tmp_path / "many.log", data), tmp_path / "saved.log")
     assert recovery.frames == len(images(tmp_path / "saved.log")) == 2

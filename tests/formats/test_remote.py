@@ -15,7 +15,7 @@ import pytest
 
 from carla_recap import FormatError, RecapError, convert, open_recording, recover
 from carla_recap.formats.mcap.writer import McapWriter
-from carla_recap.formats.remote import RemoteSource
+from carla_recap.formats.remote import RemoteSource, address_of, list_objects
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4
 from tests.samples import collision, contents, explore, listed, save, spawn
@@ -378,9 +378,12 @@ def test_an_object_that_is_missing(bucket):
         open_recording(f"{bucket}/missing.mcap")
 
 
-def test_an_object_that_is_empty(bucket):
-    from carla_recap.formats.remote import address_of
+def test_objects_below_a_prefix_are_listed_with_their_urls(bucket):
+    obstore.put(address_of(bucket).store, "some/below/a.log", b"x")
+    assert [(each.location, each.size) for each in list_objects(f"{bucket}/some")] == [(f"{bucket}/some/below/a.log", 1)]
 
+
+def test_an_object_that_is_empty(bucket):
     obstore.put(address_of(bucket).store, "empty.mcap", b"")
     with pytest.raises(RecapError, match="the server sends no ranges of it, or it is empty"):
         open_recording(f"{bucket}/empty.mcap")
@@ -388,8 +391,6 @@ def test_an_object_that_is_empty(bucket):
 
 def test_signed_urls(bucket):
     from datetime import timedelta
-
-    from carla_recap.formats.remote import address_of
 
     url = obstore.sign(address_of(bucket).store, "GET", "finished.mcap", timedelta(minutes=5))
     with open_recording(url) as recording:

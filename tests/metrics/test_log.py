@@ -13,6 +13,9 @@ import carla
 
 from carla_recap import ActorKind, RecapError, Spawn, attributes, create_recording, open_recording
 from carla_recap.metrics import MetricsLog
+from carla_recap.model.frame import Frame, Header, Packet
+from carla_recap.model.records import UE4
+from tests.samples import write
 
 CRASH = Path(__file__).parents[2] / "samples" / "crash.mcap"
 
@@ -128,6 +131,16 @@ def test_angular_velocities_are_recorded_or_derived_across_half_a_turn(log):
     assert xyz(log.get_actor_angular_velocity(7, 1)) == (4, 5, 6)
     assert log.get_all_actor_angular_velocities(7, 3, 3)[0].z == pytest.approx(100)
     assert log.get_actor_angular_velocities_at_frame(3, [7])[7].z == pytest.approx(100)
+
+
+def test_without_time_between_frames_there_is_no_angular_velocity(tmp_path):
+    transforms = UE4.named("transforms")
+    turning = [
+        Frame(n, n + 1, 0.5, 0.0, [Packet(6, transforms, records=transforms.records([(7, 0, 0, 0, 0, 0, 10 * n)]))])
+        for n in range(3)
+    ]
+    with MetricsLog(write(tmp_path / "own.log", Header("Town01", 0), turning)) as log:
+        assert xyz(log.get_actor_angular_velocity(7, 2)) == (0, 0, 0)
 
 
 def test_accelerations_are_changes_of_velocities(log):

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+from tempfile import TemporaryDirectory
 
 from carla_recap.sim.traffic import populate
 
@@ -18,6 +19,14 @@ def wait_here(world, vehicles=1):
 
 
 def misbehave(world, how):
+    if how == "do not tick":
+        return
+    if how == "record elsewhere":
+        with TemporaryDirectory() as folder:
+            world.start_recorder(f"{folder}/other.mcap")
+            world.run(0.1)
+            world.stop_recorder()
+        return
     world.run(0.1)
     print("about to", how, flush=True)
     match how:
@@ -37,8 +46,3 @@ def misbehave(world, how):
             world.stop_recorder()
         case "print":
             print("x" * 1_000_000)
-
-
-def record_elsewhere(world, path):
-    world.start_recorder(path)
-    world.run(0.1)

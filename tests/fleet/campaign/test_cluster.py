@@ -19,18 +19,18 @@ pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
 
 
 def test_each_run_is_there_once_when_workers_are_killed(client, tmp_path):
-    seeds, killed = range(1, 21), set()
+    seeds, killed = range(1, 13), set()
     with time_limit():
         runs = campaign(functions.drive, seeds=seeds, params={"seconds": [0.2]}, out=tmp_path / "a", client=client)
         found = []
         for finished in runs:
             found.append(finished)
-            if len(found) % 5 == 0:
+            if len(found) in (4, 8):
                 pid = next(iter(client.run(os.getpid).values()))
                 os.kill(pid, signal.SIGKILL)
                 killed.add(pid)
         list(campaign(functions.drive, seeds=seeds[:8], params={"seconds": [0.2]}, out=tmp_path / "b", jobs=1))
-    assert len(killed) >= 3
+    assert len(killed) == 2
     assert [(finished.run.seed, finished.report.error) for finished in found] == [(seed, None) for seed in seeds]
     assert names_in(tmp_path / "a") == sorted(f"seed={seed},seconds=0.2.mcap" for seed in seeds)
     for name in names_in(tmp_path / "b"):

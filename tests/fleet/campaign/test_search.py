@@ -80,5 +80,5 @@ def test_a_search_repeats_itself_and_no_run():
 
 
 def test_a_search_ends_when_all_values_have_been_tried():
-    found = list(search(Formula(lambda y: float(y)), [1], {"y": ParameterRange(1, 4)}, COLLISIONS, 50))
+    found = list(search(Formula(lambda y: float(y)), [1], {"y": ParameterRange(1, 4)}, COLLISIONS, 10))
     assert sorted(each.run.parameters["y"] for each in found) == [1, 2, 3, 4]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import tracemalloc
 import warnings
+from functools import cache
 
 import numpy as np
 import pytest
@@ -224,8 +225,9 @@ def test_a_header_of_another_kind_of_lengths_is_seen(small_mcap):
 # --- false statements ------------------------------------------------------------------------------------
 
 
+@cache
 def bomb(size, *, announced):
-    """So many zeros, compressed; whether their number is announced."""
+    """Return so many zeros, compressed; whether their number is announced."""
     packer = zstandard.ZstdCompressor(write_content_size=announced).compressobj(size if announced else -1)
     piece = bytes(1 << 20)
     parts = [packer.compress(piece) for _ in range(size >> 20)]

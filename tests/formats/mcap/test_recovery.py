@@ -13,7 +13,7 @@ from carla_recap.formats.mcap.index import read_summary
 from carla_recap.formats.mcap.recovery import recover_summary
 from carla_recap.formats.sources import LocalSource
 from tests import strategies
-from tests.formats.mcap.forge import MAGIC, Forge, chunk_places, data_records, packed, seal
+from tests.formats.mcap.forge import MAGIC, Forge, chunk_places, data_records, message, packed, seal
 from tests.samples import save
 from tests.waiting import time_limit
 
@@ -193,8 +193,7 @@ def test_small_false_heads_are_found_in_one_window(tmp_path):
 def test_bombs_cost_little(driven):
     parts = data_records(driven)
     count = sum(isinstance(part, records.Chunk) for part in parts)
-    message = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
-    bombs = [seal(bytes(64 << 20))] * 20 + [seal(message * ((64 << 20) // len(message)))] * 20
+    bombs = [seal(bytes(64 << 20))] * 20 + [seal(messages((64 << 20) // len(messages(1))))] * 20
     Forge([*parts, *bombs]).write(driven)
     with time_limit():
         summary, damage = recovered(driven)
@@ -219,7 +218,7 @@ MIB = 1 << 20
 
 def messages(count: int, size: int = 0) -> bytes:
     """Some messages of a channel, each with some bytes of data."""
-    return (struct.pack("<BQHIQQ", 5, 22 + size, 1, 0, 0, 0) + bytes(size)) * count
+    return message(1, 0, 0, bytes(size)) * count
 
 
 def other_record(opcode: int, content: bytes) -> bytes:

@@ -11,17 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from carla_recap.formats.mcap.runs import message_runs
+from tests.formats.mcap.forge import message
 
 FRAME, DATA = 1, 2
 Row = tuple[int, int, bytes]  # channel, sequence, data
 
 
-def message(channel: int, sequence: int, data: bytes) -> bytes:
-    return struct.pack("<BQHIQQ", 5, 22 + len(data), channel, sequence, sequence * 10, 0) + data
-
-
 def chunk(rows: list[Row], between: bytes = b"") -> bytes:
-    return between.join(message(*row) for row in rows)
+    return between.join(message(channel, sequence, sequence * 10, data) for channel, sequence, data in rows)
 
 
 def frames(data: bytes) -> list[list[Row]]:

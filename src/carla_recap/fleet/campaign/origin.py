@@ -1,4 +1,4 @@
-"""What the recordings of a campaign are made with, which they keep, and whether one was made with something else."""
+"""What recordings of a campaign are made with, which is written into them, and whether one was made with something else."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def made_with(campaign: Campaign) -> dict[str, str]:
 
 
 def difference(parameters: Mapping[str, str], expected: Mapping[str, str]) -> str | None:
-    """Return in what a recording was made otherwise than expected, as the line of an error; None if in nothing.
+    """Return what a recording was made with other than what is expected, as the line of an error; None if nothing differs.
 
     Args:
         parameters: The parameters of its header.

@@ -25,7 +25,7 @@ MOST: Final = 100_000
 """The most runs of a campaign."""
 
 SEED: Final = "seed"
-_RESERVED: Final = (SEED, "world", "host", "port", "checksum")  # what scripts and files have under these names is another
+_RESERVED: Final = (SEED, "world", "host", "port", "checksum")  # names that scripts and files use for something else
 _LONGEST_NAME: Final = 100  # characters of a parameter
 _LONGEST_VALUE: Final = 10_000
 _LONGEST_FILE: Final = 160  # characters of the name of a file, behind which a hash stands for the rest
@@ -180,7 +180,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def planned(seeds: Sequence[int], parameters: Mapping[str, Sequence[Value]], out: str) -> Iterator[CampaignRun]:
-    """Yield all combinations of seeds and values, the seeds in turn the fastest.
+    """Yield all combinations of seeds and values; the seeds vary fastest.
 
     Args:
         seeds: The seeds.

@@ -51,7 +51,7 @@ class RunReport:
         frames: The number of frames of the recording.
         duration: Its duration, in s.
         results: What was measured in the recording, by name.
-        other_origin: In what the recording that is there was made otherwise; None if in nothing.
+        other_origin: What the recording that is there was made with instead, in one line; None if nothing differs.
     """
 
     error: str | None = None
@@ -79,7 +79,7 @@ class Simulation:
         maps: The folder of maps.
         duration: The simulated time in s up to which a world ticks on when the function has returned.
         additional_data: Record velocities, boxes and physics, too.
-        made_with: What the recordings are made with, by name; they keep it beside the seed and the parameters.
+        made_with: What the recordings are made with, by name; it is written into them beside the seed and the parameters.
         again: Make a recording anew that was made with something else.
     """
 
@@ -125,7 +125,7 @@ class Simulation:
             return self._measured(recording, run, report, began)
 
     def other_origin(self, run: CampaignRun) -> str | None:
-        """Return in what the recording of a run was made otherwise; None if in nothing, or if it cannot be read."""
+        """Return what the recording of a run was made with instead; None if nothing differs, or if it cannot be read."""
         with suppress(RecapError, OSError), open_recording(run.address) as recording:
             return difference(recording.header.parameters, self.made_with)
         return None
