@@ -12,6 +12,7 @@ from carla_recap.sim.traffic.autopilot.drivers import DrivenVehicles, Drivers
 from carla_recap.sim.traffic.autopilot.junctions import JunctionControl, QueueEnds
 from carla_recap.sim.traffic.autopilot.perception import ObstacleTracker, perceive
 from carla_recap.sim.traffic.autopilot.routes import (
+    AutopilotState,
     LaneNetwork,
     Routes,
     lane_changes,
@@ -64,8 +65,7 @@ class Autopilot:
         Args:
             delta: The time until the next step, in s.
         """
-        elapsed, drivers, routes, network = self._clock.elapsed, self._drivers, self._routes, self._network
-        vehicles = self._registry.vehicles
+        elapsed, drivers, vehicles = self._clock.elapsed, self._drivers, self._registry.vehicles
         rows = np.flatnonzero(self._driven())
         if not np.array_equal(vehicles.id[rows], drivers.id):
             self._change_drivers(rows)
@@ -73,12 +73,13 @@ class Autopilot:
             return
         cars = DrivenVehicles.of(vehicles, rows)
         self._update_routes(cars, delta)
+        state = AutopilotState(cars, drivers, self._routes, self._network, vehicles)
         if self._desired is None or elapsed + delta / 2 >= self._decided + _DECISION_INTERVAL:
-            perception = self._decide(cars)
-            self._desired, self._decided = desired_acceleration(cars, perception, drivers, routes, network), elapsed
-            set_lights(cars, drivers, routes, network, vehicles)
-        set_pedals(cars, drivers, vehicles, self._desired, delta)
-        set_steering(cars, drivers, routes, network, vehicles)
+            perception = self._decide(state)
+            self._desired, self._decided = desired_acceleration(state, perception), elapsed
+            set_lights(state)
+        set_pedals(state, self._desired, delta)
+        set_steering(state)
 
     def _driven(self) -> Booleans:
         vehicles = self._registry.vehicles
@@ -154,20 +155,19 @@ class Autopilot:
         for row in np.flatnonzero(np.where(drivers.off_road, searching, stray)).tolist():
             self._start(cars, row)
 
-    def _decide(self, cars: DrivenVehicles) -> Perception:
+    def _decide(self, state: AutopilotState) -> Perception:
         """Decide which vehicles pass their stop lines, and which change lanes; return what the drivers perceive."""
-        registry, drivers, routes, network = self._registry, self._drivers, self._routes, self._network
+        cars, drivers, signals = state.cars, state.drivers, self._registry.signals
         driven = self._driven()
         self._decisions += 1
-        perception = perceive(cars, drivers, routes, network, self._tracker.obstacles(driven))
+        perception = perceive(state, self._tracker.obstacles(driven))
         states = np.full(len(self._town.signals) + 1, GREEN)
-        states[registry.signals.signal] = registry.signals.state
+        states[signals.signal] = signals.state
         braking = drivers.desired_gap(cars.speed, cars.speed)
         queues = self._queue_ends(cars, driven)
         self._junctions.decide(self._clock.elapsed, states, cars.speed, perception, braking, queues)
         leader = perception.free_distance, perception.leader_speed
-        changes = lane_changes(cars, leader, drivers, routes, network, registry.vehicles, self._decisions)
-        for row, lane in list(changes):
+        for row, lane in list(lane_changes(state, leader, self._decisions)):
             self._change_lane(cars, row, lane)
         return perception
 

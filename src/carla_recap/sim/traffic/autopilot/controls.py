@@ -11,10 +11,9 @@ from carla_recap.sim.traffic.autopilot.drivers import EMERGENCY_BRAKING, STANDIN
 from carla_recap.sim.traffic.autopilot.routes import CURVE_BRAKING, shift_poses, transition_progress
 
 if TYPE_CHECKING:
-    from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.sim.traffic.autopilot.drivers import DrivenVehicles, Drivers
     from carla_recap.sim.traffic.autopilot.perception import Perception
-    from carla_recap.sim.traffic.autopilot.routes import LaneNetwork, Routes
+    from carla_recap.sim.traffic.autopilot.routes import AutopilotState
     from carla_recap.util.arrays import Floats
 
 
@@ -42,16 +41,15 @@ _OVERSHOOT: Final = -0.5  # m: vehicles farther beyond their stop line brake as 
 _OFF_ROAD_BRAKING: Final = -3.0  # m/s²: the braking of vehicles that have no lane
 
 
-def set_pedals(cars: DrivenVehicles, drivers: Drivers, vehicles: Vehicles, desired: Floats, delta: float) -> None:
+def set_pedals(state: AutopilotState, desired: Floats, delta: float) -> None:
     """Set throttle and brake, and count how long vehicles have been standing.
 
     Args:
-        cars: The driven vehicles.
-        drivers: Their drivers.
-        vehicles: All vehicles.
+        state: The driven vehicles.
         desired: The desired accelerations in m/s².
         delta: The time since the previous call, in s.
     """
+    cars, drivers, vehicles = state.cars, state.drivers, state.vehicles
     least = drivers.acceleration - _BRAKE_JERK * delta
     most = np.maximum(drivers.acceleration, _RELEASE) + _JERK * delta
     drivers.acceleration = np.minimum(np.maximum(desired, least), most)
@@ -66,8 +64,9 @@ def set_pedals(cars: DrivenVehicles, drivers: Drivers, vehicles: Vehicles, desir
         flag[cars.rows] = False
 
 
-def set_steering(cars: DrivenVehicles, drivers: Drivers, routes: Routes, network: LaneNetwork, vehicles: Vehicles) -> None:
+def set_steering(state: AutopilotState) -> None:
     """Steer the driven vehicles along their routes."""
+    cars, drivers, routes, network, vehicles = state
     front = cars.wheelbase / 2
     ahead = np.stack((front, front + _PREVIEW * cars.speed), axis=1)
     points = network.points(*routes.locate(ahead))
@@ -107,8 +106,9 @@ def wrap_angle(angle: Floats) -> Floats:
     return wrapped
 
 
-def set_lights(cars: DrivenVehicles, drivers: Drivers, routes: Routes, network: LaneNetwork, vehicles: Vehicles) -> None:
+def set_lights(state: AutopilotState) -> None:
     """Switch brake lights and blinkers; other lights stay as they are."""
+    cars, drivers, routes, network, vehicles = state
     turns = network.turn[routes.lanes[:, : routes.known]]
     near = (turns != 0) & (routes.starts[:, : routes.known] < (routes.position + cars.half_length + _INDICATION)[:, None])
     side = np.where(near.any(axis=1), turns[np.arange(len(turns)), near.argmax(axis=1)], 0)
@@ -118,11 +118,10 @@ def set_lights(cars: DrivenVehicles, drivers: Drivers, routes: Routes, network: 
     vehicles.light_state[cars.rows] = (vehicles.light_state[cars.rows] & ~_OWN_LIGHTS) | lights.astype(np.uint32)
 
 
-def desired_acceleration(
-    cars: DrivenVehicles, perception: Perception, drivers: Drivers, routes: Routes, network: LaneNetwork
-) -> Floats:
+def desired_acceleration(state: AutopilotState, perception: Perception) -> Floats:
     """Return the acceleration that every driver desires, in m/s²."""
-    desired_speed = _desired_speed(cars, drivers, routes, network)
+    cars, drivers, routes = state.cars, state.drivers, state.routes
+    desired_speed = _desired_speed(state)
     desired = np.minimum(_free_acceleration(cars.speed, desired_speed, drivers), perception.acceleration_limit)
     stop = np.minimum(
         np.where(drivers.has_reservation, np.inf, drivers.stop_line), np.where(routes.dead_end, routes.ends, np.inf)
@@ -140,8 +139,9 @@ def _free_acceleration(speed: Floats, desired_speed: Floats, drivers: Drivers) -
     return np.where(ratio <= 1, accelerating, np.maximum(_SPEED_GAIN * (desired_speed - speed), _SLOWING))
 
 
-def _desired_speed(cars: DrivenVehicles, drivers: Drivers, routes: Routes, network: LaneNetwork) -> Floats:
+def _desired_speed(state: AutopilotState) -> Floats:
     """Return the speed that limits and curves allow, here and for what lies ahead, in m/s."""
+    cars, drivers, routes, network, _ = state
     soon = _FORESIGHT * cars.speed
     lanes = routes.lanes[:, : routes.known]
     limit = network.limit[lanes] * drivers.speed_factor[:, None]

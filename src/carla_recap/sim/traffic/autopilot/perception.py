@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.sim.physics.walkers import Walkers
     from carla_recap.sim.traffic.autopilot.drivers import DrivenVehicles, Drivers
-    from carla_recap.sim.traffic.autopilot.routes import LaneNetwork, Routes
+    from carla_recap.sim.traffic.autopilot.routes import AutopilotState
     from carla_recap.util.arrays import Booleans, Floats, Integers
 
 
@@ -172,18 +172,14 @@ class Perception(NamedTuple):
     acceleration_limit: Floats
 
 
-def perceive(
-    cars: DrivenVehicles, drivers: Drivers, routes: Routes, network: LaneNetwork, obstacles: Obstacles
-) -> Perception:
+def perceive(state: AutopilotState, obstacles: Obstacles) -> Perception:
     """Find the obstacles on the paths of the driven vehicles, and what they mean for their drivers.
 
     Args:
-        cars: The driven vehicles.
-        drivers: Their drivers.
-        routes: Their routes.
-        network: The lanes.
+        state: The driven vehicles.
         obstacles: All obstacles, the vehicles first.
     """
+    cars, drivers, routes, network, _ = state
     horizon = np.minimum(_NEAREST + _FORESIGHT * drivers.desired_gap(cars.speed, cars.speed), _FARTHEST)
     distance = (cars.half_length - _BUMPER)[:, None] + horizon[:, None] * np.linspace(0, 1, _SAMPLES) ** _DENSER_NEARBY
     index, share = network.points(*routes.locate(distance))

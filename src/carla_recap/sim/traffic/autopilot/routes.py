@@ -7,7 +7,7 @@ and ends on the centre and along it, without curvature at either end.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -325,29 +325,36 @@ def shift_poses(
     return poses
 
 
-def lane_changes(
-    cars: DrivenVehicles,
-    leader: tuple[Floats, Floats],
-    drivers: Drivers,
-    routes: Routes,
-    network: LaneNetwork,
-    vehicles: Vehicles,
-    decision: int,
-) -> Iterator[tuple[int, int]]:
-    """Find the vehicles that change lanes now, to overtake.
+class AutopilotState(NamedTuple):
+    """The vehicles that the autopilot drives, with their drivers and routes.
 
-    Args:
-        cars: The driven vehicles.
-        leader: The distances to the nearest obstacles on their paths in m, and the speeds of these in m/s.
+    Attributes:
+        cars: The driven vehicles at the beginning of a step, in the order of their drivers.
         drivers: The drivers.
         routes: Their routes.
         network: The lanes.
         vehicles: All vehicles.
+    """
+
+    cars: DrivenVehicles
+    drivers: Drivers
+    routes: Routes
+    network: LaneNetwork
+    vehicles: Vehicles
+
+
+def lane_changes(state: AutopilotState, leader: tuple[Floats, Floats], decision: int) -> Iterator[tuple[int, int]]:
+    """Find the vehicles that change lanes now, to overtake.
+
+    Args:
+        state: The driven vehicles.
+        leader: The distances to the nearest obstacles on their paths in m, and the speeds of these in m/s.
         decision: The number of the decision; at each, another part of the drivers considers it.
 
     Yields:
         The row of a driver, and the lane to change to.
     """
+    cars, drivers, routes, network, vehicles = state
     lane = routes.lanes[:, 0]
     left, right = network.left[lane], network.right[lane]
     able: Booleans = (np.arange(len(lane)) + decision) % _TURNS == 0
