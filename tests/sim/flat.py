@@ -1,17 +1,21 @@
-"""A plain with a straight road along x, 8 km long, for tests that need room and nothing else."""
+"""A plain with a straight road along x, 8 km long, for tests that need room and nothing else; cars and walkers there."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.geometry import Location, Rotation, Transform
 from carla_recap.sim.town.junctions import Junction, Signal, SignalKind
 from carla_recap.sim.town.lanes import Lane
 from carla_recap.sim.town.loading import Town
 from carla_recap.sim.town.sidewalks import WalkwayGraph
 from carla_recap.sim.world import World
+
+if TYPE_CHECKING:
+    from carla_recap.sim.actors.actor import Collision
 
 LENGTH = 8000.0
 
@@ -72,3 +76,29 @@ def flat_world(**town: Any) -> World:
 
 def at(x: float, y: float = 0.0, yaw: float = 0.0, z: float = 0.0) -> Transform:
     return Transform(Location(x, y, z), Rotation(yaw=yaw))
+
+
+def spawn_car(
+    world: World, place: Transform, name: str = "vehicle.tesla.model3", *, speed: float = 0.0, **attributes: str
+) -> Vehicle:
+    """Spawn a vehicle that drives ahead at a speed in m/s."""
+    actor = world.spawn(name, place, **attributes)
+    assert isinstance(actor, Vehicle)
+    if speed:
+        actor.set_target_velocity(place.forward() * speed)
+    return actor
+
+
+def spawn_walker(world: World, place: Transform, name: str = "walker.pedestrian.0001") -> Walker:
+    actor = world.spawn(name, place)
+    assert isinstance(actor, Walker)
+    return actor
+
+
+def collisions(world: World, seconds: float) -> list[Collision]:
+    """Run a world for some seconds, and return the collisions."""
+    found = []
+    for _ in range(round(seconds / 0.05)):
+        world.tick()
+        found += world.events.collisions
+    return found

@@ -1,4 +1,4 @@
-"""Small towns out of straight lanes and arcs, for tests of who drives there."""
+"""Small towns out of straight lanes and arcs, for tests of vehicles that drive there."""
 
 from __future__ import annotations
 

@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
     from carla_recap import Differences
 
-SECONDS = 8
+SECONDS = 5
 
 
 def run(path: Path, seed: int) -> Path:
     """Record traffic."""
     with World(seed=seed) as world:
         populate(world, vehicles=12, walkers=6)
-        world.start_recorder(str(path))
+        world.recorder.start(path, in_process=True)
         world.run(SECONDS)
     return path
 

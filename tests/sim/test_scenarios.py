@@ -8,10 +8,10 @@ from itertools import pairwise
 import pytest
 
 import carla_recap
+from carla_recap.scene.lamps import LEFT_BLINKER, RIGHT_BLINKER
 from carla_recap.sim import Location, World, load_town
 from carla_recap.sim.errors import SimError, SpawnError
 from carla_recap.sim.scenarios import BREAKDOWN, START, Blockage, Crash, largest_junction, straight_section
-from carla_recap.sim.traffic.autopilot.controls import LEFT_BLINKER, RIGHT_BLINKER
 from tests.roads.towns import town as map_of
 from tests.sim.flat import flat_town
 
@@ -33,7 +33,7 @@ def crash(town, tmp_path_factory):
     seen = []
     with World(town, date=0) as world:
         actors = Crash(world).actors
-        world.start_recorder(paths[0], additional_data=True)
+        world.recorder.start(paths[0], additional_data=True, in_process=True)
         for frame in range(1, 1001):
             world.tick()
             seen += [(frame, hit.actor1, hit.actor2, hit.hero1, hit.hero2) for hit in world.events.collisions]

@@ -10,15 +10,14 @@ import pytest
 
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, VehicleControl, Walker
 from carla_recap.sim.geometry import Location, Transform, Vector
-from tests.sim.flat import at, flat_world
+from tests.sim.flat import at, flat_world, spawn_car
 
 if TYPE_CHECKING:
     from carla_recap.sim.world import World
 
 
 def truck(world: World, x: float = 0.0) -> Vehicle:
-    actor = world.spawn("vehicle.carlamotors.firetruck", at(x))
-    assert isinstance(actor, Vehicle)
+    actor = spawn_car(world, at(x), "vehicle.carlamotors.firetruck")
     actor.apply_control(VehicleControl(throttle=0.8, steer=0.1))
     return actor
 

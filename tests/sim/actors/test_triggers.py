@@ -8,18 +8,12 @@ import pytest
 
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Vector
-from tests.sim.flat import at, flat_world
+from tests.sim.flat import at, flat_world, spawn_car
 
 if TYPE_CHECKING:
     from carla_recap.sim.world import World
 
 TRIGGER = "static.trigger.friction"
-
-
-def car(world: World, x: float = 0.0, y: float = 0.0) -> Vehicle:
-    vehicle = world.spawn("vehicle.tesla.model3", at(x, y))
-    assert isinstance(vehicle, Vehicle)
-    return vehicle
 
 
 def frictions(vehicle: Vehicle) -> list[float]:
@@ -33,7 +27,7 @@ def trigger(world: World, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, fric
 
 def test_friction_is_set_inside_and_restored_outside() -> None:
     world = flat_world()
-    vehicle = car(world)
+    vehicle = spawn_car(world, at(0.0))
     control = vehicle.physics_control
     for wheel, friction in zip(control.wheels, (1.0, 2.0, 3.0, 4.0), strict=True):
         wheel.tire_friction = friction
@@ -66,8 +60,7 @@ def test_friction_is_set_inside_and_restored_outside() -> None:
 )
 def test_the_box_has_a_place_a_rotation_and_a_height(x: float, y: float, z: float, yaw: float, is_inside: bool) -> None:
     world = flat_world()
-    vehicle = world.spawn("vehicle.tesla.model3", at(x, y, yaw, z=z))
-    assert isinstance(vehicle, Vehicle)
+    vehicle = spawn_car(world, at(x, y, yaw, z=z))
     vehicle.set_simulate_physics(False)
     trigger(world)
     world.tick()
@@ -76,7 +69,7 @@ def test_the_box_has_a_place_a_rotation_and_a_height(x: float, y: float, z: floa
 
 def test_a_trigger_that_is_turned_has_its_axes() -> None:
     world = flat_world()
-    beside, ahead = car(world, 0.0, 9.0), car(world, 9.0)
+    beside, ahead = spawn_car(world, at(0.0, 9.0)), spawn_car(world, at(9.0))
     trigger(world, yaw=90.0)
     world.tick()
     assert (frictions(beside)[0], frictions(ahead)[0]) == (0.5, 3.5)
@@ -86,7 +79,7 @@ def test_vehicles_brake_worse_where_it_is_slippery() -> None:
     distances = []
     for friction in ("0.35", "3.5"):
         world = flat_world()
-        vehicle = car(world)
+        vehicle = spawn_car(world, at(0.0))
         trigger(world, friction=friction, extent_x="50000")
         vehicle.set_target_velocity(Vector(15.0))
         vehicle.apply_control(VehicleControl(brake=1.0))
@@ -97,7 +90,7 @@ def test_vehicles_brake_worse_where_it_is_slippery() -> None:
 
 def test_a_destroyed_trigger_restores_the_friction() -> None:
     world = flat_world()
-    vehicle, gone = car(world), car(world, 8.0)
+    vehicle, gone = spawn_car(world, at(0.0)), spawn_car(world, at(8.0))
     area = world.spawn(TRIGGER, at(0.0), friction="1.5", extent_x="1000", extent_y="1000", extent_z="1000")
     world.tick()
     gone.destroy()
@@ -111,7 +104,7 @@ def test_a_destroyed_trigger_restores_the_friction() -> None:
 @pytest.mark.parametrize(("text", "friction"), [("1.25f", 1.25), ("0", 0.0), ("much", 3.5), ("-1", 3.5), ("nan", 3.5)])
 def test_friction_is_read_as_carla_writes_it(text: str, friction: float) -> None:
     world = flat_world()
-    vehicle = car(world)
+    vehicle = spawn_car(world, at(0.0))
     trigger(world, friction=text)
     world.tick()
     assert frictions(vehicle) == [friction] * 4
@@ -119,7 +112,7 @@ def test_friction_is_read_as_carla_writes_it(text: str, friction: float) -> None
 
 def test_nested_triggers_restore_the_friction_in_any_order() -> None:
     world = flat_world()
-    vehicle = car(world)
+    vehicle = spawn_car(world, at(0.0))
     before = frictions(vehicle)
     trigger(world, friction="0.5")
     world.tick()

@@ -1,4 +1,4 @@
-"""Who hits whom, with how much, and what comes of it."""
+"""Collisions: which actors, the impulses, and the motion afterwards."""
 
 from __future__ import annotations
 
@@ -9,40 +9,18 @@ import numpy as np
 import pytest
 
 from carla_recap import open_recording
-from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl, WalkerControl
 from carla_recap.sim.geometry import Vector
-from tests.sim.flat import at, flat_world, light
+from tests.sim.flat import at, collisions, flat_world, light, spawn_car, spawn_walker
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from carla_recap.sim.actors.actor import Collision
-    from carla_recap.sim.world import World
 
-
-def car(world: World, x: float, speed: float = 0.0, **place: float) -> Vehicle:
-    return fast("vehicle.tesla.model3", world, x, speed, **place)
-
-
-def fast(name: str, world: World, x: float, speed: float, *, y: float = 0.0, yaw: float = 0.0, **attributes: str) -> Vehicle:
-    actor = world.spawn(name, at(x, y, yaw=yaw), **attributes)
-    assert isinstance(actor, Vehicle)
-    actor.set_target_velocity(Vector(speed * np.cos(np.radians(yaw)), speed * np.sin(np.radians(yaw))))
-    return actor
-
-
-def collisions(world: World, seconds: float) -> list[Collision]:
-    found = []
-    for _ in range(round(seconds / 0.05)):
-        world.tick()
-        found += world.events.collisions
-    return found
-
-
-def test_a_rear_end_collision_is_told_of_the_hero_and_moves_both() -> None:
+def test_a_rear_end_collision_is_reported_for_the_hero_and_moves_both() -> None:
     world = flat_world()
-    hero = fast("vehicle.tesla.model3", world, 0.0, 15.0, role_name="hero")
-    other = car(world, 10.0)
+    hero = spawn_car(world, at(0.0), speed=15.0, role_name="hero")
+    other = spawn_car(world, at(10.0))
     found = collisions(world, 1.0)
     assert {(c.actor1, c.actor2) for c in found} == {(hero.id, other.id)}
     first = found[0]
@@ -57,8 +35,8 @@ def test_a_rear_end_collision_is_told_of_the_hero_and_moves_both() -> None:
 
 def test_the_impulse_is_the_change_of_momentum() -> None:
     world = flat_world()
-    hero = fast("vehicle.tesla.model3", world, 0.0, 10.0, role_name="hero")
-    car(world, 8.0)
+    hero = spawn_car(world, at(0.0), speed=10.0, role_name="hero")
+    spawn_car(world, at(8.0))
     before = hero.velocity.x
     while not world.events.collisions:
         before = hero.velocity.x
@@ -71,19 +49,19 @@ def test_the_impulse_is_the_change_of_momentum() -> None:
 def test_momentum_is_kept() -> None:
     world = flat_world()
     world.settings.collisions_of = "all"
-    a, b = car(world, 0.0, 12.0), fast("vehicle.carlamotors.firetruck", world, 14.0, 0.0)
+    a, b = spawn_car(world, at(0.0), speed=12.0), spawn_car(world, at(14.0), "vehicle.carlamotors.firetruck")
     while not world.events.collisions:
         before = a.velocity.x
         world.tick()
-    told = {(c.actor1, c.actor2): c.impulse for c in world.events.collisions}
-    assert told[a.id, b.id].x == pytest.approx(-told[b.id, a.id].x)
+    impulses = {(c.actor1, c.actor2): c.impulse for c in world.events.collisions}
+    assert impulses[a.id, b.id].x == pytest.approx(-impulses[b.id, a.id].x)
     assert 0 < b.velocity.x < 3 < before
 
 
-def test_only_heroes_and_those_with_a_sensor_are_told_of() -> None:
+def test_collisions_are_reported_for_heroes_and_actors_with_a_sensor_alone() -> None:
     for sensor in (False, True):
         world = flat_world()
-        one, other = car(world, 0.0, 10.0), car(world, 8.0)
+        one, other = spawn_car(world, at(0.0), speed=10.0), spawn_car(world, at(8.0))
         if sensor:
             world.spawn("sensor.other.collision", at(0.0), parent=one)
             world.spawn("sensor.camera.rgb", at(0.0), parent=other)
@@ -91,10 +69,10 @@ def test_only_heroes_and_those_with_a_sensor_are_told_of() -> None:
         assert {(c.actor1, c.actor2) for c in found} == ({(one.id, other.id)} if sensor else set())
 
 
-def test_of_two_heroes_both_sides_are_told_and_each_pair_once_in_a_tick() -> None:
+def test_a_collision_of_two_heroes_is_reported_for_both_once_in_a_tick() -> None:
     world = flat_world()
-    a = fast("vehicle.audi.tt", world, 0.0, 10.0, role_name="hero")
-    b = fast("vehicle.audi.tt", world, 8.0, 0.0, role_name="hero")
+    a = spawn_car(world, at(0.0), "vehicle.audi.tt", speed=10.0, role_name="hero")
+    b = spawn_car(world, at(8.0), "vehicle.audi.tt", role_name="hero")
     world.settings.max_substep_delta_time = 0.01
     for _ in range(20):
         world.tick()
@@ -109,7 +87,7 @@ def test_of_two_heroes_both_sides_are_told_and_each_pair_once_in_a_tick() -> Non
 
 def test_a_barrier_stops_even_a_fast_car_and_is_no_actor() -> None:
     world = flat_world(barriers=[np.array(((50.0, -30.0, 0.0), (50.0, 30.0, 0.0)))])
-    hero = fast("vehicle.tesla.model3", world, 0.0, 60.0, role_name="hero")
+    hero = spawn_car(world, at(0.0), speed=60.0, role_name="hero")
     found = collisions(world, 2.0)
     assert {(c.actor1, c.actor2) for c in found} == {(hero.id, None)}
     assert hero.transform.location.x < 50
@@ -118,14 +96,14 @@ def test_a_barrier_stops_even_a_fast_car_and_is_no_actor() -> None:
 def test_a_light_pole_is_an_actor() -> None:
     world = flat_world(signals=[light(0, (0,))], phases=((0,),))
     (pole,) = world.traffic_lights
-    hero = fast("vehicle.tesla.model3", world, 80.0, 15.0, y=3.0, role_name="hero")
+    hero = spawn_car(world, at(80.0, 3.0), speed=15.0, role_name="hero")
     found = collisions(world, 2.0)
     assert (found[0].actor1, found[0].actor2) == (hero.id, pole.id)
 
 
 def test_a_light_above_the_road_has_no_pole() -> None:
     world = flat_world(signals=[light(0, (0,), y=0.5)], phases=((0,),))
-    hero = fast("vehicle.tesla.model3", world, 80.0, 15.0, role_name="hero")
+    hero = spawn_car(world, at(80.0), speed=15.0, role_name="hero")
     assert not collisions(world, 2.0)
     assert hero.transform.location.x > 100
 
@@ -133,7 +111,7 @@ def test_a_light_above_the_road_has_no_pole() -> None:
 def test_a_prop_stands_firm() -> None:
     world = flat_world()
     prop = world.spawn("static.prop.container", at(30.0))
-    hero = fast("vehicle.tesla.model3", world, 0.0, 10.0, role_name="hero")
+    hero = spawn_car(world, at(0.0), speed=10.0, role_name="hero")
     assert (hero.id, prop.id) in {(c.actor1, c.actor2) for c in collisions(world, 4.0)}
     assert prop.transform == at(30.0)
     assert hero.transform.location.x < 30
@@ -141,10 +119,9 @@ def test_a_prop_stands_firm() -> None:
 
 def test_a_walker_that_is_hit_falls_and_stays() -> None:
     world = flat_world()
-    walker = world.spawn("walker.pedestrian.0001", at(20.0))
-    assert isinstance(walker, Walker)
+    walker = spawn_walker(world, at(20.0))
     walker.apply_control(WalkerControl(Vector(0.0, 1.0), 0.5))
-    hero = fast("vehicle.tesla.model3", world, 5.0, 10.0, role_name="hero", y=1.0)
+    hero = spawn_car(world, at(5.0, 1.0), speed=10.0, role_name="hero")
     found = collisions(world, 1.5)
     assert {(c.actor1, c.actor2) for c in found} == {(hero.id, walker.id)}
     assert walker.has_fallen
@@ -158,26 +135,25 @@ def test_a_walker_that_is_hit_falls_and_stays() -> None:
 
 def test_a_slow_push_lets_a_walker_stand() -> None:
     world = flat_world()
-    walker = world.spawn("walker.pedestrian.0001", at(20.0))
-    fast("vehicle.tesla.model3", world, 17.0, 1.0)
+    walker = spawn_walker(world, at(20.0))
+    spawn_car(world, at(17.0), speed=1.0)
     world.run(3)
-    assert isinstance(walker, Walker)
     assert not walker.has_fallen
     assert walker.transform.location.x > 20
 
 
-def test_a_crash_turns_who_is_hit_off_centre() -> None:
+def test_a_vehicle_that_is_hit_off_centre_turns() -> None:
     world = flat_world()
-    hit = car(world, 0.0, 0.0, yaw=90.0)
-    fast("vehicle.tesla.model3", world, -15.0, 15.0, y=1.8)
+    hit = spawn_car(world, at(0.0, yaw=90.0))
+    spawn_car(world, at(-15.0, 1.8), speed=15.0)
     world.run(3)
     assert abs(hit.transform.rotation.yaw - 90) > 10
 
 
 def test_after_a_crash_one_drives_on() -> None:
     world = flat_world()
-    hero = fast("vehicle.tesla.model3", world, 0.0, 5.0, role_name="hero")
-    other = car(world, 8.0)
+    hero = spawn_car(world, at(0.0), speed=5.0, role_name="hero")
+    other = spawn_car(world, at(8.0))
     world.run(5)
     world.destroy(other)
     hero.apply_control(VehicleControl(throttle=0.5))
@@ -186,10 +162,10 @@ def test_after_a_crash_one_drives_on() -> None:
     assert hero.transform.location.x > before + 8
 
 
-def test_who_does_not_collide_passes_through() -> None:
+def test_a_vehicle_without_collisions_is_passed_through() -> None:
     world = flat_world()
-    hero = fast("vehicle.tesla.model3", world, 0.0, 10.0, role_name="hero")
-    ghost = car(world, 8.0)
+    hero = spawn_car(world, at(0.0), speed=10.0, role_name="hero")
+    ghost = spawn_car(world, at(8.0))
     ghost.set_collisions(False)
     assert not collisions(world, 1.5)
     assert hero.transform.location.x > 12
@@ -198,9 +174,9 @@ def test_who_does_not_collide_passes_through() -> None:
 
 def test_a_parked_car_that_is_hit_wakes_up() -> None:
     world = flat_world()
-    parked = car(world, 40.0)
+    parked = spawn_car(world, at(40.0))
     world.run(3)
-    fast("vehicle.tesla.model3", world, 20.0, 12.0)
+    spawn_car(world, at(20.0), speed=12.0)
     world.run(2.5)
     assert hypot(parked.velocity.x, parked.velocity.y) > 1
     assert parked.transform.location.x > 40
@@ -214,7 +190,7 @@ def test_a_car_whose_physics_is_switched_off_stays_where_its_body_is() -> None:
     for car in cars:
         assert isinstance(car, Vehicle)
         car.set_simulate_physics(False)
-    fast("vehicle.tesla.model3", world, 100.0, 12.0)
+    spawn_car(world, at(100.0), speed=12.0)
     world.run(0.5)
     for position, body in zip(world.vehicles.position, world.vehicles.bodies, strict=True):
         assert body.position == pytest.approx(tuple(position[:2]), abs=1e-6)
@@ -223,10 +199,9 @@ def test_a_car_whose_physics_is_switched_off_stays_where_its_body_is() -> None:
 @pytest.mark.parametrize(("yaw", "pitch"), [(0.0, -90.0), (180.0, 90.0)])
 def test_a_walker_that_is_hit_lies_on_its_face_or_on_its_back(yaw: float, pitch: float) -> None:
     world = flat_world()
-    walker = world.spawn("walker.pedestrian.0001", at(20.0, z=0.9, yaw=yaw))
-    car(world, 5.0, 10.0)
+    walker = spawn_walker(world, at(20.0, z=0.9, yaw=yaw))
+    spawn_car(world, at(5.0), speed=10.0)
     world.run(3.0)
-    assert isinstance(walker, Walker)
     assert walker.has_fallen
     assert walker.transform.rotation.pitch == pitch
     assert walker.transform.rotation.yaw == pytest.approx(yaw)
@@ -237,11 +212,11 @@ def test_a_walker_that_is_hit_lies_on_its_face_or_on_its_back(yaw: float, pitch:
 
 def test_a_walker_that_lies_is_recorded_as_lying_and_not_blocked(tmp_path: Path) -> None:
     world = flat_world()
-    walker = world.spawn("walker.pedestrian.0001", at(20.0, z=0.9))
-    car(world, 5.0, 10.0)
+    walker = spawn_walker(world, at(20.0, z=0.9))
+    spawn_car(world, at(5.0), speed=10.0)
     for suffix in (".mcap", ".log"):
-        path = world.start_recorder(tmp_path / f"hit{suffix}")
-        world.run(50.0)
+        path = world.recorder.start(tmp_path / f"hit{suffix}", in_process=True)
+        world.run(35.0)
         world.stop_recorder()
         with open_recording(path) as recording:
             assert walker.id not in {row.id for row in recording.blocked(30.0)}

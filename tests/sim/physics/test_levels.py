@@ -4,24 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from carla_recap.sim.actors.actor import Prop
-from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker
+from carla_recap.sim.actors.moving import VehicleControl, Walker
 from carla_recap.sim.errors import SpawnError
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.town.junctions import Signal, SignalKind
 from carla_recap.sim.town.loading import Town, load_town
 from carla_recap.sim.world import World
-from tests.sim.flat import at, flat_world
+from tests.sim.flat import at, collisions, flat_world, spawn_car
 from tests.sim.two_levels import BRIDGE, two_levels
-
-if TYPE_CHECKING:
-    from carla_recap.sim.actors.actor import Collision
-    from carla_recap.sim.geometry import Transform
 
 
 @pytest.fixture(scope="module")
@@ -29,30 +24,13 @@ def town(tmp_path_factory: pytest.TempPathFactory) -> Town:
     return load_town(two_levels(tmp_path_factory.mktemp("maps")))
 
 
-def car(world: World, place: Transform, speed: float = 0.0, **attributes: str) -> Vehicle:
-    actor = world.spawn("vehicle.tesla.model3", place, **attributes)
-    assert isinstance(actor, Vehicle)
-    if speed:
-        forward = place.forward()
-        actor.set_target_velocity(Vector(speed * forward.x, speed * forward.y))
-    return actor
-
-
-def run(world: World, seconds: float) -> list[Collision]:
-    found = []
-    for _ in range(round(seconds / 0.05)):
-        world.tick()
-        found += world.events.collisions
-    return found
-
-
 @pytest.mark.parametrize("depth", [-500.0, -50.0, 105.0])
 def test_a_parked_car_far_below_or_above_the_road_stops_no_car(depth: float) -> None:
     world = flat_world()
-    parked = car(world, at(40.0, z=depth))
+    parked = spawn_car(world, at(40.0, z=depth))
     parked.set_simulate_physics(False)
-    hero = car(world, at(20.0), 15.0, role_name="hero")
-    assert not run(world, 3.0)
+    hero = spawn_car(world, at(20.0), speed=15.0, role_name="hero")
+    assert not collisions(world, 3.0)
     assert hero.transform.location.x > 55
     assert parked.transform == at(40.0, z=depth)
 
@@ -60,18 +38,18 @@ def test_a_parked_car_far_below_or_above_the_road_stops_no_car(depth: float) -> 
 @pytest.mark.parametrize("name", ["vehicle.tesla.model3", "walker.pedestrian.0001", "static.prop.container"])
 def test_an_actor_can_be_spawned_and_hidden_below_a_car(name: str) -> None:
     world = flat_world()
-    hero = car(world, at(20.0), role_name="hero")
+    hero = spawn_car(world, at(20.0), role_name="hero")
     with pytest.raises(SpawnError):
         world.spawn(name, at(20.0, z=0.5))
     hidden = world.spawn(name, at(20.0, z=-50.0))
-    assert not run(world, 0.5)
+    assert not collisions(world, 0.5)
     assert hidden.transform.location.z == -50
     assert hero.transform.location.x == pytest.approx(20.0)
 
 
 def test_an_actor_far_above_the_road_falls_on_it() -> None:
     world = flat_world()
-    high = car(world, at(40.0, z=100.0))
+    high = spawn_car(world, at(40.0, z=100.0))
     world.run(1.0)
     assert high.transform.location.z == pytest.approx(100 - 9.81 / 2, abs=0.5)
     assert high.velocity.z == pytest.approx(-9.81, abs=0.5)
@@ -82,13 +60,13 @@ def test_an_actor_far_above_the_road_falls_on_it() -> None:
 
 def test_a_car_hidden_by_teleport_and_brought_back_collides_again() -> None:
     world = flat_world()
-    other = car(world, at(30.0))
+    other = spawn_car(world, at(30.0))
     world.run(1.0)
     other.transform = at(30.0, z=-200.0)
-    hero = car(world, at(10.0), 10.0, role_name="hero")
-    assert not run(world, 3.0)
+    hero = spawn_car(world, at(10.0), speed=10.0, role_name="hero")
+    assert not collisions(world, 3.0)
     other.transform = at(hero.transform.location.x + 8)
-    assert run(world, 3.0)
+    assert collisions(world, 3.0)
 
 
 def test_props_stack() -> None:
@@ -103,18 +81,18 @@ def test_cars_pass_over_debris_and_not_over_a_cone() -> None:
     world = flat_world()
     debris = world.spawn("static.prop.dirtdebris01", at(30.0))
     assert debris.box.extent.z < 0.1
-    hero = car(world, at(10.0), 10.0, role_name="hero")
-    assert not run(world, 3.0)
+    hero = spawn_car(world, at(10.0), speed=10.0, role_name="hero")
+    assert not collisions(world, 3.0)
     world.spawn("static.prop.constructioncone", at(hero.transform.location.x + 10))
     hero.set_target_velocity(Vector(10.0))
-    assert run(world, 3.0)
+    assert collisions(world, 3.0)
 
 
 def test_the_autopilot_ignores_what_is_hidden_below_the_road_and_what_is_flat() -> None:
     world = flat_world()
     world.spawn("static.prop.dirtdebris01", at(60.0))
-    car(world, at(80.0, z=-50.0)).set_simulate_physics(False)
-    driven = car(world, at(20.0))
+    spawn_car(world, at(80.0, z=-50.0)).set_simulate_physics(False)
+    driven = spawn_car(world, at(20.0))
     driven.set_autopilot()
     world.run(15.0)
     assert driven.transform.location.x > 100
@@ -128,32 +106,32 @@ def test_the_height_of_the_road_is_that_of_the_level(town: Town) -> None:
 def test_a_bridge_has_room_for_a_car_above_another(town: Town) -> None:
     world = World(town, seed=1, date=0)
     world.settings.collisions_of = "all"
-    lower, upper = car(world, at(0.0, 1.75, z=0.3)), car(world, at(0.0, 1.75, 90.0, z=BRIDGE + 0.3))
-    assert not run(world, 1.0)
+    lower, upper = spawn_car(world, at(0.0, 1.75, z=0.3)), spawn_car(world, at(0.0, 1.75, 90.0, z=BRIDGE + 0.3))
+    assert not collisions(world, 1.0)
     assert lower.transform.location.z == pytest.approx(0.0, abs=0.05)
     assert upper.transform.location.z == pytest.approx(BRIDGE, abs=0.05)
     with pytest.raises(SpawnError, match=repr(upper).replace("(", r"\(").replace(")", r"\)")):
-        car(world, at(0.0, 1.75, z=BRIDGE + 0.5))
+        spawn_car(world, at(0.0, 1.75, z=BRIDGE + 0.5))
 
 
 def test_a_car_passes_below_a_queue_on_the_bridge(town: Town) -> None:
     world = World(town, seed=1, date=0)
     for y in (-7.0, 0.0, 7.0):
-        car(world, at(-1.75, y, 90.0, z=BRIDGE))
-    driven = car(world, at(-40.0, 1.75), role_name="hero")
+        spawn_car(world, at(-1.75, y, 90.0, z=BRIDGE))
+    driven = spawn_car(world, at(-40.0, 1.75), role_name="hero")
     driven.set_autopilot()
-    assert not run(world, 12.0)
+    assert not collisions(world, 12.0)
     assert driven.transform.location.x > 20
 
 
 def test_traffic_on_two_levels_stays_level_and_apart(town: Town) -> None:
     world = World(town, seed=3, date=0)
     world.settings.collisions_of = "all"
-    cars = [car(world, place) for place in town.spawn_points[::4]]
+    cars = [spawn_car(world, place) for place in town.spawn_points[::4]]
     for vehicle in cars:
         vehicle.set_autopilot()
     crossings = 0
-    for _ in range(1200):
+    for _ in range(800):
         world.tick()
         fleet = world.vehicles
         assert not world.events.collisions
@@ -167,7 +145,7 @@ def test_traffic_on_two_levels_stays_level_and_apart(town: Town) -> None:
 
 def test_a_car_that_leaves_a_bridge_sideways_does_not_stand_on_its_nose(town: Town) -> None:
     world = World(town, seed=1, date=0)
-    falling = car(world, at(-1.75, 30.0, 180.0, z=BRIDGE), 12.0)
+    falling = spawn_car(world, at(-1.75, 30.0, 180.0, z=BRIDGE), speed=12.0)
     falling.apply_control(VehicleControl(throttle=0.5))
     for _ in range(100):
         world.tick()
@@ -191,7 +169,7 @@ def test_a_sign_has_a_pole_unless_it_is_over_the_road_of_its_own_level(town: Tow
     sign = Signal(0, "0", SignalKind.STOP, under_the_bridge, None, 1, "0", (), ())
     world = World(replace(town, signals=[sign]), seed=1, date=0)
     world.settings.collisions_of = "all"
-    hero = car(world, at(-12.0, 6.0), 10.0)
-    found = run(world, 1.5)
+    hero = spawn_car(world, at(-12.0, 6.0), speed=10.0)
+    found = collisions(world, 1.5)
     assert bool(found) is has_pole
     assert (hero.transform.location.x > 0) is not has_pole

@@ -10,7 +10,7 @@ import carla_recap
 from carla_recap.model.records import NO_ACTOR, ActorKind, Spawn, attributes
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Transform, Vector
-from tests.sim.flat import at, flat_world
+from tests.sim.flat import at, flat_world, spawn_car
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,14 +20,9 @@ if TYPE_CHECKING:
     from carla_recap.sim.world import World
 
 DELTA = 0.05
+AUDI = "vehicle.audi.tt"
 HERO, PARKED = 2, 3
 """The ids of the recording."""
-
-
-def spawn_car(world: World, x: float, y: float = 0.0, **attributes: str) -> Vehicle:
-    car = world.spawn("vehicle.audi.tt", at(x, y), **attributes)
-    assert isinstance(car, Vehicle)
-    return car
 
 
 def collisions(world: World, ticks: int, act: Callable[[int], object] = lambda tick: None) -> dict[int, list[Collision]]:
@@ -46,9 +41,9 @@ def crash(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[int, lis
     """Five seconds, in which the hero hits a parked car and pushes it on; and their collisions."""
     path = tmp_path_factory.mktemp("crash") / "crash.mcap"
     world = flat_world()
-    hero, parked = spawn_car(world, 20.0, role_name="hero"), spawn_car(world, 40.0)
+    hero, parked = spawn_car(world, at(20.0), AUDI, role_name="hero"), spawn_car(world, at(40.0), AUDI)
     assert (hero.id, parked.id) == (HERO, PARKED)
-    world.start_recorder(path)
+    world.recorder.start(path, in_process=True)
     found = collisions(world, 100, lambda tick: hero.apply_control(VehicleControl(throttle=1.0)))
     world.close()
     return path, found

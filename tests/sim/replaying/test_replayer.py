@@ -1,4 +1,4 @@
-"""What a world shows of a recording, who plays whom, and how the actors go on afterwards."""
+"""What a world shows of a recording, which actors follow it, and how these go on afterwards."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
 from tests.roads.towns import town
 from tests.samples import carla_log
-from tests.sim.flat import at, flat_world, light
+from tests.sim.flat import at, flat_world, light, spawn_car, spawn_walker
+from tests.sim.recordings import frames, record
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,23 +31,12 @@ if TYPE_CHECKING:
     from carla_recap.model.frame import Frame
 
 DELTA = 0.05
+AUDI = "vehicle.audi.tt"
 SIGNALS: dict[str, Any] = {"signals": [light(0, (0,)), light(1, (0,), y=-3.0)], "phases": ((0,), (1,))}
 
 
 def new_world() -> World:
     return flat_world(**SIGNALS)
-
-
-def spawn_car(world: World, x: float, y: float = 0.0, blueprint: str = "vehicle.audi.tt", **attributes: Any) -> Vehicle:
-    actor = world.spawn(blueprint, at(x, y), **attributes)
-    assert isinstance(actor, Vehicle)
-    return actor
-
-
-def spawn_walker(world: World, x: float, y: float) -> Walker:
-    actor = world.spawn("walker.pedestrian.0002", at(x, y, z=0.9))
-    assert isinstance(actor, Walker)
-    return actor
 
 
 @pytest.fixture(scope="module")
@@ -56,12 +46,12 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     The ids are 4, 5, 6, 7, and 8 from 2 s to 6 s; the spectator has 1, the lights have 2 and 3.
     """
     world = new_world()
-    hero = spawn_car(world, 20.0, role_name="hero", color="1,2,3")
-    rider = spawn_car(world, 60.0, 8.0, "vehicle.kawasaki.ninja")
-    walker = spawn_walker(world, 80.0, 4.0)
+    hero = spawn_car(world, at(20.0), AUDI, role_name="hero", color="1,2,3")
+    rider = spawn_car(world, at(60.0, 8.0), "vehicle.kawasaki.ninja")
+    walker = spawn_walker(world, at(80.0, 4.0, z=0.9), "walker.pedestrian.0002")
     world.spawn("static.prop.barrel", at(90.0, 6.0))
     path = tmp_path_factory.mktemp("drive") / "drive.mcap"
-    world.start_recorder(path, True)
+    world.recorder.start(path, True, in_process=True)
     guest = None
     for tick in range(200):
         braking, steer = tick >= 120, 0.1 * np.sin(tick / 15)
@@ -70,7 +60,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         walker.apply_control(WalkerControl(Vector(1.0, -0.2, 0.0), 1.4))
         hero.light_state = 0b1000 if braking else 0b1
         if tick == 40:
-            guest = spawn_car(world, 200.0, 4.0)
+            guest = spawn_car(world, at(200.0, 4.0), AUDI)
             hero.set_door(5, True)
             world.weather = PRESETS["HardRainNoon"]
         if tick == 120:
@@ -97,27 +87,22 @@ def play_out(world: World) -> int:
 
 
 def played(world: World, id: int) -> Any:
-    """The actor that plays one of the recording."""
+    """Return the actor that follows one of the recording."""
     return world.actors[world.replayer.mapping[id]]
 
 
 def state(world: World) -> dict[str, Any]:
-    """Everything that a replay says, without ids of the world."""
-    players = {id: world.actors[other] for id, other in world.replayer.mapping.items()}
+    """Return what a replay sets, by the ids of the recording."""
+    replayed = {id: world.actors[other] for id, other in world.replayer.mapping.items()}
     return {
-        "transforms": {id: actor.transform for id, actor in players.items()},
-        "velocities": {id: actor.velocity for id, actor in players.items() if isinstance(actor, Vehicle)},
-        "controls": {id: actor.control for id, actor in players.items() if isinstance(actor, (Vehicle, Walker))},
-        "lights": {id: actor.light_state for id, actor in players.items() if isinstance(actor, Vehicle)},
-        "doors": {id: actor.open_doors for id, actor in players.items() if isinstance(actor, Vehicle)},
-        "signals": {id: (a.state, a.elapsed_time, a.frozen) for id, a in players.items() if isinstance(a, TrafficLight)},
+        "transforms": {id: actor.transform for id, actor in replayed.items()},
+        "velocities": {id: actor.velocity for id, actor in replayed.items() if isinstance(actor, Vehicle)},
+        "controls": {id: actor.control for id, actor in replayed.items() if isinstance(actor, (Vehicle, Walker))},
+        "lights": {id: actor.light_state for id, actor in replayed.items() if isinstance(actor, Vehicle)},
+        "doors": {id: actor.open_doors for id, actor in replayed.items() if isinstance(actor, Vehicle)},
+        "signals": {id: (a.state, a.elapsed_time, a.frozen) for id, a in replayed.items() if isinstance(a, TrafficLight)},
         "weather": world.weather,
     }
-
-
-def frames(path: Path) -> list[Frame]:
-    with carla_recap.open_recording(path) as recording:
-        return list(recording.frames())
 
 
 def yaw_between(a: Any, b: Any) -> Any:
@@ -154,17 +139,17 @@ def test_a_replay_that_is_recorded_is_the_recording(tmp_path: Path, drive: Path,
 def _agree(then: Frame, now: Frame, ids: Any) -> None:
     rows = {row["id"]: row for row in now["transforms"]}
     for row in then["transforms"]:
-        if row["id"] not in ids:  # the spectator, and who has gone by the end of the replay
+        if row["id"] not in ids:  # the spectator, and actors that are gone by the end of the replay
             continue
         other = rows[ids[row["id"]]]
         assert np.linalg.norm([row[axis] - other[axis] for axis in "xyz"]) < 1, row["id"]
         assert max(yaw_between(row[angle], other[angle]) for angle in ("roll", "pitch", "yaw")) < 0.1
     for name in ("vehicle_controls", "walker_controls", "vehicle_lights", "light_states"):
-        told = {row[0]: row[1:] for row in now[name].tolist()}
+        again = {row[0]: row[1:] for row in now[name].tolist()}
         for id, *values in then[name].tolist():
-            assert id not in ids or told[ids[id]] == tuple(values), name
+            assert id not in ids or again[ids[id]] == tuple(values), name
     assert [row.tolist()[1:] for row in now["doors"]] == [row.tolist()[1:] for row in then["doors"]]
-    if now.index:  # the first frame of a recording tells of it anyway
+    if now.index:  # the first frame of a recording has it anyway
         assert now["weather"].tolist() == then["weather"].tolist()
 
 
@@ -195,7 +180,7 @@ def _numbers(value: Any) -> list[float]:
     return [float(value)]
 
 
-def test_everybody_is_at_the_start_before_the_first_tick(drive: Path) -> None:
+def test_actors_are_at_the_start_before_the_first_tick(drive: Path) -> None:
     world = new_world()
     replay = world.replay_file(drive, start=5.0, duration=2.0)
     assert (replay.map_name, replay.loaded, replay.start, replay.duration) == ("Flat", False, 5.0, 2.0)
@@ -276,7 +261,7 @@ def test_the_spectator_follows(drive: Path, follow: Any) -> None:
         assert (camera.rotation.pitch, camera.rotation.roll) == (-25, 0)
 
 
-def test_the_spectator_follows_where_it_is_told_to(drive: Path) -> None:
+def test_the_spectator_follows_with_an_offset(drive: Path) -> None:
     world = new_world()
     world.replay_file(drive, follow=4, offset=Transform(Location(0.0, 3.0, 40.0), Rotation(pitch=-90.0)))
     world.run(5.0)
@@ -287,7 +272,7 @@ def test_the_spectator_follows_where_it_is_told_to(drive: Path) -> None:
     assert camera.rotation.pitch == pytest.approx(-90)
 
 
-def test_nobody_or_somebody_unknown_to_follow(drive: Path) -> None:
+def test_no_actor_to_follow_and_one_that_does_not_exist(drive: Path) -> None:
     assert new_world().replay_file(drive, follow=0).followed is None
     world = new_world()
     with pytest.raises(RecapError, match="no actor 99 to follow"):
@@ -305,10 +290,8 @@ def test_the_hero_can_be_left_out(drive: Path) -> None:
 
 def test_sensors_come_when_they_are_asked_for(tmp_path: Path) -> None:
     world = new_world()
-    world.spawn("sensor.other.collision", Transform(Location(1.0, 0.0, 2.0)), parent=spawn_car(world, 20.0))
-    world.start_recorder(tmp_path / "a.log")
-    world.run(1.0)
-    world.close()
+    world.spawn("sensor.other.collision", Transform(Location(1.0, 0.0, 2.0)), parent=spawn_car(world, at(20.0), AUDI))
+    record(world, tmp_path / "a.log", 20)
     world = new_world()
     play(world, tmp_path / "a.log", 5)
     assert 5 not in world.replayer.mapping
@@ -319,17 +302,15 @@ def test_sensors_come_when_they_are_asked_for(tmp_path: Path) -> None:
 
 def test_the_sensors_of_a_hero_that_is_left_out_are_left_out(tmp_path: Path) -> None:
     world = new_world()
-    world.spawn("sensor.other.collision", Transform(), parent=spawn_car(world, 20.0, role_name="hero"))
-    world.start_recorder(tmp_path / "a.log")
-    world.run(1.0)
-    world.close()
+    world.spawn("sensor.other.collision", Transform(), parent=spawn_car(world, at(20.0), AUDI, role_name="hero"))
+    record(world, tmp_path / "a.log", 20)
     world = new_world()
     world.set_replayer_ignore_hero(True)
     play(world, tmp_path / "a.log", 5, replay_sensors=True)
     assert world.replayer.mapping.keys() == {2, 3}
 
 
-# --- who plays whom ----------------------------------------------------------------------------------------------------
+# --- which actors follow -------------------------------------------------------------------------------------------------
 
 
 def test_actors_are_spawned_with_what_they_had(drive: Path) -> None:
@@ -345,8 +326,8 @@ def test_actors_are_spawned_with_what_they_had(drive: Path) -> None:
 
 def test_an_actor_of_the_same_id_and_blueprint_is_moved_and_others_are_not(drive: Path) -> None:
     world = new_world()
-    mine = spawn_car(world, 500.0)
-    wrong = spawn_car(world, 510.0)
+    mine = spawn_car(world, at(500.0), AUDI)
+    wrong = spawn_car(world, at(510.0), AUDI)
     play(world, drive, 10)
     assert played(world, 4) is mine
     assert mine.transform.location.x < 100
@@ -368,7 +349,7 @@ def test_actors_have_their_recorded_ids(tmp_path: Path) -> None:
     play(world, recording_of_vehicles(tmp_path / "a.log", 300, 234, 41), 1)
     assert world.replayer.mapping == {300: 300, 234: 234, 41: 41}
     assert {300, 234, 41} <= world.actors.keys()
-    assert spawn_car(world, 500.0).id == 301
+    assert spawn_car(world, at(500.0), AUDI).id == 301
 
 
 def test_an_id_that_is_taken_is_replaced_by_one_that_no_recorded_actor_has(tmp_path: Path) -> None:
@@ -408,7 +389,7 @@ def test_pedestrians_walk_whatever_the_order_of_their_ids() -> None:
     assert all(walker.transform.location.distance(place) > 1.0 for walker, place in zip(walkers, places, strict=True))
 
 
-def test_who_is_destroyed_in_the_recording_is_destroyed(drive: Path) -> None:
+def test_an_actor_that_is_destroyed_in_the_recording_is_destroyed(drive: Path) -> None:
     world = new_world()
     play(world, drive, 60)
     guest = played(world, 8)
@@ -419,7 +400,7 @@ def test_who_is_destroyed_in_the_recording_is_destroyed(drive: Path) -> None:
     assert 8 not in world.replayer.mapping
 
 
-def test_a_replay_goes_on_without_those_whom_somebody_destroys(drive: Path) -> None:
+def test_a_replay_goes_on_without_actors_that_are_destroyed(drive: Path) -> None:
     world = new_world()
     play(world, drive, 20)
     world.destroy(played(world, 4))
@@ -429,7 +410,7 @@ def test_a_replay_goes_on_without_those_whom_somebody_destroys(drive: Path) -> N
     assert play_out(world) > 100
 
 
-def test_ids_that_time_has_passed_over_leave_nobody_behind(drive: Path) -> None:
+def test_actors_that_come_and_go_between_two_ticks_leave_nothing_behind(drive: Path) -> None:
     world = new_world()
     world.set_replayer_time_factor(100.0)
     world.replay_file(drive, start=1.5)
@@ -499,7 +480,7 @@ def test_lights_are_the_nearest_ones_and_show_what_is_recorded(tmp_path: Path) -
 
 def test_others_go_on_as_if_nothing_happened(drive: Path) -> None:
     def drive_other(world: World) -> list[float]:
-        other = spawn_car(world, 20.0, 300.0, "vehicle.audi.a2")
+        other = spawn_car(world, at(20.0, 300.0), "vehicle.audi.a2")
         other.apply_control(VehicleControl(throttle=0.5, steer=0.05))
         places = []
         for _ in range(100):
@@ -513,9 +494,9 @@ def test_others_go_on_as_if_nothing_happened(drive: Path) -> None:
     assert drive_other(beside) == pytest.approx(drive_other(alone), abs=0.1)
 
 
-def test_who_stands_in_the_way_is_pushed_and_nothing_pushes_back(drive: Path) -> None:
+def test_a_vehicle_in_the_way_is_pushed_and_does_not_push_back(drive: Path) -> None:
     world = new_world()
-    victim = spawn_car(world, 45.0, 9.0, "vehicle.audi.a2", role_name="hero")
+    victim = spawn_car(world, at(45.0, 9.0), "vehicle.audi.a2", role_name="hero")
     world.run(2.0)
     world.replay_file(drive)
     begin, collisions = victim.transform.location.x, []
@@ -530,14 +511,14 @@ def test_who_stands_in_the_way_is_pushed_and_nothing_pushes_back(drive: Path) ->
     assert here.distance(played(undisturbed, 4).transform.location) < 1e-6
 
 
-def test_a_jump_pushes_nobody_on_its_way(tmp_path: Path) -> None:
+def test_a_jump_pushes_no_vehicle_on_its_way(tmp_path: Path) -> None:
     with carla_recap.create_recording(tmp_path / "a.log", map_name="Flat", date=0) as recording:
         spawn = Spawn(9, 1, x=1000, type_id="vehicle.audi.tt")
         for frame in range(20):
             x = 1000.0 if frame < 10 else 30_000.0
             recording.add_frame(frame * DELTA, spawned=[spawn] if not frame else [], transforms={"id": 9, "x": x})
     world = new_world()
-    standing = spawn_car(world, 100.0)
+    standing = spawn_car(world, at(100.0), AUDI)
     world.run(1.0)
     play(world, tmp_path / "a.log", 15)
     assert played(world, 9).transform.location.x == pytest.approx(300)
@@ -593,7 +574,7 @@ def test_the_speed_afterwards_is_the_recorded_one_whatever_the_time_factor(drive
 
 def test_stopping_takes_back_what_was_spawned_or_keeps_it(drive: Path) -> None:
     world = new_world()
-    mine = spawn_car(world, 500.0)
+    mine = spawn_car(world, at(500.0), AUDI)
     play(world, drive, 60)
     guest = played(world, 8)
     world.stop_replayer()
@@ -613,7 +594,7 @@ def test_stopping_takes_back_what_was_spawned_or_keeps_it(drive: Path) -> None:
 
 def test_actors_that_were_kept_play_the_same_recording_again(drive: Path) -> None:
     world = new_world()
-    taken = spawn_car(world, 500.0, blueprint="vehicle.tesla.model3")  # with the id of the hero
+    taken = spawn_car(world, at(500.0))  # with the id of the hero
     assert taken.id == 4
     play(world, drive, 20, duration=1.0)
     world.stop_replayer(keep_actors=True)
@@ -779,7 +760,7 @@ def test_a_recording_of_an_unknown_map_without_vehicles_has_a_road(tmp_path: Pat
 
 def test_a_map_that_the_caller_names_must_be_there(tmp_path: Path, drive: Path) -> None:
     world = new_world()
-    mine = spawn_car(world, 500.0)
+    mine = spawn_car(world, at(500.0), AUDI)
     with pytest.raises(SimError, match=r"is a recording of the map 'Town42', which cannot be loaded: .*Town42"):
         world.replayer.start(drive, map_name="Town42")
     assert mine.is_alive
@@ -837,7 +818,7 @@ def test_a_recording_that_turns_out_to_be_damaged_ends_the_replay(drive: Path, m
     world.run(0.5)
 
 
-def test_poses_that_are_no_numbers_move_nobody(tmp_path: Path) -> None:
+def test_poses_that_are_no_numbers_move_no_actor(tmp_path: Path) -> None:
     with carla_recap.create_recording(tmp_path / "a.log", map_name="Flat", date=0) as recording:
         spawns = [Spawn(9, 1, x=1000, type_id="vehicle.audi.tt"), Spawn(10, 0, x=3000, type_id="static.prop.barrel")]
         for frame in range(5):
@@ -855,9 +836,8 @@ def test_poses_that_are_no_numbers_move_nobody(tmp_path: Path) -> None:
 
 def test_what_is_being_replayed_is_not_recorded_over(tmp_path: Path) -> None:
     world = flat_world()
-    path = world.start_recorder(tmp_path / "a.mcap")
-    world.run(1.0)
-    world.stop_recorder()
+    path = tmp_path / "a.mcap"
+    record(world, path, 20)
     world.replay_file(path)
     (tmp_path / "link.mcap").symlink_to(path)
     for name in (path, tmp_path / "a", tmp_path / "link.mcap"):

@@ -14,7 +14,7 @@ from carla_recap.sim.town.junctions import Conflict, Junction, Signal, SignalKin
 from carla_recap.sim.town.loading import Town, load_town
 from carla_recap.sim.world import World
 from tests.roads.towns import town as carla_town
-from tests.sim.flat import at
+from tests.sim.flat import at, spawn_car
 from tests.sim.lanes import LIMIT, lane, ring, small_town
 
 if TYPE_CHECKING:
@@ -35,9 +35,7 @@ def world_of(*lanes: Lane, signals: tuple[Signal, ...] = (), junctions: tuple[Ju
 def car(
     world: World, x: float, y: float = 0.0, *, yaw: float = 0.0, speed: float = 0.0, name: str = MODEL3, drives: bool = True
 ) -> Vehicle:
-    actor = world.spawn(name, at(x, y, yaw=yaw))
-    assert isinstance(actor, Vehicle)
-    actor.set_target_velocity(Vector(speed * np.cos(np.radians(yaw)), speed * np.sin(np.radians(yaw))))
+    actor = spawn_car(world, at(x, y, yaw=yaw), name, speed=speed)
     actor.set_autopilot(drives)
     return actor
 

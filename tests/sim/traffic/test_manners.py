@@ -12,7 +12,7 @@ from tests.roads.towns import town
 
 pytest.importorskip("carla", reason="the extra `carla` is not installed")
 
-SECONDS = 45
+SECONDS = 30
 NEAR = 6.0  # m: so far from a line a crossing of it is looked for
 
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from carla_recap.sim.actors.lights import GREEN, RED
-from carla_recap.sim.actors.moving import Vehicle, Walker, WalkerControl
+from carla_recap.sim.actors.moving import Walker, WalkerControl
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.town.graph import Paths
 from carla_recap.sim.town.sidewalks import WalkwayGraph
-from tests.sim.flat import at, flat_world, light
+from tests.sim.flat import at, flat_world, light, spawn_car, spawn_walker
 
 if TYPE_CHECKING:
     from carla_recap.sim.world import World
@@ -29,9 +29,7 @@ def graph() -> WalkwayGraph:
 
 
 def walker(world: World, x: float, y: float) -> Walker:
-    actor = world.spawn("walker.pedestrian.0015", at(x, y))
-    assert isinstance(actor, Walker)
-    return actor
+    return spawn_walker(world, at(x, y), "walker.pedestrian.0015")
 
 
 def test_the_shortest_path_is_found() -> None:
@@ -76,8 +74,7 @@ def test_a_walker_lets_a_car_pass() -> None:
     world = flat_world(walks=graph())
     person = walker(world, 99.0, 5.0)
     person.destination = Location(80.0, -5.0)
-    car = world.spawn("vehicle.audi.tt", at(60.0), role_name="hero")
-    assert isinstance(car, Vehicle)
+    car = spawn_car(world, at(60.0), "vehicle.audi.tt", role_name="hero")
     for _ in range(400):
         car.set_target_velocity(Vector(12.0))
         world.tick()
@@ -105,8 +102,7 @@ def test_a_walker_stops_for_a_car_that_drives_over_the_crossing() -> None:
     world = flat_world(walks=graph())
     person = walker(world, 100.0, 5.0)
     person.destination = Location(80.0, -5.0)
-    car = world.spawn("vehicle.audi.tt", at(99.5))
-    assert isinstance(car, Vehicle)
+    car = spawn_car(world, at(99.5), "vehicle.audi.tt")
     stood = False
     for _ in range(200):
         car.set_target_velocity(Vector(0.4))
@@ -155,8 +151,7 @@ def test_a_walker_ignores_cars_that_are_hidden_below_a_crossing() -> None:
     walks = WalkwayGraph(nodes, np.array(((0, 1),)), np.array((True,)))
     world = flat_world(walks=walks)
     world.spawn("vehicle.tesla.model3", at(50.0, 0.0, z=-50.0))
-    walker = world.spawn("walker.pedestrian.0001", at(50.0, -5.0, z=1.0))
-    assert isinstance(walker, Walker)
+    walker = spawn_walker(world, at(50.0, -5.0, z=1.0))
     walker.destination = Location(50.0, 5.0, 0.0)
     farthest = -5.0
     for _ in range(180):

@@ -75,7 +75,7 @@ def test_a_town_without_connected_lanes_is_an_error() -> None:
         populate(world, 1, 0)
 
 
-def test_walkers_for_whom_there_is_no_room_are_left_out_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+def test_walkers_for_which_there_is_no_room_are_left_out_with_a_warning(caplog: pytest.LogCaptureFixture) -> None:
     nodes = np.array([(10.0 * number, 5.0, 0.0) for number in range(3)])
     walks = WalkwayGraph(nodes, np.array(((0, 1), (1, 2))), np.zeros(2, np.bool_))
     world = flat_world(walks=walks)

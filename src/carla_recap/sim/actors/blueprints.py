@@ -118,18 +118,13 @@ class BlueprintLibrary:
 
 @dataclass(frozen=True, slots=True)
 class _Model:
-    """A row of `vehicles.csv`.
+    """A row of `vehicles.csv`, less what becomes an attribute as it is.
 
     Lengths, widths and heights are those of CARLA's boxes, or close to them; wheelbases, masses, powers and speeds are those
     of the makers. Sizes are in m, the mass in kg, the power in kW, the top speed in km/h, the steering angle in degrees.
     """
 
     id: str
-    base_type: str
-    special_type: str
-    generation: str
-    has_dynamic_doors: str
-    has_lights: str
     number_of_wheels: str
     length: float
     width: float
@@ -158,7 +153,7 @@ class _Model:
             "colors": tuple(",".join(map(str, bytes.fromhex(color))) for color in row["colors"].split()),
         }
         values: dict[str, Any] = {**row, **numbers, **special}
-        return cls(**values)
+        return cls(**{name: values[name] for name in cls.__annotations__})
 
 
 _TRACK: Final = 0.78  # of the width, between the middles of the tyres

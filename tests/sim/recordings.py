@@ -1,0 +1,27 @@
+"""Recordings of worlds, and their frames."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import carla_recap
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from carla_recap.model.frame import Frame
+    from carla_recap.sim.world import World
+
+
+def frames(path: Path) -> list[Frame]:
+    with carla_recap.open_recording(path) as recording:
+        return list(recording.frames())
+
+
+def record(world: World, path: Path, ticks: int, *, additional_data: bool = False, in_process: bool = True) -> list[Frame]:
+    """Record some ticks, by default without another process, and return the frames."""
+    world.recorder.start(path, additional_data, in_process=in_process)
+    for _ in range(ticks):
+        world.tick()
+    world.stop_recorder()
+    return frames(path)
