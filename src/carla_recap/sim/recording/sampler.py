@@ -24,13 +24,14 @@ from carla_recap.sim.actors.moving import MovingActor, Vehicle
 from carla_recap.sim.actors.registry import TickEvents
 from carla_recap.sim.recording import packets
 from carla_recap.sim.recording.packets import pose
-from carla_recap.sim.recording.snapshots import OTHER_POSES, TYPES, WITH_POSE, ActorSet, SnapshotBatch, Timestamp
+from carla_recap.sim.recording.snapshots import TYPES, WITH_POSE, ActorSet, SnapshotBatch, Timestamp
 
 if TYPE_CHECKING:
     from collections.abc import Collection
 
+    from numpy.typing import NDArray
+
     from carla_recap.sim.actors.actor import Actor
-    from carla_recap.sim.recording.snapshots import Columns
     from carla_recap.sim.settings import Weather
     from carla_recap.sim.world import World
 
@@ -123,26 +124,21 @@ class WorldSampler:
         """Note the actors and the arrays that snapshots are taken of, as long as no actor comes or goes."""
         world = self._world
         actors = [actor for actor in world.actors.values() if actor.kind in WITH_POSE]
-        self._others = [actor for actor in actors if not isinstance(actor, MovingActor)]
-        self._other_poses = np.empty((len(self._others), 6))
+        others = _OtherActors([actor for actor in actors if not isinstance(actor, MovingActor)])
         self._actors = ActorSet(
             with_pose=[actor.id for actor in actors],
             vehicles=world.vehicles.id.tolist(),
             walkers=world.walkers.id.tolist(),
-            others=[actor.id for actor in self._others],
+            others=[actor.id for actor in others.actors],
             lights=[light.id for light in world.traffic_lights],
             additional_data=self._additional,
         )
-        owners = {"vehicles": world.vehicles, "walkers": world.walkers, "signals": world.signals}
-        self._arrays = [(column, owners[column[0]]) for column in self._actors.columns]
+        owners = {"vehicles": world.vehicles, "walkers": world.walkers, "signals": world.signals, "others": others}
+        self._sources = [(owners[owner], name) for owner, name in self._actors.columns]
 
-    def _columns(self) -> Columns:
-        """Return the state of all actors; other actors than vehicles and walkers have no arrays of their own."""
-        columns: Columns = {column: getattr(owner, column[1]) for column, owner in self._arrays}
-        for row, actor in zip(self._other_poses, self._others, strict=True):
-            row[:] = pose(actor.transform)
-        columns[OTHER_POSES] = self._other_poses
-        return columns
+    def _columns(self) -> list[NDArray[Any]]:
+        """Return the state of all actors; see `ActorSet.columns`."""
+        return [getattr(owner, name) for owner, name in self._sources]
 
     # --- what has happened --------------------------------------------------------------------------------------------
 
@@ -196,6 +192,18 @@ class WorldSampler:
             return []
         self._weather = weather
         return [astuple(weather)]
+
+
+class _OtherActors:
+    """Actors that are neither vehicles nor walkers, which have no arrays of their own."""
+
+    def __init__(self, actors: list[Actor]) -> None:
+        self.actors = actors
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """Their poses, (n, 6)."""
+        return np.array([pose(actor.transform) for actor in self.actors]).reshape(-1, 6)
 
 
 def _packed(records: RecordsByType) -> dict[str, Packet]:

@@ -48,14 +48,11 @@ COLUMNS: Final = {
     ("vehicles", "gear"): ("vehicle_controls", "gear"),
     ("vehicles", "light_state"): ("vehicle_lights", "flags"),
     ("walkers", "speed"): ("walker_controls", "speed"),
+    ("others", "poses"): ("transforms", ""),
 }
 """Columns of a world, and the record type and field of each; no field where the values are converted."""
-OTHER_POSES: Final = ("others", "pose")
-"""The column of the poses of actors that are neither vehicles nor walkers."""
 _REAL: Final = np.dtype(np.float32)
-_DTYPES: Final = {column: UE4.named(type).dtype[field] if field else _REAL for column, (type, field) in COLUMNS.items()} | {
-    OTHER_POSES: _REAL
-}
+_DTYPES: Final = {column: UE4.named(type).dtype[field] if field else _REAL for column, (type, field) in COLUMNS.items()}
 """The precision of records, which is less than that of a world."""
 _IN_CM: Final = "position"
 
@@ -84,18 +81,20 @@ class SnapshotBatch:
 
     Args:
         actors: The actors.
-        columns: Columns like those that will be added: the poses and controls of the actors; see `COLUMNS`.
+        columns: Columns like those that will be added; see `ActorSet.columns`.
         length: The most snapshots.
 
     Attributes:
         timestamps: The times of the snapshots.
     """
 
-    def __init__(self, actors: ActorSet, columns: Columns, length: int) -> None:
+    def __init__(self, actors: ActorSet, columns: Sequence[NDArray[Any]], length: int) -> None:
         self.timestamps: list[Timestamp] = []
         self._actors = actors
         self._length = length
-        self._columns: Columns = {key: np.empty((length, *column.shape), _DTYPES[key]) for key, column in columns.items()}
+        self._columns: Columns = {
+            key: np.empty((length, *column.shape), _DTYPES[key]) for key, column in zip(actors.columns, columns, strict=True)
+        }
 
     def __getstate__(self) -> tuple[Any, ...]:
         """Return what another process needs, in few and small pieces."""
@@ -111,14 +110,14 @@ class SnapshotBatch:
         """Whether no snapshot can be added."""
         return len(self.timestamps) == self._length
 
-    def add(self, timestamp: Timestamp, columns: Columns) -> None:
-        """Add a snapshot."""
+    def add(self, timestamp: Timestamp, columns: Sequence[NDArray[Any]]) -> None:
+        """Add a snapshot: its time, and the columns of its actors; see `ActorSet.columns`."""
         index = len(self.timestamps)
-        for key, column in columns.items():
+        for (key, rows), column in zip(self._columns.items(), columns, strict=True):
             if key[1] == _IN_CM:
-                np.multiply(column, CM_PER_M, out=self._columns[key][index], casting="same_kind")
+                np.multiply(column, CM_PER_M, out=rows[index], casting="same_kind")
             else:
-                self._columns[key][index] = column
+                rows[index] = column
         self.timestamps.append(timestamp)
 
     def batches(self) -> Iterator[Batch]:
@@ -220,7 +219,7 @@ class ActorSet:
             np.concatenate((columns[owner, "position"], columns[owner, "rotation"][..., _ROLL_PITCH_YAW]), axis=-1)
             for owner in ("vehicles", "walkers")
         ]
-        numbers(arrays["transforms"])[:, self._indices] = np.concatenate((*poses, columns[OTHER_POSES]), axis=1)
+        numbers(arrays["transforms"])[:, self._indices] = np.concatenate((*poses, columns["others", "poses"]), axis=1)
         if "velocities" in arrays:
             rows = numbers(arrays["velocities"])
             for part, name in ((slice(0, 3), "velocity"), (slice(3, 6), "angular_velocity")):
