@@ -88,9 +88,10 @@ class AckermannController:
         else:
             self._states[vehicle] = _AckermannState(control, vehicle.rows.steer_angle[vehicle.row].item())
 
-    def release(self, vehicle: Vehicle) -> None:
-        """Stop driving a vehicle."""
-        self._states.pop(vehicle, None)
+    def release(self, vehicles: Iterable[Vehicle]) -> None:
+        """Stop driving vehicles."""
+        for vehicle in vehicles:
+            self._states.pop(vehicle, None)
 
     def settings(self, vehicle: Vehicle) -> AckermannSettings:
         """Return the gains of a vehicle."""

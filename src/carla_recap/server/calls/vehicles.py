@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from copy import deepcopy
 from dataclasses import replace
+from itertools import compress
 from math import degrees, pi
 from typing import Any, Final, get_type_hints
 
@@ -32,7 +33,7 @@ def apply_control_to_vehicle(client: Client, id: int, control: VehicleControl) -
     """Apply a control to a vehicle."""
     vehicle = expect(client, id, Vehicle)
     client.host.takeover.take([vehicle])
-    client.host.ackermann.release(vehicle)
+    client.host.ackermann.release([vehicle])
     control.gear = min(max(control.gear, -1), vehicle.gears)
     vehicle.apply_control(control)
 
@@ -59,10 +60,9 @@ def apply_controls_to_vehicles(client: Client, controls: list[tuple[Any, Any]]) 
     values = np.array(pedals)
     if any(manual) or not np.isfinite(values).all():
         return False
-    driven = [fleet.actors[row] for row in rows]
-    client.host.takeover.take(driven)
-    for vehicle in driven:
-        client.host.ackermann.release(vehicle)
+    by_server = fleet.autopilot[rows] | ~fleet.simulated[rows]
+    client.host.takeover.take(fleet.actors[row] for row in compress(rows, by_server))
+    client.host.ackermann.release(fleet.actors[row] for row in rows)
     fleet.drive(rows, values, hand_brake, reverse)
     return True
 
