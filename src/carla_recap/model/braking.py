@@ -129,7 +129,7 @@ class BrakingDetector:
     def hardest(self, id: int, start: float, stop: float) -> tuple[float, float]:
         """Return the greatest deceleration of a vehicle that brakes hard, in m/s², and its time, after `finish`.
 
-        Moments at which no brakes are as firm count only if there are no others for long enough.
+        A deceleration above `FIRMEST_BRAKING` counts only if there is no interval below it that is long enough.
 
         Args:
             id: The vehicle.
@@ -144,7 +144,7 @@ class BrakingDetector:
         return round(row["deceleration"].item(), _DIGITS), row["time"].item()
 
     def can_be_braking(self, id: int, start: float, stop: float) -> bool:
-        """Return whether brakes can be what slows a vehicle down for long enough; True where its frames are unknown.
+        """Return whether brakes can slow a vehicle down as much, for long enough; True where its frames are unknown.
 
         Args:
             id: See `hardest`.
@@ -246,7 +246,7 @@ _HARD: Final = np.dtype(
 
 
 def _can_be_braking(rows: NDArray[np.void]) -> Booleans:
-    """Return which of a vehicle's frames of hard braking are of a time in which brakes can be as firm, for long enough."""
+    """Return which frames of hard braking are of intervals in which brakes can be as firm, and which are long enough."""
     found, times = np.zeros(len(rows), np.bool_), rows["time"]
     for first, last in runs(rows["deceleration"] <= FIRMEST_BRAKING, np.diff(rows["frame"]) == 1):
         found[first : last + 1] = times[last] - times[first] >= SHORTEST - SAME_TIME

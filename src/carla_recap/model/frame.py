@@ -34,7 +34,7 @@ class Header:
         wide: Whether lengths are in double precision, as UE5 builds (0.10) write them.
         shifted: Whether doors, wheels and bikers have the packet ids 21, 22, 23, as some development builds write them.
         raw: CARLA's header as read, where it differs from what the fields above would be written as.
-        parameters: What the simulation was run with, such as its seed, as texts; only MCAP files can hold them.
+        parameters: The parameters of the simulation by name, such as its seed; only MCAP files have them.
     """
 
     map_name: str

@@ -90,7 +90,7 @@ class PointGrid:
         self.fullest = int(np.unique(self._keys, return_counts=True)[1].max())
 
     def around(self, places: Floats) -> tuple[Integers, Integers]:
-        """Return pairs of locations and points in the same cell or in one of the eight around it, as indices."""
+        """Return pairs of places and points in the same cell or in one of the eight around it, as indices."""
         cells = np.floor((places - self._origin) / self._cell).astype(np.int64)
         inside = np.flatnonzero(((cells > 0) & (cells < self._shape - 1)).all(axis=1))
         columns = cells[inside, 0, None] + np.array((-1, 0, 1))

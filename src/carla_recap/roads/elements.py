@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class DocumentShape:
-    """What is read of a kind of XML files.
+    """The elements that are read of a kind of XML file, and their limits.
 
     Attributes:
         root: The root element.
         content: The elements below it that are read.
         known: The elements within these that are read.
-        file: What such a file is called in errors.
-        part: What an element of the content is called in errors.
+        file: The name of such a file in errors.
+        part: The name of an element of the content in errors.
         most: The most elements of a file.
         most_of_part: The most elements of a part.
     """
@@ -66,7 +66,7 @@ def read_elements(text: str | Iterable[str], shape: DocumentShape = OPENDRIVE) -
 
     Args:
         text: The text of the file, or its parts.
-        shape: What is read of it.
+        shape: The elements that are read.
 
     Raises:
         ValueError: It is no such file, or something in it is too large.

@@ -32,7 +32,7 @@ def read_parts(path: Path, what: str = "map") -> Iterator[str]:
 
     Args:
         path: The file.
-        what: What it is, for errors.
+        what: The kind of file, for errors.
 
     Raises:
         RecapError: The file cannot be read.

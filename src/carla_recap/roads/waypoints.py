@@ -73,7 +73,7 @@ class Waypoints:
 
 
 class LaneMap:
-    """The lanes of a town for cars and to park on, and the places on them.
+    """The lanes of a town for cars and for parking, and the places on them.
 
     Args:
         roads: The roads of the town.

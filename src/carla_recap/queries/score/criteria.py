@@ -196,8 +196,8 @@ class Passage(NamedTuple):
     """The rear of the hero passes a stop line.
 
     Attributes:
-        start: When its front end is above the line, in elapsed seconds.
-        stop: When its back end is.
+        start: The elapsed seconds at which the front end of the rear is above the line.
+        stop: The elapsed seconds at which its back end is.
         line: The line.
     """
 
