@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from carla_recap.roads.polylines import Surface, distances_to, join, simplify
+from carla_recap.roads.polylines import Surface, distances_to, join, simplify, stations
 
 LINES = hnp.arrays(np.float64, st.tuples(st.integers(2, 40), st.just(3)), elements=st.floats(-1000, 1000))
 
@@ -56,6 +56,10 @@ def test_no_point_deviates_by_more_than_the_tolerance(points, tolerance):
 
 def test_distances_are_to_the_ends_beyond_them():
     assert distances_to(line((5, 2), (-3, 4), (13, 4)), *line((0, 0), (10, 0))).tolist() == [2, 5, 5]
+
+
+def test_the_stations_of_points_are_their_distances_along_the_line():
+    assert stations(line((1, 1), (4, 5), (4, 5), (4, -1))).tolist() == [0, 5, 5, 11]
 
 
 def test_distance_to_a_line_without_length():
