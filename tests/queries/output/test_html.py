@@ -60,7 +60,8 @@ def test_all_points_are_inside(shown):
 def test_names_are_escaped_and_a_recording_without_movement_has_no_drawing(tmp_path):
     path = tmp_path / "a<b>.mcap"
     with create_recording(path, map_name="<i>Town\x1b[31m") as recorder:
-        recorder.add_frame(0.0)
+        for time in (0.0, 0.1):
+            recorder.add_frame(time, spawned=[] if time else [spawn(7)], transforms=[(7, 100.0, 0.0, 0.0, 0.0, 0.0, 0.0)])
     with open_recording(path) as recording:
         html = recording._repr_html_()
     assert "a&lt;b&gt;.mcap" in html

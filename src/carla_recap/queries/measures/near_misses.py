@@ -87,11 +87,11 @@ class NearMiss:
 
 @dataclass(slots=True)
 class _Critical:
-    """A run of critical frames of a pair, or a critical crossing of paths.
+    """A run of critical frames of a pair on a collision course.
 
     Attributes:
         first, last: Its first and its last frame in the recording.
-        miss: What is most critical.
+        miss: The near miss that it is, at its most critical moment.
         until: The last frame up to which the time to collision has remained short.
     """
 
@@ -127,7 +127,7 @@ class NearMissDetector:
         self._longest, self._soonest = time_to_collision, post_encroachment_time
         self._motion = MotionCollector(actors)
         self._approaches: dict[tuple[int, int], list[_Critical]] = defaultdict(list)
-        self._crossings: dict[tuple[int, int], list[_Critical]] = defaultdict(list)
+        self._crossings: dict[tuple[int, int], list[NearMiss]] = defaultdict(list)
         self._open: list[_Critical] = []  # approaches whose time to collision may still be short
 
     def batch(self, batch: Batch) -> None:
@@ -146,7 +146,7 @@ class NearMissDetector:
         found: list[NearMiss] = []
         for pair in {**self._approaches, **self._crossings}:
             critical = [run.miss for run in _lasting(self._approaches.get(pair, []))]
-            critical += [crossing.miss for crossing in self._crossings.get(pair, ())]
+            critical += self._crossings.get(pair, [])
             found += _encounters([miss for miss in critical if not self._collides(miss)])
         return sorted(found, key=lambda miss: (miss.start, miss.id1, miss.id2))
 
@@ -285,9 +285,7 @@ class NearMissDetector:
                 float(block.speed[arriving, arrived]),
                 *block.location(arriving, arrived),
             )
-            key = min(miss.id1, miss.id2), max(miss.id1, miss.id2)
-            last = block.index + arrived
-            self._crossings[key].append(_Critical(block.index + left, last, miss, last))
+            self._crossings[min(miss.id1, miss.id2), max(miss.id1, miss.id2)].append(miss)
 
 
 def _lasting(runs: list[_Critical]) -> list[_Critical]:
