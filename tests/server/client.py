@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import queue
+import socket
 import subprocess
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final
 
 import carla
@@ -66,6 +67,14 @@ def port_of(process: subprocess.Popen[str]) -> int:
     """Return the port for calls of a server that starts, from what it prints."""
     assert process.stdout is not None
     return int(process.stdout.readline().rsplit(":", 1)[1])
+
+
+def refuses_connections(port: int) -> bool:
+    """Return whether no server listens at a port."""
+    with suppress(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port)).close()
+        return False
+    return True
 
 
 def place(

@@ -11,11 +11,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import carla
 import pytest
 
 from carla_recap.cli.launcher import serve_arguments
 from tests.cli.command import ENVIRONMENT
+from tests.server.client import connect, port_of, refuses_connections
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -39,16 +39,9 @@ def launched(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
         env=ENVIRONMENT,
     ) as process:
         try:
-            assert process.stdout is not None
-            yield process, int(process.stdout.readline().rsplit(":", 1)[1])
+            yield process, port_of(process)
         finally:
             process.kill()
-
-
-def connected(port: int) -> carla.Client:
-    client = carla.Client("127.0.0.1", port)
-    client.set_timeout(PATIENCE)
-    return client
 
 
 def free_port() -> int:
@@ -59,46 +52,51 @@ def free_port() -> int:
     return pytest.fail("there is no free port")
 
 
-def test_the_usual_arguments_start_a_server_for_clients() -> None:
+def test_the_usual_arguments_start_a_server_for_clients_until_it_is_terminated() -> None:
     with launched("Brickfield", *USUAL.split(), "-carla-rpc-port=0", "-quality-level=Low", "-fps=10") as (process, port):
-        world = connected(port).get_world()
+        world = connect(port).get_world()
         assert world.get_map().name.endswith("Brickfield")
         assert world.get_settings().fixed_delta_seconds == 0.1
         assert world.wait_for_tick(PATIENCE).timestamp.delta_seconds == pytest.approx(0.1)
         process.terminate()
         _, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0
     assert errors == f"connect to it: carla.Client('127.0.0.1', {port}); Ctrl-C ends it\n"
+    assert refuses_connections(port)
 
 
-def test_streams_have_the_port_of_the_arguments() -> None:
+@pytest.fixture(scope="module")
+def ports() -> Iterator[tuple[int, int]]:
+    """The ports for calls and for streams of a server that is started for a map that is missing."""
     calls, streams = free_port(), free_port()
-    with launched(f"-carla-rpc-port={calls}", f"-carla-streaming-port={streams}") as (_, port):
+    arguments = (f"-carla-rpc-port={calls}", f"-carla-streaming-port={streams}")
+    with launched("/Game/Carla/Maps/Town77", *arguments) as (_, port):
         assert port == calls
-        world = connected(port).get_world()
-        assert world.wait_for_tick(PATIENCE).frame > 0
-        socket.create_connection(("127.0.0.1", streams)).close()
+        yield calls, streams
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_to_the_launcher_ends_the_server(number: int) -> None:
+def test_streams_have_the_port_of_the_arguments(ports: tuple[int, int]) -> None:
+    calls, streams = ports
+    assert connect(calls).get_world().wait_for_tick(PATIENCE).frame > 0
+    socket.create_connection(("127.0.0.1", streams)).close()
+
+
+def test_a_missing_map_is_replaced_by_the_built_in_town(ports: tuple[int, int]) -> None:
+    assert connect(ports[0]).get_world().get_map().name.endswith("Town77")
+
+
+def test_an_interrupt_of_the_launcher_ends_the_server() -> None:
     with launched("-carla-rpc-port=0") as (process, port):
-        process.send_signal(number)
+        process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE) == 0
-        with pytest.raises(ConnectionRefusedError):
-            socket.create_connection(("127.0.0.1", port))
+        assert refuses_connections(port)
 
 
 def test_a_killed_launcher_leaves_no_server() -> None:
     with launched("-carla-rpc-port=0") as (process, port):
         process.kill()
         assert process.wait(PATIENCE) == -signal.SIGKILL
-        with pytest.raises(ConnectionRefusedError):
-            socket.create_connection(("127.0.0.1", port))
-
-
-def test_a_missing_map_is_replaced_by_the_built_in_town() -> None:
-    with launched("/Game/Carla/Maps/Town77", "-carla-rpc-port=0") as (_, port):
-        assert connected(port).get_world().get_map().name.endswith("Town77")
+        assert refuses_connections(port)
 
 
 def test_a_wrong_port_is_an_error_in_one_line() -> None:

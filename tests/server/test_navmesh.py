@@ -297,6 +297,11 @@ def test_straight_way_is_one_strip() -> None:
     assert np.sort(outline[:, 0]) == pytest.approx([0, 0, 100, 100], abs=1e-4)
 
 
+def test_straight_way_across_a_slope_is_one_strip() -> None:
+    mesh = built(graph([(10.0 * number, 10.0 * number, number) for number in range(4)], *pairwise(range(4))))
+    assert len(mesh.polygons) == 1
+
+
 def test_slope_is_kept() -> None:
     mesh = built(graph([(0, 0, 0), (20, 0, 0), (40, 0, 2), (60, 0, 2)], (0, 1), (1, 2), (2, 3)))
     assert len(mesh.polygons) == 3

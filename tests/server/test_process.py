@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
 from typing import TYPE_CHECKING
@@ -11,7 +10,7 @@ import pytest
 
 from carla_recap import RecapError, open_recording
 from carla_recap.server import running
-from tests.server.client import SYNCHRONOUS, connect, ticks
+from tests.server.client import SYNCHRONOUS, connect, refuses_connections, ticks
 from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
@@ -41,14 +40,6 @@ def test_a_server_ends_with_a_killed_parent(tmp_path: Path) -> None:
     wait_until((tmp_path / "drive.mcap").exists)
     with open_recording(tmp_path / "drive.mcap") as recording:
         assert recording.info.frames > 0
-
-
-def refuses_connections(port: int) -> bool:
-    try:
-        socket.create_connection(("127.0.0.1", port)).close()
-    except ConnectionRefusedError:
-        return True
-    return False
 
 
 def test_the_end_of_the_block_completes_the_recording_and_nothing_is_printed(

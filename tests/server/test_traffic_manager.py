@@ -39,7 +39,7 @@ world.apply_settings(synchronous)
 manager, vehicles = manage(12)
 roads = world.get_map()
 aside, too_fast, driven, waits, runs, before = [], [], 0.0, 0, 0, {}
-for number in range(1200):
+for number in range(800):
     world.tick()
     for vehicle in vehicles if number % 5 == 0 else ():
         place, velocity = vehicle.get_transform(), vehicle.get_velocity()
@@ -155,7 +155,7 @@ def run(script: str, port: int, *arguments: str, code: int = 0) -> str:
 
 def test_the_traffic_manager_drives(client: carla.Client, port: int) -> None:
     result = json.loads(run(DRIVE, port))
-    assert result["driven"] > 1500
+    assert result["driven"] > 1000
     assert result["aside"] < 1.0
     assert result["too_fast"] < 1
     assert result["waits"] > 0
