@@ -25,6 +25,8 @@ RULES = """
 [rules.is-long]
 duration = { min = "0.2 s" }
 """
+ALONE = ("--workers", "1")
+"""Options that start one process, and not one for each processor, each of which imports the simulator."""
 RAISED = "seed=1,how=raise.mcap: KeyError: 'three' (functions.py)"
 
 
@@ -34,7 +36,7 @@ def done(tmp_path_factory):
     folder = tmp_path_factory.mktemp("campaign")
     (folder / "rules.toml").write_text(RULES)
     options = ("--seeds", "1,2", "--param", "how=raise,nothing", "--rules", folder / "rules.toml", "--pages", "1", "--csv")
-    return run("campaign", f"{FILE}:misbehave", "--out", folder / "runs", *options), folder / "runs"
+    return run("campaign", f"{FILE}:misbehave", "--out", folder / "runs", *options, *ALONE), folder / "runs"
 
 
 def test_all_runs_are_rows_with_their_parameters(done):
@@ -66,7 +68,8 @@ def test_the_page_the_index_and_the_runs_are_written(done):
 
 def test_a_second_time_only_what_failed_is_run_again(done):
     _, folder = done
-    again = run("campaign", f"{FILE}:misbehave", "--out", folder, "--seeds", "1,2", "--param", "how=raise,nothing", "--json")
+    options = ("--seeds", "1,2", "--param", "how=raise,nothing", "--pages", "1", "--json")
+    again = run("campaign", f"{FILE}:misbehave", "--out", folder, *options, *ALONE)
     assert again.stderr.decode().splitlines()[-1] == "runs: 0 done, 2 were there, 2 failed"
     runs = json.loads(again.stdout)["runs"]
     assert [each["was_there"] for each in runs] == [False, False, True, True]
@@ -74,9 +77,11 @@ def test_a_second_time_only_what_failed_is_run_again(done):
 
 
 def test_pages_and_index_have_the_runs_of_the_last_campaign_alone(tmp_path):
-    command = ("campaign", f"{FILE}:misbehave", "--out", tmp_path, "--param", "how=nothing")
-    assert run(*command, "--seeds", "1,2").returncode == 0
-    (tmp_path / "pages" / "seed-2-how-nothing.html").write_text("stale")
+    command = ("campaign", f"{FILE}:misbehave", "--out", tmp_path, "--param", "how=nothing", *ALONE)
+    assert run(*command, "--seeds", "1,2", "--pages", "0").returncode == 0
+    (tmp_path / "pages").mkdir()
+    for seed in (1, 2):
+        (tmp_path / "pages" / f"seed-{seed}-how-nothing.html").write_text("stale")
     done = run(*command, "--seeds", "2,3", "--pages", "1")
     assert (done.returncode, b"exists" in done.stderr) == (0, False)
     assert names_in(tmp_path / "pages") == ["seed-2-how-nothing.html"]
@@ -86,7 +91,7 @@ def test_pages_and_index_have_the_runs_of_the_last_campaign_alone(tmp_path):
 
 
 def test_recordings_of_another_function_are_one_line(tmp_path):
-    arguments = ("--out", tmp_path, "--seeds", "1,2", "--pages", "0")
+    arguments = ("--out", tmp_path, "--pages", "0", *ALONE)
     assert run("campaign", f"{FILE}:drive", *arguments).returncode == 0
     line = error("campaign", f"{FILE}:wait_here", *arguments, "--duration", "0.5")
     assert line.endswith(
@@ -94,7 +99,7 @@ def test_recordings_of_another_function_are_one_line(tmp_path):
         "--again makes such recordings anew, or another folder was expected"
     )
     done = run("campaign", f"{FILE}:wait_here", *arguments, "--duration", "0.5", "--again")
-    assert done.stderr.decode().splitlines()[-1] == "runs: 2 done, 0 were there, 0 failed"
+    assert done.stderr.decode().splitlines()[-1] == "runs: 1 done, 0 were there, 0 failed"
 
 
 def test_an_interrupted_campaign_says_how_many_runs_are_done(tmp_path):
@@ -153,7 +158,19 @@ def test_an_out_folder_that_is_a_file_is_one_line(tmp_path):
 
 
 def test_recordings_are_scored(tmp_path):
-    options = ("--param", "delay=3,6", "--param", "speed=1", "--from-drive", "--measure", "score", "--pages", "0", "--json")
+    options = (
+        "--param",
+        "delay=3,6",
+        "--param",
+        "speed=1",
+        "--from-drive",
+        "--measure",
+        "score",
+        "--pages",
+        "0",
+        "--json",
+        *ALONE,
+    )
     done = run("campaign", f"{SAMPLES / 'campaign.py'}:pedestrian", *options, "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     scores = [each["results"]["score"]["value"] for each in json.loads(done.stdout)["runs"]]

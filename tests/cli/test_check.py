@@ -22,6 +22,8 @@ from tests.waiting import time_limit
 
 SAMPLES = ROOT / "samples"
 RULES = SAMPLES / "rules.toml"
+ALONE = ("--jobs", "1")
+"""Options that start no processes, which would import the package first."""
 
 
 @pytest.fixture
@@ -69,7 +71,7 @@ def test_a_rule_that_had_nothing_to_judge_is_listed_and_is_broken_if_strict(tmp_
 
 
 def test_json(runs):
-    done = run("check", runs, "--rules", RULES, "--json")
+    done = run("check", runs, "--rules", RULES, "--json", *ALONE)
     assert done.returncode == 1
     found = json.loads(done.stdout)
     assert found["counts"] == {"pass": 1, "fail": 1, "error": 0}
@@ -92,14 +94,14 @@ def test_json(runs):
 
 
 def test_junit(runs, tmp_path):
-    done = run("check", runs, "--rules", RULES, "--junit", tmp_path / "out.xml", "--jobs", "1")
+    done = run("check", runs, "--rules", RULES, "--junit", tmp_path / "out.xml", *ALONE)
     assert done.returncode == 1
     suites = ElementTree.parse(tmp_path / "out.xml").getroot()
     assert (suites.get("tests"), suites.get("failures"), suites.get("errors")) == ("18", "4", "0")
 
 
 def test_on_a_terminal_verdicts_are_a_table(runs):
-    code, shown, _ = on_terminal("check", runs, "--rules", RULES)
+    code, shown, _ = on_terminal("check", runs, "--rules", RULES, *ALONE)
     assert code == 1
     assert "What happens" in shown
     assert "no-hero-collision" in shown
@@ -112,7 +114,7 @@ def test_wrong_rules_are_an_error_before_anything_is_read(tmp_path):
 
 
 def test_the_folder_of_the_junit_file_is_made(runs, tmp_path):
-    done = run("check", runs, "--rules", RULES, "--junit", tmp_path / "absent" / "out.xml", "-q")
+    done = run("check", runs, "--rules", RULES, "--junit", tmp_path / "absent" / "out.xml", "-q", *ALONE)
     assert (done.returncode, done.stderr) == (1, b"")
     assert (tmp_path / "absent" / "out.xml").exists()
 
@@ -130,8 +132,8 @@ def test_what_cannot_be_written_is_an_error_after_the_verdicts(runs, tmp_path, m
 
     monkeypatch.setattr("carla_recap.fleet.junit.write_junit", fails)
     monkeypatch.setattr("carla_recap.fleet.pages.overview", fails)
-    for options in (["--junit", tmp_path / "out.xml"], ["--html", tmp_path / "out", "--jobs", "1"]):
-        done = CliRunner().invoke(check, [str(runs), "--rules", str(RULES), *map(str, options)])
+    for options in (["--junit", tmp_path / "out.xml"], ["--html", tmp_path / "out"]):
+        done = CliRunner().invoke(check, [str(runs), "--rules", str(RULES), *ALONE, *map(str, options)])
         assert "no-hero-collision     12.10 s  2 collisions of the hero" in done.stdout
         assert isinstance(done.exception, RecapError)
 
@@ -148,7 +150,7 @@ def test_pages(runs, tmp_path):
 def test_a_folder_of_pages_that_is_not_empty_is_left_alone_without_force(runs, tmp_path):
     save(tmp_path / "mine.txt", b"")
     assert "is not empty; --force writes over" in error("check", runs, "--rules", RULES, "--html", tmp_path)
-    done = run("check", runs, "--rules", RULES, "--html", tmp_path, "--force")
+    done = run("check", runs, "--rules", RULES, "--html", tmp_path, "--force", *ALONE)
     assert done.returncode == 1
     assert names_in(tmp_path) == ["index.html", "mine.txt", "pages", "runs"]
 
@@ -161,7 +163,7 @@ def test_a_folder_of_pages_that_cannot_be_written_is_an_error_before_anything_is
 
 def test_a_source_without_recordings_is_an_error_among_the_verdicts(runs, tmp_path):
     (tmp_path / "empty").mkdir()
-    done = run("check", runs, tmp_path / "empty", "--rules", RULES)
+    done = run("check", runs, tmp_path / "empty", "--rules", RULES, *ALONE)
     assert done.returncode == 2
     assert "1 passed, 1 failed, 1 not judged" in done.stdout.decode()
 
@@ -170,7 +172,7 @@ def test_names_that_are_no_text_are_printed_and_written(tmp_path):
     name = os.fsdecode(b"caf\xe9 <&\x1b[31m.mcap")
     shutil.copy(SAMPLES / "crash.mcap", tmp_path / name)
     for form in ("--json", "--text"):
-        options = ("--html", tmp_path / form, "--junit", tmp_path / "out.xml")
+        options = ("--html", tmp_path / form, "--junit", tmp_path / "out.xml", *ALONE)
         done = run("check", tmp_path / name, "--rules", RULES, form, "-q", *options)
         assert (done.returncode, done.stderr) == (1, b"")
     assert b"caf\\udce9 <&\\x1b[31m.mcap" in done.stdout
