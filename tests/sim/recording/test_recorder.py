@@ -52,6 +52,11 @@ def lit_world() -> World:
     return flat_world(signals=[light(0, (0,)), light(1, (0,), y=-3.0)], phases=((0,), (1,)))
 
 
+def command(script: str, *arguments: object) -> list[str]:
+    """Return the command that runs a script in another interpreter."""
+    return [sys.executable, "-c", textwrap.dedent(script), *map(str, arguments)]
+
+
 def named(frame: Frame, name: str) -> list[dict[str, Any]]:
     records = frame[name]
     assert isinstance(records, np.ndarray)
@@ -312,8 +317,7 @@ _DRIVE = """
 
 def test_the_same_seed_and_steps_give_the_same_bytes_in_any_process_and_both_formats_hold_the_same(tmp_path: Path) -> None:
     paths = [tmp_path / f"theirs{suffix}" for suffix in (".mcap", ".log")]
-    script = [sys.executable, "-c", textwrap.dedent(_DRIVE), *paths]
-    subprocess.run(script, check=True, env={**os.environ, "PYTHONHASHSEED": "1"})
+    subprocess.run(command(_DRIVE, *paths), check=True, env={**os.environ, "PYTHONHASHSEED": "1"})
     ours = [record_a_drive(tmp_path / f"ours{path.suffix}") for path in paths]
     assert [path.read_bytes() for path in paths] == ours
     carla_recap.convert(tmp_path / "ours.mcap", tmp_path / "converted.log")
@@ -386,10 +390,10 @@ def test_a_full_disk_leaves_a_recording_of_any_suffix(tmp_path: Path) -> None:
 def handed_over(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The commands that processes that write have carried out."""
     done: list[str] = []
-    command = WriterProcess._command
+    carry_out = WriterProcess._command
 
     def counted(self: WriterProcess, name: str, *arguments: Any) -> None:
-        command(self, name, *arguments)
+        carry_out(self, name, *arguments)
         done.append(name)
 
     monkeypatch.setattr(WriterProcess, "_command", counted)
@@ -448,7 +452,7 @@ def test_a_visible_recording_of_a_process_that_is_killed_is_completed(tmp_path: 
     path = tmp_path / "a.log"
     script = killed("os.kill(os.getpid(), 9)", batches=4 if ticks else 0)
     script = script.replace("world.start_recorder(Path(sys.argv[1]))", _VISIBLE).replace("12.0", f"{ticks / 20}")
-    subprocess.run([sys.executable, "-c", script, str(path)], stderr=subprocess.PIPE)
+    subprocess.run(command(script, path), stderr=subprocess.PIPE)
     assert len(frames(path)) > ticks - 102
     assert list(tmp_path.iterdir()) == [path]
 
@@ -549,8 +553,9 @@ def killed(end: str, batches: int = 4) -> str:
 
 def test_a_process_that_is_killed_leaves_its_recording_complete_but_for_the_last_moments(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    command = [sys.executable, "-c", killed("os.kill(os.getpid(), 9)"), str(path)]
-    subprocess.run(command, stderr=subprocess.PIPE)  # kept open by the process that writes
+    subprocess.run(
+        command(killed("os.kill(os.getpid(), 9)"), path), stderr=subprocess.PIPE
+    )  # kept open by the process that writes
     found = frames(path)
     assert list(tmp_path.iterdir()) == [path]
     assert found[-1].elapsed > 12 - 5 - 0.1
@@ -571,8 +576,7 @@ def test_ctrl_c_does_not_reach_the_process_that_writes(tmp_path: Path) -> None:
         except KeyboardInterrupt:
             world.run(1.0)
     """
-    command = [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "a.mcap")]
-    done = subprocess.run(command, start_new_session=True, capture_output=True, text=True)
+    done = subprocess.run(command(script, tmp_path / "a.mcap"), start_new_session=True, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert len(frames(tmp_path / "a.mcap")) == 40
 
@@ -599,8 +603,8 @@ _INTERRUPTED = """
 
 
 def test_ctrl_c_while_a_recording_is_started_leaves_the_older_one(tmp_path: Path) -> None:
-    command = [sys.executable, "-X", "dev", "-c", textwrap.dedent(_INTERRUPTED), str(tmp_path / "a.mcap")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+    interpreter, *arguments = command(_INTERRUPTED, tmp_path / "a.mcap")
+    done = subprocess.run([interpreter, "-X", "dev", *arguments], capture_output=True, text=True, timeout=PATIENCE)
     assert (done.returncode, done.stderr) == (0, "")
     assert len(frames(tmp_path / "a.mcap")) in (1, 20)  # the one that was not interrupted, or the older one
     assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
@@ -608,7 +612,7 @@ def test_ctrl_c_while_a_recording_is_started_leaves_the_older_one(tmp_path: Path
 
 def test_a_signal_to_the_whole_group_completes_the_recording(tmp_path: Path) -> None:
     script = killed("os.kill(world.recorder._writer.pid, 15)\nos.kill(os.getpid(), 15)")
-    subprocess.run([sys.executable, "-c", script, str(tmp_path / "a.mcap")], stderr=subprocess.PIPE)
+    subprocess.run(command(script, tmp_path / "a.mcap"), stderr=subprocess.PIPE)
     assert len(frames(tmp_path / "a.mcap")) > 100
     assert list(tmp_path.iterdir()) == [tmp_path / "a.mcap"]
 
@@ -618,8 +622,7 @@ def test_what_else_is_printed_when_an_interpreter_starts_is_passed_over(tmp_path
     (tmp_path / "site" / "sitecustomize.py").write_text("print('hello')")
     path, paths = tmp_path / "a.log", os.pathsep.join([str(tmp_path / "site"), str(Path.cwd())])
     environment = {**os.environ, "PYTHONPATH": paths}
-    command = [sys.executable, "-c", textwrap.dedent(_SCRIPT), str(path)]
-    subprocess.run(command, env=environment, check=True, timeout=PATIENCE, stdout=subprocess.DEVNULL)
+    subprocess.run(command(_SCRIPT, path), env=environment, check=True, timeout=PATIENCE, stdout=subprocess.DEVNULL)
     assert len(frames(path)) == 240
 
 
@@ -639,8 +642,7 @@ def test_forked_processes_that_go_on_delay_no_recording(tmp_path: Path) -> None:
                 os._exit(0)
         print(child, flush=True)
     """
-    command = [sys.executable, "-c", textwrap.dedent(script), str(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command(script, tmp_path), stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         child = int(process.stdout.readline())
         assert process.wait(PATIENCE) == 0
@@ -658,8 +660,7 @@ def test_a_process_that_is_killed_has_its_recording_completed_even_while_forked_
         print(child, flush=True)
         os.kill(os.getpid(), 9)
     """
-    command = [sys.executable, "-c", killed(end), str(path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command(killed(end), path), stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         child = int(process.stdout.readline())
         wait_until(path.exists)
@@ -826,7 +827,7 @@ def test_processes_that_are_forked_have_their_own(tmp_path: Path) -> None:
         if child:
             assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
     """
-    subprocess.run([sys.executable, "-c", textwrap.dedent(script), str(tmp_path)], check=True, timeout=PATIENCE)
+    subprocess.run(command(script, tmp_path), check=True, timeout=PATIENCE)
     assert {path.name: len(frames(path)) for path in tmp_path.iterdir()} == {"a.mcap": 20, "b.mcap": 40, "c.mcap": 60}
 
 

@@ -48,6 +48,12 @@ def ticks(world: World, seconds: float) -> Iterator[None]:
         yield
 
 
+def run(world: World, seconds: float) -> None:
+    """Tick for some seconds, and expect no collision."""
+    for _ in ticks(world, seconds):
+        pass
+
+
 def front(vehicle: Vehicle) -> float:
     return vehicle.transform.location.x + vehicle.box.extent.x
 
@@ -116,15 +122,13 @@ def test_stops_at_red_with_its_brake_lights_on_and_goes_at_green() -> None:
     for _ in ticks(world, 20.0):
         assert front(vehicle) < 120.0
     stands = front(vehicle)
-    for _ in ticks(world, 10.0):
-        pass
+    run(world, 10.0)
     assert front(vehicle) == stands
     assert stands > 117.0
     assert speed(vehicle) < 0.01
     assert vehicle.light_state & BRAKE
     signal.set_state(GREEN)
-    for _ in ticks(world, 5.0):
-        pass
+    run(world, 5.0)
     assert front(vehicle) > 125.0
     assert not vehicle.light_state & BRAKE
 
@@ -150,18 +154,15 @@ def test_waits_if_the_light_changes_while_it_stands_right_at_the_line(state: int
     signal.set_state(GREEN)
     ahead = car(world, 124.2, drives=False)
     vehicle = car(world, 100.0)
-    for _ in ticks(world, 10.0):
-        pass
+    run(world, 10.0)
     stands = front(vehicle)
     assert 119.3 < stands < 120.0
     signal.set_state(state)
     ahead.destroy()
-    for _ in ticks(world, 10.0):
-        pass
+    run(world, 10.0)
     assert front(vehicle) == pytest.approx(stands, abs=0.1)
     signal.set_state(GREEN)
-    for _ in ticks(world, 5.0):
-        pass
+    run(world, 5.0)
     assert front(vehicle) > 125.0
 
 
@@ -184,8 +185,7 @@ def test_stops_at_a_red_light_on_a_short_road_between_two_junctions(length: floa
         assert front(vehicle) < entry
     assert front(vehicle) > entry - 2.0
     signal.set_state(GREEN)
-    for _ in ticks(world, 8.0):
-        pass
+    run(world, 8.0)
     assert front(vehicle) > entry + 10
 
 
@@ -233,8 +233,7 @@ def test_stops_before_a_prop_on_the_road() -> None:
     world = world_of(lane(0, (300, 0)))
     vehicle = car(world, 10.0)
     world.spawn("static.prop.streetbarrier", at(90.0))
-    for _ in ticks(world, 20.0):
-        pass
+    run(world, 20.0)
     assert 85.0 < front(vehicle) < 90.0
     assert speed(vehicle) < 0.05
 
@@ -244,8 +243,7 @@ def test_vehicles_cross_a_junction_one_after_the_other_without_contact() -> None
     world = world_of(*lanes, junctions=(junction,))
     cars = [car(world, 80.0 - 12.0 * n) for n in range(3)]
     cars += [car(world, 110.0, -30.0 - 12.0 * n, yaw=90.0) for n in range(3)]
-    for _ in ticks(world, 35.0):
-        pass
+    run(world, 35.0)
     assert all(vehicle.transform.location.x > 125.0 for vehicle in cars[:3])
     assert all(vehicle.transform.location.y > 15.0 for vehicle in cars[3:])
 
@@ -255,13 +253,11 @@ def test_does_not_enter_a_junction_that_it_could_not_leave() -> None:
     world = world_of(*lanes, junctions=(junction,))
     blocking = car(world, 124.0, drives=False)
     waiting, crossing_car = car(world, 60.0), car(world, 110.0, -60.0, yaw=90.0)
-    for _ in ticks(world, 20.0):
-        pass
+    run(world, 20.0)
     assert 95.0 < front(waiting) < 100.0
     assert crossing_car.transform.location.y > 15.0
     blocking.destroy()
-    for _ in ticks(world, 15.0):
-        pass
+    run(world, 15.0)
     assert front(waiting) > 125.0
 
 
@@ -271,8 +267,7 @@ def test_a_destroyed_vehicle_releases_its_reservations() -> None:
     inside, waiting = car(world, 106.0), car(world, 110.0, -25.0, yaw=90.0)
     world.tick()
     inside.destroy()
-    for _ in ticks(world, 15.0):
-        pass
+    run(world, 15.0)
     assert waiting.transform.location.y > 15.0
 
 
@@ -329,8 +324,7 @@ def test_takes_over_at_speed_without_a_jerk() -> None:
 def test_returns_to_the_road(y: float, yaw: float) -> None:
     world = world_of(lane(0, (600, 0)))
     vehicle = car(world, 50.0, y, yaw=yaw)
-    for _ in ticks(world, 20.0):
-        pass
+    run(world, 20.0)
     assert abs(vehicle.transform.location.y) < 0.2
     assert vehicle.transform.location.x > 80.0
 
@@ -338,8 +332,7 @@ def test_returns_to_the_road(y: float, yaw: float) -> None:
 def test_stands_off_the_road_and_at_its_end() -> None:
     world = world_of(lane(0, (100, 0)))
     lost, driving = car(world, 50.0, 90.0, speed=8.0), car(world, 10.0)
-    for _ in ticks(world, 25.0):
-        pass
+    run(world, 25.0)
     assert lost.transform.location.x < 70.0
     assert speed(lost) == pytest.approx(0.0, abs=0.01)
     assert 95.0 < front(driving) < 100.0
@@ -349,12 +342,10 @@ def test_stands_off_the_road_and_at_its_end() -> None:
 def test_does_not_control_a_vehicle_that_has_it_switched_off() -> None:
     world = world_of(lane(0, (600, 0)))
     vehicle = car(world, 10.0)
-    for _ in ticks(world, 3.0):
-        pass
+    run(world, 3.0)
     vehicle.set_autopilot(False)
     vehicle.apply_control(VehicleControl(brake=1.0))
-    for _ in ticks(world, 5.0):
-        pass
+    run(world, 5.0)
     assert speed(vehicle) == pytest.approx(0.0, abs=0.01)
     assert vehicle.control.brake == 1.0
 
