@@ -315,6 +315,7 @@ def test_a_collision_is_marked_on_the_ground_for_some_seconds(played):
     for scene in played(*accident(5)).scenes():
         found = actors.at(scene)
         marked[round(scene.time, 1)] = found.locations[found.models == mark]
+        assert len(found.ids) == len(found.models)
         assert (found.ids[1:] > found.ids[:-1]).all()
     assert not len(marked[0.0])
     assert marked[0.1][0] == pytest.approx((2, 0, 0.03), abs=0.02)  # at the walker's feet
@@ -322,7 +323,7 @@ def test_a_collision_is_marked_on_the_ground_for_some_seconds(played):
     assert not len(marked[round(0.1 + MARKED + 0.1, 1)])
 
 
-@pytest.mark.parametrize(("start", "marks"), [(3.0, 1), (7.5, 0)])
+@pytest.mark.parametrize(("start", "marks"), [(3.0, 1), (4.9, 1), (7.5, 0)])
 def test_collisions_before_the_beginning_are_recalled(tmp_path, start, marks):
     path = tmp_path / "recording.log"
     path.write_bytes(samples.log_header() + b"".join(accident(5)))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from carla_recap import Player, open_recording
+from carla_recap import ActorKind, Player, Spawn, open_recording
 from carla_recap.replay.pose import YAW
 from carla_recap.scene.ahead import NO_LIGHT, stop_points
 from carla_recap.scene.follow import FollowedActor, FollowedSeries, LiveFollow, followed_series
@@ -100,6 +100,32 @@ def test_the_light_ahead_is_the_nearest_in_front(tmp_path: Path) -> None:
     found = series(tmp_path, [frame])
     assert (found.light.tolist(), found.light_state.tolist()) == ([12], [0])
     assert found.light_distance == pytest.approx([30 - 2.09])  # half the length of the blueprint
+
+
+def test_the_light_ahead_is_that_of_the_heading(tmp_path: Path) -> None:
+    lights = [
+        Spawn(id, ActorKind.TRAFFIC_LIGHT, 0, y, 0, 0, 0, 180, 0, "traffic.light") for id, y in ((10, 3000), (11, -3000))
+    ]
+    frame = {"transforms": [pose(1, yaw=90)], "spawned": [spawn(1), *lights], "light_states": [light(10, 0), light(11, 0)]}
+    assert series(tmp_path, [frame]).light.tolist() == [10]
+
+
+@pytest.mark.parametrize(("behind", "ahead"), [(1.5, 10), (2.5, NO_LIGHT)])
+def test_a_light_is_ahead_until_its_stop_line_is_behind_the_actor(tmp_path: Path, behind: float, ahead: int) -> None:
+    volume = (10, -100 * behind, 0, 0, 100, 100, 100)
+    spawned = [spawn(1), spawn(10, "traffic.traffic_light", 3000, 90)]
+    frame = {"transforms": [pose(1)], "spawned": spawned, "light_states": [light(10, 0)], "trigger_volumes": [volume]}
+    assert series(tmp_path, [frame]).light.tolist() == [ahead]
+
+
+def test_an_actor_that_appears_in_the_last_scene_of_a_batch_has_the_speed_of_its_next_step(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(2)]}, {"transforms": [pose(2)]}]
+    frames += [{"transforms": [pose(1, 100 * n), pose(2), *[pose(3)] * (n > 0)]} for n in range(3)]
+    frames[0]["spawned"] = [spawn(2)]
+    with open_recording(write(tmp_path / "in.log", frames, tick=0.1)) as recording:
+        actor = FollowedActor(1, {})
+        speeds = np.concatenate([actor.series(batch).speed for batch in Player(recording).batches()])
+    assert speeds == pytest.approx([math.nan, math.nan, 10, 10, 10], nan_ok=True)
 
 
 def test_a_walker_heeds_no_light(tmp_path: Path) -> None:

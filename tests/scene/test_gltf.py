@@ -64,6 +64,15 @@ def test_nodes_are_moved_turned_and_scaled_with_those_above_them():
     assert part.positions.max(axis=0) == pytest.approx((18, 0, 0))
 
 
+def test_a_rotation_is_that_of_its_matrix():
+    """By 120 degrees about the diagonal: x becomes y, y becomes z, and z becomes x."""
+    matrix = [0, 1, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, 0, 0, 0, 1]
+    (turned,) = read_glb(changed("nodes.0.rotation", [0.5] * 4))
+    (expected,) = read_glb(changed("nodes.0.matrix", matrix))
+    assert turned.positions == pytest.approx(expected.positions)
+    assert turned.normals == pytest.approx(expected.normals)
+
+
 def test_a_mirrored_node_faces_outward():
     mirror = np.diag((-1.0, 1, 1, 1)).T.reshape(-1).tolist()
     (part,) = read_glb(changed("nodes.0.matrix", mirror))

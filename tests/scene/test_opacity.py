@@ -38,8 +38,13 @@ def test_what_has_the_camera_inside_is_see_through(x: float) -> None:
     assert opacities(((x, 0, 4.0), (3.0, 1.3, 2.0))) == (1, [IN_THE_WAY])
 
 
-def test_what_is_beside_the_camera_is_not() -> None:
-    assert opacities(((-10.0, 4.0, 4.0), (3.0, 1.3, 2.0))) == (1, [1])
+@pytest.mark.parametrize(("aside", "expected"), [(1.5, IN_THE_WAY), (1.7, 1), (4.0, 1)])
+def test_what_is_beside_the_camera_is_see_through_within_a_third_of_a_metre(aside: float, expected: float) -> None:
+    assert opacities(((-10.0, aside, 4.0), (3.0, 1.3, 2.0))) == (1, [expected])
+
+
+def test_what_covers_little_of_the_followed_actor_is_not() -> None:
+    assert opacities(((-6.0, 0, 1.5), (0.05, 0.05, 1.5))) == (1, [1])
 
 
 def test_flat_and_far_boxes_do_not_matter() -> None:

@@ -247,6 +247,7 @@ def test_a_carrier_at_rest(frames: list[SensedFrame]) -> None:
 # --- rigs without cameras, which need no driver ------------------------------------------------------------------------
 
 MOTION = SensorRig.of([{"type": "sensor.other.imu", "id": "imu"}, {"type": "sensor.speedometer", "id": "speed"}])
+"""A rig that needs no driver, and hardly any time."""
 
 
 def circle(path: Path, *, velocities: bool, rate: float = 20.0) -> Path:

@@ -21,7 +21,7 @@ from rerun.chunk import RrdReader
 
 from carla_recap import convert
 from carla_recap.show.importer import FAILED, NOT_OURS
-from tests.samples import CARLA_LOGS, carla_log, log_header, save, small_log
+from tests.samples import CARLA_LOGS, carla_log, log_header, save
 from tests.screenshots import ScreenshotTaker
 from tests.show.conftest import SAMPLE
 from tests.waiting import PATIENCE, time_limit
@@ -62,12 +62,12 @@ def foreign_mcap(library: str = "somebody's") -> bytes:
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".anything"])
-def test_recordings_are_recognized_by_their_content(tmp_path, suffix):
+def test_recordings_are_recognized_by_their_content(tmp_path, small, suffix):
     path = tmp_path / f"a recording{suffix}"
-    path.write_bytes(small_log())
     if suffix == ".mcap":
-        path.unlink()
-        convert(save(tmp_path / "small.log", small_log()), path)
+        convert(small, path)
+    else:
+        small.rename(path)
     done = run(path, "--application-id", "some app", "--recording-id", "some id", "--unheard-of", "--timeless")
     assert (done.returncode, done.stderr) == (0, b"")
     reader = RrdReader(save(tmp_path / "out.rrd", done.stdout))
@@ -127,8 +127,8 @@ def test_it_ends_when_the_viewer_has_ended():
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
-def test_a_full_destination_is_an_error_of_one_line():
-    command = [sys.executable, "-c", RUN, SAMPLE]
+def test_a_full_destination_is_an_error_of_one_line(small):
+    command = [sys.executable, "-c", RUN, small]
     with Path("/dev/full").open("wb") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, timeout=PATIENCE)
     line = f"{NAME}: stdout: cannot be written: No space left on device\n"
@@ -136,8 +136,8 @@ def test_a_full_destination_is_an_error_of_one_line():
 
 
 @pytest.mark.skipif(os.name != "posix", reason="descriptors are POSIX's")
-def test_without_stdout_it_fails_with_one_line():
-    closed = f"import os; os.close(1); os.execv({sys.executable!r}, [{sys.executable!r}, '-c', {RUN!r}, {str(SAMPLE)!r}])"
+def test_without_stdout_it_fails_with_one_line(small):
+    closed = f"import os; os.close(1); os.execv({sys.executable!r}, [{sys.executable!r}, '-c', {RUN!r}, {str(small)!r}])"
     done = subprocess.run([sys.executable, "-c", closed], stderr=subprocess.PIPE, timeout=PATIENCE)
     assert (done.returncode, done.stderr.decode().count("\n")) == (FAILED, 1)
 

@@ -33,6 +33,7 @@ from tests.sensors.test_sensing import (
     HERO,
     HERO_POSE,
     LEFT,
+    MOTION,
     RAISED,
     RAYS,
     RIGHT,
@@ -85,8 +86,6 @@ SCHEMAS = {
     "/sensors/speed/speed": "carla_recap.v1.SpeedReading",
     "/tf/sensors": "foxglove.FrameTransforms",
 }
-MOTION = SensorRig.of([{"type": "sensor.other.imu", "id": "imu"}, {"type": "sensor.speedometer", "id": "speed"}])
-"""A rig that needs no driver, and hardly any time."""
 
 
 def export(source: Path, destination: Path, rig: SensorRig = MOTION, **options: Any) -> Any:
