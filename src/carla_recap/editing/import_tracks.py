@@ -493,6 +493,6 @@ def _by_moment(values: NDArray[Any], times: Floats, moments: Floats) -> Iterator
 
 def _actor_ids(names: list[str]) -> NDArray[np.uint32]:
     """Return an actor id for each name: the name itself, if all are such numbers, else 1 and up."""
-    if all(name.isascii() and name.isdecimal() and 0 < int(name[:12]) < _IDS and name[0] != "0" for name in names):
+    if all(name.isascii() and name.isdecimal() and name[0] != "0" and int(name[:12]) < _IDS for name in names):
         return np.array([int(name) for name in names], np.uint32)
     return np.arange(1, len(names) + 1, dtype=np.uint32)
