@@ -55,6 +55,12 @@ def test_numbers_are_stored_in_carlas_units_and_axes(table):
         assert frame["velocities"].tolist() == [(7, 3, -4, 0, 0, 0, 0)]
 
 
+def test_a_negative_zero_is_zero(table):
+    with table("time,id,x,y\n-0,7,-0,1\n") as recording:
+        (frame,) = recording
+        assert (str(frame.elapsed), str(frame["transforms"]["x"][0])) == ("0.0", "0.0")
+
+
 def test_units_and_axes_are_options(table):
     options = {"time_unit": "ms", "length_unit": "cm", "angle_unit": "rad", "axes": "carla"}
     with table(f"time,id,x,y,yaw,vx,vy\n1500,7,1,2,{math.pi / 2},300,400\n", **options) as recording:
