@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import queue
+import time
+from datetime import UTC, datetime
 from math import log10
 from typing import TYPE_CHECKING, Any
 
@@ -25,9 +27,9 @@ if TYPE_CHECKING:
 
 CAM = np.dtype(
     {
-        "names": ["power", "station", "heading", "speed", "vertical", "low_frequency"],
-        "formats": ["<f4", "<i8", "<i8", "<i8", "<i8", "<i8"],
-        "offsets": [0, 24, 112, 128, 304, 408],
+        "names": ["power", "station", "generation_time", "heading", "speed", "vertical", "low_frequency"],
+        "formats": ["<f4", "<i8", "<i8", "<i8", "<i8", "<i8", "<i8"],
+        "offsets": [0, 24, 32, 112, 128, 304, 408],
         "itemsize": 464,
     }
 )
@@ -61,6 +63,18 @@ def test_messages_are_sent_whether_clients_listen_or_not() -> None:
     receiver = cam_sensor(host, vehicle(host))
     host.tick()
     assert len(cams(receiver)) == 1
+
+
+def test_messages_have_the_time_since_2004_in_ms_of_which_16_bits_are_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time, "time", lambda: datetime(2004, 1, 1, 0, 1, 5, tzinfo=UTC).timestamp())
+    host = served()
+    for _ in range(5):
+        host.tick()
+    host.world.spawn("sensor.other.v2x", HERE, parent=vehicle(host, 20.0))
+    receiver = cam_sensor(host, vehicle(host))
+    for _ in range(21):
+        host.tick()
+    assert [message["generation_time"] for _, message in cams(receiver)] == pytest.approx([65_000, 66_000 - 65_536], abs=1)
 
 
 def times(speed: float, steer: float = 0.0, **attributes: str) -> list[int]:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _RESPONSE: Final = 0.3  # s: the time constant of the speed
 _MOST: Final = 8.0  # m/s²: the default limit
 _HALT: Final = 0.1  # m/s: below it, a vehicle that is to stand is braked
-_log: Final = logging.getLogger(__name__)
+_LOG: Final = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
@@ -186,7 +186,7 @@ class Takeover:
     def _log_once(self, vehicle: Vehicle) -> None:
         if not self._is_logged:
             self._is_logged = True
-            _log.warning(
+            _LOG.warning(
                 "%r follows a recording: controls and autopilots of clients have no effect on replayed vehicles until the "
                 "replay ends",
                 vehicle,

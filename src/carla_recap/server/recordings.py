@@ -36,7 +36,7 @@ NOT_RECORDED: Final = ""
 _LONGEST: Final = 1 << 29
 """The most characters of an answer; the command line gives longer ones."""
 _SHOWN: Final = 200  # characters of a name in a message
-_log: Final = logging.getLogger(__name__)
+_LOG: Final = logging.getLogger(__name__)
 
 
 class Recordings:
@@ -66,11 +66,11 @@ class Recordings:
         destination = recorder.destination(name)
         self._check(name, destination)
         if recorder.path is not None:
-            _log.warning("start_recorder: the recording of %s ends, since %s begins", recorder.path, destination)
+            _LOG.warning("start_recorder: the recording of %s ends, since %s begins", recorder.path, destination)
         try:
             return str(recorder.start(name, additional_data, visible=True).absolute())
         except DestinationError as error:
-            _log.warning("start_recorder: %s", error)
+            _LOG.warning("start_recorder: %s", error)
             return NOT_RECORDED
 
     def find(self, name: str) -> Path:

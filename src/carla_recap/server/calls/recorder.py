@@ -30,7 +30,7 @@ from carla_recap.sim.town.loading import BUILT_IN
 
 _NEWS: Final = 0.1
 """Seconds until a client that has just been sent a new episode assigns its calls to that one."""
-_log: Final = logging.getLogger(__name__)
+_LOG: Final = logging.getLogger(__name__)
 _transform: Final = decoder(Transform)
 
 
@@ -43,7 +43,7 @@ def start_recorder(client: Client, name: str, additional_data: bool = False, sto
     """
     world = client.host.world
     if stop_replayer and world.replayer.is_playing:
-        _log.warning("start_recorder: the replay of %s ends, and its actors are destroyed", world.replayer.path)
+        _LOG.warning("start_recorder: the replay of %s ends, and its actors are destroyed", world.replayer.path)
         world.stop_replayer()
     return client.host.recordings.start(name, additional_data)
 
