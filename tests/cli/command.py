@@ -52,6 +52,15 @@ def run(*arguments: object, cwd: Path | None = None, **options: Any) -> Done:
         return Done(words, command.wait(PATIENCE), *printed)
 
 
+def printed(*arguments: str) -> tuple[int, str]:
+    """Run the command; return its exit code, and what it prints on stdout and stderr."""
+    pipe, end = os.pipe()
+    command = _server().start(list(arguments), end, end)
+    with ThreadPoolExecutor(1) as threads:
+        text = threads.submit(_read, pipe)
+        return command.wait(PATIENCE), text.result().decode()
+
+
 def _read(descriptor: int) -> bytes:
     with open(descriptor, "rb") as file:
         return file.read()
