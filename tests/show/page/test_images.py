@@ -184,10 +184,10 @@ def test_a_camera_that_is_not_there_is_an_error(tmp_path: Path) -> None:
     expected = "has no images of a camera 'front'; it has those of ahead, back"
     with pytest.raises(RecapError, match=f"^{source}: {expected}$"):
         report(source, tmp_path / "page.html", camera="front")
-    options = "--kinds", "collision"
-    assert error("report", source, tmp_path / "page.html", "--camera", "front", *options).endswith(expected)
-    without = error("report", CROSSING, tmp_path / "page.html", "--camera", "a", *options)
-    assert without.endswith("'carla-recap sense' writes a recording that has some")
+    arguments = "--camera", "front", "--kinds", "collision"
+    assert error("report", source, tmp_path / "page.html", *arguments).endswith(expected)
+    with pytest.raises(RecapError, match=r"'carla-recap sense' writes a recording that has some$"):
+        report(CROSSING, tmp_path / "page.html", camera="a")
     assert not (tmp_path / "page.html").exists()
 
 
