@@ -12,7 +12,7 @@ import pytest
 
 from carla_recap.roads.lanes import NO_JUNCTION, TownRoads
 from carla_recap.roads.opendrive import read_opendrive
-from tests.roads.towns import TOWNS
+from tests.roads import towns
 
 if TYPE_CHECKING:
     from carla_recap.roads.lanes import LaneGeometry
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
 carla = pytest.importorskip("carla", reason="the extra carla is not installed")
 
 BUILT_IN = Path(__file__).parents[2] / "src" / "carla_recap" / "sim" / "towns"
-PATHS = sorted((*BUILT_IN.glob("*.xodr"), *TOWNS.glob("*.xodr")))
+PATHS = sorted((*BUILT_IN.glob("*.xodr"), *towns.TOWNS.glob("*.xodr")))
 KINDS = {"none": "NONE", "driving": "Driving", "sidewalk": "Sidewalk", "shoulder": "Shoulder", "median": "Median"}
 
 
 @cache
-def loaded(path: Path) -> tuple[TownRoads, Any]:
-    text = path.read_text()
+def loaded(source: Path | str) -> tuple[TownRoads, Any]:
+    text = source.read_text() if isinstance(source, Path) else source
     return TownRoads(read_opendrive(text)), carla.Map("", text)
 
 
@@ -44,8 +44,7 @@ def at(town: Any, lane: LaneGeometry, index: int) -> Any:
     return town.get_waypoint_xodr(lane.road, lane.id, float(lane.stations[index]))
 
 
-def test_waypoints_are_equal(both: tuple[TownRoads, Any]) -> None:
-    roads, town = both
+def assert_equal_waypoints(roads: TownRoads, town: Any) -> None:
     for lane in roads.lanes:
         for index in (*range(0, len(lane.stations), 7), len(lane.stations) - 1):
             waypoint = at(town, lane, index)
@@ -56,6 +55,16 @@ def test_waypoints_are_equal(both: tuple[TownRoads, Any]) -> None:
             assert waypoint.lane_width == pytest.approx(np.linalg.norm(lane.left[index] - lane.right[index]), abs=1e-6)
             assert str(waypoint.lane_type) == KINDS[lane.kind]
             assert (waypoint.junction_id if waypoint.is_junction else NO_JUNCTION) == lane.junction
+
+
+def test_waypoints_are_equal(both: tuple[TownRoads, Any]) -> None:
+    assert_equal_waypoints(*both)
+
+
+def test_lanes_turn_with_the_offset_of_their_road() -> None:
+    lanes = towns.section(0, towns.lane(1), towns.lane(-1))
+    road = towns.road(sections=f'<laneOffset s="0" a="0.5" b="0.05" c="1e-3" d="0"/>{lanes}')
+    assert_equal_waypoints(*loaded(towns.opendrive(road)))
 
 
 def test_all_lanes_of_sections_with_one_for_cars_are_there(both: tuple[TownRoads, Any]) -> None:
