@@ -36,6 +36,27 @@ def test_rows(make: Make) -> None:
     assert answer.header.map_name == "Town01"
 
 
+def test_rows_are_a_data_frame(make: Make) -> None:
+    pytest.importorskip("pandas")
+    moving = {"velocities": [(1, 3.0, 4.0, 0.0, 0.0, 0.0, 0.0), (2, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0)]}
+    frame = collisions(make({"spawned": CAST, **moving}, {"collisions": [(0, 1, 2, 1, 0)]})).to_pandas()
+    assert frame.iloc[0].to_dict() == {
+        "elapsed": 0.5,
+        "frame": 2,
+        "contact": 1,
+        "impact_speed": 5.0,
+        "relative_speed": 4.0,
+        "letter1": "v",
+        "id1": 1,
+        "type_id1": "vehicle.hero",
+        "hero1": True,
+        "letter2": "w",
+        "id2": 2,
+        "type_id2": "walker.a",
+        "hero2": False,
+    }
+
+
 def test_a_contact_that_goes_on_gives_one_row(make: Make) -> None:
     contact = {"collisions": [(0, 1, 2, 0, 0)]}
     other_way = {"collisions": [(0, 2, 1, 0, 0)]}

@@ -22,6 +22,7 @@ from carla_recap.queries.output.table import table
 from carla_recap.queries.output.text import text
 from carla_recap.tables import column_names
 from tests.queries.conftest import TICK, write
+from tests.queries.measures.conftest import record, straight
 from tests.samples import carla_log, reading
 
 if TYPE_CHECKING:
@@ -374,39 +375,37 @@ def test_values_are_columns(make: Make) -> None:
 # --- near misses ---------------------------------------------------------------------------------------
 
 
-def crossing(seconds: float, hero: int = 0) -> list[dict[str, Any]]:
-    """Return frames in which car 5 crosses the path of car 3, some seconds after it has left."""
-    frames: list[dict[str, Any]] = []
-    for index in range(121):
-        time = index / RATE
-        one = (3, -2000.0 + 1000 * time, 0.0, 0.0, 0.0, 0.0, 0.0)
-        other = (5, 0.0, 2600.0 + 1000 * (seconds - time), 0.0, 0.0, 0.0, -90.0)
-        frames.append({"transforms": [one, other]})
-    boxes = [(id, 0.0, 0.0, 75.0, 200.0, 100.0, 75.0) for id in (3, 5)]
-    cars = [spawn(3, 1, "vehicle.b"), spawn(5, 1, "vehicle.d", **({"role_name": "hero"} if hero else {}))]
-    frames[0] |= {"spawned": cars, "bounding_boxes": boxes}
-    return frames
+@pytest.fixture
+def crossing(tmp_path: Path, suffix: str, opened: Callable[[Path], Reader]) -> Callable[[float], Reader]:
+    """Returns a recording in which car 5 crosses the path of car 3, some seconds after it has left."""
+
+    def recorded(seconds: float) -> Reader:
+        first = straight(3, -20, 0, 10, type_id="vehicle.b")
+        second = straight(5, 0, -26 - 10 * seconds, 10, yaw=90, type_id="vehicle.d")
+        return opened(record(tmp_path / f"{seconds}{suffix}", [first, second], 6.0, RATE, {}))
+
+    return recorded
 
 
-def test_near_misses(make: Make) -> None:
-    reader = make(*crossing(0.4), durations=[1 / RATE] * 120 + [LAST_FRAME_DURATION])
+def test_near_misses(crossing: Callable[[float], Reader]) -> None:
+    reader = crossing(0.4)
     (row,) = incidents(reader, IncidentOptions(kinds=["near miss"]))
     assert (row.kind, row.actors, row.type_ids) == ("near miss", (5, 3), ("vehicle.d", "vehicle.b"))
     assert row.text == "vehicle.d (5) crosses the path of vehicle.b (3) 0.4 s after it at 2.70 s, at 36 km/h"
     assert (row.start, row.stop) == (pytest.approx(2.3, abs=0.06), pytest.approx(2.7, abs=0.06))
-    assert (row.x, row.y) == (0.0, pytest.approx(-3.0, abs=0.6))
+    assert (row.x, row.y) == (pytest.approx(0.0, abs=1e-6), pytest.approx(-3.0, abs=0.6))
     assert (row.measure, row.unit, row.threshold) == ("post_encroachment_time", "s", 1.0)
     assert (row.value, row.time) == (pytest.approx(0.4, abs=0.05), pytest.approx(2.7, abs=0.06))
     assert list(incidents(reader, IncidentOptions(kinds=kinds_without_roads()))) == [row]
     assert incidents(reader) == []
 
 
-def test_limits_of_near_misses_are_options(make: Make) -> None:
-    reader = make(*crossing(0.4), durations=[1 / RATE] * 120 + [LAST_FRAME_DURATION])
+def test_limits_of_near_misses_are_options(crossing: Callable[[float], Reader]) -> None:
+    reader = crossing(0.4)
     assert incidents(reader, IncidentOptions(kinds=["near miss"], post_encroachment_time=0.3)) == []
     (row,) = incidents(reader, IncidentOptions(kinds=["near miss"], post_encroachment_time=0.5))
     assert (row.measure, row.threshold) == ("post_encroachment_time", 0.5)
-    later = make(*crossing(1.8), durations=[1 / RATE] * 120 + [LAST_FRAME_DURATION])
+    later = crossing(1.8)
     assert incidents(later, IncidentOptions(kinds=["near miss"])) == []
     assert len(incidents(later, IncidentOptions(kinds=["near miss"], post_encroachment_time=2))) == 1
 

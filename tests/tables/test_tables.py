@@ -59,7 +59,9 @@ def test_rows_become_an_arrow_table(kind):
 
 
 def test_no_rows_have_columns_too():
-    assert list(TypedRows().to_pandas().columns) == ["id", "name", "time", "hero", "parent"]
+    frame = TypedRows().to_pandas()
+    assert list(frame.columns) == ["id", "name", "time", "hero", "parent"]
+    assert (frame["name"].dtype, frame["time"].dtype) == (TypedRows(ROWS).to_pandas()["name"].dtype, np.float64)
     table = TypedRows().to_arrow()
     assert (table.num_rows, table.column_names[:2]) == (0, ["id", "name"])
     assert str(table.schema.field("name").type) == "string"
@@ -71,8 +73,9 @@ def test_no_rows_of_no_type_have_no_columns():
 
 def test_large_numbers_fit():
     rows = Rows([Row((1 << 64) - 1, "", 0.0, False)])
-    assert rows.to_pandas()["id"].tolist() == [(1 << 64) - 1]
-    assert rows.to_arrow().column("id").to_pylist() == [(1 << 64) - 1]
+    frame, table = rows.to_pandas(), rows.to_arrow()
+    assert (frame["id"].dtype, frame["id"].tolist()) == (np.uint64, [(1 << 64) - 1])
+    assert (str(table.schema.field("id").type), table.column("id").to_pylist()) == ("uint64", [(1 << 64) - 1])
 
 
 def test_columns_become_tables():

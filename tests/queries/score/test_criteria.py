@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -163,7 +164,8 @@ def test_a_drive_outside_the_lanes_counts_by_its_share(drives: Drives) -> None:
     assert (found.status, kinds(found)) == ("Completed", ["outside_route_lanes"])
     assert found.infractions[0].share == pytest.approx(0.2, abs=0.02)
     assert found.penalty == pytest.approx(1 - found.infractions[0].share)
-    assert "Agent went outside its route lanes for about" in found.infractions[0].text
+    metres, percentage = map(float, re.findall(r"about ([\d.]+) meters \(([\d.]+)%", found.infractions[0].text)[0])
+    assert (metres, percentage) == pytest.approx((20.0, 20.0), abs=2.0)
     assert kinds(drives([(x, Y + (2.2 if 195 < x < 215 else 0.0), yaw) for x, _, yaw in WHOLE])) == []
 
 
