@@ -42,10 +42,10 @@ def test_a_lidar_sweeps_channel_by_channel_from_above_and_to_the_right() -> None
 
 
 def test_a_lidar_goes_on_where_the_frame_before_has_ended() -> None:
-    whole, halves = (LidarBeams(spec(channels=1, points_per_second=800).number, quiet) for _ in range(2))
+    whole, parts = (LidarBeams(spec(channels=1, points_per_second=800).number, quiet) for _ in range(2))
     expected = whole.rays(0.1)
-    assert np.concatenate([halves.rays(0.05), halves.rays(0.05)]) == pytest.approx(expected)
-    assert halves.angle == pytest.approx(whole.angle, abs=1e-9)
+    assert np.concatenate([parts.rays(0.025) for _ in range(4)]) == pytest.approx(expected)
+    assert parts.angle == pytest.approx(whole.angle, abs=1e-9)
 
 
 def test_a_lidar_can_see_a_sector_alone() -> None:

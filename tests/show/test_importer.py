@@ -53,7 +53,7 @@ def damaged_mcap(path: Path) -> bytes:
     return bytes(data)
 
 
-def foreign_mcap(library: str = "somebody's") -> bytes:
+def foreign_mcap(library: str = "another") -> bytes:
     file = io.BytesIO()
     writer = Writer(file)
     writer.start(profile="", library=library)

@@ -576,8 +576,8 @@ def test_no_actor_to_follow(tmp_path: Path) -> None:
         {"spawned": lamps, "light_states": [light(10, 2), light(30, 0)]},
         {"light_states": [light(10, 1), light(30, 0)]},
     ]
-    path = tmp_path / "nobody.rrd"
-    rrd = export(write(tmp_path / "nobody.log", frames), path)
+    path = tmp_path / "lights.rrd"
+    rrd = export(write(tmp_path / "lights.log", frames), path)
     assert rrd.place("/world/actors/10", 0) == [100, 0, 0]
     assert not [entity for entity in rrd.entities if entity.startswith(("/ego", "/world/chase"))]
     overview = Arrangement(path).view("Overview")

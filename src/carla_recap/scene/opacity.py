@@ -30,7 +30,7 @@ _FLAT: Final = 0.3  # m; lower boxes, such as debris that is driven over, hide n
 _COVERED: Final = 0.25  # the part of the followed actor's box from which on what covers it is in the way
 _HIDDEN: Final = 0.5  # the part of an actor's box that is hidden, from which on the followed actor is see-through
 _BESIDE: Final = 0.3  # m; a line of sight that passes a box so closely is blocked by it
-_STEP: Final = 0.4  # s between the moments at which viewers are told
+_STEP: Final = 0.4  # s between the moments at which opacities are looked at
 _HELD: Final = 1.0  # s for which an actor stays see-through in viewers
 _CORNERS: Final = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 
