@@ -553,9 +553,8 @@ def killed(end: str, batches: int = 4) -> str:
 
 def test_a_process_that_is_killed_leaves_its_recording_complete_but_for_the_last_moments(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
-    subprocess.run(
-        command(killed("os.kill(os.getpid(), 9)"), path), stderr=subprocess.PIPE
-    )  # kept open by the process that writes
+    script = killed("os.kill(os.getpid(), 9)")
+    subprocess.run(command(script, path), stderr=subprocess.PIPE)  # kept open by the process that writes
     found = frames(path)
     assert list(tmp_path.iterdir()) == [path]
     assert found[-1].elapsed > 12 - 5 - 0.1

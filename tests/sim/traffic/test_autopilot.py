@@ -62,7 +62,7 @@ def speed(vehicle: Vehicle) -> float:
     return vehicle.velocity.length()
 
 
-def beside(world: World) -> list[float]:
+def offsets(world: World) -> list[float]:
     """Return the distances of the vehicles from the centres of the nearest lanes."""
     x, y, _ = world.vehicles.position.T
     index, s = world.town.nearest_lane(x, y, heading=np.radians(world.vehicles.yaw))
@@ -98,7 +98,7 @@ def test_keeps_its_lane_in_tight_turns_at_a_comfortable_speed(name: str, radius:
     vehicle = car(world, 5.0, name=name)
     errors, sideways, fastest = [], [], 0.0
     for _ in ticks(world, 30.0):
-        errors += beside(world)
+        errors += offsets(world)
         sideways.append(abs(speed(vehicle) * np.radians(vehicle.angular_velocity.z)))
         fastest = max(fastest, speed(vehicle))
     assert max(errors) < most
@@ -287,6 +287,7 @@ def test_indicates_turns(side: str, bit: int) -> None:
         seen[round(vehicle.transform.location.x), round(sign * vehicle.transform.location.y)] = vehicle.light_state & ~BRAKE
     assert seen[30, 0] == 3
     assert seen[70, 0] == 3 | bit
+    assert min(x for (x, _), lights in seen.items() if lights & bit) == pytest.approx(80 - 30 - 1, abs=2)  # of its front end
     assert vehicle.light_state & ~BRAKE == 3
     assert vehicle.transform.rotation.yaw == pytest.approx(90.0 * sign, abs=1.0)
 
@@ -302,6 +303,18 @@ def test_overtakes_a_standing_vehicle_on_the_next_lane() -> None:
     assert vehicle.transform.location.y == pytest.approx(0.0, abs=0.3)
     assert bits & LEFT_BLINKER
     assert not bits & RIGHT_BLINKER
+
+
+def test_does_not_change_to_a_lane_that_another_vehicle_occupies() -> None:
+    world = world_of(lane(0, (500, 0), right=1), lane(1, (500, 0), start=(0, 3.5), left=0))
+    vehicle = car(world, 100.0, 3.5)
+    car(world, 102.5, drives=False)
+    car(world, 115.0, 3.5, drives=False)
+    bits = 0
+    for _ in ticks(world, 12.0):
+        bits |= vehicle.light_state
+    assert not bits & LEFT_BLINKER
+    assert 107.0 < vehicle.transform.location.x < 110.0
 
 
 def test_takes_over_at_speed_without_a_jerk() -> None:
@@ -400,6 +413,6 @@ def test_a_hundred_cars_drive_through_carlas_first_town() -> None:
         assert not world.events.collisions
         travelled += world.vehicles.speed * world.delta
         if number % 20 == 0:
-            errors += beside(world)
+            errors += offsets(world)
     assert np.percentile(errors, 99) < 0.5
     assert travelled.mean() > 20.0

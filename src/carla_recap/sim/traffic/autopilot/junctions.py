@@ -331,14 +331,13 @@ def _before_junction(
     through: list[tuple[int, float]] = []
     end, after = begin, number
     for index in range(number, len(lanes)):
-        if network.junction[lanes[index]] != NONE:
-            spare = _SPARE if lanes[index] in rules.lights else 0.0  # so that few drive on to the light behind both
-            if starts[index] - end >= room - spare and through:
-                break
-            through.append((lanes[index], starts[index]))
-            end, after = starts[index] + float(network.length[lanes[index]]), index + 1
-        elif starts[index] + float(network.length[lanes[index]]) - end >= room:
+        if network.junction[lanes[index]] == NONE:
+            continue
+        spare = _SPARE if lanes[index] in rules.lights else 0.0  # so that few drive on to the light behind both
+        if starts[index] - end >= room - spare:
             break
+        through.append((lanes[index], starts[index]))
+        end, after = starts[index] + float(network.length[lanes[index]]), index + 1
     light = rules.lights.get(entry, NONE)
     sign = rules.stop_signs.get(entry, NONE)
     position = begin
