@@ -20,7 +20,7 @@ from carla_recap import open_recording
 from carla_recap.errors import FormatError, RecapError
 from carla_recap.formats.base import TopicMessage
 from carla_recap.formats.mcap.writer import McapWriter
-from carla_recap.sensors.decoding import Calibration, SensorDecoder, StoredImages
+from carla_recap.sensors.decoding import LARGEST_SIDE, Calibration, SensorDecoder, StoredImages
 from carla_recap.sensors.messages import TRANSFORMS, SensorMessages
 from carla_recap.sensors.rig import SensorRig
 from carla_recap.sensors.sensing import POINT, Sample
@@ -111,6 +111,17 @@ def test_what_contradicts_a_schema_is_an_error(tmp_path: Path) -> None:
     ):
         fields: dict[str, Any] = {"encoding": "mono8", "data": bytes(64), **values}
         assert "an image" in str(damaged(path, topic, RawImage(**fields).SerializeToString()))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, LARGEST_SIDE), (LARGEST_SIDE, 1)])
+def test_images_of_the_smallest_and_the_largest_size_are_decoded(tmp_path: Path, size: tuple[int, int]) -> None:
+    height, width = size
+    image = RawImage(encoding="mono8", width=width, height=height, step=width, data=bytes(width * height))
+    tags = np.zeros((HEIGHT, WIDTH), np.uint8)
+    path = recorded(tmp_path / "tags.mcap", [sample("sensor.camera.semantic_segmentation", tags)])
+    with open_recording(path) as recording:
+        message = TopicMessage("/sensors/own/semantic", 1.5, image.SerializeToString())
+        assert SensorDecoder(recording.reader).decoded(message).shape == size
 
 
 def test_points_beyond_their_data_are_an_error(tmp_path: Path) -> None:
