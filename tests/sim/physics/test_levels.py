@@ -143,6 +143,22 @@ def test_traffic_on_two_levels_stays_level_and_apart(town: Town) -> None:
     assert np.hypot(*fleet.velocity[:, :2].T).mean() > 3
 
 
+def test_a_car_is_pitched_as_the_road(town: Town) -> None:
+    pitches = []
+    for lane in town.lanes:
+        slopes = np.degrees(np.arctan(np.gradient(lane.points[:, 2], lane.s)))
+        point = int(np.abs(slopes).argmax())
+        (x, y, z), yaw = lane.points[point].tolist(), np.degrees(lane.heading[point]).item()
+        world = World(town, seed=1, date=0)
+        parked = spawn_car(world, at(x, y, yaw, z=z))
+        world.tick()
+        pitches.append(parked.transform.rotation.pitch)
+        assert pitches[-1] == pytest.approx(slopes[point], abs=0.1)
+        assert parked.transform.location.z == pytest.approx(z, abs=0.01)
+    assert min(pitches) < -1.5
+    assert max(pitches) > 1.5
+
+
 def test_a_car_that_leaves_a_bridge_sideways_does_not_stand_on_its_nose(town: Town) -> None:
     world = World(town, seed=1, date=0)
     falling = spawn_car(world, at(-1.75, 30.0, 180.0, z=BRIDGE), speed=12.0)
