@@ -94,6 +94,11 @@ def test_weak_returns_are_dropped_more_often() -> None:
     assert weak == pytest.approx(1 - 0.4 + 0.4 / 0.8 * exp(-2.0), rel=0.03)
 
 
+def test_without_a_limit_no_return_is_weak() -> None:
+    returns = LidarReturns(spec(dropoff_intensity_limit=0.0, dropoff_general_rate=0.0).number)
+    assert len(returns.of(hits_at(40.0, 1000))[0].ray) == 1000
+
+
 def test_a_radar_scatters_its_rays_in_a_cone() -> None:
     beams = RadarBeams(
         spec("sensor.other.radar", horizontal_fov=60, vertical_fov=20, points_per_second=20_000).number, quiet

@@ -325,13 +325,18 @@ def test_there_are_no_samples_while_the_carrier_is_absent(tmp_path: Path) -> Non
         assert [frame.carrier for frame in sense(recording, MOTION, actor=5)] == [5] * 9
 
 
-def test_a_carrier_that_never_exists(small: Path) -> None:
+def test_a_carrier_that_never_exists_and_times_that_make_no_sense_are_errors(small: Path) -> None:
     with carla_recap.open_recording(small) as recording:
         with pytest.raises(RecapError, match=r"small.log: no actor 12345 to carry the rig"):
             sense(recording, MOTION, actor=12345)
-        for wrong in ({"duration": -1.0}, {"duration": np.nan}, {"rate": 0.0}, {"rate": np.nan}, {"start": 1e6}):
-            with pytest.raises(RecapError):
-                sense(recording, MOTION, **wrong)
+        for wrong in (-1.0, np.nan):
+            with pytest.raises(RecapError, match=f"^a duration of {wrong:g} s; 0 or more was expected$"):
+                sense(recording, MOTION, duration=wrong)
+        for wrong in (0.0, -1.0, np.nan, np.inf):
+            with pytest.raises(RecapError, match=f"^a rate of {wrong:g} per second; a number above 0 was expected$"):
+                sense(recording, MOTION, rate=wrong)
+        with pytest.raises(RecapError, match="nothing at 1e\\+06 s"):
+            sense(recording, MOTION, start=1e6)
 
 
 def test_a_recording_without_a_hero(tmp_path: Path) -> None:
