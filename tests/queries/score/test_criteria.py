@@ -75,6 +75,11 @@ def test_a_hero_far_from_the_route_has_left_it(drives: Drives) -> None:
     assert "route_dev" not in kinds(drives(straight + near))
 
 
+def test_a_hero_is_followed_for_5_m_of_the_route_in_a_tick(drives: Drives) -> None:
+    assert "route_dev" not in kinds(drives(westward([98.0] * 20)))  # 4.9 m in a tick
+    assert "route_dev" in kinds(drives(westward([240.0] * 8)))
+
+
 def test_a_hero_that_drives_beside_the_route_for_long_has_left_it(drives: Drives) -> None:
     beside = [(x, Y + 20.0, yaw) for x, _, yaw in WHOLE]
     found = drives(beside)
