@@ -47,7 +47,6 @@ def counted(code: str, item: SearchStrategy[bytes], most: int) -> SearchStrategy
 
 
 flags = st.one_of(st.sampled_from([b"\0", b"\1"]), sized(1))
-lists = st.lists
 
 
 def joined(*parts: SearchStrategy[bytes]) -> SearchStrategy[bytes]:
