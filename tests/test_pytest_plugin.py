@@ -111,14 +111,6 @@ def test_the_hero_drives_off(carla_world, time):
     carla_world.tick(2)
     assert hero.get_velocity().length() > 1
 
-def test_ends_the_server(carla_world):
-    (server,) = Path("/proc/self/task", str(os.getpid()), "children").read_text().split()
-    os.kill(int(server), 9)
-    os.waitid(os.P_PID, int(server), os.WEXITED | os.WNOWAIT)
-
-def test_gets_another_server(carla_world, carla_server):
-    assert vehicles(carla_world) == 0
-
 @pytest.mark.carla(map="Atlantis")
 def test_wants_an_unknown_map(carla_world):
     pass
@@ -166,6 +158,14 @@ def broken(carla_world):
 
 def test_has_a_broken_fixture(broken):
     pass
+
+def test_ends_the_server(carla_world):
+    (server,) = Path("/proc/self/task", str(os.getpid()), "children").read_text().split()
+    os.kill(int(server), 9)
+    os.waitid(os.P_PID, int(server), os.WEXITED | os.WNOWAIT)
+
+def test_gets_another_server(carla_world, carla_server):
+    assert vehicles(carla_world) == 0
 """
 UNHAPPY = {
     "test_wants_an_unknown_map": "error",
