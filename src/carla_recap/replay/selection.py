@@ -1,4 +1,4 @@
-"""The rows of records that count: the last one of each id, ascending by id."""
+"""The latest record of each id, ascending by id."""
 
 from __future__ import annotations
 
