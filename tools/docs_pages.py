@@ -156,7 +156,7 @@ def python(package: str) -> str:
 
 def _definitions(package: str) -> Iterator[tuple[str, str]]:
     """Yield the public names of a package with the modules that define them."""
-    tree = ast.parse((ROOT / "src" / package.replace(".", "/") / "__init__.py").read_text("utf-8"))
+    tree = ast.parse((ROOT / "src" / package.replace(".", "/") / "__init__.pyi").read_text("utf-8"))
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("carla_recap."):
             module = node.module
