@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-pytest_plugins = ["pytester"]
 pytestmark = pytest.mark.skipif(
     not all(map(find_spec, ("carla", "pymunk", "msgpack"))), reason="the extra `server` is not installed"
 )
@@ -73,9 +72,10 @@ def test_gets_a_clean_world(carla_world):
     assert vehicles(carla_world) == 0
     assert carla_world.world.get_snapshot().timestamp.elapsed_seconds < 1
 
-def test_is_recorded(carla_world):
+def test_is_recorded_and_meets_rules(carla_world):
     crash(carla_world)
     assert len(open_recording(carla_world.stop_recording()).collisions()) > 0
+    carla_world.assert_rules(collisions={"of": "hero", "min": 1}, map="Brickfield")
 
 def test_leaves_a_replay(carla_world):
     crash(carla_world)
@@ -92,24 +92,14 @@ def test_comes_after_a_replay(carla_world):
     carla_world.tick()
     assert vehicles(carla_world) == 0
 
-def test_leaves_its_traffic_manager(carla_world):
+@pytest.mark.parametrize("time", range(2))
+def test_all_drive_off(carla_world, time):
     manager = carla_world.traffic_manager
     for point in carla_world.world.get_map().get_spawn_points()[:3]:
-        spawn(carla_world.world, "vehicle.audi.tt", point).set_autopilot(True, manager.get_port())
-    carla_world.tick(1)
-
-def test_has_a_traffic_manager_of_its_own(carla_world):
-    test_leaves_its_traffic_manager(carla_world)
-    speeds = [actor.get_velocity().length() for actor in carla_world.world.get_actors().filter("vehicle.*")]
-    assert max(speeds) > 0.5
-
-@pytest.mark.parametrize("time", range(2))
-def test_the_hero_drives_off(carla_world, time):
-    point = carla_world.world.get_map().get_spawn_points()[0]
-    hero = spawn(carla_world.world, "vehicle.tesla.model3", point, role_name="hero")
-    hero.set_autopilot(True, carla_world.traffic_manager.get_port())
+        spawn(carla_world.world, "vehicle.tesla.model3", point).set_autopilot(True, manager.get_port())
     carla_world.tick(2)
-    assert hero.get_velocity().length() > 1
+    cars = carla_world.world.get_actors().filter("vehicle.*")
+    assert [car.get_velocity().length() > 1 for car in cars] == [True] * 3
 
 @pytest.mark.carla(map="Atlantis")
 def test_wants_an_unknown_map(carla_world):
@@ -134,10 +124,6 @@ def test_has_a_wrong_marker(carla_world):
 def test_fails_and_leaves_the_world_without_ticks(carla_world):
     crash(carla_world)
     assert False
-
-def test_meets_rules(carla_world):
-    crash(carla_world)
-    carla_world.assert_rules(collisions={"of": "hero", "min": 1}, map="Brickfield")
 
 def test_breaks_rules(carla_world):
     crash(carla_world)
@@ -229,7 +215,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     (folder / "rules.toml").write_text(RULES)
     (folder / "test_drive.py").write_text("from carla_recap import open_recording\n" + COMMON + TESTS)
     (folder / "carla-recordings").mkdir()
-    (folder / "carla-recordings" / "test_drive-test_is_recorded.html").touch()
+    (folder / "carla-recordings" / "test_drive-test_is_recorded_and_meets_rules.html").touch()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CARLA_RECAP_MAPS", str(folder / "maps"))
         return run_pytest(folder)
@@ -293,40 +279,40 @@ def test_a_wrong_marker_is_explained(run: Run) -> None:
     assert expected in run.section("test_has_a_wrong_marker")
 
 
-def test_options_give_rules_for_all_tests_and_a_folder_where_all_recordings_are_kept(pytester: pytest.Pytester) -> None:
-    pytester.makefile(".toml", rules=RULES)
-    pytester.makepyfile(
-        f"{COMMON}\ndef test_crash(carla_world):\n    crash(carla_world)\n\ndef test_calm(carla_world): pass"
-    )
-    done = pytester.runpytest_subprocess("--carla-recap-rules=rules.toml", "--carla-recap-dir=out", "--carla-recap-keep=all")
-    done.assert_outcomes(passed=1, failed=1)
-    done.stdout.fnmatch_lines(["harmless: 1 collision of the hero instead of at most 0*"])
-    (module,) = (path.stem for path in pytester.path.glob("test_*.py"))
-    assert sorted(path.name for path in (pytester.path / "out").iterdir()) == [
-        f"{module}-test_calm.mcap",
-        f"{module}-test_crash.html",
-        f"{module}-test_crash.mcap",
-    ]
-
-
-def test_workers_have_servers_of_their_own(pytester: pytest.Pytester) -> None:
+@pytest.fixture(scope="module")
+def parallel(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A run in two processes, with options, of tests of which one breaks the rules."""
     pytest.importorskip("xdist", reason="pytest-xdist is not installed")
-    pytester.makepyfile(
-        dedent("""
-        import pytest
-
+    folder = tmp_path_factory.mktemp("parallel")
+    (folder / "rules.toml").write_text(RULES)
+    (folder / "test_drive.py").write_text(
+        COMMON
+        + dedent("""
         @pytest.mark.parametrize("number", range(4))
         def test_mine(carla_world, carla_server, number):
-            carla_world.tick(0.5)
+            carla_world.tick()
             print(f"port {carla_server}")
-            assert number < 3
+            if number == 3:
+                crash(carla_world)
         """)
     )
-    done = pytester.runpytest_subprocess("-n2", "-rA", "--dist=load")
-    done.assert_outcomes(passed=3, failed=1)
-    ports = set(re.findall(r"port (\d+)", done.stdout.str()))
-    assert len(ports) == 2
-    assert len(list((pytester.path / "carla-recordings").glob("*.mcap"))) == 1
+    options = ("--carla-recap-rules=rules.toml", "--carla-recap-dir=out", "--carla-recap-keep=all")
+    return run_pytest(folder, "-n2", "--dist=load", "-rA", *options)
+
+
+def test_an_option_gives_rules_for_all_tests(parallel: Run) -> None:
+    failed = {name for name, children in parallel.results.items() if any(child.tag == "failure" for child in children)}
+    assert (len(parallel.results), failed) == (4, {"test_mine[3]"})
+    assert "\nharmless: 1 collision of the hero instead of at most 0" in parallel.output
+
+
+def test_options_give_a_folder_where_all_recordings_are_kept(parallel: Run) -> None:
+    files = [f"test_drive-test_mine-{number}.mcap" for number in range(4)]
+    assert sorted(path.name for path in (parallel.folder / "out").iterdir()) == sorted([*files, "test_drive-test_mine-3.html"])
+
+
+def test_workers_have_servers_of_their_own(parallel: Run) -> None:
+    assert len(set(re.findall(r"port (\d+)", parallel.output))) == 2
 
 
 @pytest.fixture
