@@ -447,7 +447,7 @@ def test_commands_print_what_is_shown(working_directory, page):
         if NOT_RUN.match(command):
             continue
         if "samples/" in command or any((working_directory / word).exists() for word in command.split()):
-            code, printed = run(with_fewer_pictures(command))
+            code, printed = run(command)
             if code == 2 and re.match(r"carla-recap: carla-recap \w+ needs ", printed):
                 continue  # an extra is not installed
             assert code in (0, 1), (command, printed)
@@ -517,11 +517,6 @@ def test_code_for_other_programs_is_valid(page, code):
 def commands(page: Path) -> list[tuple[str, str]]:
     """Return the commands, and the output that is shown for each."""
     return re.findall(r"^\$ (carla-recap .*)\n((?:(?!\$ ).*\n)*)", "".join(blocks(page, "console")), re.MULTILINE)
-
-
-def with_fewer_pictures(command: str) -> str:
-    """Return a command whose video has few and small pictures, for the sake of time; others as they are."""
-    return re.sub(r"^(carla-recap video [^#]*)", r"\1 --fps 5 --size 320x180 ", command)
 
 
 def run(command: str) -> tuple[int, str]:
