@@ -6,7 +6,7 @@ object is the centre of its box.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,9 @@ from carla_recap.scene.appearance import look_of_present
 from carla_recap.scene.materials import Tag
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
+
+    from numpy.typing import NDArray
 
     from carla_recap.model.lives import ActorLife
     from carla_recap.replay.scene import SceneBatch
@@ -64,7 +66,7 @@ class GroundTruths:
         finite: Any = np.isfinite(np.concatenate((poses, velocities, accelerations), axis=2)).all(axis=2)
         objects = [(column, *found) for column, id in enumerate(batch.ids.tolist()) if (found := self._object(batch, id))]
         centers = {column: _center(poses[:, column], look.center) for column, _, look in objects}
-        fixed = self._fixed(batch)
+        fixed, lights = self._fixed(batch), self._lights(batch)
         for row, time in enumerate(batch.time.tolist()):
             if not 0 <= time < _LATEST:
                 continue
@@ -90,7 +92,7 @@ class GroundTruths:
                         item.classification.type = _OTHER
             for item in fixed:
                 message.stationary_object.add().CopyFrom(item)
-            self._add_lights(message, batch, row)
+            _add_lights(message, batch.light_states[row], lights, row)
             yield nanoseconds, message
 
     def _object(self, batch: SceneBatch, id: int) -> tuple[ActorLife, Look] | None:
@@ -123,22 +125,46 @@ class GroundTruths:
                 found.append(item)
         return found
 
-    def _add_lights(self, message: Any, batch: SceneBatch, row: int) -> None:
-        for light in batch.light_states[row]:
-            id, state = int(light["id"]), int(light["state"])
-            pose = batch.pose_of(id, row)
-            turned = right_handed(pose) if pose is not None else None
-            actor = batch.actors.get(id)
+    def _lights(self, batch: SceneBatch) -> dict[int, _Light]:
+        """Return the traffic lights whose poses are known, by id."""
+        found = {}
+        for id in np.unique(batch.light_states["id"]).tolist():
+            actor, poses = batch.actors.get(id), batch.pose_of(id)
             look = look_of_present(actor) if actor is not None else None
-            if turned is None or look is None or not np.isfinite(turned).all():
-                continue
-            item = message.traffic_light.add()
-            item.id.value = id
-            center = _center(turned[None], look.center)[0]
-            _set_base(item.base, look, center.tolist(), np.radians(wrap(turned[ROTATION])).tolist())
-            item.classification.color = _COLORS.get(state, _UNKNOWN)
-            item.classification.icon = _NO_ICON
-            item.classification.mode = _CONSTANT if state in _COLORS else _OFF if state == _STATE_OFF else _UNKNOWN
+            if poses is not None and look is not None:
+                turned = right_handed(poses)
+                finite: Any = np.isfinite(turned).all(axis=1)
+                found[id] = _Light(look, finite, _center(turned, look.center), np.radians(wrap(turned[:, ROTATION])))
+        return found
+
+
+class _Light(NamedTuple):
+    """A traffic light in the scenes of a batch.
+
+    Attributes:
+        look: What it looks like.
+        finite: Whether its pose is finite, (scenes,).
+        centers: The centres of its box in m, (scenes, 3).
+        rotations: Roll, pitch and yaw in radians, (scenes, 3).
+    """
+
+    look: Look
+    finite: NDArray[np.bool_]
+    centers: Floats
+    rotations: Floats
+
+
+def _add_lights(message: Any, states: NDArray[np.void], lights: Mapping[int, _Light], row: int) -> None:
+    for id, state in states[["id", "state"]].tolist():
+        light = lights.get(id)
+        if light is None or not light.finite[row]:
+            continue
+        item = message.traffic_light.add()
+        item.id.value = id
+        _set_base(item.base, light.look, light.centers[row].tolist(), light.rotations[row].tolist())
+        item.classification.color = _COLORS.get(state, _UNKNOWN)
+        item.classification.icon = _NO_ICON
+        item.classification.mode = _CONSTANT if state in _COLORS else _OFF if state == _STATE_OFF else _UNKNOWN
 
 
 _LATEST: Final = float(1 << 33)  # s; later times are no times of a recording
