@@ -42,7 +42,7 @@ ANSWER: Final = 2.0
 
 _FIRST_ANSWER: Final = 10.0  # s, within which the server must answer at first
 _CONNECTION: Final = 2.0  # s, within which it must accept a connection
-_QUIET: Final = 1.0  # s without a tick, after which the server is checked
+_QUIET: Final = 1.0  # s without a tick, after which the server is asked less often, and for its episode
 _ASKING: Final = 0.1  # s between questions to the server
 _PAUSE: Final = 0.05  # s
 _DRAIN: Final = 0.1  # s, in which callbacks of the client end that have begun before they were removed
@@ -257,7 +257,7 @@ class Observer:
             return None
         if self._frame and not self._interval:
             self.missed += frame - self._frame - 1
-        is_first, self._frame, self._observed_at = not self._frame, frame, now
+        is_first, self._observed_at = not self._frame, now
         found = {actor.id: actor for actor in snapshot}
         came, gone = self._tracker.update(found)
         self._newcomers.extend((frame, actor) for actor in came if actor.id not in self._present)
@@ -267,6 +267,7 @@ class Observer:
         records |= self._tracker.records(found, self._vehicle_lights)
         time = snapshot.timestamp
         self.times[frame] = time.elapsed_seconds
+        self._frame = frame
         if len(self.times) > _WAITING:
             del self.times[next(iter(self.times))]
         self._observations.put(Observation(frame, time.elapsed_seconds, time.platform_timestamp, records))
@@ -294,7 +295,7 @@ class Observer:
         is_quiet = now - self._observed_at > _QUIET
         if now - self._asked_at < (_QUIET if is_quiet else _ASKING):
             return
-        if is_quiet and not self._is_there():
+        if not self._is_there():  # a question to it would wait until its time is over
             self.end(_GONE)
             return
         if is_quiet and self.answer(lambda: self._client.get_world().id, self._episode) != self._episode:

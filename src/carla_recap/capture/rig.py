@@ -51,6 +51,7 @@ class RigSensors:
 
     Attributes:
         rig: The sensors that are listened to.
+        last_frames: The latest frame in which a sensor that is gone was seen, by id.
 
     Raises:
         RecapError: On entry: there is no such actor, or a sensor cannot be spawned, or there are none.
@@ -69,7 +70,8 @@ class RigSensors:
         self._carrier: int | None = None
         self._spawned: list[carla.Sensor] = []
         self._listened: dict[str, carla.Sensor] = {}
-        self._seen: set[int] = set()
+        self.last_frames: dict[str, int] = {}
+        self._seen: dict[int, int] = {}  # the latest frame in which an actor was seen
         self._speed_callback: int | None = None
         self._asked_at = 0.0
         self._synchronous = False
@@ -111,15 +113,18 @@ class RigSensors:
         Raises:
             RecapError: The server does not answer.
         """
-        speedometers = [spec for spec in self.rig if not SENSOR_TYPES[spec.type].is_actor]
         try:
             for spec in self.rig:
                 if spec.id in self._listened:
                     self._listened[spec.id].listen(_receiver(spec, callback))
-            if speedometers:
-                self._speed_callback = self._world.on_tick(self._speeds(speedometers, callback))
+            if self._speedometers:
+                self._speed_callback = self._world.on_tick(self._speeds(self._speedometers, callback))
         except UNANSWERED as error:
             raise RecapError(f"{self._observer.place}: {single_line(error)}") from None
+
+    @property
+    def _speedometers(self) -> list[SensorSpec]:
+        return [spec for spec in self.rig if not SENSOR_TYPES[spec.type].is_actor]
 
     def check(self) -> None:
         """End the observer if a sensor of the rig is gone, or all existing ones.
@@ -127,21 +132,24 @@ class RigSensors:
         Warns:
             RecapWarning: An existing sensor is gone.
         """
+        frame = self._observer.frame  # read first: the actors may be those of a later one
         present = self._observer.present
-        actors = {sensor.id: id for id, sensor in self._listened.items()}
+        actors = {sensor.id: [id] for id, sensor in self._listened.items()}
         if self._carrier is not None:
-            actors[self._carrier] = ""
-        self._seen |= actors.keys() & present
-        gone = self._seen - present
+            actors[self._carrier] = [spec.id for spec in self._speedometers]
+        self._seen |= dict.fromkeys(actors.keys() & present, frame)
+        gone = self._seen.keys() - present
         if self._carrier in gone:
             self._end("the hero is gone" if self._actor == HERO else f"actor {self._actor} is gone")
         for actor in gone & actors.keys():
-            self._seen.discard(actor)
-            if self._sensors != EXISTING:
-                self._end(f"sensor {actors[actor]!r} is gone")
-                continue
-            self._listened.pop(actors[actor])
-            warnings.warn(f"sensor {actors[actor]!r} is gone", RecapWarning, stacklevel=2)
+            last = self._seen.pop(actor)
+            for id in actors[actor]:
+                self.last_frames[id] = last
+                if self._sensors != EXISTING:
+                    self._end(f"sensor {id!r} is gone")
+                    continue
+                self._listened.pop(id)
+                warnings.warn(f"sensor {id!r} is gone", RecapWarning, stacklevel=2)
         if gone and not self._listened and self._sensors == EXISTING:
             self._end("all sensors are gone")
 

@@ -141,9 +141,10 @@ class SampleRecorder:
         self._write(everything=True)
 
     def _has_all(self) -> bool:
-        """Return whether all sensors without an interval that have begun to send have sent data of the latest frame."""
+        """Return whether all sensors without an interval that have begun to send have sent data of their latest frame."""
         begun = [spec for spec in self._sensors.rig if spec.id in self._newest and not spec.number("sensor_tick")]
-        return all(self._newest[spec.id] >= self._frame for spec in begun)
+        last = self._sensors.last_frames
+        return all(self._newest[spec.id] >= min(self._frame, last.get(spec.id, self._frame)) for spec in begun)
 
     def _close(self) -> None:
         with self._changed:
