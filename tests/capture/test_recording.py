@@ -183,7 +183,7 @@ def started_after_server(path: Path) -> Iterator[Capture]:
             spawn(world, "vehicle.tesla.model3", 0, role_name="hero")
             wait_until(lambda: own_sensors(world))
             begin = world.get_snapshot().frame
-            wait_until(lambda: world.get_snapshot().frame > begin + 30)
+            wait_until(lambda: world.get_snapshot().frame > begin + 10)
         yield capture
 
 

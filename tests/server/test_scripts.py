@@ -19,7 +19,7 @@ from carla_recap.errors import RecapError
 from carla_recap.server import running
 from carla_recap.sim import World, load_town
 from carla_recap.sim.scenarios import Crash
-from tests.waiting import PATIENCE
+from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -141,17 +141,17 @@ def test_the_hero_is_driven_anew(client: carla.Client, world: carla.World, port:
 
 
 def test_a_hero_that_finds_no_room_for_its_obstacle_is_gone(
-    client: carla.Client, port: int, monkeypatch: pytest.MonkeyPatch
+    world: carla.World, port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(SAMPLES)
     straight_roads = importlib.import_module("common").straight_roads
-    world = client.get_world()
-    world.apply_settings(carla.WorldSettings(synchronous_mode=False))
     _, end = next(straight_roads(world, 40.0))
     assert world.try_spawn_actor(world.get_blueprint_library().find("vehicle.audi.tt"), end) is not None
-    world.wait_for_tick()
-    assert "has run into vehicle.audi.tt" in output_of(port, "crash_hero", "--length", 40)
-    world.wait_for_tick()
+    with subprocess.Popen(command(port, "crash_hero", "--length", 40), stdout=subprocess.PIPE, text=True) as script:
+        wait_until(lambda: world.tick() and script.poll() is not None, pause=0.001)
+        said, _ = script.communicate(timeout=PATIENCE)
+    assert "has run into vehicle.audi.tt" in said
+    world.tick()
     assert len(world.get_actors().filter("vehicle.*")) == 1
 
 

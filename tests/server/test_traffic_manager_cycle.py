@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import socket
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
 import msgpack
@@ -27,7 +28,14 @@ def wire(client: carla.Client, port: int) -> Iterator[socket.socket]:
 
 @pytest.fixture
 def manager(wire: socket.socket) -> Iterator[socket.socket]:
-    """The server of a traffic manager that is registered over that connection."""
+    """A traffic manager that is registered over that connection."""
+    with registered(wire) as manager:
+        yield manager
+
+
+@contextmanager
+def registered(wire: socket.socket) -> Iterator[socket.socket]:
+    """The server of a traffic manager that is registered over a connection."""
     with socket.create_server(("127.0.0.1", 0)) as manager:
         manager.settimeout(PATIENCE)
         answered(wire, ("add_traffic_manager_running", list(manager.getsockname())))
@@ -66,29 +74,26 @@ def test_without_a_manager_the_answers_are_in_order(wire: socket.socket) -> None
     assert answered(wire, *CYCLE, TICK, SETTINGS)[-2:] == [TICK[0], SETTINGS[0]]
 
 
-def test_a_manager_that_has_missed_a_tick_is_woken(wire: socket.socket, manager: socket.socket) -> None:
-    answered(wire, *CYCLE, SETTINGS, TICK)
-    caller, _ = manager.accept()
-    with caller:
-        caller.settimeout(PATIENCE)
-        assert [answered_request(caller), answered_request(caller)] == [
-            ["set_synchronous_mode", [False]],
-            ["set_synchronous_mode", [True]],
-        ]
-
-
-def test_a_manager_that_begins_a_cycle_is_not_woken(wire: socket.socket, manager: socket.socket) -> None:
-    answered(wire, *CYCLE, SETTINGS, TICK, CYCLE[0])
-    manager.settimeout(3.0)
+def test_a_manager_that_has_missed_a_tick_is_woken_and_one_that_begins_a_cycle_is_not(
+    wire: socket.socket, manager: socket.socket, port: int
+) -> None:
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as other, registered(other) as late:
+        answered(wire, *CYCLE, SETTINGS, TICK, CYCLE[0])
+        answered(other, *CYCLE, SETTINGS, TICK)
+        caller, _ = late.accept()
+        with caller:
+            caller.settimeout(PATIENCE)
+            assert [answered_request(caller), answered_request(caller)] == [
+                ["set_synchronous_mode", [False]],
+                ["set_synchronous_mode", [True]],
+            ]
+    manager.settimeout(0.1)  # its tick was the earlier one
     with pytest.raises(TimeoutError):
         manager.accept()
 
 
 def test_the_manager_whose_turn_it_is_is_woken(wire: socket.socket) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
-        for manager in (one, other):
-            manager.settimeout(PATIENCE)
-            answered(wire, ("add_traffic_manager_running", list(manager.getsockname())))
+    with registered(wire) as one, registered(wire) as other:
         first, second = sorted((one, other), key=lambda manager: manager.getsockname()[1])
         answered(wire, *CYCLE, SETTINGS, TICK, CYCLE[0])
         caller, _ = second.accept()
