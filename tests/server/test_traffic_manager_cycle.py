@@ -74,9 +74,8 @@ def test_without_a_manager_the_answers_are_in_order(wire: socket.socket) -> None
     assert answered(wire, *CYCLE, TICK, SETTINGS)[-2:] == [TICK[0], SETTINGS[0]]
 
 
-def test_a_manager_that_has_missed_a_tick_is_woken_and_one_that_begins_a_cycle_is_not(
-    wire: socket.socket, manager: socket.socket, port: int
-) -> None:
+def test_a_manager_that_has_missed_a_tick_is_woken(wire: socket.socket, manager: socket.socket, port: int) -> None:
+    """Another one that has begun a cycle is not."""
     with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as other, registered(other) as late:
         answered(wire, *CYCLE, SETTINGS, TICK, CYCLE[0])
         answered(other, *CYCLE, SETTINGS, TICK)
