@@ -42,7 +42,7 @@ ANSWER: Final = 2.0
 
 _FIRST_ANSWER: Final = 10.0  # s, within which the server must answer at first
 _CONNECTION: Final = 2.0  # s, within which it must accept a connection
-_QUIET: Final = 1.0  # s without a tick, after which the server is asked less often, and for its episode
+_QUIET: Final = 1.0  # s without a tick, after which the server is checked
 _ASKING: Final = 0.1  # s between questions to the server
 _PAUSE: Final = 0.05  # s
 _DRAIN: Final = 0.1  # s, in which callbacks of the client end that have begun before they were removed
@@ -295,7 +295,7 @@ class Observer:
         is_quiet = now - self._observed_at > _QUIET
         if now - self._asked_at < (_QUIET if is_quiet else _ASKING):
             return
-        if not self._is_there():  # a question to it would wait until its time is over
+        if is_quiet and not self._is_there():
             self.end(_GONE)
             return
         if is_quiet and self.answer(lambda: self._client.get_world().id, self._episode) != self._episode:
