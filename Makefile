@@ -1,6 +1,7 @@
 PYTHON ?= python3
 python := .venv/bin/python
 node_modules := tests/node/node_modules
+pytest := $(python) -m pytest -n 2 --dist=loadfile
 protoc = $(python) -m grpc_tools.protoc --proto_path=proto $(wildcard proto/carla_recap/v1/*.proto)
 generated := src/carla_recap/v1
 durations := benchmarks/durations.txt
@@ -14,11 +15,11 @@ help: ## List the targets
 venv: .venv/stamp ## Make .venv with everything a developer needs
 
 test: venv $(node_modules) ## Run the whole test suite
-	$(python) -m pytest -n 2
+	$(pytest)
 
 durations: venv $(node_modules) ## Run the whole test suite, and keep its slowest tests in benchmarks/durations.txt
 	$(python) -c 'from benchmarks.results import *; print(*vars(current_conditions()).values(), sep=", ")' >$(durations)
-	$(python) -m pytest -n 2 --durations=50 | tee /dev/stderr | sed -n '/slowest/,$$p' >>$(durations)
+	$(pytest) --durations=50 | tee /dev/stderr | sed -n '/slowest/,$$p' >>$(durations)
 
 lint: venv ## Check style, format, and which modules import which
 	$(python) -m ruff check
