@@ -504,7 +504,7 @@ def test_a_warning_says_once_for_each_sensor_what_is_capped(caplog: pytest.LogCa
         host.tick()
     found = [(record.name, record.levelname, record.getMessage()) for record in caplog.records]
     assert found == [
-        ("carla_recap.server", "WARNING", message)
+        ("carla_recap.server.sensors.feeds", "WARNING", message)
         for message in (
             f"sensor.lidar.ray_cast {lidar.id}: channels is 1000000: 512 are simulated",
             f"sensor.lidar.ray_cast {lidar.id}: points_per_second is 5000000: of 250000 rays in a frame, 200000 are cast",

@@ -88,10 +88,10 @@ def index(sources: tuple[str, ...], index_file: str, dask: str | None, **how: An
     if summary.removed:
         counts.append(f"{summary.removed:,} removed")
     things = "recording" if summary.recordings == 1 else "recordings"
-    told = [f"{summary.recordings:,} {things} ({', '.join(counts)})"]
+    facts = [f"{summary.recordings:,} {things} ({', '.join(counts)})"]
     if summary.read > summary.failed and not how["measures"]:
-        told.append("events alone (--measures adds near misses)")
-    wrote(index_file, *told, **asdict(summary))
+        facts.append("events alone (--measures adds near misses)")
+    wrote(index_file, *facts, **asdict(summary))
     if summary.unknown_maps:
         named = readable(", ".join(repr(name) for name in summary.unknown_maps))[:_LONGEST]
         warn(f"unknown maps: {named}; {WITHOUT_ROADS}")

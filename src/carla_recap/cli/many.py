@@ -44,12 +44,12 @@ _LONGEST: Final = 300  # characters of the names of maps
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourcesRequest:
-    """The recordings that a command is given, and what goes through many of them.
+    """The recordings of a command, and which processes read them if there are many.
 
     Attributes:
-        sources: The recordings, and what means recordings.
+        sources: Recordings, folders, globs and URLs.
         jobs: The number of processes; None: as many as are worthwhile.
-        dask: The address of a Dask scheduler; None: processes of this machine go through them.
+        dask: The address of a Dask scheduler; None: processes of this machine read them.
     """
 
     sources: tuple[str, ...]

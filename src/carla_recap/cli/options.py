@@ -194,11 +194,11 @@ involved = click.option(
 
 
 def gathered(name: str, load: Callable[[], type[Any]]) -> Callable[[Command], Command]:
-    """Return what gives a command those of its parameters that are fields of a dataclass as one, made of them.
+    """Return a decorator that passes the parameters of a command that are fields of a dataclass as an instance of it.
 
     Args:
-        name: The name of that one.
-        load: Returns the dataclass; is called when the command is.
+        name: The parameter that takes the instance.
+        load: Returns the dataclass. It is called when the command runs, so that the help does not import it.
     """
 
     def decorate(command: Command) -> Command:
@@ -266,7 +266,7 @@ incident_options = together(
 
 
 def rig(text: str, *, is_required: bool = False) -> Callable[[Command], Command]:
-    """Return what gives a command the options for a rig, which it takes as a `SensorRig`, or as None.
+    """Return a decorator that adds the options for a rig to a command, which takes it as a `SensorRig`, or None.
 
     Args:
         text: The help of `--rig`.

@@ -40,7 +40,7 @@ _options = options.together(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WriteRequest(SourcesRequest):
-    """What commands are given that write a file for each recording.
+    """The arguments and options of commands that write a file for each recording.
 
     Attributes:
         destination: A file, or the folder of many; a path or a URL.

@@ -18,7 +18,7 @@ from carla_recap.sim.town.loading import BUILT_IN, is_unknown, load_corridors, l
 if TYPE_CHECKING:
     from carla_recap.sim.town.loading import Town
 
-_LOG: Final = logging.getLogger("carla_recap.server")
+_LOG: Final = logging.getLogger(__name__)
 _SENT: Final = "OpenDriveMap"
 """The name of a map that a client has sent, as with CARLA."""
 _SHOWN: Final = 100  # characters of a name in an error

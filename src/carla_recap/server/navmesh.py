@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 NAVIGATION: Final = "Nav"
 """The folder of the files that clients need to steer walkers."""
-_LOG: Final = logging.getLogger("carla_recap.server")
+_LOG: Final = logging.getLogger(__name__)
 _MOST_NODES: Final = 50_000  # of the walkway graph: about 250 km of sidewalks
 
 MOST: Final = 0xFFFF

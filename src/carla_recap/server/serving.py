@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from carla_recap.server.host import Host
 
-_LOG: Final = logging.getLogger("carla_recap.server")
+_LOG: Final = logging.getLogger(__name__)
 _BACKLOG: Final = 512
 _TRIES: Final = 20
 _STDIN: Final = 0

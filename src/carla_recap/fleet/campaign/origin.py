@@ -1,4 +1,4 @@
-"""What recordings of a campaign are made with, which is written into them, and whether one was made with something else."""
+"""The origin of recordings of a campaign, which is written into them: function, code, town and duration; its comparison."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def made_with(campaign: Campaign) -> dict[str, str]:
 
 
 def difference(parameters: Mapping[str, str], expected: Mapping[str, str]) -> str | None:
-    """Return what a recording was made with other than what is expected, as the line of an error; None if nothing differs.
+    """Return how the origin of a recording differs from the expected one, as the line of an error; None if it does not.
 
     Args:
         parameters: The parameters of its header.

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from carla_recap.server.rpc.registry import Call
 
-_LOG: Final = logging.getLogger("carla_recap.server")
+_LOG: Final = logging.getLogger(__name__)
 _REPLY: Final = 1
 _PACKER: Final = msgpack.Packer(unicode_errors="surrogateescape")  # shared: it keeps a large buffer
 _CALLS_AT_ONCE: Final = 64  # before other connections are served

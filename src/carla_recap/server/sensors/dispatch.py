@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.world import World
 
-_LOG: Final = logging.getLogger("carla_recap.server")
+_LOG: Final = logging.getLogger(__name__)
 _ROUNDING: Final = 1e-6  # s
 _SPAWN_PATIENCE: Final = 1.5  # s: calls of many scripts time out after 2 s
 _TICK_PATIENCE: Final = 0.8  # s: the tick itself takes time, too

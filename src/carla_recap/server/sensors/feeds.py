@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from carla_recap.sim.geometry import Location, Transform, Vector
     from carla_recap.util.arrays import Floats
 
-_LOG: Final = logging.getLogger("carla_recap.server")
+_LOG: Final = logging.getLogger(__name__)
 _TOO_LARGE: Final = 1e10  # for any number of a sensor
 
 Feed = Callable[[], Iterable[bytes]]

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     Image = NDArray[Any]
 
-_LOG: Final = logging.getLogger("carla_recap.server")
+_LOG: Final = logging.getLogger(__name__)
 _AHEAD: Final = 2  # ticks whose images are waited for before the next tick
 _TO_END: Final = 5.0  # s
 _POLL: Final = 0.1  # s

@@ -32,7 +32,7 @@ T = TypeVar("T")
 _TRIAL: Final = "vehicle.tesla.model3"
 _TRIAL_CAMERA: Final = Camera(16, 16, 90.0, np.array((-8.0, 0.0, 1.0)), np.eye(3))
 
-_LOG: Final = logging.getLogger("carla_recap.server")
+_LOG: Final = logging.getLogger(__name__)
 
 
 class TownSurfaces:

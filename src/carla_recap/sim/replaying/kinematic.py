@@ -302,8 +302,7 @@ class CollisionReplay:
 
     A collision is reported for the actor for which it was recorded, and for the other one if it is watched, as by two
     collision sensors. A light or sign that the town does not have counts as a barrier; collisions with other actors that are
-    not replayed are left out. A pair of actors has one collision in a
-    tick, however many frames of the recording pass in it.
+    not replayed are left out. A pair of actors has one collision in a tick, however many frames of the recording pass in it.
 
     Recordings contain no impulses. That between two actors is the impulse of an inelastic impact along the line between
     their centres, from their masses and their recorded velocities before it, and 0 while the contact lasts. That with a
