@@ -189,6 +189,7 @@ def started_after_server(path: Path) -> Iterator[Capture]:
 
 def test_a_missing_server_is_an_error() -> None:
     assert error("capture", "a.mcap", "--port", 1) == "127.0.0.1:1: there is no CARLA server"
+    assert error("capture", "a.mcap", "--port", 1, "--host", "a..b") == "a..b:1: there is no CARLA server"
 
 
 @pytest.mark.parametrize("name", ["Carla/Maps/Town01", "Town01", "/Game/Carla/Maps/Town01"])

@@ -40,6 +40,10 @@ def test_each_module_can_be_imported_first() -> None:
     subprocess.run([sys.executable, "-c", IMPORTS, *names], timeout=PATIENCE, check=True)
 
 
+def test_an_invalid_name_of_a_host_is_an_error_in_one_line() -> None:
+    assert error("serve", "--port=0", "--host", "a..b").startswith("a..b:0: cannot be listened at: ")
+
+
 def test_invalid_folders_are_errors_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     absent = tmp_path / "absent"

@@ -234,7 +234,7 @@ class Observer:
     def _is_there(self) -> bool:
         try:
             socket.create_connection((self._host, self._port), _CONNECTION).close()
-        except OSError:
+        except (OSError, UnicodeError):  # the latter about a name such as a..b
             return False
         return True
 

@@ -103,8 +103,6 @@ def serve(
         raise RecapError("--attached needs a standard input")
     if recordings is not None:
         _make_folder(recordings)
-    if host not in (_LOOPBACK, "localhost", "::1"):
-        warn(f"{host} can be reached from other machines, and the protocol has no authentication")
     foxglove_port = options.foxglove_port_of(foxglove, foxglove_port)
     if foxglove_port is not None and (rerun or rerun_to):
         raise click.UsageError("--foxglove or --rerun was expected, not both.", click.get_current_context())
@@ -113,6 +111,8 @@ def serve(
     with viewer as shown, World(_town(town, maps, stand_in), seed=seed, recordings=recordings, maps=maps) as world:
 
         def ready(port: int) -> None:
+            if host not in (_LOOPBACK, "localhost", "::1"):
+                warn(f"{host} can be reached from other machines, and the protocol has no authentication")
             _announce(world.town.name, host, port, hint=not attached)
             if shown is not None:
                 shown.open(host, port)

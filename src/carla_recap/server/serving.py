@@ -18,6 +18,7 @@ from carla_recap.errors import RecapError
 from carla_recap.server.host import Client
 from carla_recap.server.rpc.connection import ClientConnection
 from carla_recap.server.rpc.registry import CALLS
+from carla_recap.util.files import reason_of
 from carla_recap.util.signals import call_on_termination
 
 if TYPE_CHECKING:
@@ -160,11 +161,11 @@ async def _listen(make: Callable[[], asyncio.Protocol], address: str, port: int)
     loop = asyncio.get_running_loop()
     try:
         return await loop.create_server(make, address, port, backlog=_BACKLOG)
-    except OSError as error:
-        if error.errno in (errno.EADDRINUSE, errno.EACCES):
+    except (OSError, UnicodeError) as error:  # the latter about a name such as a..b
+        if isinstance(error, OSError) and error.errno in (errno.EADDRINUSE, errno.EACCES):
             reason = f"{os.strerror(error.errno)}; choose another port with --port"
         else:
-            reason = str(error.strerror)
+            reason = reason_of(error)
         raise RecapError(f"{address}:{port}: cannot be listened at: {reason}") from None
 
 
