@@ -265,7 +265,11 @@ def test_a_table_is_imported(tmp_path):
     done = run("import", tmp_path / "tracks.csv", tmp_path / "out.log", "--column", "x=east", "--hero", "7")
     assert (done.returncode, wrote(done.stderr)) == (0, [f"{tmp_path / 'out.log'}: 2 frames, 1 s"])
     assert "no NAME=COLUMN" in error("import", tmp_path / "tracks.csv", tmp_path / "b.log", "--column", "east")
-    assert "'soon' is no date" in error("import", tmp_path / "tracks.csv", tmp_path / "b.log", "--date", "soon")
+
+
+@pytest.mark.parametrize("date", ["soon", "0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-12:00"])
+def test_an_invalid_date_of_an_import_is_an_error(tmp_path, date):
+    assert f"'{date}' is no date" in error("import", CROSSING, tmp_path / "b.log", "--date", date)
 
 
 @pytest.mark.parametrize("date", ["2024-05-01T12:30:00Z", "2024-05-01T14:30+02:00", local_date(1_714_566_600)])

@@ -113,6 +113,8 @@ def test_several_route_files_have_the_routes_of_all(tmp_path: Path) -> None:
         (("--from-drive", "--route-id", "1"), "--route-id goes with --route."),
         (("--from-drive", "--min-completion", "1"), "--min-completion goes with --route."),
         (("--from-drive", "--junit", "out.xml"), "--junit goes with a limit, such as --min-score."),
+        (("--from-drive", "--min-score", "nan"), "'nan' is not a number of 0 to 100."),
+        (("--from-drive", "--min-completion", "101"), "'101' is not a number of 0 to 100."),
         (("--from-drive", "--max", "red_light"), "'red_light' is no limit; KIND=N was expected, such as red_light=0"),
         (("--from-drive", "--max", "speeding=0"), "'speeding=0' is no limit"),
         (("--route", "none.xml"), "none.xml: No such file or directory"),

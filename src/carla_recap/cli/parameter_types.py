@@ -15,13 +15,15 @@ class _Number(click.ParamType[Any]):
 
     Args:
         least: The smallest valid number.
-        exclusive: Whether that one is not valid either.
+        most: The largest one.
+        exclusive: Whether the smallest one is not valid either.
     """
 
     name = "number"
 
-    def __init__(self, least: float = -math.inf, *, exclusive: bool = False) -> None:
+    def __init__(self, least: float = -math.inf, most: float = math.inf, *, exclusive: bool = False) -> None:
         self._least = least
+        self._most = most
         self._exclusive = exclusive
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -29,10 +31,16 @@ class _Number(click.ParamType[Any]):
             number = float(value)
         except ValueError:
             number = math.nan
-        if not number >= self._least or (self._exclusive and number == self._least):
-            least = f" of more than {self._least:g}" if self._exclusive else f" of {self._least:g} or more"
-            self.fail(f"{value!r} is not a number{'' if self._least == -math.inf else least}.", param, ctx)
+        if not self._least <= number <= self._most or (self._exclusive and number == self._least):
+            self.fail(f"{value!r} is not a number{self._range()}.", param, ctx)
         return number
+
+    def _range(self) -> str:
+        if self._least == -math.inf:
+            return ""
+        if self._exclusive:
+            return f" of more than {self._least:g}"
+        return f" of {self._least:g} or more" if self._most == math.inf else f" of {self._least:g} to {self._most:g}"
 
 
 class _ActorId(click.ParamType[Any]):
@@ -52,7 +60,7 @@ class _ActorId(click.ParamType[Any]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if value in self._words or isinstance(value, int):
             return value
-        if not (value.isascii() and value.isdecimal()):
+        if not re.fullmatch("[0-9]{1,20}", value):
             self.fail(f"{value!r} is neither {self._expected}.", param, ctx)
         return int(value)
 
@@ -83,7 +91,7 @@ class _Date(click.ParamType[Any]):
         from datetime import datetime
 
         for parse in (datetime.fromisoformat, lambda text: datetime.strptime(text, "%m/%d/%y %H:%M:%S")):
-            with suppress(ValueError):
+            with suppress(ValueError, OverflowError):  # which a date is that is of the year 0 or 10000 in this time zone
                 return parse(value).astimezone()
         return self.fail(f"{value!r} is no date; one such as 2024-05-01 or 2024-05-01T12:30:00Z was expected.", param, ctx)
 
@@ -126,6 +134,7 @@ class _Split(click.ParamType[Any]):
 NUMBER = _Number(0)
 POSITIVE = _Number(0, exclusive=True)
 TIME = _Number()
+PERCENT = _Number(0, 100)
 FOLLOW = _ActorId("actor", ("hero",), "an actor id nor hero")
 MEASURED = _ActorId("actor", ("hero", "all"), "an actor id nor hero or all")
 VIEW = _ActorId("view", ("chase", "top", "driver"), "chase, top or driver nor the id of a recorded camera")

@@ -14,7 +14,7 @@ import click
 from carla_recap.cli import options
 from carla_recap.cli.many import Messages, SourcesRequest
 from carla_recap.cli.output import BAD_INPUT, TOO_MANY, fail, print_pieces, wrote
-from carla_recap.cli.parameter_types import FOLLOW
+from carla_recap.cli.parameter_types import FOLLOW, PERCENT
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -81,8 +81,8 @@ class _Limit(click.ParamType[Any]):
     help="The version of the Leaderboard whose formula counts.",
 )
 @click.option("--actor", type=FOLLOW, default="hero", metavar="ID|hero", help="The vehicle to score; else the hero.")
-@click.option("--min-score", type=click.FloatRange(0, 100), metavar="N", help="End with exit code 1 if a score is lower.")
-@click.option("--min-completion", type=click.FloatRange(0, 100), metavar="N", help="The same for the completion in %.")
+@click.option("--min-score", type=PERCENT, metavar="N", help="End with exit code 1 if a score is lower.")
+@click.option("--min-completion", type=PERCENT, metavar="N", help="The same for the completion in %.")
 @click.option(
     "--max-infractions", type=click.IntRange(min=0), metavar="N", help="End with exit code 1 if a recording has more."
 )

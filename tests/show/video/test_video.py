@@ -270,7 +270,11 @@ def the_said(stderr: bytes) -> str:
     ("arguments", "message"),
     [
         (("--view", "left"), "'left' is neither chase, top or driver nor the id of a recorded camera"),
-        (("--speed", "0"), "'0' is not a number of more than 0"),
+        (("--speed", "0"), "'0' is not a number of more than 0."),
+        (("--start", "soon"), "'soon' is not a number."),
+        (("--start", "nan"), "'nan' is not a number."),
+        (("--follow", "-1"), "'-1' is neither an actor id nor hero."),
+        (("--follow", "9" * 5000), "9' is neither an actor id nor hero."),
         (("--size", "7"), "'7' is no size"),
     ],
 )
