@@ -238,8 +238,8 @@ def _collisions(recording: Recording) -> object:
 
 
 def _info(recording: Recording, *, all: bool = False) -> object:
+    from carla_recap.output.text import text
     from carla_recap.queries.info import info
-    from carla_recap.queries.output.text import text
 
     return "".join(text(info(recording.reader, all=all)))
 
@@ -321,7 +321,7 @@ ROWS: Final = (
 def ask(query: Query, path: Path) -> tuple[str, int | None]:
     """Return the text of a query, and the bytes of the file that were read, if the reader counts them."""
     from carla_recap.formats import open_reader
-    from carla_recap.queries.output.text import text
+    from carla_recap.output.text import text
 
     reader = open_reader(path)
     try:

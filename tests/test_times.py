@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from carla_recap import Player, Recording, Spawn, clip, create_recording, open_recording
-from carla_recap.queries.output.json import json as as_json
+from carla_recap.output.json import json as as_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

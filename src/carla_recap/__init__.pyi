@@ -20,8 +20,6 @@ from carla_recap.files.openscenario import export_openscenario as export_opensce
 from carla_recap.files.osi import export_osi as export_osi
 from carla_recap.files.parquet import export_parquet as export_parquet
 from carla_recap.files.tracks import export_csv as export_csv
-from carla_recap.fleet.conditions.facts import Finding as Finding
-from carla_recap.fleet.conditions.facts import Offence as Offence
 from carla_recap.fleet.datasets import ExportedDataset as ExportedDataset
 from carla_recap.fleet.datasets import export_dataset as export_dataset
 from carla_recap.fleet.engine import map_recordings as map_recordings
@@ -31,11 +29,6 @@ from carla_recap.fleet.index.database import open_index as open_index
 from carla_recap.fleet.index.writing import IndexSummary as IndexSummary
 from carla_recap.fleet.index.writing import write_index as write_index
 from carla_recap.fleet.outcomes import Outcome as Outcome
-from carla_recap.fleet.rules import Rule as Rule
-from carla_recap.fleet.rules import RuleSet as RuleSet
-from carla_recap.fleet.rules import Verdict as Verdict
-from carla_recap.fleet.rules import check as check
-from carla_recap.fleet.rules import load_rules as load_rules
 from carla_recap.fleet.scores import score as score
 from carla_recap.fleet.sources import SourceFile as SourceFile
 from carla_recap.formats import create_writer as create_writer
@@ -73,6 +66,13 @@ from carla_recap.replay import Player as Player
 from carla_recap.replay import Scene as Scene
 from carla_recap.roads import RoadMap as RoadMap
 from carla_recap.roads import load_map as load_map
+from carla_recap.rules.facts import Finding as Finding
+from carla_recap.rules.facts import Offence as Offence
+from carla_recap.rules.rule_sets import Rule as Rule
+from carla_recap.rules.rule_sets import RuleSet as RuleSet
+from carla_recap.rules.rule_sets import Verdict as Verdict
+from carla_recap.rules.rule_sets import check as check
+from carla_recap.rules.rule_sets import load_rules as load_rules
 from carla_recap.scene.models import use_models as use_models
 from carla_recap.sensors.options import SensingOptions as SensingOptions
 from carla_recap.sensors.rig import SensorRig as SensorRig

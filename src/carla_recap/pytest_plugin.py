@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     import carla
 
-    from carla_recap.fleet.rules import RuleSet, Verdict
+    from carla_recap.rules.rule_sets import RuleSet, Verdict
 
 HOST: Final = "127.0.0.1"
 FOLDER: Final = "carla-recordings"
@@ -182,8 +182,8 @@ class CarlaWorld:
             AssertionError: It does not; the message has the verdicts.
         """
         __tracebackhide__ = True
-        from carla_recap.fleet.rules import RuleSet, check, load_rules, make_rules
         from carla_recap.recording import open_recording
+        from carla_recap.rules.rule_sets import RuleSet, check, load_rules, make_rules
 
         demanded = [make_rules(**conditions)] if conditions else []
         if rules is not None:

@@ -126,7 +126,7 @@ class Recording:
     def _repr_html_(self) -> str:
         from html import escape
 
-        from carla_recap.queries.output.html import recording_html
+        from carla_recap.output.html import recording_html
 
         return escape(repr(self)) if self._closed else recording_html(self.reader)
 

@@ -20,10 +20,10 @@ from mcap.writer import Writer
 from carla_recap import Attribute, Spawn, __version__, convert, create_recording
 from carla_recap.cli import cli
 from carla_recap.formats.carla_log import LogReader
+from carla_recap.output.text import text
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.collisions import collisions
 from carla_recap.queries.info import info
-from carla_recap.queries.output.text import text
 from carla_recap.queries.recorded_actors import actors
 from tests.cli.command import (
     COMMAND,

@@ -11,7 +11,7 @@ import pytest
 from mcap.reader import make_reader
 
 from carla_recap import open_recording
-from carla_recap.queries.output.text import local_date
+from carla_recap.output.text import local_date
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, on_terminal, run, the_line, wrote
 from tests.roads.towns import town
 from tests.samples import carla_log, reading

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from carla_recap import open_recording
-from carla_recap.queries.output.table import cells
+from carla_recap.output.table import cells
 from carla_recap.queries.summary import summary
 from carla_recap.roads import find_map
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, answer, error, on_terminal, run, the_line

@@ -20,7 +20,7 @@ import pytest
 
 from carla_recap import RecapWarning, cli, create_recording
 from carla_recap.cli.output import BAD_INPUT
-from carla_recap.queries.output.terminal import TableColumn, print_table, shortened
+from carla_recap.output.terminal import TableColumn, print_table, shortened
 from tests.cli.command import CROSSING, wrote
 from tests.waiting import PATIENCE
 

@@ -10,7 +10,7 @@ from carla_recap import check, open_recording
 from carla_recap.errors import RecapError
 from carla_recap.fleet.check import CheckedRecording
 from carla_recap.fleet.junit import junit, write_junit
-from carla_recap.fleet.rules import Verdict, make_rules
+from carla_recap.rules.rule_sets import Verdict, make_rules
 from tests.samples import names_in
 
 SAMPLES = Path(__file__).parents[2] / "samples"
@@ -59,7 +59,7 @@ def test_times_are_those_of_the_judging():
 
 
 def test_judging_takes_time(monkeypatch):
-    monkeypatch.setattr("carla_recap.fleet.rules.perf_counter", process_time)  # which other processes do not add to
+    monkeypatch.setattr("carla_recap.rules.rule_sets.perf_counter", process_time)  # which other processes do not add to
     with open_recording(SAMPLES / "crash.mcap") as recording:
         first, second = check(recording, [*make_rules(gap={"min": 1}), *make_rules(speed={"max": 1})])
     assert first.seconds > second.seconds > 0  # both need the measures, which are read for the first one

@@ -9,9 +9,9 @@ import pytest
 
 from carla_recap.fleet.check import CheckedRecording, check_sources
 from carla_recap.fleet.pages import MOST, overview, write_pages
-from carla_recap.fleet.rules import Verdict, load_rules, parse_rules
 from carla_recap.fleet.sources import find_sources
 from carla_recap.queries.info import info
+from carla_recap.rules.rule_sets import Verdict, load_rules, parse_rules
 from tests.samples import names_in, reading, save
 from tests.show.page.conftest import data
 

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from carla_recap.errors import RecapError
 from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn
+from carla_recap.output.text import text
 from carla_recap.queries.blocked import BlockedRow, blocked
-from carla_recap.queries.output.text import text
 from tests.cli.command import CROSSING
 from tests.samples import reading
 from tests.waiting import time_limit

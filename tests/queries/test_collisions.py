@@ -6,9 +6,9 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.model.records import NO_ACTOR, Spawn
+from carla_recap.output.text import text
 from carla_recap.queries.collisions import CollisionRow, collisions
 from carla_recap.queries.incidents import IncidentOptions, incidents
-from carla_recap.queries.output.text import text
 
 if TYPE_CHECKING:
     from tests.queries.conftest import Make

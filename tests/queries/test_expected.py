@@ -10,10 +10,10 @@ import pytest
 
 from carla_recap.errors import NotARecording
 from carla_recap.formats import open_reader
+from carla_recap.output.text import text
 from carla_recap.queries.blocked import Blocked, blocked
 from carla_recap.queries.collisions import Collisions, collisions
 from carla_recap.queries.info import Info, info
-from carla_recap.queries.output.text import text
 from tests.samples import CARLA_LOGS, RANDOM_LOGS
 
 if TYPE_CHECKING:

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from carla_recap import IncidentOptions, check, open_recording
-from carla_recap.fleet.rules import parse_rules
 from carla_recap.queries.incidents import incidents
 from carla_recap.queries.measures import measures, time_series
 from carla_recap.roads.surfaces import build_network
+from carla_recap.rules.rule_sets import parse_rules
 from tests.replay.scripts import light, pose, spawn, write
 from tests.roads.straight_road import STRAIGHT_ROAD
 

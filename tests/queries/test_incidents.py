@@ -15,11 +15,11 @@ from carla_recap.formats.mcap.reader import McapReader
 from carla_recap.model import braking as braking_module
 from carla_recap.model.frame import LAST_FRAME_DURATION, Header
 from carla_recap.model.records import NO_ACTOR, Spawn, attributes
+from carla_recap.output.json import json as json_text
+from carla_recap.output.table import table
+from carla_recap.output.text import text
 from carla_recap.queries.incidents import Incident, IncidentOptions, incidents
 from carla_recap.queries.kinds import kinds_without_roads
-from carla_recap.queries.output.json import json as json_text
-from carla_recap.queries.output.table import table
-from carla_recap.queries.output.text import text
 from carla_recap.tables import column_names
 from tests.queries.conftest import TICK, write
 from tests.queries.measures.conftest import record, straight

@@ -8,8 +8,8 @@ import pytest
 
 from carla_recap.model.frame import Extent, Frame, Header, Packet
 from carla_recap.model.records import UE4, Attribute, Bone, Bones, Spawn
+from carla_recap.output.text import text
 from carla_recap.queries.info import InfoRow, info
-from carla_recap.queries.output.text import text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -12,11 +12,11 @@ from click import Context
 
 from carla_recap import RecapError, open_recording
 from carla_recap.cli import cli, options
-from carla_recap.fleet.rules import check, parse_rules
+from carla_recap.output.table import cells
 from carla_recap.queries.incidents import Incident
 from carla_recap.queries.kinds import KINDS, kind_named, kinds_named
 from carla_recap.queries.measures import MEASURES, measures
-from carla_recap.queries.output.table import cells
+from carla_recap.rules.rule_sets import check, parse_rules
 from carla_recap.show.page import write_report
 
 if TYPE_CHECKING:

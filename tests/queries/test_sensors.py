@@ -11,9 +11,9 @@ from carla_recap.fleet.check import check_sources
 from carla_recap.fleet.sources import SourceFile
 from carla_recap.formats.base import Topic
 from carla_recap.formats.mcap.writer import McapWriter
+from carla_recap.output.json import json as json_text
+from carla_recap.output.text import text
 from carla_recap.queries.info import info
-from carla_recap.queries.output.json import json as json_text
-from carla_recap.queries.output.text import text
 from carla_recap.queries.summary import summary
 from tests.cli.command import CROSSING
 from tests.samples import drive, reading, write

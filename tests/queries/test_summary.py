@@ -8,9 +8,9 @@ import math
 import pytest
 
 from carla_recap import ActorKind, RecapWarning, Spawn, attributes, create_recording, open_recording
+from carla_recap.output.json import json as json_text
+from carla_recap.output.text import text
 from carla_recap.queries.incidents import IncidentOptions
-from carla_recap.queries.output.json import json as json_text
-from carla_recap.queries.output.text import text
 from carla_recap.queries.summary import summary
 from tests.cli.command import CROSSING, answer, run, the_line
 

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from carla_recap.fleet.campaign.report import CampaignRow
     from carla_recap.fleet.campaign.results import Scoring
     from carla_recap.fleet.check import CheckedRecording
-    from carla_recap.fleet.rules import RuleSet
     from carla_recap.queries.measures import Measure
+    from carla_recap.rules.rule_sets import RuleSet
 
 _BROKEN: Final = 1  # the exit code if rules are broken
 _SHOWN: Final = 5  # of the worst runs, and of failed ones

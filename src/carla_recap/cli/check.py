@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from carla_recap.fleet.check import CheckedRecording
-    from carla_recap.fleet.rules import RuleSet
+    from carla_recap.rules.rule_sets import RuleSet
 
 _EXIT_CODES: Final = {"pass": 0, "fail": 1, "error": 2}
 _STYLES: Final = {"pass": "green", "fail": "red", "error": "magenta"}
@@ -107,7 +107,7 @@ def check(
 
 def loaded_rules(path: str) -> RuleSet:
     """Return the rules of a file; end the program with a line for each of its faults."""
-    from carla_recap.fleet.rules import RulesError, load_rules
+    from carla_recap.rules.rule_sets import RulesError, load_rules
 
     try:
         return load_rules(path)
@@ -199,7 +199,7 @@ def _print_table(rows: Sequence[tuple[str, ...]]) -> None:
     """Print the rows as a table, on a terminal."""
     from rich.console import Console
 
-    from carla_recap.queries.output.terminal import TableColumn, print_table
+    from carla_recap.output.terminal import TableColumn, print_table
 
     columns = (
         TableColumn("", style=_STYLES.__getitem__),

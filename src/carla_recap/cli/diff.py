@@ -59,7 +59,7 @@ def diff(
     cannot be read.
     """
     from carla_recap.editing.convert import check_destination
-    from carla_recap.queries.output import differences as output
+    from carla_recap.output import differences as output
     from carla_recap.recording import open_recording
 
     for path in filter(None, (rrd, html)):

@@ -222,7 +222,7 @@ def _print_table(names: list[str], rows: Iterator[tuple[Any, ...]]) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    from carla_recap.queries.output.terminal import TableColumn, fits, print_table
+    from carla_recap.output.terminal import TableColumn, fits, print_table
 
     console = Console()
     count = 0

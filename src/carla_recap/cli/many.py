@@ -247,7 +247,7 @@ class _TextPrinter:
     def _head(self, given: RecordingAnswer) -> None:
         if self._is_headed or given.kind is None:
             return
-        from carla_recap.queries.output.text import heading
+        from carla_recap.output.text import heading
 
         self._is_headed = True
         if line := heading(given.kind.__name__):
@@ -271,7 +271,7 @@ class _JsonPrinter:
         self._recordings = SpooledTemporaryFile(_MEGABYTE, "w+")  # noqa: SIM115 - which ends with the process
 
     def add(self, given: RecordingAnswer) -> None:
-        from carla_recap.queries.output.json import encoded, facts
+        from carla_recap.output.json import encoded, facts
 
         for piece in given.pieces:
             self._out.write(self._separator + str(piece))
@@ -300,7 +300,7 @@ class _CsvPrinter:
     def add(self, given: RecordingAnswer) -> None:
         for piece in given.pieces:
             if not self._is_headed and given.kind is not None:
-                from carla_recap.queries.output.csv import heading
+                from carla_recap.output.csv import heading
 
                 self._is_headed = True
                 self._out.write(heading(given.kind.row_type, "recording"))
@@ -352,8 +352,8 @@ class _TablePrinter:
             self._print_page()
 
     def _print_page(self) -> None:
-        from carla_recap.queries.output.table import print_rows
-        from carla_recap.queries.output.terminal import TableColumn
+        from carla_recap.output.table import print_rows
+        from carla_recap.output.terminal import TableColumn
 
         recording = TableColumn("Recording", narrowed="middle")
         with self._bar.aside():

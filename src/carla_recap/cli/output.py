@@ -66,19 +66,19 @@ def show(answer: Any, form: str | None, max_rows: int | None = None, warned: Seq
     """
     form = form_of(form, compat=getattr(answer, "compat", False))
     if form == "text":
-        from carla_recap.queries.output.text import text
+        from carla_recap.output.text import text
 
         print_pieces(text(answer))
     elif form == "json":
-        from carla_recap.queries.output.json import json
+        from carla_recap.output.json import json
 
         print_pieces(json(answer, warned))
     elif form == "csv":
-        from carla_recap.queries.output.csv import csv
+        from carla_recap.output.csv import csv
 
         print_pieces(csv(answer))
     else:
-        from carla_recap.queries.output.table import table
+        from carla_recap.output.table import table
 
         table(answer)
     sys.stdout.flush()
@@ -206,7 +206,7 @@ def print_written(context: click.Context, *, empty: bool) -> None:
         empty: Whether to print the object if nothing was written.
     """
     if wants_json(context) and (empty or any(context.meta[_WRITTEN].values())):
-        from carla_recap.queries.output.json import encoded
+        from carla_recap.output.json import encoded
 
         print_pieces([encoded(context.meta[_WRITTEN]) + "\n"])
 

@@ -226,7 +226,7 @@ def _print_table(scores: Sequence[Score], form: str | None) -> None:
     if form is None and sys.stdout.isatty():
         from rich.console import Console
 
-        from carla_recap.queries.output.terminal import TableColumn, print_table
+        from carla_recap.output.terminal import TableColumn, print_table
 
         numbers = {"Score", "Completion (%)", "Penalty", "Duration (s)"}
         columns = [TableColumn(name, is_number=name in numbers, **_LOOKS.get(name, {})) for name in _HEADINGS]

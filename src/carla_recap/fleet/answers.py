@@ -115,18 +115,18 @@ def _pieces(answer: RecordingAnswer, query: Query, form: Form) -> Iterator[Piece
 
 def _rendered(found: Any, form: Form, location: str) -> Iterator[Piece]:
     if form == "json":
-        from carla_recap.queries.output.json import rows
+        from carla_recap.output.json import rows
 
         return rows(found, recording=location)
     if form == "csv":
-        from carla_recap.queries.output import csv
+        from carla_recap.output import csv
 
         return csv.rows(found, location)
     if form == "table":
-        from carla_recap.queries.output.table import cells
+        from carla_recap.output.table import cells
 
         return ((location, *row) for row in cells(found))
-    from carla_recap.queries.output.text import lines
+    from carla_recap.output.text import lines
 
     return (_with_name(text, location) for text in lines(found) if text)
 

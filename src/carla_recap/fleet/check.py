@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet.engine import map_sources
-from carla_recap.fleet.rules import RuleSet, Status, Verdict, check, unreadable
 from carla_recap.recording import open_recording
 from carla_recap.roads.find import plain_name
+from carla_recap.rules.rule_sets import RuleSet, Status, Verdict, check, unreadable
 from carla_recap.util.text import readable, visible
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def check_sources(
     Args:
         sources: The recordings.
         rules: The rules.
-        road_map: See `carla_recap.fleet.rules.check`.
+        road_map: See `carla_recap.rules.rule_sets.check`.
         jobs: See `map_sources`.
         client: See `map_sources`.
     """

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from carla_recap.fleet.check import CheckedRecording
-    from carla_recap.fleet.rules import Verdict
+    from carla_recap.rules.rule_sets import Verdict
 
 SUITE: Final = "carla-recap check"
 _UNPRINTABLE: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # what XML 1.0 cannot contain

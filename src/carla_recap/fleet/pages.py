@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 
     from carla_recap.fleet.check import CheckedRecording
-    from carla_recap.fleet.rules import RuleSet, Status, Verdict
+    from carla_recap.rules.rule_sets import RuleSet, Status, Verdict
 
 PAGES: Final = "pages"
 CLIPS: Final = "clips"

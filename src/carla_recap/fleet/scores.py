@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 from carla_recap.errors import RecapError
 from carla_recap.fleet.check import CheckedRecording
 from carla_recap.fleet.engine import map_sources
-from carla_recap.fleet.rules import Verdict
 from carla_recap.queries.score import INFRACTIONS, Route, ScoreOptions, read_routes, route_for
 from carla_recap.queries.score import score as score_of
 from carla_recap.recording import open_recording
+from carla_recap.rules.rule_sets import Verdict
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:

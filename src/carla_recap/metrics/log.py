@@ -19,7 +19,7 @@ from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.model.lives import HERO, ActorLives
 from carla_recap.model.lives import TYPES as ACTOR_TYPES
 from carla_recap.model.records import CM
-from carla_recap.queries.output.packet_lines import LIGHTS, sorted_points
+from carla_recap.output.packet_lines import LIGHTS, sorted_points
 from carla_recap.recording import Recording, open_recording
 from carla_recap.tables.trajectories import actor_rows, trajectories
 from carla_recap.util.text import number

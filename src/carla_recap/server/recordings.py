@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Final
 from carla_recap.errors import NotARecording
 from carla_recap.formats import open_reader
 from carla_recap.formats.base import Reader
+from carla_recap.output.text import text
 from carla_recap.queries.blocked import Blocked
 from carla_recap.queries.collisions import Collisions
 from carla_recap.queries.info import Info
-from carla_recap.queries.output.text import text
 from carla_recap.server.rpc.registry import CallError
 from carla_recap.sim.errors import DestinationError
 from carla_recap.sim.recording.recorder import is_within, recording_path, recordings_folder

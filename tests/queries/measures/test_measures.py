@@ -10,9 +10,9 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.formats import open_reader
+from carla_recap.output.json import json
+from carla_recap.output.text import text
 from carla_recap.queries.measures import measures, measures_over_time, time_series
-from carla_recap.queries.output.json import json
-from carla_recap.queries.output.text import text
 from tests.queries.measures.conftest import Mover, straight
 
 if TYPE_CHECKING:

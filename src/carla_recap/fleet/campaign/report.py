@@ -14,7 +14,7 @@ from carla_recap.fleet.campaign.results import BROKEN_RULES, RESULTS, Result
 from carla_recap.fleet.check import check_sources
 from carla_recap.fleet.pages import PAGES, opening_of, write_incident_pages
 from carla_recap.formats.sources import is_remote
-from carla_recap.queries.output.json import encoded
+from carla_recap.output.json import encoded
 from carla_recap.show.page import Opening
 from carla_recap.util.files import WholeFile
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from carla_recap.fleet.campaign import FinishedRun
     from carla_recap.fleet.check import CheckedRecording
-    from carla_recap.fleet.rules import RuleSet
     from carla_recap.queries.measures import Measure
+    from carla_recap.rules.rule_sets import RuleSet
 
 RUNS: Final = "campaign.json"
 INDEX: Final = "index.duckdb"
@@ -114,7 +114,7 @@ def judged(
     Args:
         rows: The rows.
         rules: The rules.
-        road_map: See `carla_recap.fleet.rules.check`.
+        road_map: See `carla_recap.rules.rule_sets.check`.
         jobs: See `map_sources`.
         client: See `map_sources`.
     """

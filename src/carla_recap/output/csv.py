@@ -1,0 +1,46 @@
+"""Answers as CSV, for spreadsheets and pandas."""
+
+from __future__ import annotations
+
+import math
+from csv import writer
+from io import StringIO
+from typing import TYPE_CHECKING, Any
+
+from carla_recap.tables import column_names
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carla_recap.output.text import AnyAnswer
+
+
+def csv(answer: AnyAnswer) -> Iterator[str]:
+    """Yield an answer as CSV, in pieces: the names of the fields of the row's class, then a line for each row.
+
+    Numbers that are not finite, and what is unknown, are empty.
+    """
+    yield heading(answer.row_type)
+    yield from rows(answer)
+
+
+def heading(row_type: type[Any], *more: str) -> str:
+    """Return the line of names, with more of them in front."""
+    return _line([*more, *column_names(row_type)])
+
+
+def rows(answer: AnyAnswer, *more: str) -> Iterator[str]:
+    """Yield the line of each row, with more cells in front."""
+    names = column_names(answer.row_type)
+    for row in answer:
+        yield _line([*more, *(_cell(getattr(row, name)) for name in names)])
+
+
+def _cell(value: Any) -> Any:
+    return "" if value is None or (isinstance(value, float) and not math.isfinite(value)) else value
+
+
+def _line(cells: list[Any]) -> str:
+    text = StringIO()
+    writer(text, lineterminator="\n").writerow(cells)
+    return text.getvalue()

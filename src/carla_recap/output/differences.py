@@ -1,0 +1,216 @@
+"""Differences of two recordings as text, as JSON and as tables for a terminal."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+from carla_recap.model.lives import HERO
+from carla_recap.output.json import encoded, rows
+from carla_recap.output.table import most_important_first
+from carla_recap.output.terminal import TableColumn, brief_actor, print_table
+from carla_recap.util.text import visible
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from rich.console import Console
+
+    from carla_recap.queries.differences import ActorDifference, ComparedRecording, Differences, LightDifference
+
+
+@dataclass(frozen=True)
+class _ListedColumn:
+    heading: str
+    cell: Callable[[Any], str]
+    is_number: bool = False
+    is_name: bool = False
+    rank: int = 0
+
+    def looks(self) -> TableColumn:
+        """Return the column of a table on a terminal."""
+        if self.is_name:
+            return TableColumn(self.heading, narrowed="middle", brief=brief_actor)
+        return TableColumn(self.heading, self.is_number, "words" if self.heading == "What happens" else "never", self.rank)
+
+
+@dataclass(frozen=True)
+class _Listing:
+    """Rows of one kind.
+
+    Attributes:
+        title: What they are.
+        columns: The columns.
+        rows: The rows.
+    """
+
+    title: str
+    columns: Sequence[_ListedColumn]
+    rows: Sequence[Any]
+
+    def cells(self) -> list[list[str]]:
+        """Return the cells of the columns that are not empty, with their headings in the first row."""
+        columns = [[column.heading, *(visible(column.cell(row)) for row in self.rows)] for column in self.columns]
+        return [list(row) for row in zip(*(column for column in columns if any(column[1:])), strict=True)]
+
+    def numbers(self) -> list[bool]:
+        """Return which of these columns are numbers."""
+        return [column.is_number for column in self.columns if any(column.cell(row) for row in self.rows)]
+
+
+def text(found: Differences) -> Iterator[str]:
+    """Yield differences as text, in pieces: a summary, the recordings, and what differs."""
+    yield from (f"{visible(line)}\n" for line in _summary(found))
+    for listing in _listings(found):
+        cells, numbers = listing.cells(), listing.numbers()
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        yield f"\n{listing.title}\n"
+        for row in cells:
+            aligned = (
+                cell.rjust(width) if is_number else cell.ljust(width)
+                for cell, width, is_number in zip(row, widths, numbers, strict=True)
+            )
+            yield f"  {'  '.join(aligned)}".rstrip() + "\n"
+
+
+def table(found: Differences, console: Console | None = None) -> None:
+    """Print differences as tables.
+
+    Args:
+        found: The differences.
+        console: The console to print to; None for the standard output.
+    """
+    from rich.console import Console
+    from rich.text import Text
+
+    console = console or Console()
+    for number, line in enumerate(_summary(found)):
+        style = ("bold green" if found.equal else "bold red") if not number else ""
+        console.print(Text(visible(line), style))
+    for listing in _listings(found):
+        rows = [[column.cell(row) for column in listing.columns] for row in listing.rows]
+        console.print()
+        console.print(Text(listing.title, "bold"))
+        print_table(console, [column.looks() for column in listing.columns], rows)
+
+
+def json(found: Differences) -> Iterator[str]:
+    """Yield differences as one JSON object, in pieces; numbers that are not finite become null.
+
+    Its `actors` and `lights` are all that are in both recordings, also those that do not differ.
+    """
+    first = found.first
+    head = {
+        "equal": found.equal,
+        "summary": found.summary,
+        "reasons": found.reasons,
+        "tolerance": found.tolerance,
+        "time_tolerance": found.time_tolerance,
+        "clock": found.clock,
+        "a": asdict(found.a),
+        "b": asdict(found.b),
+        "first": None if first is None else asdict(first),
+    }
+    yield encoded(head)[:-1]
+    for name in ("actors", "missing", "extra", "lights", "events"):
+        yield f', "{name}": ['
+        separator = "\n"
+        for row in rows(getattr(found, name)):
+            yield separator + row
+            separator = ",\n"
+        yield "\n]"
+    yield "}\n"
+
+
+def _summary(found: Differences) -> Iterator[str]:
+    yield from found.reasons or [found.summary]
+    yield _recording("A", found.a)
+    yield _recording("B", found.b)
+
+
+def _recording(letter: str, recording: ComparedRecording) -> str:
+    every = "" if math.isnan(recording.step) else f", every {recording.step:.4g} s"
+    name = recording.map_name or "no map name"
+    return f"{letter}: {recording.location}: {name}, {recording.frames} frames in {recording.duration:.2f} s{every}"
+
+
+def _listings(found: Differences) -> Iterator[_Listing]:
+    """Yield the lists of what differs; none are empty."""
+    listings = (
+        _Listing("Actors that differ, in m, s and degrees", _ACTORS, [row for row in found.actors if row.differs]),
+        _Listing("Actors only in A", _UNMATCHED, most_important_first(found.missing)),
+        _Listing("Actors only in B", _UNMATCHED, most_important_first(found.extra)),
+        _Listing("Traffic lights that differ, in m and s", _LIGHTS, [row for row in found.lights if row.differs]),
+        _Listing("Events that differ, in s", _EVENTS, found.events),
+    )
+    return (listing for listing in listings if listing.rows)
+
+
+def _seconds(value: float | None) -> str:
+    return "" if value is None or math.isnan(value) else f"{value:.2f}"
+
+
+def _metres(value: float | None) -> str:
+    if value is None or math.isnan(value):
+        return ""
+    if math.isinf(value):
+        return "unknown"
+    if value and value < 0.001:
+        return f"{value:.1g}"
+    return f"{value:.1f}" if value >= 100 else f"{value:.3f}"
+
+
+def _degrees(value: float) -> str:
+    return "" if not value else f"{value:.1f}" if value >= 0.1 else f"{value:.1g}"
+
+
+def _ids(row: ActorDifference | LightDifference) -> str:
+    return str(row.id_a) if row.id_a == row.id_b else f"{row.id_a}, {row.id_b}"
+
+
+def _actor(row: ActorDifference) -> str:
+    name = " or ".join(dict.fromkeys((row.type_id_a or "unknown", row.type_id_b or "unknown")))
+    return f"{name} (hero)" if row.role_name == HERO else name
+
+
+def _life(start: float, stop: float | None) -> str:
+    return "" if math.isnan(start) else f"{_seconds(start)}-{_seconds(stop) or 'end'}"
+
+
+def _lives(row: ActorDifference) -> str:
+    a, b = _life(row.spawned_at_a, row.destroyed_at_a), _life(row.spawned_at_b, row.destroyed_at_b)
+    return "" if a == b else f"{a}, {b}"
+
+
+_ACTORS: Final = (
+    _ListedColumn("Id", _ids, is_number=True),
+    _ListedColumn("Actor", _actor, is_name=True),
+    _ListedColumn("From", lambda row: _seconds(row.first), is_number=True),
+    _ListedColumn("By", lambda row: _metres(row.first_distance), is_number=True),
+    _ListedColumn("Mean", lambda row: _metres(row.mean), is_number=True),
+    _ListedColumn("Max", lambda row: _metres(row.max), is_number=True),
+    _ListedColumn("At", lambda row: _seconds(row.max_at) if row.max else "", is_number=True),
+    _ListedColumn("Final", lambda row: _metres(row.final), is_number=True),
+    _ListedColumn("Heading", lambda row: _degrees(row.heading), is_number=True, rank=2),
+    _ListedColumn("Exists", _lives, rank=1),
+)
+_UNMATCHED: Final = (
+    _ListedColumn("Id", lambda actor: str(actor.id), is_number=True),
+    _ListedColumn("Kind", lambda actor: actor.kind),
+    _ListedColumn("Actor", lambda actor: actor.type_id or "unknown", is_name=True),
+    _ListedColumn("Role", lambda actor: actor.role_name),
+    _ListedColumn("Exists", lambda actor: _life(actor.spawned_at, actor.destroyed_at)),
+)
+_LIGHTS: Final = (
+    _ListedColumn("Id", _ids, is_number=True),
+    _ListedColumn("Place", lambda row: f"{row.x:.1f}, {row.y:.1f}"),
+    _ListedColumn("From", lambda row: _seconds(row.first), is_number=True),
+    _ListedColumn("For", lambda row: _seconds(row.seconds), is_number=True),
+)
+_EVENTS: Final = (
+    _ListedColumn("A", lambda row: _seconds(row.start_a), is_number=True),
+    _ListedColumn("B", lambda row: _seconds(row.start_b), is_number=True),
+    _ListedColumn("Event", lambda row: row.kind),
+    _ListedColumn("What happens", lambda row: row.text),
+)

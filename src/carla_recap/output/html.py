@@ -1,0 +1,136 @@
+"""A recording in a notebook: its summary, and a drawing of where its vehicles and walkers move."""
+
+from __future__ import annotations
+
+from html import escape
+from itertools import islice
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.model.kinematics import possible_step
+from carla_recap.model.lives import ROAD_USERS, heroes_of
+from carla_recap.model.records import CM
+from carla_recap.output.text import text
+from carla_recap.queries.incidents import IncidentOptions, incidents
+from carla_recap.queries.kinds import KINDS
+from carla_recap.queries.recorded_actors import actors
+from carla_recap.queries.summary import summary
+from carla_recap.util.text import visible
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from carla_recap.formats.base import Reader
+    from carla_recap.queries.incidents import Incident
+    from carla_recap.util.arrays import Floats
+
+
+_STEP: Final = 0.5  # s between two points of a path
+_SIZE: Final = (640, 400)  # pixels of the drawing, at most
+_MARGIN: Final = 5.0  # m
+_SHORTEST: Final = 0.3  # the short side of the drawing, as a share of its long side, at least
+_FAR: Final = 100_000.0  # m; nothing is farther from the origin of a map
+_LINE, _HERO, _DOT = 1.2, 3.0, 5.0  # pixels
+_MOST_POINTS: Final = 20_000  # of the lines of a drawing: about 250 kB
+_CELLS: Final = (2, 4, 8, 16, 32, 64)  # pixels; the sizes of the cells in which lines that repeat others are left out
+_MOST_DOTS: Final = 1_000  # the first incidents
+_BITS: Final = 12  # of the number of a cell along an axis
+
+
+def recording_html(reader: Reader) -> str:
+    """Return the summary of a recording, with its quick kinds of incidents, above a drawing of all paths.
+
+    Raises:
+        FormatError: The file contradicts its format.
+    """
+    options = IncidentOptions()
+    words = "".join(text(summary(reader, options)))
+    lines = "\n".join(visible(line) for line in [reader.location, *words.split("\n")])
+    return f"<pre>{escape(lines)}</pre>{_drawing(reader, incidents(reader, options))}"
+
+
+def _drawing(reader: Reader, found: Iterable[Incident]) -> str:
+    """Return the paths from above, x to the right and y down, as CARLA's axes are; nothing if nothing moves."""
+    paths = {id: path for id, path in _paths(reader).items() if np.ptp(path[:, 1:], axis=0).max() > 0}
+    if not paths:
+        return ""
+    heroes = {hero.id for hero in heroes_of(actors(reader))}
+    points = np.concatenate(list(paths.values()))[:, 1:]
+    low, high = points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN
+    short = np.maximum((high - low).max() * _SHORTEST - (high - low), 0.0) / 2
+    low, high = low - short, high + short
+    scale = float(min(_SIZE / (high - low)))
+    strips = [(id in heroes, strip) for id, path in paths.items() for strip in _strips(path, low, scale)]
+    lines = "".join(
+        f'<polyline points="{points}" stroke-width="{width}" opacity="{opacity}"/>'
+        for is_hero, strip in _thinned(strips)
+        for width, opacity in [(_HERO, 1.0) if is_hero else (_LINE, 0.5)]
+        for points in [" ".join(f"{x:.1f},{y:.1f}" for x, y in strip.tolist())]
+    )
+    dots = "".join(
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{_DOT}" fill="{KINDS[incident.kind].light}">'
+        f"<title>{incident.start:.1f} s: {escape(visible(incident.text))}</title></circle>"
+        for incident in islice(found, _MOST_DOTS)
+        for x, y in [(scale * (np.array((incident.x, -incident.y)) - low)).tolist()]
+        if np.isfinite((x, y)).all()
+    )
+    width, height = (scale * (high - low)).round().tolist()
+    return (
+        f'<svg width="{width:.0f}" height="{height:.0f}" xmlns="http://www.w3.org/2000/svg">'
+        f'<g fill="none" stroke="currentColor" stroke-linejoin="round">{lines}</g>{dots}</svg>'
+    )
+
+
+def _paths(reader: Reader) -> dict[int, Floats]:
+    """Return time, x and y in s and m of vehicles and walkers, every half second, (points, 3)."""
+    wanted = np.array([life.id for life in actors(reader) if life.kind in ROAD_USERS], np.uint32)
+    found: dict[int, list[Floats]] = {}
+    due = -np.inf
+    for batch in reader.batches(("transforms",)):
+        records, times = batch.records("transforms"), batch.elapsed
+        rows = []
+        for row in range(len(batch)) if records.size else ():
+            if times[row] >= due:
+                rows.append(row)
+                due = times[row] + _STEP
+        for column in np.flatnonzero(np.isin(records["id"][0], wanted)).tolist() if rows else ():
+            some = records[rows, column]
+            path = np.stack((times[rows], some["x"] * CM, some["y"] * CM), axis=1)
+            path = path[(np.abs(path[:, 1:]) < _FAR).all(axis=1)]
+            found.setdefault(int(records["id"][0, column]), []).append(path)
+    joined = {id: np.concatenate(parts) for id, parts in found.items()}
+    return {id: path for id, path in joined.items() if len(path)}
+
+
+def _strips(path: Floats, low: Floats, scale: float) -> Iterator[Floats]:
+    """Yield a path as points in pixels, cut where it jumps."""
+    jumps = np.linalg.norm(np.diff(path[:, 1:], axis=0), axis=1) > possible_step(np.diff(path[:, 0]))
+    for part in np.split(scale * (path[:, 1:] - low), np.flatnonzero(jumps) + 1):
+        moved = np.append(True, (np.diff(part.round(), axis=0) != 0).any(axis=1))
+        yield part[moved]
+
+
+def _thinned(strips: list[tuple[bool, Floats]]) -> list[tuple[bool, Floats]]:
+    """Return what is drawn of lines, each of a hero or not: if they are too long, not what repeats another line."""
+    for size in _CELLS:
+        if sum(len(points) for _, points in strips) <= _MOST_POINTS:
+            break
+        strips = _without_repeats(strips, size)
+    return strips
+
+
+def _without_repeats(strips: list[tuple[bool, Floats]], size: int) -> list[tuple[bool, Floats]]:
+    """Return lines without the segments within a cell of some pixels, and between two cells that an earlier one joins."""
+    points = np.concatenate([points for _, points in strips])
+    lengths = [len(points) for _, points in strips]
+    is_hero = np.repeat([is_hero for is_hero, _ in strips], lengths)
+    strip = np.repeat(np.arange(len(strips)), lengths)
+    x, y = np.floor(points.T / size).astype(np.int64)
+    cells = x << _BITS | y
+    ends = np.sort(np.stack((cells[:-1], cells[1:])), axis=0)
+    keys = (is_hero[:-1].astype(np.int64) << 2 * _BITS | ends[0]) << 2 * _BITS | ends[1]
+    candidates = np.flatnonzero((strip[:-1] == strip[1:]) & (ends[0] != ends[1]))
+    kept = candidates[np.sort(np.unique(keys[candidates], return_index=True)[1])]
+    runs = np.split(kept, np.flatnonzero(np.diff(kept) != 1) + 1) if len(kept) else []
+    return [(bool(is_hero[run[0]]), points[run[0] : run[-1] + 2]) for run in runs]

@@ -1,0 +1,252 @@
+"""Answers as the text that CARLA's query functions print."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.model.frame import Packet
+from carla_recap.model.records import FRAME_END
+from carla_recap.util.text import first_of, number, readable, visible
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+
+    from carla_recap.model.frame import Frame, Header
+    from carla_recap.queries.blocked import Blocked
+    from carla_recap.queries.collisions import Collisions
+    from carla_recap.queries.incidents import Incidents
+    from carla_recap.queries.info import Info
+    from carla_recap.queries.measures import Measures
+    from carla_recap.queries.measures.over_time import MeasuresOverTime
+    from carla_recap.queries.recorded_actors import RecordedActors
+    from carla_recap.queries.summary import Summaries
+
+    AnyAnswer = RecordedActors | Info | Collisions | Blocked | Incidents | Measures | MeasuresOverTime | Summaries
+
+_NAME_WIDTH: Final = 35
+_SENSORS: Final = 20  # of a recording, that its summary names
+KMH: Final = 3.6
+"""km/h in a m/s."""
+
+
+def text(answer: AnyAnswer) -> Iterator[str]:
+    """Yield CARLA's text of an answer, in pieces; a similar list of what CARLA has no text for."""
+    kind = type(answer).__name__
+    yield _preamble(answer.header)
+    if kind in _WITHOUT_HEADING:
+        yield from _WITHOUT_HEADING[kind](answer)
+    else:
+        yield heading(kind)
+        yield from _BODIES[kind](answer)
+    # In CARLA, the row of a collision sets the number format of the stream to no decimals.
+    rounded = answer.compat and kind == "Collisions" and any(answer)
+    duration = (_whole if rounded else number)(answer.extent.duration)
+    yield f"\nFrames: {answer.extent.last_id}\nDuration: {duration} seconds\n"
+
+
+def lines(answer: AnyAnswer) -> Iterator[str]:
+    """Yield the lines of an answer that are for one of many recordings: those of its rows; for info, all of its text."""
+    kind = type(answer).__name__
+    yield from _BODIES[kind](answer) if heading(kind) else text(answer)
+
+
+def heading(kind: str) -> str:
+    """Return the line above the rows of a kind of answers; empty for info.
+
+    Args:
+        kind: The name of the answer's class.
+    """
+    return _HEADINGS.get(kind, "")
+
+
+def _preamble(header: Header) -> str:
+    return f"Version: {header.version}\nMap: {readable(header.map_name)}\nDate: {local_date(header.date)}\n\n"
+
+
+def local_date(seconds: int) -> str:
+    """Return a date in local time, as in the C locale; the number itself if it is out of range."""
+    try:
+        return time.strftime("%m/%d/%y %H:%M:%S", time.localtime(seconds))
+    except (OverflowError, ValueError, OSError):
+        return str(seconds)
+
+
+def _whole(value: float) -> str:
+    """Return a number rounded to no decimals, half to even."""
+    return "-nan" if number(value) == "-nan" else f"{value:.0f}"
+
+
+def _padded(name: str) -> str:
+    """Return a name padded to the width of a column, which CARLA counts in bytes."""
+    return name + " " * (_NAME_WIDTH - len(name.encode()))
+
+
+def _collisions(answer: Collisions) -> Iterator[str]:
+    for row in answer:
+        yield (
+            f"{_whole(row.elapsed):>8}   {row.letter1} {row.letter2} "
+            f" {row.id1:>6} {_padded(row.type_id1)} {row.id2:>6} {_padded(row.type_id2)}\n"
+        )
+
+
+def _incidents(answer: Incidents) -> Iterator[str]:
+    for row in answer:
+        yield f"{row.start:>8.1f} {row.stop - row.start:>10.1f} {row.kind:<12} {row.text}\n"
+
+
+def _measures(answer: Measures) -> Iterator[str]:
+    for row in answer:
+        other = "" if row.other is None else row.other
+        yield (
+            f"{row.time:>8.1f} {row.actor:>6} {_padded(row.type_id)} {row.measure:<22} {row.value:>10.3f} {row.unit:<5}"
+            f" {other:>6} {row.other_type_id}".rstrip()
+            + "\n"
+        )
+
+
+def _over_time(answer: MeasuresOverTime) -> Iterator[str]:
+    for row in answer:
+        values = (row.speed, row.acceleration, row.gap, row.time_to_collision, row.distance_headway, row.time_headway)
+        others = ("" if id is None else id for id in (row.nearest, row.threat, row.leader))
+        numbers = " ".join(f"{value:>8.2f}" if math.isfinite(value) else " " * 8 for value in values)
+        line = f"{row.time:>8.2f} {row.actor:>6} {numbers} {' '.join(f'{id:>7}' for id in others)}"
+        yield f"{line.rstrip()}\n"
+
+
+def _blocked(answer: Blocked) -> Iterator[str]:
+    for row in answer:
+        yield f"{_whole(row.start):>8} {row.id:>6} {_padded(row.type_id)} {_whole(row.duration):>10}\n"
+
+
+def _actors(answer: RecordedActors) -> Iterator[str]:
+    for row in answer:
+        until = "" if row.destroyed_at is None else number(row.destroyed_at)
+        parent = "" if row.parent is None else row.parent
+        name, role = _padded(row.type_id), f"{row.role_name:<20}"
+        yield f"{row.id:>8} {row.kind:<13} {name} {role} {number(row.spawned_at):>8} {until:>8} {parent:>8}\n"
+
+
+def _overview(answer: Summaries) -> Iterator[str]:
+    for row in answer:
+        yield f"Actors: {_counted(row.actors)}\n"
+        if row.hero is not None:
+            hero = row.hero
+            way = f"{hero.distance:.0f} m in {hero.time:.1f} s, at {hero.top_speed * KMH:.0f} km/h at most"
+            yield f"Hero: {hero.type_id} ({hero.id}), {way}\n"
+        yield f"Incidents: {incident_counts(row.incidents)}\n"
+        if row.sensors:
+            named = [f"{visible(id)} ({visible(type)})" for id, type in row.sensors.items()]
+            yield f"Sensor data: {first_of(named, _SENSORS)}\n"
+
+
+def _summaries(answer: Summaries) -> Iterator[str]:
+    for row in answer:
+        vehicles, walkers = row.actors.get("vehicle", 0), row.actors.get("walker", 0)
+        others = sum(row.actors.values()) - vehicles - walkers
+        way = f"{row.hero.distance:>8.0f} {row.hero.top_speed * KMH:>5.0f}" if row.hero else f"{'':>14}"
+        yield (
+            f"{number(row.duration):>8} {row.frames:>8} {vehicles:>8} {walkers:>7} {others:>6} {way}"
+            f" {readable(row.map):<12} {incident_counts(row.incidents)}\n"
+        )
+
+
+def _counted(actors: Mapping[str, int]) -> str:
+    """Return the numbers of actors by kind in words."""
+    return ", ".join(f"{count} {kind.replace('_', ' ')}{'s' * (count != 1)}" for kind, count in actors.items()) or "none"
+
+
+def incident_counts(incidents: Mapping[str, int]) -> str:
+    """Return the numbers of incidents by kind in words."""
+    from carla_recap.queries.kinds import KINDS
+
+    words = (f"{count} {KINDS[kind].singular if count == 1 else KINDS[kind].plural}" for kind, count in incidents.items())
+    return ", ".join(words) or "none"
+
+
+def _info(answer: Info) -> Iterator[str]:
+    from carla_recap.output.packet_lines import packet_lines
+    from carla_recap.queries.info import EVENTS
+
+    lines = packet_lines(compat=answer.compat)
+    frame = None
+    for frame in answer.frames():
+        parts = []
+        headed = answer.all and not frame.preamble
+        if headed:
+            parts.append(_frame_line(frame.id, frame.elapsed))
+        for packet in frame.packets:
+            if packet.type is None or packet.type.name not in lines:
+                continue
+            if not headed and packet.type.name in EVENTS and len(packet.records):
+                parts.append(_frame_line(frame.id, frame.elapsed))
+                headed = True
+            parts.append(lines[packet.type.name](packet))
+        yield "".join(parts)
+    if answer.compat:
+        yield _repeated_end(answer, frame)
+
+
+_BODIES: Final[Mapping[str, Callable[[Any], Iterator[str]]]] = {
+    "Info": _info,
+    "Collisions": _collisions,
+    "Blocked": _blocked,
+    "RecordedActors": _actors,
+    "Incidents": _incidents,
+    "Measures": _measures,
+    "MeasuresOverTime": _over_time,
+    "Summaries": _summaries,
+}
+"""By the name of the answer's class: the modules of other queries are not imported."""
+
+_WITHOUT_HEADING: Final[Mapping[str, Callable[[Any], Iterator[str]]]] = {"Summaries": _overview}
+"""Answers that are other lines if they are about one recording."""
+
+_HEADINGS: Final = {
+    "Collisions": f"{'Time':>8} {'Types':>6} {'Id':>6} {'Actor 1':<35} {'Id':>6} {'Actor 2':<35}\n",
+    "Incidents": f"{'Time':>8} {'Duration':>10} {'Incident':<12} What happens\n",
+    "Measures": f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Measure':<22} {'Value':>10} {'Unit':<5} {'Id':>6} Other\n",
+    "MeasuresOverTime": f"{'Time':>8} {'Id':>6} {'m/s':>8} {'m/s²':>8} {'Gap (m)':>8} {'TTC (s)':>8} {'Ahead m':>8}"
+    f" {'Ahead s':>8} {'Nearest':>7} {'Threat':>7} {'Leader':>7}\n",
+    "Summaries": f"{'Duration':>8} {'Frames':>8} {'Vehicles':>8} {'Walkers':>7} {'Others':>6} {'Hero (m)':>8} {'km/h':>5}"
+    f" {'Map':<12} Incidents\n",
+    "Blocked": f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Duration':>10}\n",
+    "RecordedActors": f"{'Id':>8} {'Kind':<13} {'Actor':<35} {'Role':<20} {'From':>8} {'To':>8} {'Parent':>8}\n",
+}
+"""The line above the rows, by the same."""
+
+
+def _frame_line(id: int, elapsed: float) -> str:
+    return f"Frame {id} at {number(elapsed)} seconds\n"
+
+
+def _repeated_end(answer: Info, last: Frame | None) -> str:
+    """Return what CARLA prints in addition at the end of a file whose last packet is not the end of a frame.
+
+    CARLA processes the last packet once more, with its last record repeated; in a file without packets, the start of a
+    frame 0. For a file that was cut short, this cannot be reproduced, and nothing is returned.
+    """
+    from carla_recap.output.packet_lines import packet_lines
+    from carla_recap.queries.info import EVENTS
+
+    source, extent = answer.source, answer.extent
+    if next(source.tail(), None) is not None:
+        return ""
+    if last is None:
+        return _frame_line(0, 0.0) if answer.all and not extent.frames else ""
+    if not answer.all:
+        if (last.id, last.elapsed) != (extent.last_id, extent.duration):
+            return ""
+        last = source.frame_at(math.inf) or last
+    was_cut = not last.preamble and all(packet.id != FRAME_END for packet in last.packets)
+    packet = last.packets[-1] if last.packets else None
+    if was_cut or packet is None or packet.type is None or not isinstance(packet.records, np.ndarray):
+        return ""
+    lines = packet_lines(compat=True).get(packet.type.name)
+    if lines is None or not (answer.all or packet.type.name in EVENTS):
+        return ""
+    again = np.repeat(packet.records[-1:], len(packet.records))
+    return lines(Packet(packet.id, packet.type, records=again))

@@ -1,0 +1,1 @@
+"""Rules on one recording: files of rules, their conditions, and whether a recording meets them."""

@@ -1,0 +1,318 @@
+"""What conditions need to know of a recording, and what they find in it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+
+from carla_recap.errors import RecapError
+from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.lives import HERO, ROAD_USERS, ActorLives
+from carla_recap.model.presence import RoadHeights
+from carla_recap.queries.blocked import blocked
+from carla_recap.queries.incidents import IncidentOptions, incidents
+from carla_recap.queries.kinds import KINDS
+from carla_recap.queries.measures import MEASURES, MeasureSearch, MeasureValues
+from carla_recap.queries.recorded_actors import actors, never_there
+from carla_recap.queries.roads import roads_of
+from carla_recap.rules.values import ANY, OBJECT
+from carla_recap.tables.trajectories import Trajectory, trajectories
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+
+    from carla_recap.model.lives import ActorLife
+    from carla_recap.model.stationary import BlockedRow
+    from carla_recap.queries.incidents import Incident
+    from carla_recap.queries.measures import MeasureRow
+    from carla_recap.recording import Recording
+    from carla_recap.roads.network import RoadNetwork
+    from carla_recap.rules.places import Occasion, Place
+    from carla_recap.rules.values import Selector
+    from carla_recap.tables.trajectories import Trajectories
+    from carla_recap.util.arrays import Booleans, Floats
+
+T = TypeVar("T")
+
+_APART: Final = 0.5  # m between positions
+_MOST_BETWEEN: Final = 64  # positions from one frame to the next
+
+
+class Offence(NamedTuple):
+    """An event that a condition forbids.
+
+    Attributes:
+        text: What happens: a sentence without its full stop.
+        time: The elapsed seconds; None if it has no time.
+        actors: The ids of the actors.
+    """
+
+    text: str
+    time: float | None = None
+    actors: tuple[int, ...] = ()
+
+
+class Finding(NamedTuple):
+    """What a condition has found in a recording.
+
+    Attributes:
+        passes: Whether the recording meets the condition.
+        message: What was found, in one line.
+        offences: The events that it forbids, the first or the worst one first.
+        applies: Whether there was anything to judge, such as an actor that the condition is about.
+    """
+
+    passes: bool
+    message: str
+    offences: tuple[Offence, ...] = ()
+    applies: bool = True
+
+
+class Positions(NamedTuple):
+    """The positions of an actor in each frame and in between, at most 0.5 m apart except where it jumps.
+
+    Attributes:
+        time: Elapsed seconds, ascending, (n,).
+        points: x, y, z in m, right-handed, (n, 3).
+        distance: The distance driven so far, in m; jumps do not count, (n,).
+    """
+
+    time: Floats
+    points: Floats
+    distance: Floats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Needs:
+    """What a condition needs to know of a recording, so that the answers for all conditions are found at once.
+
+    Attributes:
+        incidents: The kinds of incidents.
+        stop_time: The duration in s above which stops are needed; None: none are.
+        extremes: Measures, and the actors of which the extreme value is needed.
+        values: Measures, and the actors of which the values over time are needed.
+        positions: The actors of which the positions are needed.
+        places: The places that these are compared with.
+    """
+
+    incidents: frozenset[str] = frozenset()
+    stop_time: float | None = None
+    extremes: tuple[tuple[str, Selector], ...] = ()
+    values: tuple[tuple[str, Selector], ...] = ()
+    positions: tuple[Selector, ...] = ()
+    places: tuple[Place, ...] = ()
+
+    @property
+    def roads(self) -> bool:
+        """Whether the roads of the map are needed."""
+        return (
+            any(KINDS[kind].needs_roads for kind in self.incidents)
+            or any(MEASURES[measure].needs_roads for measure, _ in (*self.extremes, *self.values))
+            or any(place.needs_roads for place in self.places)
+        )
+
+
+class Condition(Protocol):
+    """What a rule demands."""
+
+    def needs(self) -> Needs:
+        """Return what the condition needs to know of a recording."""
+        ...
+
+    def text(self) -> str:
+        """Return the condition in words."""
+        ...
+
+    def judge(self, facts: Facts) -> Finding:
+        """Return the finding on a recording.
+
+        Raises:
+            RecapError: The recording is damaged.
+        """
+        ...
+
+
+class Facts:
+    """Answers about a recording for the conditions of rules; each is computed once, when it is first needed.
+
+    Args:
+        recording: The recording.
+        needs: What all conditions that will be judged need to know.
+        road_map: The map, or the folder of maps; None: the usual folders.
+    """
+
+    def __init__(self, recording: Recording, needs: Iterable[Needs], road_map: str | None = None) -> None:
+        self.recording = recording
+        self._road_map = road_map
+        self._needs = list(needs)
+        self._answers: dict[Hashable, Any] = {}
+
+    @property
+    def actors(self) -> ActorLives:
+        """All actors."""
+        return self._once("actors", lambda: ActorLives(actors(self.recording.reader)))
+
+    @property
+    def never_there(self) -> set[int]:
+        """The ids of the vehicles and walkers that are at no time near the roads."""
+        return self._once("never there", lambda: never_there(self.recording.reader, list(self.actors)))
+
+    @property
+    def incidents(self) -> Sequence[Incident]:
+        """The incidents of all kinds that conditions are about, in order of time."""
+
+        def ask() -> Sequence[Incident]:
+            wanted = frozenset(kind for each in self._needs for kind in each.incidents)
+            of_road = {kind for kind in wanted if KINDS[kind].needs_roads}
+            roads = self._roads if of_road else None
+            kinds = wanted if roads is not None else wanted - of_road
+            return incidents(self.recording.reader, IncidentOptions(kinds=kinds, roads=roads)) if kinds else []
+
+        return self._once("incidents", ask)
+
+    @property
+    def stops(self) -> Sequence[BlockedRow]:
+        """The stops that any condition forbids, the longest first; none of actors that are not there."""
+
+        def ask() -> Sequence[BlockedRow]:
+            shortest = min(each.stop_time for each in self._needs if each.stop_time is not None)
+            found, heights = blocked(self.recording.reader, shortest), RoadHeights(list(self.actors))
+            return [row for row in found if not heights.is_away(row.id, (row.x, row.y, row.z))]
+
+        return self._once("stops", ask)
+
+    @property
+    def measures(self) -> Sequence[MeasureRow]:
+        """The extreme values of the measures of all actors that conditions are about."""
+        return self._measured[0]
+
+    def values(self, measure: str, life: ActorLife) -> MeasureValues:
+        """Return the values over time of a measure of an actor."""
+        return self._measured[1].get((measure, life.id), MeasureValues.joined([])).during(life.spawned_at, life.end)
+
+    @property
+    def _measured(self) -> tuple[Sequence[MeasureRow], Mapping[tuple[str, int], MeasureValues]]:
+        """The extreme values, and the values over time by measure and actor, that conditions are about."""
+
+        def ask() -> tuple[Sequence[MeasureRow], Mapping[tuple[str, int], MeasureValues]]:
+            movers = [actor for actor in self.actors if actor.kind in ROAD_USERS]
+            over_time: dict[str, set[int]] = {}
+            for measure, of in (pair for each in self._needs for pair in each.values):
+                over_time.setdefault(measure, set()).update(life.id for life in movers if of.matches(life))
+            wanted = [pair for each in self._needs for pair in (*each.extremes, *each.values)]
+            ids = {actor.id for actor in movers if any(of.matches(actor) for _, of in wanted)}
+            if not ids:
+                return [], {}
+            roads = self._roads if any(MEASURES[measure].needs_roads for measure, _ in wanted) else None
+            search = MeasureSearch(self.recording.reader, ids, roads=roads, over_time=over_time)
+            search.read()
+            return search.finish(), search.values
+
+        return self._once("measured", ask)
+
+    @property
+    def _roads(self) -> RoadNetwork | None:
+        """The roads of the map; None if the map is not found."""
+        return self._once("roads", lambda: roads_of(self.recording.reader, self._road_map))
+
+    def subjects(self, of: Selector) -> list[ActorLife]:
+        """Return the actors that are chosen and have positions; any: vehicles and walkers; none that are never there."""
+        chosen = [life for life in self.actors if of.matches_user(life)]
+        if any(life.kind in ROAD_USERS for life in chosen):
+            chosen = [life for life in chosen if life.id not in self.never_there]
+        return [life for life in chosen if len(self.positions(life).time)]
+
+    def positions(self, life: ActorLife) -> Positions:
+        """Return the positions of an actor."""
+        return self._once(("positions", id(life)), lambda: self._positions(life))
+
+    def outside(self, place: Place, life: ActorLife) -> Floats:
+        """Return how far the positions of an actor are outside a place, in m, (n,)."""
+        return self._once(("outside", place, id(life)), lambda: place.outside(self.positions(life).points, self.roads_with))
+
+    def first(self, occasion: Occasion, life: ActorLife) -> float:
+        """Return the first time at which an actor is in a place, or takes part in an incident of a kind; inf if never."""
+        if isinstance(occasion, str):
+            found = (each.start for each in self.incidents if each.kind == occasion and life.id in each.actors)
+            return next((time for time in found if life.spawned_at <= time <= life.end), math.inf)
+        within = np.flatnonzero(self.outside(occasion, life) <= 0)
+        return float(self.positions(life).time[within[0]]) if len(within) else math.inf
+
+    def is_in(self, place: Place, life: ActorLife, time: Floats) -> Booleans:
+        """Return whether an actor is in a place at some times; not where its position is unknown."""
+        known, within = self.positions(life).time, self.outside(place, life) <= 0
+        if not len(known):
+            return np.zeros(len(time), np.bool_)
+        before = np.searchsorted(known, time + SAME_TIME, "right") - 1
+        return np.asarray(within[np.maximum(before, 0)] & (before >= 0) & (time <= known[-1] + SAME_TIME))
+
+    def roads_with(self, lane_types: frozenset[str] | None) -> RoadNetwork:
+        """Return the roads of the map with some types of lanes; None: all that are paved.
+
+        Raises:
+            RecapError: The map is not found, or is damaged.
+        """
+
+        def ask() -> RoadNetwork:
+            found = roads_of(self.recording.reader, self._road_map, needed=True, lane_types=lane_types)
+            assert found is not None
+            return found
+
+        return self._once(("roads with", lane_types), ask)
+
+    def _positions(self, life: ActorLife) -> Positions:
+        trajectory = self._trajectories.get(life.id, Trajectory.empty(life.id)).during(life.spawned_at, life.end)
+        if len(trajectory):
+            latest = np.maximum.accumulate(trajectory.time)
+            trajectory = trajectory.at(np.append(True, trajectory.time[1:] > latest[:-1]))
+        points = np.stack((trajectory.x, trajectory.y, trajectory.z), axis=1)
+        if len(points) < 2:
+            return Positions(trajectory.time, points, np.zeros(len(points)))
+        steps = trajectory.steps
+        counts = np.clip(np.ceil(np.nan_to_num(steps) / _APART), 1, _MOST_BETWEEN).astype(np.int64)
+        row = np.repeat(np.arange(len(steps)), counts)
+        share = (np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)) / counts[row]
+        values = np.column_stack((trajectory.time, points, np.append(0.0, np.cumsum(np.nan_to_num(steps)))))
+        dense = np.concatenate((values[row] + share[:, None] * (values[row + 1] - values[row]), values[-1:]))
+        return Positions(dense[:, 0], dense[:, 1:4], dense[:, 4])
+
+    @property
+    def _trajectories(self) -> Trajectories:
+        """The trajectories of all actors whose positions conditions are about."""
+
+        def ask() -> Trajectories:
+            wanted = [of for each in self._needs for of in each.positions]
+            ids = {life.id for life in self.actors if any(of.matches_user(life) for of in wanted)}
+            return trajectories(self.recording.reader, ids)
+
+        return self._once("trajectories", ask)
+
+    def check_roads(self) -> None:
+        """Check that the map is found.
+
+        Raises:
+            RecapError: It is not, or is damaged.
+        """
+        if self._roads is None:
+            roads_of(self.recording.reader, self._road_map, needed=True)
+
+    def absent(self, selector: Selector) -> str:
+        """Return a remark if a recording has no such actors, else an empty text."""
+        if selector.text in (ANY, OBJECT) or any(selector.matches(actor) for actor in self.actors):
+            return ""
+        return f" ({selector} is not in the recording)" if selector.text == HERO else f" (it has no {selector.text})"
+
+    def _once(self, question: Hashable, ask: Callable[[], T]) -> T:
+        """Return the answer to a question, or raise its error again."""
+        if question not in self._answers:
+            try:
+                self._answers[question] = ask()
+            except RecapError as error:
+                self._answers[question] = error
+        answer: T | RecapError = self._answers[question]
+        if isinstance(answer, RecapError):
+            raise answer
+        return answer

@@ -1,0 +1,172 @@
+"""Conditions in Python: functions of a recording."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import traceback
+from dataclasses import dataclass, field
+from importlib import import_module
+from numbers import Integral, Real
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from carla_recap.errors import NotSetUp, RecapError
+from carla_recap.rules.facts import Finding, Needs, Offence
+from carla_recap.rules.reading import UnexpectedKeys, hint, shown
+from carla_recap.util.functions import keywords_of, module_of_file, modules_beside
+from carla_recap.util.text import single_line
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from types import ModuleType
+
+    from carla_recap.rules.facts import Facts
+
+EXPECTED: Final = "a Finding, or the Offences that break the rule"
+"""What a function has to return."""
+
+
+@dataclass(frozen=True)
+class FunctionCondition:
+    """What a function of a module demands; the module is imported in each process that judges.
+
+    Attributes:
+        module: The name of the module, or the path of its file, such as `mine.py`.
+        name: The name of the function.
+        folder: The absolute path of the folder of the rules, where the module is looked for first, and paths begin.
+        parameters: The values that the function gets by name, in addition to the recording.
+    """
+
+    module: str
+    name: str
+    folder: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    def function(self) -> Callable[..., Any]:
+        """Return the function.
+
+        Raises:
+            NotSetUp: The module, or the function, is not there, or the module raises an error.
+        """
+        found = getattr(_module(self.module, self.folder), self.name, None)
+        if not callable(found):
+            raise NotSetUp(f"the module {self.module} has no function {self.name}")
+        return found  # type: ignore[no-any-return]
+
+    def check(self) -> None:
+        """Check that the function is there and takes the parameters.
+
+        Raises:
+            NotSetUp: It is not there.
+            UnexpectedKeys: It does not take one of them.
+            TypeError: It needs others, or takes none.
+        """
+        function = self.function()
+        keywords = keywords_of(function)
+        if keywords is None:  # of a function in C
+            return
+        if not keywords.has_any:
+            known = ("function", *keywords.names)
+            for name in self.parameters:
+                if name not in known:
+                    raise UnexpectedKeys(f"unknown key {shown(name)}; {hint(name, known, 'keys')}")
+        inspect.signature(function).bind(None, **self.parameters)
+
+    def needs(self) -> Needs:
+        """See `Condition.needs`."""
+        return Needs()
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        words = (inspect.getdoc(self.function()) or "").partition("\n")[0]
+        return words.rstrip(".") or f"{self.module}:{self.name}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`.
+
+        Raises:
+            RecapError: The function raises an error, or returns something else than a finding; or it is not there, as on
+                another machine.
+        """
+        function = self.function()
+        try:
+            with modules_beside(self.folder):
+                answer = function(facts.recording, **self.parameters)
+                found = answer if isinstance(answer, Finding) else list(answer) if _is_iterable(answer) else answer
+        except RecapError:
+            raise
+        except (Exception, SystemExit) as error:
+            raise RecapError(f"{self.module}:{self.name} raises {_told(error)}") from None
+        if isinstance(found, list) and all(isinstance(each, Offence) for each in found):
+            count = "1 offence" if len(found) == 1 else f"{len(found)} offences"
+            found = Finding(not found, f"{self.name} finds {count if found else 'no offence'}", tuple(found))
+        if not isinstance(found, Finding) or not _is_valid(found):
+            raise RecapError(f"{self.module}:{self.name} returns {_short(found)}; {EXPECTED} was expected")
+        offences = tuple(
+            Offence(each.text, None if each.time is None else float(each.time), tuple(map(int, each.actors)))
+            for each in found.offences
+        )
+        return Finding(bool(found.passes), found.message, offences, bool(found.applies))
+
+
+def _is_iterable(answer: Any) -> bool:
+    return hasattr(answer, "__iter__") and not isinstance(answer, (str, bytes, dict))
+
+
+def _is_valid(found: Finding) -> bool:
+    """Return whether a finding has values of the right types."""
+    return (
+        isinstance(found.message, str)
+        and found.passes in (True, False)
+        and found.applies in (True, False)
+        and isinstance(found.offences, (tuple, list))
+        and all(
+            isinstance(each, Offence)
+            and isinstance(each.text, str)
+            and (each.time is None or (isinstance(each.time, Real) and math.isfinite(each.time)))
+            and isinstance(each.actors, (tuple, list))
+            and all(isinstance(id, Integral) for id in each.actors)
+            for each in found.offences
+        )
+    )
+
+
+def _short(value: Any) -> str:
+    text = single_line(repr(value))
+    return text if len(text) <= 80 else f"{text[:80]}…"
+
+
+def _told(error: BaseException) -> str:
+    """Return an error in one line, with the place in the file that raises it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {single_line(error)}{where}"
+
+
+def _module(name: str, folder: str) -> ModuleType:
+    """Return a module: a file, which is imported anew if it has changed, else one that Python finds.
+
+    Args:
+        name: Its name, or the path of its file.
+        folder: The folder where it is looked for first, and where the path begins.
+
+    Raises:
+        NotSetUp: It is not there, or raises an error.
+    """
+    is_path = name.endswith(".py")
+    path = Path(folder, name) if is_path else Path(folder, *name.split(".")).with_suffix(".py")
+    try:
+        if path.is_file():
+            return module_of_file(path)
+        if is_path:
+            raise NotSetUp(f"there is no file {path}")
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name and f"{name}.".startswith(f"{error.name}."):
+            raise NotSetUp(f"there is no module {name}, in {folder} or installed") from None
+        raise NotSetUp(f"the module {name} cannot be imported: {_told(error)}") from None
+    except NotSetUp:
+        raise
+    except (Exception, SystemExit) as error:
+        raise NotSetUp(f"the module {name} cannot be imported: {_told(error)}") from None

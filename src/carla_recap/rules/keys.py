@@ -1,0 +1,370 @@
+"""The keys of conditions and places, and the types of their values."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from carla_recap.errors import RecapError
+from carla_recap.model.lives import HERO
+from carla_recap.queries.kinds import KINDS, kind_named
+from carla_recap.rules.places import LANE_TYPES, Circle, Lanes, Polygon
+from carla_recap.rules.reading import (
+    LARGEST_COUNT,
+    SHOWN,
+    Key,
+    KeyGroup,
+    UnexpectedKeys,
+    UnexpectedValue,
+    ValueType,
+)
+from carla_recap.rules.scope import Scope
+from carla_recap.rules.values import ANY, OBJECT, ROLE, UNITS, Bounds, Quantity, Selector
+from carla_recap.util.text import visible
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from carla_recap.rules.places import Place
+    from carla_recap.rules.reading import Reading
+
+_LONGEST_PATH: Final = 4096  # characters
+_QUANTITY: Final = re.compile(r"\s*([+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
+_BLUEPRINT: Final = re.compile(r"[\w*?\[\]!-]+(\.[\w*?\[\]!-]+)+")
+_NOUNS: Final = {"s": "time", "m": "distance", "m/s": "speed", "m/s²": "acceleration", "m/s³": "jerk"}
+
+
+def _selector(*words: str) -> ValueType:
+    expected = f"{', '.join(words)}, role:NAME or a blueprint such as vehicle.tesla.*"
+
+    def read(value: Any, _: Reading) -> Selector:
+        is_pattern = isinstance(value, str) and (
+            (value.startswith(ROLE) and value != ROLE) or _BLUEPRINT.fullmatch(value) is not None
+        )
+        if not is_pattern and value not in words:
+            raise UnexpectedValue(expected)
+        return Selector(value)
+
+    return ValueType("actors", expected, read)
+
+
+ACTORS: Final = _selector(HERO, "vehicle", "walker", ANY)
+ACTORS_OR_OBJECT: Final = _selector(HERO, "vehicle", "walker", ANY, OBJECT)
+
+
+def quantity(unit: str, least: float = -math.inf, *, is_open: bool = False) -> ValueType:
+    """Return the type of quantities.
+
+    Args:
+        unit: Their unit; of those in `UNITS`, others of the same kind can be written.
+        least: The least value.
+        is_open: Whether values have to be above it.
+    """
+    units, noun = UNITS.get(unit, {}), _NOUNS.get(unit, "number")
+    expected = f'a number in {unit}, or a text such as "1.5 {unit}" with one of the units {", ".join(units)},'
+    too_small = f"a {noun} above {least:g}" if is_open else f"a {noun} of {least:g} or more"
+
+    def read(value: Any, _: Reading) -> Quantity:
+        found = None
+        if type(value) in (int, float) and abs(value) <= 1e300:
+            found = Quantity(float(value), unit)
+        elif isinstance(value, str) and len(value) < SHOWN and (match := _QUANTITY.fullmatch(value)):
+            size = units.get(match[2], math.nan)
+            if math.isfinite(float(match[1]) * size):
+                found = Quantity(float(match[1]) * size, match[2], size, f"{match[1]} {match[2]}")
+        if found is None:
+            raise UnexpectedValue(expected if units else "a number")
+        if found.value < least or (is_open and found.value == least):
+            raise UnexpectedValue(too_small)
+        return found
+
+    return ValueType(noun, expected if units else "a number", read)
+
+
+TIME: Final = quantity("s", 0.0)
+LENGTH: Final = quantity("m", 0.0)
+
+
+def _count(value: Any, _: Reading) -> Quantity:
+    if type(value) is not int or not 0 <= value <= LARGEST_COUNT:
+        raise UnexpectedValue(COUNT.expected)
+    return Quantity(value)
+
+
+COUNT: Final = ValueType("number", "a whole number of 0 or more", _count)
+
+
+def _flag(value: Any, _: Reading) -> bool:
+    if not isinstance(value, bool):
+        raise UnexpectedValue(FLAG.expected)
+    return value
+
+
+FLAG: Final = ValueType("`true` or `false`", "true or false", _flag)
+
+
+def texts(name: str, expected: str, one: Callable[[str], str] = str) -> ValueType:
+    """Return the type of a text or of a list of texts.
+
+    Args:
+        name: See `ValueType`.
+        expected: See `ValueType`.
+        one: Changes each text, or raises a `RecapError`.
+    """
+
+    def read(value: Any, _: Reading) -> tuple[str, ...]:
+        values = value if isinstance(value, list) else [value]
+        if not values or not all(isinstance(each, str) and each for each in values):
+            raise UnexpectedValue(expected)
+        try:
+            return tuple(dict.fromkeys(map(one, values)))
+        except RecapError:
+            raise UnexpectedValue(expected) from None
+
+    return ValueType(name, expected, read)
+
+
+def _bounds(_: Reading, min: Quantity | None = None, max: Quantity | None = None) -> Bounds:
+    if min is None and max is None:
+        raise UnexpectedKeys("has no bound; min or max was expected")
+    if min is not None and max is not None and min.value > max.value:
+        raise UnexpectedKeys(f"{min}; no more than max was expected", "min")
+    return Bounds(min, max)
+
+
+def bounds(type: ValueType, *names: str) -> KeyGroup:
+    """Return the keys `min` and `max` of values of a type, or one of them."""
+    meanings = {"min": "the least valid value", "max": "the greatest valid value"}
+    return KeyGroup("bounds", tuple(Key(name, type, meanings[name]) for name in names or meanings), _bounds)
+
+
+def _function(value: Any, reading: Reading) -> tuple[str, str, str]:
+    module, _, name = value.rpartition(":") if isinstance(value, str) else ("", "", "")
+    is_path = module.endswith(".py") and module.isprintable() and len(module) <= _LONGEST_PATH
+    if not name.isidentifier() or not (is_path or all(part.isidentifier() for part in module.split("."))):
+        raise UnexpectedValue(FUNCTION.expected)
+    return module, name, str(Path(reading.folder or ".").absolute())
+
+
+FUNCTION: Final = ValueType(
+    "`FILE.py:function` or `module:function`", 'a function as "FILE.py:function" or "module:function"', _function
+)
+OF: Final = Key("of", ACTORS, "the actors that are judged", default=Selector())
+
+
+def _baseline(value: Any, reading: Reading) -> str:
+    if not isinstance(value, str) or not 0 < len(value) <= _LONGEST_PATH:
+        raise UnexpectedValue(BASELINE.expected)
+    path = value if "://" in value else os.path.join(reading.folder, value)  # noqa: PTH118
+    if "://" not in path and not os.path.exists(path):  # noqa: PTH110
+        reading.faults.append(f"{reading.prefix}: there is no {visible(path)}; {BASELINE.expected} was expected")
+        raise UnexpectedValue
+    return path
+
+
+BASELINE: Final = ValueType("path", "the path of a recording, or of a folder of recordings,", _baseline)
+
+
+# --- places --------------------------------------------------------------------------------------------------------------
+
+_MOST_CORNERS: Final = 1000
+_FARTHEST: Final = 1e7  # m
+
+
+def _corners(value: Any, reading: Reading) -> tuple[tuple[float, float], ...]:
+    points = value if isinstance(value, list) else []
+    if not 3 <= len(points) <= _MOST_CORNERS or not all(map(_is_point, points)):
+        raise UnexpectedValue(CORNERS.expected)
+    sign = _sign(reading)
+    return tuple((float(x), sign * y) for x, y in (points[:-1] if points[0] == points[-1] else points))
+
+
+def _is_point(value: Any) -> bool:
+    return (
+        isinstance(value, list) and len(value) == 2 and all(type(x) in (int, float) and abs(x) <= _FARTHEST for x in value)
+    )
+
+
+def _sign(reading: Reading) -> float:
+    """Return the factor by which y in a file of rules becomes right-handed."""
+    return 1.0 if reading.axes == "right-handed" else -1.0
+
+
+COORDINATE: Final = quantity("m")
+CORNERS: Final = ValueType("list of points", f"a list of 3 to {_MOST_CORNERS} points [x, y] in m", _corners)
+
+
+def _lane_type(text: str) -> str:
+    if text.lower() not in LANE_TYPES:
+        raise RecapError(text)
+    return text.lower()
+
+
+def _id(value: Any, reading: Reading) -> tuple[str, ...]:
+    values = value if isinstance(value, list) else [value]
+    if not values or not all(type(each) is int or (isinstance(each, str) and each) for each in values):
+        raise UnexpectedValue(ID.expected)
+    return tuple(dict.fromkeys(map(str, values)))
+
+
+ID: Final = ValueType("id, or list of ids", "an id in the map, or a list of ids,", _id)
+
+
+def _named_place(value: Any, reading: Reading) -> Place:
+    if not isinstance(value, str) or value not in reading.places:
+        known = f"one of {', '.join(reading.places)}" if reading.places else "the name of a table [places.NAME]"
+        raise UnexpectedValue(known)
+    place = reading.places[value]
+    if place is None:
+        raise UnexpectedValue
+    return place
+
+
+def _place(
+    reading: Reading,
+    named: Place | None = None,
+    x: Quantity | None = None,
+    y: Quantity | None = None,
+    z: Quantity | None = None,
+    within: Quantity | None = None,
+    polygon: tuple[tuple[float, float], ...] | None = None,
+    lanes: tuple[str, ...] = (),
+    road: tuple[str, ...] = (),
+    junction: tuple[str, ...] = (),
+) -> Place:
+    is_circle = any(each is not None for each in (x, y, z, within))
+    is_lanes = bool(lanes or road or junction)
+    if (named is not None) + is_circle + (polygon is not None) + is_lanes != 1:
+        ways = "place, or x, y and within, or polygon, or lanes, road and junction"
+        raise UnexpectedKeys(
+            f"has {'several places' if is_circle or is_lanes or named or polygon else 'no place'}; {ways} was expected"
+        )
+    if named is not None:
+        return named
+    if polygon is not None:
+        found = Polygon(polygon)
+        if (sides := found.crossing()) is not None:
+            raise UnexpectedKeys(
+                f"sides {sides[0]} and {sides[1]} cross; a polygon that does not cross itself was expected", "polygon"
+            )
+        if not found.area > 0:
+            raise UnexpectedKeys("has no area; a polygon around an area was expected", "polygon")
+        return found
+    if is_lanes:
+        return Lanes(lanes, road, junction)
+    for name, value in (("x", x), ("y", y), ("within", within)):
+        if value is None:
+            raise UnexpectedKeys("is missing; x, y and within make a place", name)
+    assert x is not None
+    assert y is not None
+    assert within is not None
+    written = ", ".join(f"{each.value:.6g}" for each in (x, y, z) if each is not None)
+    return Circle(x.value, _sign(reading) * y.value, None if z is None else z.value, within, f"({written})")
+
+
+PLACE_KEYS: Final = KeyGroup(
+    "place",
+    (
+        Key("place", ValueType("name", "", _named_place), "the name of a place, a table `[places.NAME]`", field="named"),
+        Key("x", COORDINATE, "a point"),
+        Key("y", COORDINATE, "a point"),
+        Key("z", COORDINATE, "the height of the point; without it, heights do not count"),
+        Key("within", quantity("m", 0.0, is_open=True), "the distance from the point within which the place is"),
+        Key("polygon", CORNERS, "the corners as `[x, y]`; the sides must not cross"),
+        Key(
+            "lanes",
+            texts("lane type, or list", f"one or a list of {', '.join(LANE_TYPES)}", _lane_type),
+            "the lanes of a type of OpenDRIVE, such as `sidewalk`; `driving` stands for all lanes for cars",
+            default=(),
+        ),
+        Key("road", ID, "the lanes of a road of the map; all that are paved unless `lanes` says which", default=()),
+        Key("junction", ID, 'those in a junction of the map; `"any"`: in all junctions', default=()),
+    ),
+    _place,
+    title="a [place](#places)",
+)
+
+
+def place_of(value: Any, reading: Reading) -> Place:
+    """Return the place that a name or a table is.
+
+    Raises:
+        UnexpectedValue: It is none.
+    """
+    if not isinstance(value, dict):
+        return _named_place(value, reading)
+    found = reading.table((PLACE_KEYS,), value)
+    if found is None:
+        raise UnexpectedValue
+    place: Place = found["place"]
+    return place
+
+
+PLACE: Final = ValueType("place", "the name of a place, or a table of its keys,", place_of)
+
+
+def _order(value: Any, reading: Reading) -> tuple[Place, ...]:
+    if not isinstance(value, list) or not value:
+        raise UnexpectedValue(PLACES.expected)
+    found = [reading.value(PLACE, each, f"{number}") for number, each in enumerate(value, 1)]
+    if None in found:
+        raise UnexpectedValue
+    return tuple(found)
+
+
+PLACES: Final = ValueType("list of places", "a list of places", _order)
+
+
+# --- scopes --------------------------------------------------------------------------------------------------------------
+
+
+def _interval(value: Any, reading: Reading) -> tuple[Quantity, Quantity]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise UnexpectedValue(INTERVAL.expected)
+    start, stop = (TIME.read(each, reading) for each in value)
+    if start.value > stop.value:
+        raise UnexpectedValue(INTERVAL.expected)
+    return start, stop
+
+
+INTERVAL: Final = ValueType("list of two times", 'two times in their order, such as ["10 s", "20 s"],', _interval)
+
+
+def _occasion(value: Any, reading: Reading) -> str | Place:
+    if isinstance(value, str) and value not in reading.places:
+        try:
+            return kind_named(value).name
+        except RecapError:
+            names = ", ".join((*reading.places, *(kind.option for kind in KINDS.values())))
+            raise UnexpectedValue(f"one of {names}, or a table of the keys of a place,") from None
+    return place_of(value, reading)
+
+
+OCCASION: Final = ValueType("occasion", "a kind of incidents, or a place,", _occasion)
+
+SCOPE: Final = KeyGroup(
+    "scope",
+    (
+        Key("during", INTERVAL, "from when until when, in seconds of the recording"),
+        Key(
+            "after",
+            OCCASION,
+            "the occasion from which on: a kind of incidents or a place, of which the actor's first counts",
+        ),
+        Key("until", OCCASION, "the occasion before which"),
+        Key("where", PLACE, "the place in which the actor has to be"),
+    ),
+    lambda _, **values: Scope(**values),
+    title="a [scope](#scopes)",
+)
+BEFORE: Final = Key("before", TIME, "the latest time, in seconds of the recording")
+TOLERATE: Final = Key("tolerate", TIME, "how long the condition may be broken at a time")
+FOR: Final = Key(
+    "for",
+    TIME,
+    "how long values have to be within the bounds, once and without a break; without it, all the time",
+    field="lasting",
+)

@@ -1,0 +1,189 @@
+"""Conditions on measures: their extreme values, or their values over time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.kinematics import LONGEST_STEP, runs
+from carla_recap.model.lives import ROAD_USERS
+from carla_recap.queries.measures import MEASURES
+from carla_recap.queries.measures.series import NO_OTHER
+from carla_recap.rules.facts import Finding, Needs, Offence
+from carla_recap.rules.scope import WHOLE
+from carla_recap.rules.values import tolerated
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from carla_recap.model.lives import ActorLife
+    from carla_recap.queries.measures import MeasureValues
+    from carla_recap.rules.facts import Facts
+    from carla_recap.rules.scope import Scope
+    from carla_recap.rules.values import Bounds, Quantity, Selector
+    from carla_recap.util.arrays import Booleans
+
+
+@dataclass(frozen=True, slots=True)
+class MeasureBounds:
+    """Bounds of the values of a measure.
+
+    Attributes:
+        measure: The measure, such as `time_to_collision`.
+        of: The actors; any: vehicles and walkers.
+        bounds: The valid values, in the measure's unit.
+        scope: When and where values count.
+        tolerate: The longest time without a break in which values may be outside the bounds; None: 0 s.
+        lasting: The time for which they have to be within the bounds once, without a break; None: all the time.
+    """
+
+    measure: str
+    of: Selector
+    bounds: Bounds
+    scope: Scope = WHOLE
+    tolerate: Quantity | None = None
+    lasting: Quantity | None = None
+
+    def needs(self) -> Needs:
+        """See `Condition.needs`."""
+        wanted = ((self.measure, self.of),)
+        if not self._is_over_time:
+            return Needs(extremes=wanted)
+        places = self.scope.places
+        return Needs(values=wanted, incidents=self.scope.kinds, positions=(self.of,) if places else (), places=places)
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        lasting = "" if self.lasting is None else f" for {self.lasting}"
+        return f"{self._name}: {self.bounds}{lasting}{tolerated(self.tolerate)}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        if self.lasting is not None:
+            return self._lasts(facts)
+        offences: list[tuple[float, Offence]] = []
+        values: list[float] = []
+        for value, is_valid, offence in self._over_time(facts) if self._is_over_time else self._extremes(facts):
+            values.append(value)
+            if not is_valid:
+                offences.append((self._badness(value), offence))
+        if not values:
+            return self._unmeasured(facts)
+        if not offences:
+            worst = max(values, key=self._badness)
+            return Finding(True, f"the {self._extreme} {self._name} is {self.bounds.written.shown(worst)}")
+        offences.sort(key=lambda pair: -pair[0])
+        return Finding(False, f"the {self._name} {self._limit}", tuple(offence for _, offence in offences))
+
+    @property
+    def _is_over_time(self) -> bool:
+        """Whether the extreme values of whole recordings do not suffice."""
+        beyond = self.bounds.most if MEASURES[self.measure].extreme == "least" else self.bounds.least
+        return not self.scope.is_whole or self.tolerate is not None or self.lasting is not None or beyond is not None
+
+    def _extremes(self, facts: Facts) -> Iterator[tuple[float, bool, Offence]]:
+        """Yield the extreme value of each actor, whether it is valid, and the offence that it would be."""
+        for row in facts.measures:
+            chosen = row.measure == self.measure and self.of.matches(facts.actors.at(row.actor, row.time))
+            if chosen and math.isfinite(row.value):
+                yield (
+                    row.value,
+                    self.bounds.contain(row.value),
+                    self._offence(facts, row.actor, row.other, row.value, row.time),
+                )
+
+    def _over_time(self, facts: Facts) -> Iterator[tuple[float, bool, Offence]]:
+        """Yield the worst value of each interval in which the values of an actor are valid, or not; see `_extremes`."""
+        for life, found, counts in self._measured(facts):
+            valid = self._valid(found, counts)
+            for is_valid in (True, False):
+                for first, last in _intervals(found, counts & (valid == is_valid)):
+                    part = slice(first, last + 1)
+                    row = first + int(np.argmax([self._badness(value) for value in found.value[part].tolist()]))
+                    other = int(found.other[row])
+                    value, time = float(found.value[row]), float(found.time[row])
+                    offence = self._offence(facts, life.id, None if other == NO_OTHER else other, value, time)
+                    if self.tolerate is not None:
+                        offence = offence._replace(text=f"{offence.text}, for {found.time[last] - found.time[first]:.2f} s")
+                    yield value, is_valid, offence
+
+    def _lasts(self, facts: Facts) -> Finding:
+        """Return the finding on whether each actor has valid values for long enough without a break."""
+        assert self.lasting is not None
+        offences, longest = [], []
+        for life, found, counts in self._measured(facts):
+            spans = [
+                (found.time[last] - found.time[first], first)
+                for first, last in _intervals(found, counts & self._valid(found, counts))
+            ]
+            seconds, first = max(spans, default=(0.0, None))
+            longest.append(seconds)
+            if seconds < self.lasting.value - SAME_TIME:
+                when = None if first is None else float(found.time[first])
+                text = f"{life.name} for {seconds:.2f} s" if spans else f"{life.name} never"
+                offences.append(Offence(text, when, (life.id,)))
+        what = f"the {self._name} is"
+        if not longest:
+            return self._unmeasured(facts)
+        if offences:
+            return Finding(False, f"{what} not {self.bounds} for {self.lasting}", tuple(offences))
+        return Finding(True, f"{what} {self.bounds} for {min(longest):.2f} s")
+
+    def _unmeasured(self, facts: Facts) -> Finding:
+        """Return the finding if there is no value, such as a time to collision where no paths meet."""
+        absent = self.scope.absent(self.of, facts)
+        return Finding(True, f"no {self._name} was measured{absent}", applies=not absent)
+
+    def _measured(self, facts: Facts) -> Iterator[tuple[ActorLife, MeasureValues, Booleans]]:
+        """Yield the values over time of each actor that has any within the scope, and which of these are within it."""
+        for life in facts.actors:
+            if life.kind in ROAD_USERS and self.of.matches(life):
+                found = facts.values(self.measure, life)
+                counts = self.scope.has(life, found.time, facts)
+                if counts.any():
+                    yield life, found, counts
+
+    def _valid(self, found: MeasureValues, counts: Booleans) -> Booleans:
+        """Return which values are within the bounds, or outside no longer than is tolerated, among those that count."""
+        least = -math.inf if self.bounds.least is None else self.bounds.least.value
+        most = math.inf if self.bounds.most is None else self.bounds.most.value
+        valid = (found.value >= least) & (found.value <= most)
+        if self.tolerate is not None:
+            for first, last in _intervals(found, counts & ~valid):
+                if found.time[last] - found.time[first] <= self.tolerate.value + SAME_TIME:
+                    valid[first : last + 1] = True
+        return valid
+
+    def _badness(self, value: float) -> float:
+        """Return by how much a value is outside the bounds; negative within them."""
+        least, most = self.bounds.least, self.bounds.most
+        return max(-math.inf if least is None else least.value - value, -math.inf if most is None else value - most.value)
+
+    @property
+    def _name(self) -> str:
+        return f"{MEASURES[self.measure].title}{self.of.behind}{self.scope}"
+
+    @property
+    def _extreme(self) -> str:
+        return "least" if self.bounds.most is None else "greatest"
+
+    @property
+    def _limit(self) -> str:
+        least, most = self.bounds.least, self.bounds.most
+        if least is not None and most is not None:
+            return f"is not {self.bounds}"
+        return f"exceeds {most}" if least is None else f"falls below {least}"
+
+    def _offence(self, facts: Facts, id: int, other: int | None, value: float, time: float) -> Offence:
+        name, shown = facts.actors.name(id, time), self.bounds.written.shown(value)
+        if other is None:
+            return Offence(f"{name}, {shown}", time, (id,))
+        return Offence(f"{name} and {facts.actors.name(other, time)}, {shown}", time, (id, other))
+
+
+def _intervals(found: MeasureValues, flags: Booleans) -> Iterator[tuple[int, int]]:
+    return runs(flags, np.diff(found.time) <= LONGEST_STEP)

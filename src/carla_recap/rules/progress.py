@@ -1,0 +1,315 @@
+"""Conditions on where actors drive, how far, and in which order."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.kinematics import LONGEST_STEP, runs
+from carla_recap.model.lives import HERO
+from carla_recap.rules.facts import Finding, Needs, Offence
+from carla_recap.rules.scope import WHOLE
+from carla_recap.rules.values import ANY, ROLE, tolerated
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from carla_recap.model.lives import ActorLife
+    from carla_recap.rules.facts import Facts
+    from carla_recap.rules.places import Place
+    from carla_recap.rules.scope import Scope
+    from carla_recap.rules.values import Bounds, Quantity, Selector
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceDemand:
+    """A demand that actors do something at a place; the base of `Reaches` and `Leaves`.
+
+    Attributes:
+        of: The actors, each of which has to.
+        place: The place.
+        before: The latest time, in elapsed seconds; None: any.
+    """
+
+    of: Selector
+    place: Place
+    before: Quantity | None = None
+
+    verbs: ClassVar[tuple[str, str]]
+    """The verb for several actors, and for one."""
+
+    def needs(self) -> Needs:
+        """See `Condition.needs`."""
+        return Needs(positions=(self.of,), places=(self.place,))
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        return f"{_subject(self.of, *self.verbs)} {self._what}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        subjects, offences, times = facts.subjects(self.of), [], []
+        for life in subjects:
+            time = self._time(facts, life)
+            if _is_before(time, self.before):
+                times.append(time)
+            elif time < math.inf:
+                offences.append(Offence(f"{life.name} {self.verbs[1]} it at {time:.2f} s", time, (life.id,)))
+            else:
+                offences.append(self._never(facts, life))
+        return _each(self.of, subjects, offences, self.verbs, self._what, facts, times)
+
+    @property
+    def _what(self) -> str:
+        return f"{self.place}{_before(self.before)}"
+
+    def _time(self, facts: Facts, life: ActorLife) -> float:
+        """Return the elapsed seconds at which an actor meets the demand; inf if it never does."""
+        raise NotImplementedError
+
+    def _never(self, facts: Facts, life: ActorLife) -> Offence:
+        """Return the offence of an actor that never meets the demand."""
+        raise NotImplementedError
+
+
+class Reaches(PlaceDemand):
+    """A demand that actors come to a place."""
+
+    __slots__ = ()
+    verbs = ("reach", "reaches")
+
+    def _time(self, facts: Facts, life: ActorLife) -> float:
+        return facts.first(self.place, life)
+
+    def _never(self, facts: Facts, life: ActorLife) -> Offence:
+        outside = facts.outside(self.place, life)
+        nearest = int(outside.argmin())
+        away, when = float(outside[nearest]), float(facts.positions(life).time[nearest])
+        if away == math.inf:
+            return Offence(f"{life.name} is never near it", None, (life.id,))
+        return Offence(f"{life.name} is {away:.2f} m away at {when:.2f} s, when it is nearest", when, (life.id,))
+
+
+class Leaves(PlaceDemand):
+    """A demand that actors are in a place, and leave it."""
+
+    __slots__ = ()
+    verbs = ("leave", "leaves")
+
+    def _time(self, facts: Facts, life: ActorLife) -> float:
+        time, outside = facts.positions(life).time, facts.outside(self.place, life)
+        after = np.flatnonzero((time > facts.first(self.place, life)) & (outside > 0))
+        return float(time[after[0]]) if len(after) else math.inf
+
+    def _never(self, facts: Facts, life: ActorLife) -> Offence:
+        if facts.first(self.place, life) == math.inf:
+            return Offence(f"{life.name} is never in it", None, (life.id,))
+        return Offence(f"{life.name} is in it to the end", float(facts.positions(life).time[-1]), (life.id,))
+
+
+@dataclass(frozen=True, slots=True)
+class Stays:
+    """A demand that actors stay in a place, or out of it.
+
+    Attributes:
+        of: The actors.
+        place: The place.
+        is_inside: Whether they have to stay in it, not out of it.
+        tolerate: The longest time without a break in which they may be elsewhere; None: 0 s.
+        scope: When and where the demand is judged.
+    """
+
+    of: Selector
+    place: Place
+    is_inside: bool = True
+    tolerate: Quantity | None = None
+    scope: Scope = WHOLE
+
+    def needs(self) -> Needs:
+        """See `Condition.needs`."""
+        places = (self.place, *self.scope.places)
+        return Needs(positions=(self.of,), places=places, incidents=self.scope.kinds)
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        return f"{_subject(self.of, 'stay', 'stays')} {self._within} {self.place}{self.scope}{tolerated(self.tolerate)}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        subjects, offences = [life for life in facts.subjects(self.of) if self.scope.has_any(life, facts)], []
+        for life in subjects:
+            time, outside = facts.positions(life).time, facts.outside(self.place, life)
+            wrong = ((outside > 0) == self.is_inside) & self.scope.has(life, time, facts)
+            for first, last in runs(wrong, np.diff(time) <= LONGEST_STEP):
+                seconds = float(time[last] - time[first])
+                if self.tolerate is not None and seconds <= self.tolerate.value + SAME_TIME:
+                    continue
+                far = float(outside[first : last + 1].max())
+                by = f", by up to {far:.2f} m" if self.is_inside and math.isfinite(far) else ""
+                text = f"{life.name} is {'outside' if self.is_inside else 'in it'} for {seconds:.2f} s{by}"
+                offences.append(Offence(text, float(time[first]), (life.id,)))
+        offences.sort(key=lambda offence: offence.time or 0.0)
+        verbs = f"stay {self._within}", f"stays {self._within}"
+        return _each(self.of, subjects, offences, verbs, f"{self.place}{self.scope}", facts, is_demand=False)
+
+    @property
+    def _within(self) -> str:
+        return "in" if self.is_inside else "out of"
+
+
+@dataclass(frozen=True, slots=True)
+class Passes:
+    """A demand that actors come to places in their order.
+
+    Attributes:
+        of: The actors, each of which has to.
+        places: The places.
+        before: The latest time at the last place, in elapsed seconds; None: any.
+    """
+
+    of: Selector
+    places: tuple[Place, ...]
+    before: Quantity | None = None
+
+    def needs(self) -> Needs:
+        """See `Condition.needs`."""
+        return Needs(positions=(self.of,), places=self.places)
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        return f"{_subject(self.of, 'pass', 'passes')} {self._order}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        subjects, passed, offences = facts.subjects(self.of), [], []
+        for life in subjects:
+            time, reached = facts.positions(life).time, -math.inf
+            for number, place in enumerate(self.places):
+                before = reached
+                later = np.flatnonzero((facts.outside(place, life) <= 0) & (time >= before))
+                if not len(later):
+                    then = f" after {self.places[number - 1]}" if number else ""
+                    early = ", but before" if number and facts.first(place, life) < math.inf else ""
+                    when = before if number else None
+                    offences.append(Offence(f"{life.name} does not pass {place}{then}{early}", when, (life.id,)))
+                    break
+                reached = float(time[later[0]])
+            else:
+                if _is_before(reached, self.before):
+                    passed.append(reached)
+                else:
+                    text = f"{life.name} passes {self.places[-1]} at {reached:.2f} s"
+                    offences.append(Offence(text, reached, (life.id,)))
+        return _each(self.of, subjects, offences, ("pass", "passes"), self._order, facts, passed)
+
+    @property
+    def _order(self) -> str:
+        return f"{', then '.join(map(str, self.places))}{_before(self.before)}"
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceDriven:
+    """Bounds of the distance that actors drive.
+
+    Attributes:
+        of: The actors.
+        bounds: The valid distances of each, in m.
+        scope: When and where the distance counts.
+    """
+
+    of: Selector
+    bounds: Bounds
+    scope: Scope = WHOLE
+
+    def needs(self) -> Needs:
+        """See `Condition.needs`."""
+        return Needs(positions=(self.of,), places=self.scope.places, incidents=self.scope.kinds)
+
+    def text(self) -> str:
+        """See `Condition.text`."""
+        return f"distance{self.of.behind}{self.scope}: {self.bounds}"
+
+    def judge(self, facts: Facts) -> Finding:
+        """See `Condition.judge`."""
+        subjects, offences, shown = facts.subjects(self.of), [], self.bounds.written.shown
+        driven, applies = [], False
+        for life in subjects:
+            time, distance = facts.positions(life).time, facts.positions(life).distance
+            counts = self.scope.has(life, time, facts)
+            applies |= bool(counts.any())
+            steps = np.append(0.0, np.where(counts[1:] & counts[:-1], np.diff(distance), 0.0))
+            total = float(steps.sum())
+            driven.append(total)
+            if not self.bounds.contain(total):
+                most = self.bounds.most
+                beyond = np.flatnonzero(np.cumsum(steps) > (math.inf if most is None else most.value))
+                when = time[beyond[0]] if len(beyond) else time[counts][-1] if counts.any() else time[-1]
+                offences.append(Offence(f"{life.name}, {shown(total)}", float(when), (life.id,)))
+        name = f"distance{self.of.behind}{self.scope}"
+        if not subjects:
+            message = f"no {name} was measured{facts.absent(self.of)}"
+            return Finding(self.bounds.least is None, message, applies=False)
+        if offences:
+            return Finding(False, f"the {name} is not {self.bounds}", tuple(offences))
+        message = f"the {'least ' if len(driven) > 1 else ''}{name} is {shown(min(driven))}"
+        return Finding(True, message, applies=applies)
+
+
+def _each(
+    of: Selector,
+    subjects: Sequence[ActorLife],
+    offences: Sequence[Offence],
+    verbs: tuple[str, str],
+    what: str,
+    facts: Facts,
+    times: Sequence[float] = (),
+    *,
+    is_demand: bool = True,
+) -> Finding:
+    """Return the finding of a condition that each of some actors has to meet.
+
+    Args:
+        of: The actors.
+        subjects: Those of them that are in the recording.
+        offences: The offences of those that do not meet it.
+        verbs: The verb for several actors, and for one.
+        what: The object of the verb.
+        facts: The answers about the recording.
+        times: The elapsed seconds at which the others meet it.
+        is_demand: Whether it is broken if there are no such actors.
+    """
+    plural, singular = verbs
+    if not subjects:
+        return Finding(not is_demand, f"no actor to {plural} {what}{facts.absent(of)}", applies=False)
+    if len(subjects) == 1:
+        who = str(of) if of.text == HERO or of.text.startswith(ROLE) else subjects[0].name
+        done, failed = f"{who} {singular}", f"{who} does not {plural}"
+    else:
+        several = "vehicles and walkers" if of.text == ANY else "heroes" if of.text == HERO else str(of)
+        done = f"{len(subjects)} {several} {plural}"
+        count = len({offence.actors for offence in offences})
+        failed = f"{count} of {len(subjects)} {several} {'does' if count == 1 else 'do'} not {plural}"
+    if offences:
+        return Finding(False, f"{failed} {what}", tuple(offences))
+    last = f"{', the last' if len(times) > 1 else ''} at {max(times):.2f} s" if times else ""
+    return Finding(True, f"{done} {what}{last}")
+
+
+def _subject(of: Selector, plural: str, singular: str) -> str:
+    """Return some actors in words, and a verb."""
+    if of.text == ANY:
+        return f"vehicles and walkers {plural}"
+    return f"{of} {singular if of.text == HERO or of.text.startswith(ROLE) else plural}"
+
+
+def _before(limit: Quantity | None) -> str:
+    return "" if limit is None else f" before {limit}"
+
+
+def _is_before(time: float, limit: Quantity | None) -> bool:
+    """Return whether a time is finite, and at a limit or before it if there is one."""
+    return time < math.inf if limit is None else time <= limit.value + SAME_TIME

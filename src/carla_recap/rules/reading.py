@@ -1,0 +1,194 @@
+"""Reads a file of rules by tables of keys, with the types of their values, and collects all faults."""
+
+from __future__ import annotations
+
+import reprlib
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from typing import TYPE_CHECKING, Any, Final
+
+from carla_recap.util.text import visible
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from carla_recap.rules.places import Place
+    from carla_recap.tables.trajectories import Axes
+
+LARGEST_COUNT: Final = 1 << 63
+"""The largest number of things."""
+
+SHOWN: Final = 60
+"""The characters of a wrong value in an error."""
+
+
+class UnexpectedValue(Exception):
+    """A value is wrong; the message says what was expected, and is empty if the fault is known already."""
+
+
+class UnexpectedKeys(Exception):
+    """Keys do not go together.
+
+    Args:
+        fault: What is wrong.
+        key: The key that is wrong; empty if it is not one alone.
+    """
+
+    def __init__(self, fault: str, key: str = "") -> None:
+        super().__init__(fault)
+        self.key = key
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Reads values of a file of rules, and collects the faults.
+
+    Attributes:
+        prefix: The file, and what is read in it, for faults.
+        faults: The faults.
+        folder: The folder that paths are relative to.
+        axes: The axes of places.
+        places: The places that have a name; None where one is wrong.
+    """
+
+    prefix: str
+    faults: list[str] = field(default_factory=list)
+    folder: str = ""
+    axes: Axes = "right-handed"
+    places: Mapping[str, Place | None] = field(default_factory=dict)
+
+    def of(self, prefix: str) -> Reading:
+        """Return a reader of a part, whose prefix begins its faults."""
+        return replace(self, prefix=prefix)
+
+    def refuse(self, value: Any, expected: str) -> None:
+        """Add the fault of a value."""
+        self.faults.append(f"{self.prefix}: {shown(value)}; {expected} was expected")
+
+    def value(self, type: ValueType, value: Any, name: str = "") -> Any:
+        """Return a value as its type reads it; None, and a fault, if it is wrong, or missing (None)."""
+        place = f"{self.prefix}.{name}" if name else self.prefix
+        try:
+            if value is None:
+                raise UnexpectedValue(type.expected)
+            return type.read(value, self.of(place))
+        except UnexpectedValue as error:
+            if str(error):
+                self.of(place).refuse(value, str(error))
+            return None
+
+    def table(self, parts: Sequence[Key | KeyGroup], table: Mapping[str, Any], *, plain: str = "", others: str = "") -> Any:
+        """Return the values of a table by the fields that they are for; None, and faults, if any is wrong.
+
+        Args:
+            parts: The keys, and groups of keys.
+            table: The table.
+            plain: The key whose value was given in place of a table, for faults.
+            others: The field that gets the keys that are in no part; empty: these are faults.
+        """
+        keys, is_wrong = keys_of(parts), False
+        found: dict[str, Any] = {}
+        for key in keys:
+            if key.name in table or key.required:
+                found[key.name] = self.value(key.type, table.get(key.name), "" if key.name == plain else key.name)
+                is_wrong |= found[key.name] is None
+            else:
+                found[key.name] = key.default
+        more = {name: value for name, value in table.items() if name not in found}
+        if not others:
+            names = [key.name for key in keys]
+            self.faults.extend(f"{self.prefix}: unknown key {shown(name)}; {hint(name, names, 'keys')}" for name in more)
+            is_wrong |= bool(more)
+        if is_wrong:
+            return None
+        values = {others: more} if others else {}
+        for part in parts:
+            if isinstance(part, Key):
+                values[part.field] = found[part.name]
+                continue
+            try:
+                values[part.field] = part.make(self, **{key.field: found[key.name] for key in part.keys})
+            except UnexpectedKeys as error:
+                self.faults.append(f"{self.prefix}{'.' if error.key else ''}{error.key}: {error}")
+                is_wrong = True
+        return None if is_wrong else values
+
+
+@dataclass(frozen=True)
+class ValueType:
+    """A type of values.
+
+    Attributes:
+        name: The name in docs/ci.md.
+        expected: The description in errors, with all that is needed to write such a value.
+        read: Converts a value of a file.
+    """
+
+    name: str
+    expected: str
+    read: Callable[[Any, Reading], Any]
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a condition or a place.
+
+    Attributes:
+        name: The name in the file.
+        type: The type of its values.
+        text: The meaning, as in docs/ci.md.
+        field: The field that gets the value; by default that of the same name.
+        default: The value without it.
+        required: Whether it has to be given.
+    """
+
+    name: str
+    type: ValueType
+    text: str
+    field: str = ""
+    default: Any = None
+    required: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "field", self.field or self.name)
+
+
+@dataclass(frozen=True)
+class KeyGroup:
+    """Keys that make one value together, such as the bounds of a number.
+
+    Attributes:
+        field: The field that gets the value.
+        keys: The keys.
+        make: Returns the value, from those of the keys by field.
+        title: The name of the group in the tables of docs/ci.md; empty: the keys are listed.
+    """
+
+    field: str
+    keys: tuple[Key, ...]
+    make: Callable[..., Any]
+    title: str = ""
+
+
+def keys_of(parts: Iterable[Key | KeyGroup]) -> list[Key]:
+    """Return all keys, those of groups included."""
+    return [key for part in parts for key in ((part,) if isinstance(part, Key) else part.keys)]
+
+
+def hint(name: str, known: Sequence[str], what: str) -> str:
+    """Return what may be meant by an unknown name, and all names that there are."""
+    near = get_close_matches(str(name)[:SHOWN], known, 1)
+    every = f"{what} are {', '.join(known)}" if len(known) > 1 else f"{what.removesuffix('s')} is {known[0]}"
+    return f"did you mean {near[0]}? The {every}" if near else f"the {every}"
+
+
+def shown(value: Any) -> str:
+    """Return a value of a file for an error."""
+    if value is None:
+        return "is missing"
+    if type(value) is int and abs(value) > LARGEST_COUNT:
+        return "a number of many digits"
+    if isinstance(value, dict):
+        return "a table"
+    text = reprlib.repr(value) if isinstance(value, list) else repr(value[:SHOWN] if isinstance(value, str) else value)
+    return visible(text if len(text) <= 2 * SHOWN else f"{text[:SHOWN]}…")

@@ -1,0 +1,66 @@
+"""Answers as CSV: of one recording, and of many."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+
+import pytest
+
+from carla_recap import open_recording
+from carla_recap.output import csv as output
+from carla_recap.queries.measures import measures_over_time
+from tests.cli.command import CROSSING, answer, error
+
+AVOIDED = CROSSING.with_name("avoided.mcap")
+
+
+@pytest.fixture(scope="module")
+def avoided():
+    with open_recording(AVOIDED) as recording:
+        yield recording
+
+
+def table(text):
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_the_columns_are_the_measures_over_time(avoided):
+    series = avoided.time_series("hero")
+    rows = table("".join(output.csv(measures_over_time(avoided.reader))))
+    assert len(rows) == len(series)
+    for name, values in series.columns().items():
+        known = [math.isfinite(value) and not (name in ("leader", "threat", "nearest") and value < 0) for value in values]
+        assert [row[name] for row in rows] == [
+            str(value) if is_known else "" for value, is_known in zip(values, known, strict=True)
+        ]
+
+
+def test_of_a_pair_each_is_measured_with_the_other_alone(avoided):
+    rows = table("".join(output.csv(measures_over_time(avoided.reader, pair=("hero", 44)))))
+    assert {row["actor"] for row in rows} == {"41", "44"}
+    assert {row["nearest"] for row in rows if row["actor"] == "44"} == {"41"}
+
+
+def test_of_many_recordings_the_first_column_is_the_recording():
+    rows = table(answer("measures", AVOIDED, CROSSING.with_name("crash.mcap"), "--over-time", "--csv"))
+    assert list(rows[0])[:3] == ["recording", "time", "actor"]
+    assert {row["recording"] for row in rows} == {str(AVOIDED), str(AVOIDED.with_name("crash.mcap"))}
+
+
+def test_extremes_are_a_table_too(avoided):
+    rows = table("".join(output.csv(avoided.measures())))
+    assert {row["measure"] for row in rows} >= {"gap", "time_to_collision"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--pair", "hero", "44", "--actor", "44"), "--pair and --actor"),
+        (("--over-time", "--map", "town.xodr"), "--map is about the extremes"),
+        (("--pair", "hero", "7"), "no vehicle or walker 7"),
+    ],
+)
+def test_what_does_not_go_together_is_an_error(arguments, message):
+    assert message in error("measures", AVOIDED, *arguments)

@@ -1,0 +1,202 @@
+"""Measures over a time, until an occasion, in a place; with a bound on the other side; for some time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from carla_recap import check, open_recording
+from carla_recap.queries.measures import MEASURES, MeasureSearch
+from carla_recap.queries.roads import roads_of
+from carla_recap.rules.rule_sets import parse_rules
+from tests.fleet.test_rules import SAMPLES
+from tests.rules.conftest import HERO, TICK, Judge, straight
+
+if TYPE_CHECKING:
+    from carla_recap import Verdict
+
+
+def drive(*parts: tuple[float, float]) -> np.ndarray:
+    """A way along x, of parts with a speed in m/s and a duration in s each."""
+    speeds = np.concatenate([np.full(round(seconds / TICK), speed) for speed, seconds in parts])
+    x = np.append(0.0, np.cumsum(speeds * TICK))
+    return np.stack((x, np.full(len(x), -1.75)), axis=1)
+
+
+STOP_AND_GO = drive((10, 4), (0, 3), (10, 5))
+"""Drives 40 m, stands from 4 s to 7 s, and drives 50 m more, to 12 s."""
+
+
+@pytest.mark.parametrize(
+    ("condition", "status", "message"),
+    [
+        ('{ max = "11 m/s" }', "pass", "the greatest speed of the hero is 10.00 m/s"),
+        (
+            '{ max = "9 m/s", during = ["4.2 s", "6.8 s"] }',
+            "pass",
+            "the greatest speed of the hero from 4.2 s to 6.8 s is 0.00",
+        ),
+        (
+            '{ max = "9 m/s", during = ["5 s", "8 s"] }',
+            "fail",
+            "the speed of the hero from 5 s to 8 s exceeds 9 m/s: hero, 10.00",
+        ),
+        ('{ min = "1 m/s" }', "fail", "the speed of the hero falls below 1 m/s: hero, 0.00 m/s at 4.1"),
+        (
+            '{ min = "1 m/s", until = { x = 35, y = 0, within = 5 } }',
+            "pass",
+            "the least speed of the hero until reaching the ",
+        ),
+        (
+            '{ min = "1 m/s", after = { x = 50, y = 0, within = 5 } }',
+            "pass",
+            "after reaching the place within 5 m of (50, 0) is",
+        ),
+        ('{ min = "1 m/s", where = { x = 40, y = 0, within = 5 } }', "fail", "falls below 1 m/s: hero, 0.00 m/s at 4.1"),
+        ('{ min = "1 m/s", where = { x = 20, y = 0, within = 5 } }', "pass", ""),
+        (
+            '{ max = "1 m/s", where = { x = 0, y = 99, within = 5 } }',
+            "pass",
+            "no speed of the hero in the place within 5 m of",
+        ),
+        ('{ min = "1 m/s", tolerate = "2 s" }', "fail", "falls below 1 m/s: hero, 0.00 m/s, for 2.80 s at 4.1"),
+        ('{ min = "1 m/s", tolerate = "3 s" }', "pass", ""),
+        ('{ max = "0.1 m/s", for = "2.5 s" }', "pass", "the speed of the hero is at most 0.1 m/s for 2.80 s"),
+        (
+            '{ max = "0.1 m/s", for = "4 s" }',
+            "fail",
+            "the speed of the hero is not at most 0.1 m/s for 4 s: hero for 2.80 s at 4.1",
+        ),
+        ('{ max = "0.1 m/s", for = "2 s", where = { x = 20, y = 0, within = 5 } }', "fail", "for 2 s: hero never"),
+        (
+            '{ max = "0.1 m/s", for = "2 s", where = { x = 0, y = 99, within = 5 } }',
+            "pass",
+            "no speed of the hero in the place",
+        ),
+        ('{ min = "9 m/s", for = "8 s", tolerate = "4 s" }', "pass", "is at least 9 m/s for 12.00 s"),
+        ('{ min = "5 m/s", max = "15 m/s", during = [0, 3] }', "pass", ""),
+        (
+            '{ min = "5 m/s", max = "15 m/s" }',
+            "fail",
+            "the speed of the hero is not at least 5 m/s and at most 15 m/s: hero, 0.00",
+        ),
+    ],
+)
+def test_the_speed_over_time(judge: Judge, condition: str, status: str, message: str) -> None:
+    found = judge(f"speed = {{ of = 'hero', {condition[1:]}", STOP_AND_GO)
+    assert found.status == status
+    assert message in found.message
+
+
+def test_each_time_that_breaks_a_rule_is_an_offence_and_the_worst_is_first(judge: Judge) -> None:
+    way = drive((10, 3), (20, 2), (10, 3), (30, 1), (10, 2))
+    found = judge('speed = { of = "hero", max = "15 m/s", during = ["0 s", "20 s"] }', way)
+    assert len(found.details) == 2
+    assert "hero, 30.00 m/s" in found.details[0]
+    assert "hero, 20.00 m/s" in found.details[1]
+    assert (found.time, found.actors) == (pytest.approx(8.5, abs=0.5), (HERO,))
+
+
+def test_a_measure_in_relation_to_another_actor_names_it(judge: Judge) -> None:
+    ways = straight(10, 8), straight(10, 8, x=30)
+    found = judge('distance_headway = { of = "hero", max = "20 m", min = "5 m" }', *ways)
+    assert found.status == "fail"
+    assert "hero and vehicle.tesla.model3 (2), 25.2" in found.message
+    assert found.actors == (HERO, HERO + 1)
+    assert judge('distance_headway = { of = "hero", max = "26 m" }', *ways).status == "pass"
+
+
+@pytest.mark.parametrize(
+    ("condition", "status", "message"),
+    [
+        (
+            'lateral_offset = { of = "hero", max = "50 cm" }',
+            "fail",
+            "lateral offset of the hero exceeds 50 cm: hero, 100.00 cm",
+        ),
+        ('lateral_offset = { of = "hero", max = "1.1 m" }', "pass", "the greatest lateral offset of the hero is 1.00 m"),
+        ('lateral_offset = { of = "hero", max = "50 cm", until = { x = 60, y = 0, within = 10 } }', "pass", "is 25.00 cm"),
+        ('lateral_offset = { of = "hero", max = "50 cm", tolerate = "1 s" }', "fail", "100.00 cm, for 4.80 s at"),
+        ('speed_over_limit = { of = "hero", max = 0, during = [0, 3] }', "pass", ""),
+    ],
+)
+def test_measures_of_the_road(judge: Judge, condition: str, status: str, message: str) -> None:
+    way = straight(10, 10)
+    way[:, 1] = np.where(way[:, 0] > 50, -0.75, -1.5)
+    found = judge(condition, way)
+    assert (found.status, message in found.message) == (status, True), found.message
+
+
+@pytest.mark.parametrize("sample", ["crash.mcap", "junction.mcap"])
+def test_the_extremes_of_values_over_time_are_those_of_the_recording(sample: str) -> None:
+    with open_recording(SAMPLES / sample) as recording:
+        roads, ids = roads_of(recording.reader), {actor.id for actor in recording.actors.values() if actor.kind == "vehicle"}
+        search = MeasureSearch(recording.reader, ids, roads=roads, over_time=dict.fromkeys(MEASURES, ids))
+        search.read()
+        rows = search.finish()
+    assert {row.measure for row in rows} >= MEASURES.keys() - {
+        "distance_off_road",
+        "distance_against_lane",
+        "post_encroachment_time",
+    }
+    for row in rows:
+        values = search.values[row.measure, row.actor]
+        assert (np.diff(values.time) >= 0).all()
+        worst = values.value.min() if MEASURES[row.measure].extreme == "least" else values.value.max()
+        assert worst == pytest.approx(row.value), row.measure
+        at = values.time[values.value == worst]
+        assert at.min() - 1e-6 <= row.time <= at.max() + 1e-6
+
+
+def sample(name: str, rule: str) -> Verdict:
+    with open_recording(SAMPLES / name) as recording:
+        return check(recording, parse_rules(f"[rules.it]\n{rule}", "rules.toml"))[0]
+
+
+def test_until_a_collision() -> None:
+    found = sample("crash.mcap", 'time_to_collision = { of = "hero", min = "0.5 s", until = "collision" }')
+    assert found.status == "fail"
+    assert found.time is not None
+    assert 11 < found.time < 12.1
+    before = sample("crash.mcap", 'time_to_collision = { of = "hero", min = "0.5 s", during = ["0 s", "5 s"] }')
+    assert before.status == "pass"
+    after = sample("crash.mcap", 'speed = { of = "hero", max = "40 km/h", after = "collision" }')
+    assert after.status == "fail"
+    assert after.time is not None
+    assert after.time > 12.1
+
+
+@pytest.mark.parametrize(
+    ("rule", "applies"),
+    [
+        ('speed = { of = "hero", max = 50, where = { x = 0, y = 99, within = 5 } }', False),
+        ('speed = { of = "hero", max = 50, during = ["90 s", "99 s"] }', False),
+        ('speed = { of = "role:heroo", max = 50 }', False),
+        ('speed = { of = "hero", max = 50, where = { x = 20, y = 0, within = 5 } }', True),
+        ('time_to_collision = { of = "hero", min = 1 }', True),
+        ('collisions = { of = "role:heroo", max = 0 }', False),
+        ('collisions = { of = "hero", with = "role:heroo", max = 0 }', False),
+        ('collisions = { of = "hero", max = 0, after = "hard-braking" }', False),
+        ('collisions = { of = "hero", max = 0, during = ["90 s", "99 s"] }', False),
+        ('collisions = { of = "hero", max = 0, where = { x = 0, y = 99, within = 5 } }', False),
+        ('collisions = { of = "hero", max = 0, until = "collision" }', True),
+        ('collisions = { of = "hero", max = 0, where = { x = 20, y = 0, within = 5 } }', True),
+        ('stays_out_of = { of = "hero", x = 0, y = 99, within = 5 }', True),
+        ('stays_in = { of = "hero", lanes = "driving", where = { x = 0, y = 99, within = 5 } }', False),
+        ('distance = { of = "hero", max = 9, where = { x = 0, y = 99, within = 5 } }', False),
+        ('distance = { of = "role:heroo", max = 9 }', False),
+        ('blocked = { of = "role:heroo", max = 9 }', False),
+    ],
+)
+def test_a_rule_with_nothing_to_judge_says_so(judge: Judge, rule: str, applies: bool) -> None:
+    found = judge(rule, straight(10, 5))
+    assert (found.status, found.applies) == ("pass", applies)
+    assert found.message.startswith("nothing to judge: ") != applies
+
+
+@pytest.mark.parametrize("condition", ['speed = { max = "20 km/h"', 'stays_in = { lanes = "driving"'])
+def test_what_is_tolerated_is_in_the_description(condition: str) -> None:
+    (rule,) = parse_rules(f'[rules.it]\n{condition}, tolerate = "1 min" }}', "rules.toml")
+    assert rule.description.endswith(", except for up to 1 min at a time")

@@ -1,0 +1,187 @@
+"""Where actors drive: reaching, leaving, staying, the order of places, distances. A hero drives at 10 m/s from x = 0 on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carla_recap import open_recording
+from carla_recap.rules.rule_sets import check, make_rules
+from tests.fleet.test_rules import SAMPLES
+from tests.rules.conftest import HERO, Judge, straight
+
+DRIVE = straight(10, 12)
+
+
+@pytest.mark.parametrize(
+    ("condition", "status", "message"),
+    [
+        ('reaches = { of = "hero", x = 50, y = 0, within = "5 m" }', "pass", "hero reaches … at 4.55 s"),
+        ('reaches = { of = "hero", x = 50, y = 0, within = "5 m", before = "4 s" }', "fail", ": hero reaches it at 4.55 s"),
+        ('reaches = { of = "hero", x = 50, y = 0, within = "5 m", before = "5 s" }', "pass", "before 5 s at 4.55 s"),
+        (
+            'reaches = { of = "hero", x = 50, y = 20, within = "5 m" }',
+            "fail",
+            "the hero does not reach the place within 5 m of (50, 20): hero is 16.75 m away at 5.00 s, when it is nearest",
+        ),
+        ('reaches = { of = "hero", x = 50, y = -1, z = 9, within = "5 m" }', "fail", "hero is 4.03 m away at 5.00 s"),
+        ('reaches = { of = "hero", x = 50, y = -1, z = 3, within = "5 m" }', "pass", ""),
+        ('reaches = { of = "hero", polygon = [[40, -5], [60, -5], [60, 5], [40, 5]] }', "pass", "at 4.00 s"),
+        ('reaches = { of = "hero", polygon = [[40, 5], [60, 5], [60, 25], [40, 25]] }', "fail", "is 6.75 m away at 4.00 s"),
+        ('reaches = { of = "hero", junction = 9 }', "pass", "the hero reaches junction 9 at 10.00 s"),
+        ('reaches = { of = "hero", road = "3" }', "pass", "the hero reaches road 3 at 10.00 s"),
+        ('reaches = { of = "hero", road = [2, 3], before = "9 s" }', "fail", "hero reaches it at 10.00 s"),
+        ('reaches = { of = "hero", junction = "any" }', "pass", "the hero reaches junctions at 10.00 s"),
+        ('reaches = { of = "hero", road = 2, before = "11 s" }', "fail", "hero reaches it at 12.00 s"),
+        ('reaches = { of = "hero", lanes = "shoulder" }', "fail", "the shoulder lanes: hero is 1.75 m away at"),
+        ('reaches = { of = "hero", lanes = "sidewalk" }', "fail", "the sidewalk lanes: hero is never near it"),
+        ('reaches = { of = "hero", road = 7 }', "error", "the map Straight has no road 7"),
+        ('reaches = { of = "role:ego", junction = 9 }', "fail", "no actor to reach junction 9 (it has no role:ego)"),
+        ('leaves = { of = "hero", x = 50, y = 0, within = "5 m" }', "pass", " at 5.50 s"),
+        ('leaves = { of = "hero", x = 50, y = 0, within = "5 m", before = "5 s" }', "fail", "hero leaves it at 5.50 s"),
+        ('leaves = { of = "hero", x = 50, y = 0, within = "90 m" }', "fail", "hero is in it to the end at 12.00 s"),
+        ('leaves = { of = "hero", x = 50, y = 50, within = "9 m" }', "fail", "hero is never in it"),
+        ('stays_in = { of = "hero", lanes = "driving" }', "pass", "the hero stays in the driving lanes"),
+        ('stays_in = { of = "hero", road = [1, 3], lanes = "driving", during = [0, 11] }', "pass", " from 0 s to 11 s"),
+        ('stays_in = { of = "hero", road = 1 }', "fail", "hero is outside for 1.95 s at 10.05 s"),
+        ('stays_in = { of = "hero", road = 1, tolerate = "2 s" }', "pass", ""),
+        (
+            'stays_in = { of = "hero", x = 0, y = 0, within = "100 m" }',
+            "fail",
+            "hero is outside for 2.00 s, by up to 20.01 m at 10.00 s",
+        ),
+        ('stays_in = { of = "hero", road = 1, until = { junction = 9 } }', "pass", " until reaching junction 9"),
+        ('stays_out_of = { of = "hero", junction = 9 }', "fail", "hero is in it for 2.00 s at 10.00 s"),
+        ('stays_out_of = { of = "hero", junction = 9, during = ["1 s", "9 s"] }', "pass", ""),
+        (
+            'stays_out_of = { of = "role:ego", junction = 9 }',
+            "pass",
+            "no actor to stay out of junction 9 (it has no role:ego)",
+        ),
+        ('distance = { of = "hero", min = "0.1 km" }', "pass", "the distance of the hero is 0.120 km"),
+        ('distance = { of = "hero", max = "100 m" }', "fail", "is not at most 100 m: hero, 120.00 m at 10.05 s"),
+        ('distance = { of = "hero", min = 200 }', "fail", "is not at least 200 m: hero, 120.00 m at 12.00 s"),
+        ('distance = { of = "hero", min = 79, max = 80.1, during = ["2 s", "10 s"] }', "pass", "is 80.00 m"),
+        ('distance = { of = "hero", max = 30, after = { junction = 9 } }', "pass", "is 20.00 m"),
+        ('distance = { of = "hero", max = 11, where = { x = 50, y = -1.75, within = 5 } }', "pass", "is 10.00 m"),
+        ('distance = { of = "role:ego", min = 1 }', "fail", "no distance of the actor of the role ego was measured"),
+    ],
+)
+def test_a_condition(judge: Judge, condition: str, status: str, message: str) -> None:
+    found = judge(condition, DRIVE)
+    assert found.status == status
+    for part in message.split("…"):
+        assert part in found.message
+
+
+@pytest.mark.parametrize(
+    ("places", "status", "message"),
+    [
+        ('["a", "b"]', "pass", "the hero passes the place a, then the place b before 20 s at 7.00 s"),
+        ('["b", "a"]', "fail", "hero does not pass the place a after the place b, but before at 7.00 s"),
+        ('["a", "away"]', "fail", "hero does not pass the place away after the place a at 2.00 s"),
+        ('["away", "a"]', "fail", "hero does not pass the place away"),
+        ('["a", "a", { x = 90, y = 0, within = 3 }]', "pass", "then the place within 3 m of (90, 0)"),
+    ],
+)
+def test_the_order_of_places(judge: Judge, places: str, status: str, message: str) -> None:
+    text = f"""
+        [places]
+        a = {{ polygon = [[20, -5], [30, -5], [30, 5], [20, 5]] }}
+        b = {{ polygon = [[70, -5], [80, -5], [80, 5], [70, 5]] }}
+        away = {{ x = 0, y = 99, within = 5 }}
+        [rules.it]
+        passes = {{ of = "hero", places = {places}, before = "20 s" }}
+    """
+    found = judge(text, DRIVE)
+    assert found.status == status
+    assert message in found.message
+
+
+def test_each_of_several_actors_has_to(judge: Judge) -> None:
+    ways = DRIVE, straight(10, 12), straight(2, 12)
+    found = judge('reaches = { of = "vehicle", x = 50, y = 0, within = "5 m" }', *ways)
+    assert found.message == (
+        "1 of 3 vehicles does not reach the place within 5 m of (50, 0): vehicle.tesla.model3 (3) is 21.06 m away at "
+        "12.00 s, when it is nearest"
+    )
+    assert (found.time, found.actors) == (pytest.approx(12), (HERO + 2,))
+    found = judge('reaches = { x = 20, y = 0, within = "5 m" }', *ways)
+    assert found.message.startswith("3 vehicles and walkers reach the place within 5 m of (20, 0), the last at 7.7")
+
+
+def test_a_place_is_reached_between_two_frames(judge: Judge) -> None:
+    """The frames are 5 m apart, and the nearest one is 2.5 m away."""
+    found = judge('reaches = { of = "hero", x = 52.5, y = -1.75, within = "30 cm" }', straight(50, 2))
+    assert found.status == "pass"
+    assert "at 1.05 s" in found.message
+
+
+def test_a_jump_is_no_drive(judge: Judge) -> None:
+    way = np.concatenate((straight(10, 5), straight(10, 5, x=400)))
+    assert judge('distance = { of = "hero", max = "101 m", min = "99 m" }', way).status == "pass"
+    assert judge('reaches = { of = "hero", x = 200, y = 0, within = "90 m" }', way).status == "fail"
+
+
+def test_the_axes_of_a_file_are_those_of_its_places(judge: Judge) -> None:
+    for axes, status in (("", "fail"), ('axes = "right-handed"', "fail"), ('axes = "carla"', "pass")):
+        circle = f'{axes}\n[rules.it]\nreaches = {{ of = "hero", x = 50, y = 1.75, within = "1 m" }}'
+        polygon = f'{axes}\n[rules.it]\nreaches = {{ of = "hero", polygon = [[40, 1], [60, 1], [60, 4], [40, 4]] }}'
+        assert judge(circle, DRIVE).status == status
+        assert judge(polygon, DRIVE).status == status
+
+
+def test_incidents_count_within_a_scope(judge: Judge) -> None:
+    ways = DRIVE, straight(10, 12, x=4)
+    for scope, status in (
+        ("", "fail"),
+        (', during = ["0 s", "3 s"]', "pass"),
+        (', during = ["4 s", "6 s"]', "fail"),
+        (", where = { x = 50, y = 0, within = 5 }", "fail"),
+        (", where = { junction = 9 }", "pass"),
+        (", until = { x = 40, y = 0, within = 5 }", "pass"),
+        (", after = { x = 40, y = 0, within = 5 }", "fail"),
+    ):
+        found = judge(f'collisions = {{ of = "hero", max = 0{scope} }}', *ways, hits={50: HERO + 1})
+        assert (scope, found.status) == (scope, status)
+    found = judge('stays_out_of = { of = "hero", junction = 9, until = "collision" }', *ways, hits={50: HERO + 1})
+    assert found.status == "pass"
+    assert found.message == "the hero stays out of junction 9 until the first collision"
+
+
+def test_an_actor_that_is_there_at_no_time_does_not_count(judge: Judge) -> None:
+    below = np.column_stack((straight(0, 12), np.full(121, -500.0)))
+    found = judge('reaches = { of = "vehicle", x = 50, y = 0, within = "5 m" }', DRIVE, below, straight(10, 12))
+    assert found.message.startswith("2 vehicles reach")
+
+
+def test_rules_from_python_have_axes_and_places() -> None:
+    with open_recording(SAMPLES / "junction.mcap") as recording:
+        start = recording.trajectory("hero", axes="carla")
+        places = {"start": {"x": float(start.x[0]), "y": float(start.y[0]), "within": "1 m"}}
+        leaves = {"of": "hero", "place": "start"}
+        (found,) = check(recording, make_rules(axes="carla", places=places, leaves=leaves))
+    assert found.status == "pass"
+    assert found.message.startswith("the hero leaves the place start at ")
+
+
+def test_conditions_in_words() -> None:
+    place = {"junction": 9}
+    rules = make_rules(
+        places={"a": place},
+        reaches={"of": "hero", "before": "20 s", **place},
+        leaves={"of": "vehicle", "place": "a"},
+        stays_in={"lanes": "driving", "until": "collision", "during": [0, "9 s"]},
+        stays_out_of={"of": "role:ego", "x": 1, "y": -2.5, "z": 0, "within": "3 m", "after": "a"},
+        passes={"of": "walker", "places": ["a", {"polygon": [[0, 0], [1, 0], [1, 1]]}]},
+        distance={"of": "hero", "min": "1 km", "where": "a"},
+    )
+    assert [rule.description for rule in rules] == [
+        "the hero reaches junction 9 before 20 s",
+        "vehicles leave the place a",
+        "vehicles and walkers stay in the driving lanes from 0 s to 9 s until the first collision",
+        "the actor of the role ego stays out of the place within 3 m of (1, -2.5, 0) after reaching the place a",
+        "walkers pass the place a, then the polygon of 3 corners",
+        "distance of the hero in the place a: at least 1 km",
+    ]
+    assert [rule.kind for rule in rules] == ["reaches", "leaves", "stays_in", "stays_out_of", "passes", "distance"]

@@ -1,0 +1,546 @@
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+from carla_recap import ActorKind, Spawn, attributes, check, create_recording, load_rules, open_recording
+from carla_recap.errors import RecapError
+from carla_recap.formats.mcap.reader import McapReader
+from carla_recap.queries.measures import MEASURES, SHORT_NAMES
+from carla_recap.recording import Recording
+from carla_recap.rules.rule_sets import RulesError, make_rules, parse_rules
+from tests.samples import carla_log, save, warnings_ignored
+from tests.waiting import PATIENCE, time_limit
+
+ROOT = Path(__file__).parents[2]
+SAMPLES = ROOT / "samples"
+
+
+@pytest.fixture
+def web():
+    """A web server of the samples."""
+    pytest.importorskip("obstore", reason="the extra `remote` is not installed")
+    from tests.web import serve
+
+    with serve(SAMPLES) as server:
+        yield server
+
+
+def verdict(sample: str, rule: str):
+    rules = parse_rules(f"[rules.it]\n{dedent(rule)}", "rules.toml")
+    with open_recording(SAMPLES / sample) as recording:
+        (found,) = check(recording, rules)
+    return found
+
+
+# --- conditions ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("sample", "rule", "status", "message"),
+    [
+        (
+            "crash.mcap",
+            'collisions = { of = "hero", max = 0 }',
+            "fail",
+            "2 collisions of the hero instead of at most 0: hero collides with walker.pedestrian.0004 (44) at 12.10 s",
+        ),
+        ("crash.mcap", 'collisions = { of = "hero", max = 2 }', "pass", "2 collisions of the hero"),
+        ("junction.mcap", 'collisions = { of = "hero", max = 0 }', "pass", "no collisions of the hero"),
+        (
+            "crash.mcap",
+            'collisions = { of = "hero", with = "walker", max = 0 }',
+            "fail",
+            "1 collision of the hero with walkers instead of at most 0: "
+            "hero collides with walker.pedestrian.0004 (44) at 12.10 s",
+        ),
+        (
+            "crash.mcap",
+            'collisions = { of = "walker", with = "walker", max = 0 }',
+            "pass",
+            "no collisions of walkers with walkers",
+        ),
+        (
+            "crash.mcap",
+            'collisions = { of = "hero", with = "object", max = 0 }',
+            "pass",
+            "no collisions of the hero with static objects",
+        ),
+        (
+            "crash.mcap",
+            'collisions = { of = "vehicle.mercedes.*", min = 2 }',
+            "fail",
+            "1 collision of vehicle.mercedes.* instead of at least 2: "
+            "hero collides with vehicle.mercedes.sprinter (42) at 15.15 s",
+        ),
+        ("crash.mcap", 'collisions = { of = "role:hero", max = 2 }', "pass", "2 collisions of the actor of the role hero"),
+        (
+            "junction.mcap",
+            'collisions = { of = "role:ego", max = 0 }',
+            "pass",
+            "nothing to judge: no collisions of the actor of the role ego (it has no role:ego)",
+        ),
+        ("crash.mcap", 'incidents = { kind = ["collision", "blocked"], max = 9 }', "pass", "4 collisions or long stops"),
+        (
+            "crossing.log",
+            'incidents = { kind = "hard braking", of = "hero", max = 0 }',
+            "fail",
+            "1 hard braking of the hero instead of at most 0: hero brakes hard at 44 km/h at 23.50 s",
+        ),
+        (
+            "blocked.mcap",
+            'blocked = { max = "50 s" }',
+            "fail",
+            "1 stop of more than 50 s: vehicle.mercedes.sprinter (41) stands still for 53.2 s at 6.75 s",
+        ),
+        ("blocked.mcap", 'blocked = { max = "1 min" }', "pass", "no stop of more than 1 min"),
+        ("blocked.mcap", 'blocked = { of = "walker", max = "1 h" }', "pass", "no stop of walkers of more than 1 h"),
+        ("junction.mcap", 'duration = { min = "30 s" }', "fail", "the recording has 29.95 s instead of at least 30 s"),
+        ("junction.mcap", 'duration = { max = "0.5 min" }', "pass", "the recording has 0.499 min"),
+        (
+            "crash.mcap",
+            'incidents = { kind = ["hard-braking", "blocked"], max = 9 }',
+            "pass",
+            "2 hard braking or long stops",
+        ),
+        (
+            "junction.mcap",
+            'duration = { min = "1 min", max = "120 s" }',
+            "fail",
+            "the recording has 29.95 s instead of at least 1 min and at most 120 s",
+        ),
+        ("junction.mcap", "frames = { min = 600, max = 600 }", "pass", "the recording has 600 frames"),
+        (
+            "junction.mcap",
+            "frames = { min = 1, max = 5 }",
+            "fail",
+            "the recording has 600 frames instead of at least 1 and at most 5 frames",
+        ),
+        ("junction.mcap", 'actors = { of = "hero", min = 1, max = 1 }', "pass", "1 actor (the hero)"),
+        (
+            "junction.mcap",
+            'actors = { of = "role:ego", min = 1 }',
+            "fail",
+            "0 actors (the actor of the role ego) instead of at least 1",
+        ),
+        ("junction.mcap", 'map = "brickfield_Opt"', "pass", "the map is Brickfield"),
+        (
+            "junction.mcap",
+            'map = ["Town01", "Town02"]',
+            "fail",
+            "the map is Brickfield instead of Town01 or Town02",
+        ),
+    ],
+)
+def test_a_condition(sample, rule, status, message):
+    found = verdict(sample, rule)
+    assert (found.status, found.message) == (status, message)
+
+
+@pytest.mark.parametrize(
+    ("rule", "status", "message"),
+    [
+        (
+            'time_to_collision = { of = "hero", min = "1.5 s" }',
+            "fail",
+            "the time to collision of the hero falls below 1.5 s: hero and walker.pedestrian.0004 (44), 0.00 s at 12.10 s",
+        ),
+        (
+            'speed = { of = "hero", max = "50 km/h" }',
+            "fail",
+            "the speed of the hero exceeds 50 km/h: hero, 50.94 km/h at 11.90 s",
+        ),
+        ('speed = { of = "hero", max = "60 km/h" }', "pass", "the greatest speed of the hero is 50.94 km/h"),
+        (
+            'deceleration = { of = "hero", max = "0.8 g" }',
+            "fail",
+            "the deceleration of the hero exceeds 0.8 g: hero, 0.972 g at 15.65 s",
+        ),
+        ('speed = { of = "hero", max = 15 }', "pass", "the greatest speed of the hero is 14.15 m/s"),
+        ('speed = { of = "walker", max = 15 }', "pass", "the greatest speed of walkers is 13.61 m/s"),
+        ('distance_off_road = { of = "hero", max = "0.5 m" }', "pass", "no distance off road of the hero was measured"),
+        (
+            'jerk = { of = "role:ego", max = 15 }',
+            "pass",
+            "nothing to judge: no jerk of the actor of the role ego was measured (it has no role:ego)",
+        ),
+    ],
+)
+def test_a_measure(rule, status, message):
+    found = verdict("crash.mcap", rule)
+    assert (found.status, found.message) == (status, message)
+
+
+def test_a_measure_of_the_road_needs_the_map():
+    found = verdict("crossing.log", 'speed_over_limit = { max = "5 km/h" }')
+    assert found.status == "error"
+    assert (
+        found.message
+        == "the map 'Crossing' is unknown, but its roads are needed; --map or CARLA_RECAP_MAPS says where maps are"
+    )
+
+
+@pytest.mark.parametrize(
+    ("sample", "kind", "status", "message"),
+    [
+        ("junction.mcap", '"red light"', "pass", "no red light runs"),
+        ("crash.mcap", '["red light", "stop sign", "wrong way"]', "pass", "no red light runs, stop sign runs or drives "),
+        ("crossing.log", '"red light"', "error", "the map 'Crossing' is unknown, but its roads are needed; "),
+    ],
+)
+def test_an_incident_of_the_road_needs_the_map(sample, kind, status, message):
+    found = verdict(sample, f"incidents = {{ kind = {kind}, max = 0 }}")
+    assert found.status == status
+    assert found.message.startswith(message)
+
+
+def test_rules_that_need_no_map_are_judged_without_it():
+    text = '[rules.a]\nincidents = { kind = "red light", max = 0 }\n[rules.b]\ncollisions = { max = 9 }'
+    with open_recording(SAMPLES / "crossing.log") as recording:
+        verdicts = check(recording, parse_rules(text, "rules.toml"))
+    assert [each.status for each in verdicts] == ["error", "pass"]
+
+
+def test_a_recording_is_compared_with_its_baseline(tmp_path):
+    (tmp_path / "base").mkdir()
+    shutil.copy(SAMPLES / "crash.mcap", tmp_path / "base")
+    shutil.copy(SAMPLES / "junction.mcap", tmp_path / "base" / "blocked.mcap")
+    rules = parse_rules('[rules.it]\nsame_as = { baseline = "base", tolerance = "10 cm" }', tmp_path / "rules.toml")
+    verdicts = {}
+    for name in ("crash", "blocked", "junction"):
+        with open_recording(SAMPLES / f"{name}.mcap") as recording:
+            (verdicts[name],) = check(recording, rules)
+    base = tmp_path / "base"
+    assert (verdicts["crash"].status, verdicts["crash"].message) == (
+        "pass",
+        f"equal to {base / 'crash.mcap'} within 10 cm",
+    )
+    assert (verdicts["blocked"].status, verdicts["blocked"].time) == ("fail", 0.0)
+    assert verdicts["blocked"].message.startswith(f"differs from {base / 'blocked.mcap'}: ")
+    assert (verdicts["junction"].status, verdicts["junction"].message) == (
+        "error",
+        f"{base}: has no baseline junction.log or .mcap",
+    )
+
+
+def test_a_baseline_can_be_a_file():
+    found = verdict("crash.mcap", f"same_as = {{ baseline = '{SAMPLES / 'crash.mcap'}' }}")
+    assert found.status == "pass"
+
+
+def test_a_failure_has_the_time_the_actors_and_all_offences():
+    found = verdict("crash.mcap", 'collisions = { of = "hero", max = 0 }')
+    assert (found.rule, found.time, found.actors) == ("it", pytest.approx(12.1), (41, 44))
+    assert found.details == (
+        "12.10 s: hero collides with walker.pedestrian.0004 (44)",
+        "15.15 s: hero collides with vehicle.mercedes.sprinter (42)",
+    )
+
+
+def test_verdicts_are_in_the_order_of_the_rules():
+    rules = load_rules(SAMPLES / "rules.toml")
+    with open_recording(SAMPLES / "crash.mcap") as recording:
+        found = check(recording, rules)
+    assert [each.rule for each in found] == [rule.name for rule in rules]
+    assert [each.rule for each in found if each.status == "fail"] == [
+        "no-hero-collision",
+        "keeps-its-distance",
+        "no-long-stops",
+        "never-close-for-long",
+    ]
+    assert {each.status for each in found} == {"pass", "fail"}
+
+
+def test_a_rule_about_collisions_reads_a_small_part_of_the_recording(driven):
+    rules = parse_rules('[rules.a]\ncollisions = { max = 0 }\n[rules.b]\nactors = { of = "hero", max = 1 }', "rules.toml")
+    with closing(McapReader(driven)) as reader:
+        check(Recording(reader), rules)
+        once = reader.bytes_read
+        for frame in reader.frames(("transforms",)):
+            assert len(frame["transforms"])
+        assert once < (reader.bytes_read - once) / 1.5
+
+
+def test_a_rule_about_collisions_asks_a_web_server_once_and_baselines_can_be_there(web):
+    text = '[rules.a]\ncollisions = { max = 9 }\n[rules.b]\nactors = { of = "hero", min = 1 }'
+    with open_recording(f"{web.url}/crash.mcap") as recording:
+        assert {each.status for each in check(recording, parse_rules(text, "rules.toml"))} == {"pass"}
+    assert len(web.requests) == 1
+    rules = parse_rules(f'[rules.a]\nsame_as = {{ baseline = "{web.url}/" }}', "rules.toml")
+    with open_recording(SAMPLES / "crash.mcap") as recording:
+        (found,) = check(recording, rules)
+    assert (found.status, found.message) == ("pass", f"equal to {web.url}/crash.mcap within 0 m")
+
+
+def test_times_that_are_no_numbers_are_left_out():
+    with warnings_ignored(), open_recording(carla_log("times.log")) as recording:
+        (found,) = check(recording, parse_rules("[rules.it]\ncollisions = { max = 0 }", "rules.toml"))
+    assert (found.status, found.time) == ("fail", None)
+    assert found.message == "22 collisions instead of at most 0: v (13) collides with v (5)"
+
+
+def test_a_damaged_recording_gives_errors_and_the_rules_that_can_be_judged_are(tmp_path):
+    content = bytearray((SAMPLES / "crash.mcap").read_bytes())
+    content[len(content) // 3 : len(content) // 2] = bytes(len(content) // 2 - len(content) // 3)
+    rules = parse_rules('[rules.map]\nmap = "Brickfield"\n[rules.speed]\nspeed = { max = 99 }', "rules.toml")
+    with open_recording(save(tmp_path / "damaged.mcap", bytes(content))) as recording:
+        verdicts = check(recording, rules)
+    assert verdicts[0].status == "pass"
+    assert verdicts[1].status == "error"
+    assert verdicts[1].message.startswith("byte ")
+
+
+# --- the file ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_description_is_the_authors_or_that_of_the_condition():
+    rules = parse_rules(
+        '[rules.a]\ndescription = "No  harm"\ncollisions = { max = 0 }\n[rules.b]\nblocked = { of = "hero", max = "2 min" }',
+        "rules.toml",
+    )
+    assert [rule.description for rule in rules] == ["No harm", "standing still of the hero: at most 2 min"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "has no rules; a table of the form [rules.NAME] was expected"),
+        ("[rules]", "has no rules; a table of the form [rules.NAME] was expected"),
+        ("[rule.a]", "unknown key 'rule'; did you mean rules? The keys are axes, places, rules"),
+        ("[limits.a]", "unknown key 'limits'; the keys are axes, places, rules"),
+        ("rules = 3", "has no rules; a table of the form [rules.NAME] was expected"),
+        ("[rules.a", "Expected ']'"),
+        ("[rules.a]\nframes = { min = 1 }\n[rules.a]\nframes = { min = 1 }", "Cannot declare ('rules', 'a') twice"),
+        ("[rules]\na = 1", "rule 'a': 1; a table, as [rules.NAME], was expected"),
+        ("[rules.a]", "rule 'a': has no condition; one of collisions, "),
+        ("[rules.a]\ncolisions = { max = 0 }", "rule 'a': unknown condition 'colisions'; did you mean collisions?"),
+        (
+            "[rules.a]\nframes = { min = 1 }\nmap = 'x'",
+            "rule 'a': has the conditions frames and map; one alone was expected",
+        ),
+        ("[rules.a]\ndescription = 1\nmap = 'x'", "rule 'a': description: 1; a text was expected"),
+        (
+            "[rules.a]\ncollisions = 0",
+            "rule 'a': collisions: 0; a table of the keys of, with, at_fault, min, max, during, ",
+        ),
+        ("[rules.a]\ncollisions = {}", "rule 'a': collisions: has no bound; min or max was expected"),
+        (
+            "[rules.a]\ncollisions = { maximum = 0 }",
+            "rule 'a': collisions: unknown key 'maximum'; did you mean max? The keys are of, with, at_fault, min, max",
+        ),
+        ("[rules.a]\ncollisions = { max = -1 }", "collisions.max: -1; a whole number of 0 or more was expected"),
+        ("[rules.a]\ncollisions = { max = true }", "collisions.max: True; a whole number of 0 or more was expected"),
+        ("[rules.a]\ncollisions = { max = 0.5 }", "collisions.max: 0.5; a whole number of 0 or more was expected"),
+        (
+            "[rules.a]\ncollisions = { max = 0, of = 'heros' }",
+            "collisions.of: 'heros'; hero, vehicle, walker, any, role:NAME or ",
+        ),
+        ("[rules.a]\ncollisions = { max = 0, of = ['hero'] }", "collisions.of: ['hero']; hero, vehicle, "),
+        ("[rules.a]\nincidents = { max = 0 }", "incidents.kind: is missing; one or a list of collision, red-light, "),
+        ("[rules.a]\nincidents = { max = 0, kind = 'crash' }", "incidents.kind: 'crash'; one or a list of collision, "),
+        ("[rules.a]\nincidents = { max = 0, kind = [] }", "incidents.kind: []; one or a list of collision, "),
+        (
+            "[rules.a]\nblocked = { of = 'hero' }",
+            'blocked.max: is missing; a number in s, or a text such as "1.5 s" with one of the units s, ',
+        ),
+        ("[rules.a]\nblocked = { max = '60 m' }", "blocked.max: '60 m'; a number in s, or a text such as \"1.5 s\""),
+        ("[rules.a]\nblocked = { max = nan }", "blocked.max: nan; a number in s, or"),
+        ("[rules.a]\nduration = { min = 1e999 }", "duration.min: inf; a number in s, or"),
+        (f"[rules.a]\nduration = {{ min = 1{'0' * 400} }}", "duration.min: "),
+        ("[rules.a]\nduration = { min = 5, max = 4 }", "duration.min: 5 s; no more than max was expected"),
+        ("[rules.a]\nmap = ''", "rule 'a': map: ''; the name of a map or a list of names was expected"),
+        ("[rules.a]\njerk = { min = 3 }", "jerk: unknown key 'min'; the keys are of, max, during, after, until, where, "),
+        ("[rules.a]\nspeed = { min = 3, max = 2 }", "speed.min: 3 m/s; no more than max was expected"),
+        ("[rules.a]\ntime_to_collision = { max = 1 }", "time_to_collision: unknown key 'max'; the keys are of, min, "),
+        ("[rules.a]\npost_encroachment_time = { min = 1, for = 3 }", "unknown key 'for'; "),
+        ("[rules.a]\nspeed = { max = '3 m' }", "speed.max: '3 m'; a number in m/s, or a text such as \"1.5 m/s\""),
+        ("[rules.a]\nsame_as = { tolerance = 1 }", "same_as.baseline: is missing; the path of a recording, or of a folder "),
+        ("[rules.a]\nsame_as = { baseline = ['a'] }", "same_as.baseline: ['a']; the path of a recording, or of a folder "),
+        ("[rules.a]\nsame_as = { baseline = 'http://a', tolerance = -1 }", "same_as.tolerance: -1; a distance of 0 or more"),
+        ('[rules.""]\nmap = "x"', "rule '': a name was expected"),
+        ("a = " + "[" * 100_000, ""),
+    ],
+)
+def test_a_wrong_file_is_an_error_in_one_line_that_names_the_rule_and_what_was_expected(text, message):
+    with pytest.raises(RecapError) as error, time_limit():
+        parse_rules(text, "rules.toml")
+    assert str(error.value).startswith("rules.toml: ")
+    assert message in str(error.value)
+    assert str(error.value).isprintable()
+    assert len(str(error.value)) < 600
+
+
+def test_a_file_that_cannot_be_read_is_an_error(tmp_path):
+    for path, message in [
+        (tmp_path / "absent.toml", "cannot be read: No such file"),
+        (tmp_path, "cannot be read: Is a directory"),
+        (save(tmp_path / "latin.toml", b"[rules.\xe4]"), "byte 7: UTF-8 was expected"),
+        (save(tmp_path / "large.toml", b"# \n" * 4_000_000), "is larger than 64 kB"),
+    ]:
+        with pytest.raises(RecapError, match=message) as error:
+            load_rules(path)
+        assert str(error.value).startswith(str(path))
+
+
+@pytest.mark.parametrize("number", ["9" * 5000, "0x" + "f" * 10_000])
+def test_a_number_of_thousands_of_digits_is_one_line(number):
+    with pytest.raises(RecapError) as caught:
+        parse_rules(f"[rules.short]\nframes = {{ max = {number} }}", "rules.toml")
+    message = str(caught.value)
+    assert message.startswith("rules.toml: ")
+    assert "\n" not in message
+    assert len(message) < 300
+
+
+def test_all_faults_of_a_file_are_said():
+    text = """
+        [rules.a]
+        collisions = { max = -1, off = "hero" }
+        [rules.b]
+        colisions = { max = 0 }
+        [rules.c]
+        duration = { min = "1 min", max = "10 s" }
+        [rules.d]
+        map = "Town01"
+        [rules.e]
+    """
+    with pytest.raises(RulesError) as caught:
+        parse_rules(dedent(text), "rules.toml")
+    assert [fault.removeprefix("rules.toml: ")[:42] for fault in caught.value.faults] == [
+        "rule 'a': collisions.max: -1; a whole numb",
+        "rule 'a': collisions: unknown key 'off'; d",
+        "rule 'b': unknown condition 'colisions'; d",
+        "rule 'c': duration.min: 1 min; no more tha",
+        "rule 'e': has no condition; one of collisi",
+    ]
+    assert str(caught.value).splitlines() == list(caught.value.faults)
+
+
+def test_an_unknown_condition_hides_no_other_fault_of_its_rule():
+    text = '[rules.a]\ndeceleration = { min = 3, max = "2 parsecs" }\nfoo = {}\nframes = { min = -1 }'
+    with pytest.raises(RulesError) as caught:
+        parse_rules(text, "rules.toml")
+    assert [fault.removeprefix("rules.toml: rule 'a': ")[:24] for fault in caught.value.faults] == [
+        "unknown condition 'foo';",
+        "deceleration.max: '2 par",
+        "deceleration: unknown ke",
+        "frames.min: -1; a whole ",
+    ]
+
+
+def test_of_two_conditions_each_is_checked():
+    with pytest.raises(RulesError) as caught:
+        parse_rules("[rules.a]\nframes = { min = -1 }\nmap = 1", "rules.toml")
+    assert len(caught.value.faults) == 3
+
+
+def test_the_actor_beyond_the_number_is_the_offender():
+    found = verdict("crash.mcap", 'actors = { of = "vehicle", max = 1 }')
+    everyone = verdict("crash.mcap", 'actors = { of = "vehicle", max = 0 }')
+    assert found.status == "fail"
+    assert found.details == everyone.details[1:]
+    assert found.actors != everyone.actors
+
+
+def test_no_actor_is_to_blame_if_there_are_too_few():
+    found = verdict("crash.mcap", 'actors = { of = "hero", min = 2 }')
+    assert (found.message, found.time) == ("1 actor (the hero) instead of at least 2", None)
+
+
+def test_the_message_of_a_near_miss_names_one_time():
+    found = verdict("avoided.mcap", 'incidents = { kind = "near-miss", max = 0 }')
+    text = "hero comes within 1.1 s of walker.pedestrian.0004 (44) at 11.00 s, at 50 km/h"
+    assert found.message == f"1 near miss instead of at most 0: {text}"
+    assert found.details == (f"10.60 s: {text}",)
+
+
+def test_thousands_of_faults_are_cut_short():
+    with pytest.raises(RulesError) as caught, time_limit():
+        parse_rules("[rules]\n" + "".join(f"a{index} = 1\n" for index in range(5000)), "rules.toml")
+    assert len(caught.value.faults) == 101
+    assert caught.value.faults[-1] == "rules.toml: and 4900 more faults"
+
+
+@pytest.mark.parametrize("key", ["a" + ".a" * 32_000, "[" + ".".join(["a"] * 30_000) + "]"])
+def test_a_key_of_thousands_of_names_costs_nothing(tmp_path, key):
+    rules = save(tmp_path / "rules.toml", f"{key} = 1\n".encode())
+    script = f"""if True:
+        import resource
+        from carla_recap import load_rules
+        from carla_recap.errors import RecapError
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        try:
+            load_rules({str(rules)!r})
+        except RecapError as error:
+            print(error)
+        print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+    """
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=PATIENCE, check=True)
+    message, kilobytes = done.stdout.splitlines()
+    assert message.startswith(f"{rules}: line 1: has ")
+    assert message.endswith(" dots; keys of a few names were expected")
+    assert int(kilobytes) < 50_000
+
+
+# --- fault ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=[0.0, 0.05, 5.0])
+def struck(request, tmp_path):
+    """A recording in which a walker and the hero meet, and the speed of the hero, in m/s; the walker walks at 2 m/s."""
+    hero = Spawn(1, ActorKind.VEHICLE, type_id="vehicle.tesla.model3", attributes=attributes(role_name="hero"))
+    walker = Spawn(2, ActorKind.WALKER, type_id="walker.pedestrian.0001")
+    with create_recording(tmp_path / "run.log", map_name="Town01") as recorder:
+        for frame in range(6):
+            x = [100 * request.param * frame * 0.1, 1000 - 200 * frame * 0.1]
+            hits = {"id": [0], "actor1": [1], "actor2": [2], "hero1": [True], "hero2": [False]} if frame == 4 else None
+            more = {"collisions": hits} if hits else {}
+            recorder.add_frame(
+                frame * 0.1, spawned=[hero, walker] if frame == 0 else [], transforms={"id": [1, 2], "x": x}, **more
+            )
+    with open_recording(tmp_path / "run.log") as recording:
+        yield recording, request.param
+
+
+def test_an_actor_that_stands_has_not_caused_a_collision(struck):
+    recording, speed = struck
+    caused = speed > 0.1
+    for rule, passes in [
+        ('{ of = "hero", max = 0 }', False),
+        ('{ of = "hero", max = 0, at_fault = true }', not caused),
+        ('{ of = "hero", with = "walker", max = 0, at_fault = true }', not caused),
+        ('{ of = "hero", with = "vehicle", max = 0, at_fault = true }', True),
+        ('{ of = "walker", max = 0, at_fault = true }', False),
+        ("{ max = 0, at_fault = true }", False),
+        ("{ max = 0, at_fault = false }", False),
+    ]:
+        (found,) = check(recording, parse_rules(f"[rules.it]\ncollisions = {rule}", "rules.toml"))
+        assert (rule, found.status) == (rule, "pass" if passes else "fail")
+    (found,) = check(recording, make_rules(collisions={"of": "hero", "max": 0, "at_fault": True}))
+    expected = "1 collision caused by the hero instead of at most 0: " if caused else "no collisions caused by the hero"
+    assert found.message.startswith(expected)
+
+
+def test_baselines_that_are_missing_are_faults_of_the_file(tmp_path):
+    path = tmp_path / "rules.toml"
+    path.write_text(
+        f"[rules.a]\nsame_as = {{ baseline = 'absent' }}\n[rules.b]\nsame_as = {{ baseline = '{SAMPLES}' }}\n"
+        "[rules.c]\nsame_as = { baseline = 'http://127.0.0.1:1/a.mcap' }\n"
+    )
+    with pytest.raises(RulesError) as caught:
+        load_rules(path)
+    expected = "the path of a recording, or of a folder of recordings, was expected"
+    assert caught.value.faults == (f"{path}: rule 'a': same_as.baseline: there is no {tmp_path / 'absent'}; {expected}",)
+
+
+@pytest.mark.parametrize(("short", "name"), SHORT_NAMES.items())
+def test_a_measure_has_a_short_name(short, name):
+    bound = "min" if MEASURES[name].extreme == "least" else "max"
+    rules = [parse_rules(f"[rules.close]\n{each} = {{ {bound} = 1 }}", "rules.toml").rules for each in (short, name)]
+    assert rules[0] == rules[1]
