@@ -34,7 +34,7 @@ from carla_recap.sim.town.loading import load_town
 
 def load_rules(path):
     town = load_town(path)
-    Rules(town.lanes, town.signals)
+    Rules(town.lanes, town.index, town.signals)
 
 def outcome(name, path):
     try:

@@ -42,15 +42,15 @@ def test_borders_are_half_a_width_beside_the_centre(lanes: dict[tuple[int, int],
         assert np.cos(lane.headings) == pytest.approx(ahead)
 
 
-def test_a_limit_is_that_of_the_road_in_the_middle_of_the_lane() -> None:
-    """The limits of the first road change before and behind its middle."""
+def test_limits_are_of_signs_of_the_lane_or_of_the_road() -> None:
+    """The limits of the first road change before and behind the sign in its middle."""
     town = '<type s="0" type="town"><speed max="50" unit="km/h"/></type>'
     changed = "".join(
         f'<type s="{s}" type="town"><speed max="{limit}" unit="km/h"/></type>' for s, limit in ((0, 50), (49, 36), (51, 72))
     )
     lanes = TownRoads(read_opendrive(STRAIGHT_ROAD.replace(town, changed, 1))).lanes
-    assert {(lane.road, lane.id): lane.limit for lane in lanes if lane.id == -1} == {
-        (1, -1): 10,
-        (2, -1): pytest.approx(50 / 3.6),
-        (3, -1): None,
-    }
+    limits = {(lane.road, lane.id): np.unique(np.round(lane.limits * 3.6, 6)) for lane in lanes}
+    assert limits[1, -1].tolist() == [36, 50, 72]
+    assert limits[1, 1].tolist() == [36, 50, 72]
+    assert (limits[2, -1].tolist(), limits[2, 1].tolist()) == ([50], [30])
+    assert np.isnan(limits[3, -1]).all()

@@ -56,7 +56,7 @@ def test_junctions_are_known(roads: RoadNetwork) -> None:
     assert found.in_junction.tolist() == [False, True, False]
 
 
-def test_limits_are_of_the_lane_else_the_higher_one_of_road_and_sign(roads: RoadNetwork) -> None:
+def test_limits_are_of_the_sign_before_else_of_the_lane_else_of_the_road(roads: RoadNetwork) -> None:
     found = roads.lanes_at(np.array([(20.0, -1.75), (80.0, -1.75), (80.0, 1.75), (180.0, 1.75), (110.0, 1.75)]))
     assert found.limit * _KMH == pytest.approx([50, 72, 50, 30, np.nan], nan_ok=True)
 

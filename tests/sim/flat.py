@@ -32,7 +32,7 @@ def lane(index: int = 0, y: float = 0.0, junction: int | None = None) -> Lane:
         s=x,
         heading=np.zeros(len(x)),
         width=3.5,
-        speed_limit=14.0,
+        limits=np.full(len(x), 14.0),
         successors=(index,),
         predecessors=(index,),
         left=None,

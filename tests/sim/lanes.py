@@ -42,7 +42,8 @@ def lane(
     steps = np.stack((np.cos(middle), np.sin(middle)), axis=1) * length / (len(fine) - 1)
     places = np.concatenate((np.array((start,)), start + np.cumsum(steps, axis=0)))
     points = np.column_stack((places, np.zeros(len(fine))))[::40]
-    return Lane(index, 1, 0, -1, points, s, heading[::40], 3.5, LIMIT, successors, (), left, right, junction, turn)
+    limits = np.full(len(s), LIMIT)
+    return Lane(index, 1, 0, -1, points, s, heading[::40], 3.5, limits, successors, (), left, right, junction, turn)
 
 
 def ring(*pieces: tuple[float, float], start: tuple[float, float] = (0.0, 0.0)) -> list[Lane]:

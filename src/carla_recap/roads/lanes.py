@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.roads.opendrive import LIGHT, SPEED_LIMIT, RoadSignal, in_carlas_order, lanes_length, limit_lanes, single
+from carla_recap.roads.speed_limits import lane_limits, limit_signs
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -52,7 +53,7 @@ class LaneGeometry:
         headings: The driving directions, (n,).
         changes: Whether the markings allow to change to the lane on the left, and to the lane on the right.
         successors: The road, section and id of each lane that follows.
-        limit: Its own speed limit in m/s, or that of the road; None without one.
+        limits: The speed limits at the stations in m/s, (n,); NaN where there is none.
     """
 
     road: int
@@ -67,7 +68,7 @@ class LaneGeometry:
     headings: Floats
     changes: tuple[bool, bool]
     successors: tuple[Name, ...]
-    limit: float | None
+    limits: Floats
 
     @property
     def is_driving(self) -> bool:
@@ -134,6 +135,7 @@ class TownRoads:
         self.content = content
         numbered = {road.number: road for road in reversed(content.roads)}
         self._roads = {number: numbered[number] for number in in_carlas_order(road.number for road in content.roads)}
+        self._signs = dict(zip(self._roads, limit_signs(self._roads.values()), strict=True))
 
     @cached_property
     def lanes(self) -> list[LaneGeometry]:
@@ -215,7 +217,7 @@ class TownRoads:
             headings,
             _changes(lane, beside, float(stations[len(stations) // 2]) - section.start),
             tuple(self._successors(road, section, lane)),
-            _limit(road, lane, float(stations[0] + stations[-1]) / 2),
+            lane_limits(road, section, lane, self._signs[road.number], stations),
         )
 
     def _successors(self, road: Road, section: RoadSection, lane: RoadLane) -> Iterator[Name]:
@@ -356,14 +358,6 @@ def _marked(lane: RoadLane | None, along: float) -> str:
     marks = [] if lane is None else list(takewhile(lambda mark: mark.start <= along, lane.markings))
     found = marks[-1].changes if marks else "both"
     return found if found in ("increase", "decrease", "none") else "both"
-
-
-def _limit(road: Road, lane: RoadLane, station: float) -> float | None:
-    """Return the speed limit of a lane, or that of the road at a station."""
-    own = [limit for _, limit in lane.limits if np.isfinite(limit)]
-    of_road = [limit for start, limit in road.limits if start <= station] or [limit for _, limit in road.limits[:1]]
-    known = own[:1] or [limit for limit in of_road[-1:] if np.isfinite(limit)]
-    return known[0] if known else None
 
 
 def _limit_sign(road: Road, thing: RoadObject) -> RoadSignal | None:

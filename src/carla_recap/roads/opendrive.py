@@ -48,7 +48,7 @@ _MOST_OF_SIDE: Final = 40  # lanes
 _MOST_LANES: Final = 80_000  # of a file
 _MOST_RECORDS: Final = 20_000  # of one kind, of a road
 _MOST_CORNERS: Final = 100
-_LIMIT_OBJECT: Final = re.compile(r"Speed_?(\d{1,3})")
+_LIMIT_OBJECT: Final = re.compile(r"[Ss]peed_(?:STATIC_)?(\d+(?:\.\d+)?)")
 _MOST_IN_JUNCTION: Final = 500  # lanes; CARLA's junctions have up to 60
 _MOST_CONNECTIONS: Final = 20_000  # of a junction
 _LONGEST: Final = 40_000.0  # m of a road
@@ -216,8 +216,8 @@ class RoadObject:
 
     @property
     def speed_limit(self) -> float | None:
-        """The number on it, if it is a speed-limit sign, as in CARLA's towns."""
-        named = _LIMIT_OBJECT.fullmatch(self.name)
+        """The number on it in km/h, if it is a speed-limit sign, as in CARLA's towns."""
+        named = _LIMIT_OBJECT.match(self.name)
         return float(named[1]) if named else None
 
 

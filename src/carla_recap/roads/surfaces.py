@@ -8,34 +8,29 @@ from functools import lru_cache
 from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from carla_recap.errors import FormatError
 from carla_recap.roads import network as roads
-from carla_recap.roads import opendrive
 from carla_recap.roads.cells import LARGEST_GAP, find_areas
 from carla_recap.roads.corridors import is_of_corridors
 from carla_recap.roads.files import content_digest, expecting, read_parts
 from carla_recap.roads.find import find_map
 from carla_recap.roads.network import LANE_KINDS, RoadNetwork
-from carla_recap.roads.opendrive import (
-    BEFORE_END,
-    borders_at,
-    in_metres_per_second,
-    read_opendrive,
-    sparse_sections,
-)
-from carla_recap.roads.stop_lines import applies_to, lanes_on_side, signal_tables
+from carla_recap.roads.opendrive import BEFORE_END, borders_at, read_opendrive, sparse_sections
+from carla_recap.roads.speed_limits import lane_limits, limit_signs
+from carla_recap.roads.stop_lines import signal_tables
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from carla_recap.roads.drawing import RoadMap
-    from carla_recap.roads.opendrive import Road, RoadLane, RoadSection, SparseSection
+    from carla_recap.roads.opendrive import Road, SparseSection
+    from carla_recap.roads.speed_limits import LimitSign
     from carla_recap.util.arrays import Floats
 
     Lane = tuple[int, int, int]
@@ -169,7 +164,7 @@ class _LaneMaker:
                 self.junctions.setdefault(road.junction, len(self.junctions))
         self._lanes: list[tuple[int, int, int, int, int]] = []
         self._pieces: list[NDArray[np.void]] = []
-        signs = [list(_signs(road)) for road in found]
+        signs = limit_signs(found)
         for part in sparse_sections(found, _SPACING, _MOST_POINTS, _MOST_PIECES):
             self._add(part, signs[part.number])
 
@@ -184,13 +179,14 @@ class _LaneMaker:
         used, pieces["lane"] = np.unique(pieces["lane"], return_inverse=True)
         return np.array(self._lanes, roads.LANE)[used], pieces
 
-    def _add(self, part: SparseSection, signs: Sequence[_LimitSign]) -> None:
+    def _add(self, part: SparseSection, signs: Sequence[LimitSign]) -> None:
         number, road, section, stations = part
         lanes = section.lanes
         if not any(lane.kind in self._kinds for lane in lanes):
             return
         start, end = section.start, section.end - BEFORE_END
         changes = [*(station for station, _ in road.limits), *(sign.station for sign in signs)]
+        changes += [start + along for lane in lanes for along, _ in lane.limits]
         changes = [station for station in changes if start + 0.1 < station < end - 0.1]
         stations = np.union1d(stations, changes)
         points, offsets, lefts, _ = borders_at(road, section, stations)
@@ -203,7 +199,7 @@ class _LaneMaker:
                 continue
             pieces = _pieces(middles[side][paved], lefts, halves[side][paved], reverse=reverse)
             for row, lane in zip(pieces, (lane for lane in lanes[side] if lane.kind in self._kinds), strict=True):
-                limits = _limits(road, section, lane, signs, (stations[1:] + stations[:-1]) / 2)
+                limits = lane_limits(road, section, lane, signs, (stations[1:] + stations[:-1]) / 2)
                 row["limit"] = limits[::-1] if reverse else limits
                 row["lane"] = len(self._lanes)
                 self._lanes.append((number, position, lane.id, self._kinds[lane.kind], junction))
@@ -221,53 +217,6 @@ def _pieces(middles: Floats, lefts: Floats, halves: Floats, *, reverse: bool) ->
         pieces[f"left_x{end}"], pieces[f"left_y{end}"] = lefts[part, 0], lefts[part, 1]
         pieces[f"half{end}"] = halves[:, part]
     return pieces
-
-
-# --- speed limits --------------------------------------------------------------------------------------------------------
-
-
-class _LimitSign(NamedTuple):
-    """A speed-limit sign: its station, the limit in m/s, and the lanes for which it applies."""
-
-    station: float
-    limit: float
-    lanes: tuple[tuple[int, int], ...]
-
-
-def _signs(road: Road) -> Iterator[_LimitSign]:
-    for signal in road.signals:
-        if signal.kind == opendrive.SPEED_LIMIT:
-            limit = in_metres_per_second(signal.value, signal.unit or "km/h")  # CARLA's signs are in km/h
-            lanes = signal.lanes or lanes_on_side(signal.ahead)
-            if limit is not None:
-                yield _LimitSign(signal.station, limit, lanes)
-    for thing in road.objects:
-        limit = in_metres_per_second(thing.speed_limit, "km/h")
-        if limit is not None:
-            yield _LimitSign(thing.station, limit, lanes_on_side(thing.offset < 0))
-
-
-def _limits(road: Road, section: RoadSection, lane: RoadLane, signs: Sequence[_LimitSign], stations: Floats) -> Floats:
-    """Return the speed limits of a lane: its own, else the higher one of those of the road and of the sign before."""
-    if not (lane.limits or road.limits or signs):
-        return np.full(len(stations), np.nan)
-    own = _stepwise(lane.limits, stations - section.start)
-    of_road = _stepwise(road.limits, stations)
-    of_lane = [(sign.station, sign.limit) for sign in signs if applies_to(lane.id, sign.lanes)]
-    if lane.id > 0:
-        signed = _stepwise(sorted((road.length - station, limit) for station, limit in of_lane), road.length - stations)
-    else:
-        signed = _stepwise(sorted(of_lane), stations)
-    return np.where(np.isfinite(own), own, np.fmax(of_road, signed))
-
-
-def _stepwise(steps: Sequence[tuple[float, float]], stations: Floats) -> Floats:
-    """Return the values of a function that is constant from each step to the next one; NaN before the first one."""
-    if not steps:
-        return np.full(len(stations), np.nan)
-    starts, values = np.array(steps).T
-    found: Floats = np.append(values, np.nan)[np.searchsorted(starts, stations, "right") - 1]
-    return found
 
 
 # --- the gaps between the lanes of junctions -----------------------------------------------------------------------------

@@ -103,7 +103,7 @@ class SnapshotEncoder:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._rules = Rules(world.town.lanes, world.town.signals)
+        self._rules = Rules(world.town.lanes, world.town.index, world.town.signals)
         self._light_ids = np.array([*(light.id for light in world.traffic_lights), 0])  # row NO_LIGHT is the last
         self._ids: object = None
         self._arrays: list[NDArray[np.void]] = []

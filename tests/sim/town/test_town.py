@@ -120,18 +120,19 @@ def test_lanes_beside_each_other_where_the_marks_allow_to_change(brickfield: Tow
 
 
 def test_speed_limits(brickfield: Town) -> None:
-    limits = {round(one.speed_limit * 3.6) for one in brickfield.lanes if one.junction is None}
+    limits = {round(limit * 3.6) for one in brickfield.lanes if one.junction is None for limit in one.limits}
     assert limits == {30, 50}
-    assert [one.speed_limit for one in loaded("Town01").lanes] == pytest.approx([25 * 0.44704] * 124)
+    town01 = np.round(loaded("Town01").index.limits * 3.6, 3)
+    assert np.unique(town01).tolist() == [30, 40.234, 60, 90]  # of signs, and 25 mph of roads
 
 
 def test_without_records_the_speed_limit_is_that_of_a_sign_or_else_of_carla(tmp_path: Path) -> None:
     told = made_of(tmp_path, road(sections=section(0, right=lane(-1)), inside=sign("274", s=5, value=70)))
-    assert told.lanes[0].speed_limit == pytest.approx(70 / 3.6)
+    assert told.index.limit(np.array((0, 0)), np.array((4.0, 6.0))) * 3.6 == pytest.approx([30, 70])
     (limit,) = told.signals
     assert (limit.kind, limit.speed_limit) == (SignalKind.SPEED_LIMIT, pytest.approx(70 / 3.6))
     assert limit.stops == ((0, pytest.approx(5, abs=0.1)),)
-    assert made_of(tmp_path, road()).lanes[0].speed_limit == pytest.approx(30 / 3.6)
+    assert made_of(tmp_path, road()).lanes[0].limits == pytest.approx(30 / 3.6)
 
 
 @pytest.mark.parametrize(
@@ -148,9 +149,9 @@ def test_without_records_the_speed_limit_is_that_of_a_sign_or_else_of_carla(tmp_
 def test_units_of_speed_limits(tmp_path: Path, speed: str, limit: float) -> None:
     plain = road(sections=section(0, right=lane(-1)))
     fast = plain.replace("<planView>", f'<type s="0" type="town"><speed {speed}/></type><planView>')
-    assert made_of(tmp_path, fast).lanes[0].speed_limit == pytest.approx(limit)
+    assert made_of(tmp_path, fast).lanes[0].limits == pytest.approx(limit)
     lane_alone = plain.replace("</lane></right>", f'<speed sOffset="0" {speed}/></lane></right>')
-    assert made_of(tmp_path, lane_alone).lanes[0].speed_limit == pytest.approx(limit)
+    assert made_of(tmp_path, lane_alone).lanes[0].limits == pytest.approx(limit)
 
 
 # --- places on lanes -----------------------------------------------------------------------------------

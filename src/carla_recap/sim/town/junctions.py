@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.roads import opendrive
-from carla_recap.roads.opendrive import in_metres_per_second
+from carla_recap.roads.speed_limits import sign_limit
 from carla_recap.sim.geometry import Location, Rotation, Transform
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from carla_recap.roads.lanes import Landmark, LaneGeometry
     from carla_recap.roads.opendrive import OpenDrive
-    from carla_recap.sim.town.lanes import Lane
+    from carla_recap.sim.town.lanes import Lane, LaneIndex
     from carla_recap.util.arrays import Floats, Integers
 
 
@@ -173,7 +173,7 @@ def _signal(
         opendrive_id=first.id,
         kind=kind,
         transform=Transform(Location(x, -y, z), Rotation(yaw=(yaw + 180) % 360 - 180)),
-        speed_limit=_speed(first) if kind is SignalKind.SPEED_LIMIT else None,
+        speed_limit=sign_limit(first.value) if kind is SignalKind.SPEED_LIMIT else None,
         junction=min((junction for junction in junctions if junction is not None), default=None),
         controller=None,
         stops=tuple(sorted(stops.items())),
@@ -216,11 +216,6 @@ def _stops(
             share = (sign.station - start) / (stop - start) if stop != start else 1.0
             stops[lane.index] = min(max(share, 0.0), 1.0) * lane.length
     return stops, governs
-
-
-def _speed(sign: Landmark) -> float | None:
-    """Return the limit on a sign; without a unit, CARLA's signs are in km/h."""
-    return in_metres_per_second(sign.value, sign.unit or "km/h")
 
 
 def _controlled(signals: list[Signal], lanes: Sequence[Lane], controllers: Mapping[str, list[str]]) -> list[Signal]:
@@ -353,11 +348,12 @@ class Rules:
 
     Args:
         lanes: The lanes.
+        index: The points of the lanes.
         signals: The traffic lights and signs.
     """
 
-    def __init__(self, lanes: Sequence[Lane], signals: Sequence[Signal]) -> None:
-        self._limit = np.array([lane.speed_limit for lane in lanes])
+    def __init__(self, lanes: Sequence[Lane], index: LaneIndex, signals: Sequence[Signal]) -> None:
+        self._index = index
         zones = sorted(set(_zones(lanes, signals)))
         self._begin = np.array([zone[1] for zone in zones])
         self._end = np.array([zone[2] for zone in zones])
@@ -379,7 +375,7 @@ class Rules:
             zone = self._first[lane[some]] + place
             inside = (self._begin[zone] <= s[some]) & (s[some] <= self._end[zone])
             light[some[inside]] = self._light[zone[inside]]
-        return LaneRules(self._limit[lane], light)
+        return LaneRules(self._index.limit(lane, s), light)
 
 
 def _zones(lanes: Sequence[Lane], signals: Sequence[Signal]) -> Iterator[tuple[int, float, float, int]]:

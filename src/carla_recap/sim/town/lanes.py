@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _SPACING: Final = 1.0  # m between points
 DEFAULT_LIMIT: Final = 30 / 3.6  # m/s: CARLA's, where a map says nothing
 _BEND: Final = np.radians(35)  # what bends less goes straight on
-_TO_LEFT_HANDED: Final = np.array((1.0, -1, 1, -1, 1))
+_TO_LEFT_HANDED: Final = np.array((1.0, -1, 1, -1, 1, 1))
 _SHORTEST: Final = 1e-3  # m: so that one may divide by lengths
 _CELL: Final = 4.0  # m: no nearest lane is farther than that from a vehicle on a road
 _AGAINST: Final = 32.0  # m²: what it costs to drive against a lane's direction
@@ -53,7 +53,7 @@ class Lane:
         s: The distances of the points along the lane, (n,).
         heading: The directions of travel at the points, (n,); continuous, so that they may leave ±π.
         width: The width halfway, in m.
-        speed_limit: The speed limit in m/s.
+        limits: The speed limits at the points in m/s, (n,).
         successors: The lanes that begin where it ends.
         predecessors: The lanes that end where it begins.
         left: The lane of the same direction on the left, if the marks allow to change to it.
@@ -70,7 +70,7 @@ class Lane:
     s: Floats
     heading: Floats
     width: float
-    speed_limit: float
+    limits: Floats
     successors: tuple[int, ...]
     predecessors: tuple[int, ...]
     left: int | None
@@ -85,7 +85,7 @@ class Lane:
 
 
 def make_lanes(courses: Sequence[LaneGeometry]) -> list[Lane]:
-    """Return lanes for cars, without speed limits, at the indices of their courses.
+    """Return lanes for cars, at the indices of their courses.
 
     Raises:
         ValueError: There is none, or a coordinate is not finite.
@@ -98,7 +98,9 @@ def make_lanes(courses: Sequence[LaneGeometry]) -> list[Lane]:
     for number, following in enumerate(after):
         for other in following:
             before[other].append(number)
-    return [_lane(number, course, after[number], before[number], index) for number, course in enumerate(courses)]
+    lanes = [_lane(number, course, after[number], before[number], index) for number, course in enumerate(courses)]
+    _complete_limits(lanes)
+    return lanes
 
 
 def _lane(
@@ -122,7 +124,7 @@ def _lane(
         s=np.linspace(0, length, len(rows)),
         heading=rows[:, 3].copy(),
         width=float(rows[len(rows) // 2, 4]),
-        speed_limit=DEFAULT_LIMIT,
+        limits=course.limits[np.searchsorted(course.stations, rows[:, 5], "right") - 1],
         successors=tuple(after),
         predecessors=tuple(before),
         left=left,
@@ -133,9 +135,9 @@ def _lane(
 
 
 def _rows(course: LaneGeometry) -> Floats:
-    """Return evenly spaced rows of x, y, z, heading and width in the direction of travel, in CARLA's axes."""
+    """Return evenly spaced rows of x, y, z, heading, width and station in the direction of travel, in CARLA's axes."""
     width = np.linalg.norm(course.left - course.right, axis=1)
-    rows: Floats = np.column_stack((course.centre, np.unwrap(course.headings), width)) * _TO_LEFT_HANDED
+    rows: Floats = np.column_stack((course.centre, np.unwrap(course.headings), width, course.stations)) * _TO_LEFT_HANDED
     if course.reverse:
         rows = rows[::-1]
     at = stations(rows[:, :3])
@@ -146,27 +148,25 @@ def _rows(course: LaneGeometry) -> Floats:
     return spaced
 
 
-def with_limits(lanes: Sequence[Lane], courses: Sequence[LaneGeometry], signed: Mapping[int, float | None]) -> list[Lane]:
-    """Return lanes with speed limits: their own, or that of a sign or of a lane from which one comes, or the default.
+def _complete_limits(lanes: Sequence[Lane]) -> None:
+    """Set the speed limits that a map does not say: the one before on the same lane, or on one that leads to it.
 
-    Args:
-        lanes: The lanes.
-        courses: Their courses.
-        signed: The limits of signs on lanes.
+    Without one, the limit is the default.
     """
-    limits = [
-        signed.get(lane.index) if course.limit is None else course.limit for lane, course in zip(lanes, courses, strict=True)
-    ]
-    known = [lane for lane in lanes if limits[lane.index] is not None]
+    known = []
+    for lane in lanes:
+        latest = np.maximum.accumulate(np.where(np.isfinite(lane.limits), np.arange(len(lane.limits)), 0))
+        lane.limits[:] = lane.limits[latest]
+        if np.isfinite(lane.limits[-1]):
+            known.append(lane)
     for lane in known:  # grows
-        for other in lane.successors:
-            if limits[other] is None:
-                limits[other] = limits[lane.index]
-                known.append(lanes[other])
-    return [
-        replace(lane, speed_limit=DEFAULT_LIMIT if limit is None else limit)
-        for lane, limit in zip(lanes, limits, strict=True)
-    ]
+        for other in (lanes[index] for index in lane.successors):
+            unknown = np.isnan(other.limits)
+            if unknown[-1]:
+                known.append(other)
+            other.limits[unknown] = lane.limits[-1]
+    for lane in lanes:
+        lane.limits[np.isnan(lane.limits)] = DEFAULT_LIMIT
 
 
 class LaneIndex:
@@ -178,6 +178,7 @@ class LaneIndex:
     Attributes:
         points: The points of all lanes, one after another, (n, 3).
         heading: The directions of travel at them, (n,).
+        limits: The speed limits at them in m/s, (n,).
         lane_of: The lane of each point, (n,).
         first: The first point of each lane, (lanes,).
         count: The number of points of each, (lanes,).
@@ -189,6 +190,7 @@ class LaneIndex:
     def __init__(self, lanes: Sequence[Lane]) -> None:
         self.points = np.concatenate([lane.points for lane in lanes])
         self.heading = np.concatenate([lane.heading for lane in lanes])
+        self.limits = np.concatenate([lane.limits for lane in lanes])
         self.count = np.array([len(lane.points) for lane in lanes])
         self.first = np.cumsum(self.count) - self.count
         self.lane_of = np.repeat(np.arange(len(lanes)), self.count)
@@ -221,6 +223,11 @@ class LaneIndex:
         point, share = self.steps(np.asarray(lane), np.asarray(s, np.float64))
         place = self.points[point] + share[:, None] * (self.points[point + 1] - self.points[point])
         return place, self.heading[point] + share * (self.heading[point + 1] - self.heading[point])
+
+    def limit(self, lane: Integers, s: Floats) -> Floats:
+        """Return the speed limits at some distances along lanes, in m/s."""
+        limit: Floats = self.limits[self.steps(lane, s)[0]]
+        return limit
 
     def steps(self, lane: Integers, s: Floats) -> tuple[Integers, Floats]:
         """Return the points before some distances along lanes, and the shares of the way to the next ones."""

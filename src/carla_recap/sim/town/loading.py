@@ -22,7 +22,7 @@ from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.sim.geometry import Location, Rotation, Transform
 from carla_recap.sim.town.graph import largest_strong_component
 from carla_recap.sim.town.junctions import make_junctions, make_signals
-from carla_recap.sim.town.lanes import LaneIndex, make_lanes, with_limits
+from carla_recap.sim.town.lanes import LaneIndex, make_lanes
 from carla_recap.sim.town.sidewalks import make_walks
 
 if TYPE_CHECKING:
@@ -146,10 +146,6 @@ def make_town(text: str, path: Path) -> Town:
         )
         lanes = make_lanes(courses)
         signals = make_signals(roads.landmarks, lanes, courses, roads.content.controllers)
-        signed = {
-            lane: signal.speed_limit for signal in signals if signal.speed_limit is not None for lane, _ in signal.stops
-        }
-        lanes = with_limits(lanes, courses, signed)
         walks = make_walks(roads)
         return Town(
             "",

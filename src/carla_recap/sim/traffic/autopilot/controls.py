@@ -144,9 +144,8 @@ def _desired_speed(state: AutopilotState) -> Floats:
     cars, drivers, routes, network, _ = state
     soon = _FORESIGHT * cars.speed
     lanes = routes.lanes[:, : routes.known]
-    limit = network.limit[lanes] * drivers.speed_factor[:, None]
-    entry = np.minimum(limit, network.entry_speed[lanes])
-    entry[:, 0] = limit[:, 0]
+    entry = np.minimum(network.entry_limit[lanes] * drivers.speed_factor[:, None], network.entry_speed[lanes])
+    entry[:, 0] = network.limit(lanes[:, 0], routes.position - routes.starts[:, 0]) * drivers.speed_factor
     to_start = np.maximum(routes.starts[:, : routes.known] - (routes.position + soon)[:, None], 0)
     ahead: Floats = np.sqrt((entry * entry + 2 * CURVE_BRAKING * to_start).min(axis=1))
     lane, s = routes.locate(soon[:, None])

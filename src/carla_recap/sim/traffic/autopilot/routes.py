@@ -63,7 +63,7 @@ class LaneNetwork:
 
     Attributes:
         length: The length of each lane in m.
-        limit: The speed limit of each lane in m/s.
+        entry_limit: The speed limit at the beginning of each lane in m/s.
         entry_speed: The speed that the curves of each lane allow at its beginning, in m/s.
         junction: The junction that each lane belongs to, or `NONE`.
         left: The adjacent lane on the left that vehicles may change to, or `NONE`.
@@ -80,7 +80,7 @@ class LaneNetwork:
         self._curvature = np.concatenate(curvature)
         self._safe_speed = np.concatenate([_safe_speed(lane, bend) for lane, bend in zip(lanes, curvature, strict=True)])
         self.length = index.length
-        self.limit = np.array([lane.speed_limit for lane in lanes])
+        self.entry_limit = index.limits[index.first]
         self.entry_speed = self._safe_speed[index.first]
         self.junction = _optional([lane.junction for lane in lanes])
         self.left = _optional([lane.left for lane in lanes])
@@ -107,6 +107,10 @@ class LaneNetwork:
         """Return the curvature at points in 1/m, positive to the right."""
         curvature: Floats = self._curvature[points[0]]
         return curvature
+
+    def limit(self, lane: Integers, s: Floats) -> Floats:
+        """Return the speed limits at distances along lanes, in m/s."""
+        return self._index.limit(lane, s)
 
     def safe_speed(self, points: Points) -> Floats:
         """Return the speed at points that the curves there and ahead on the same lane allow, in m/s."""
@@ -364,7 +368,8 @@ def lane_changes(state: AutopilotState, leader: tuple[Floats, Floats], decision:
         able & np.isinf(drivers.junction_end) & (np.abs(drivers.lateral_offset) < _CENTRED) & _is_straight(routes, network)
     )
     distance, speed = leader
-    slowed = (distance < _NEAR * drivers.desired_gap(cars.speed, cars.speed)) & (speed < _SLOW * network.limit[lane])
+    limit = network.limit(lane, routes.position - routes.starts[:, 0])
+    slowed = (distance < _NEAR * drivers.desired_gap(cars.speed, cars.speed)) & (speed < _SLOW * limit)
     for row in np.flatnonzero(able & slowed).tolist():
         for side, other in ((-1, int(left[row])), (1, int(right[row]))):
             if other != NONE and _has_room(cars, row, side, vehicles):

@@ -1,0 +1,1 @@
+"""Slow and obvious twins of what computes in a clever way, for tests that compare both."""
