@@ -76,31 +76,6 @@ def test_all_lanes_of_sections_with_one_for_cars_are_there(both: tuple[TownRoads
     )
 
 
-def test_what_follows_and_what_is_beside_is_equal(both: tuple[TownRoads, Any]) -> None:
-    roads, town = both
-    before: dict[tuple[int, int, int], set[tuple[int, int, int]]] = {}
-    for lane in roads.lanes:
-        end = at(town, lane, 0 if lane.reverse else -1)
-        following = {(point.road_id, point.section_id, point.lane_id) for point in end.next(0.01)}
-        assert following == set(lane.successors)
-        for name in following:
-            before.setdefault(name, set()).add((lane.road, lane.section, lane.id))
-        middle = at(town, lane, len(lane.stations) // 2)
-        allowed = {(False, False): "NONE", (True, False): "Left", (False, True): "Right", (True, True): "Both"}
-        assert str(middle.lane_change) == allowed[lane.changes]
-    names = {(lane.road, lane.section, lane.id): lane for lane in roads.lanes}
-    for name, lane in names.items():
-        start = at(town, lane, -1 if lane.reverse else 0)
-        previous = {(point.road_id, point.section_id, point.lane_id) for point in start.previous(0.01)}
-        assert {other for other in previous if other in names} == before.get(name, set()) - {name}
-        middle = at(town, lane, len(lane.stations) // 2)
-        towards = 1 if lane.reverse else -1  # the numbers to the right
-        for side, step in ((middle.get_right_lane(), towards), (middle.get_left_lane(), -towards)):
-            number = lane.id + step or lane.id + 2 * step
-            beside = (lane.road, lane.section, number)
-            assert (side is not None and (side.road_id, side.section_id, side.lane_id) == beside) == (beside in names)
-
-
 def test_the_topology_is_equal(both: tuple[TownRoads, Any]) -> None:
     roads, town = both
     starts = {(one.road_id, one.section_id, one.lane_id) for one, _ in town.get_topology()}

@@ -15,6 +15,7 @@ from carla_recap.roads.network import LIGHT, NONE, STOP, RoadNetwork
 from carla_recap.roads.surfaces import build_network, find_road_network, load_road_network, road_network_of
 
 from .straight_road import STRAIGHT_ROAD
+from .towns import mirrored
 
 _MAPS = Path(__file__).parents[3] / "shared" / "data" / "maps"
 _KMH = 3.6
@@ -69,6 +70,21 @@ def test_lights_and_stop_signs_close_their_lanes_at_the_border_of_the_junction(r
     assert (east["x0"], east["y0"], east["x1"], east["y1"]) == pytest.approx((100, 0, 100, -3.5), abs=1e-4)
     assert (west["x0"], west["y0"], west["x1"], west["y1"]) == pytest.approx((120, 0, 120, 3.5), abs=1e-4)
     assert np.cos((east["heading"], west["heading"])) == pytest.approx((1, -1))
+
+
+def test_left_hand_traffic_is_right_hand_traffic_in_a_mirror(roads: RoadNetwork) -> None:
+    other = build_network(mirrored(STRAIGHT_ROAD), "Mirrored")
+    x, y = np.meshgrid(np.arange(0.5, 220.0, 7.0), np.arange(-6.0, 6.0, 0.7))
+    points = np.stack((x.ravel(), y.ravel()), axis=1)
+    found, seen = roads.lanes_at(points), other.lanes_at(points * (1, -1))
+    assert np.cos(found.heading) == pytest.approx(np.cos(seen.heading))
+    assert found.offset == pytest.approx(-seen.offset)
+    assert found.limit == pytest.approx(seen.limit, nan_ok=True)
+    assert (found.outside == seen.outside).all()
+    assert roads.signals["heading"] == pytest.approx(other.signals["heading"])
+    for end, opposite in (("0", "1"), ("1", "0")):  # the left end is the right one of the mirror
+        assert roads.stop_lines[f"x{end}"] == pytest.approx(other.stop_lines[f"x{opposite}"])
+        assert roads.stop_lines[f"y{end}"] == pytest.approx(-other.stop_lines[f"y{opposite}"])
 
 
 def test_lanes_above_each_other_are_told_apart_by_height() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -72,3 +73,23 @@ def painted_stop(station: float, t: float, length: float) -> str:
         f'<objects><object id="9" name="StopLine" s="{station}" t="{t}" zOffset="0" hdg="1.5707963267948966" roll="0"'
         f' pitch="0" orientation="+" type="-1" width="0" length="{length}"/></objects>'
     )
+
+
+def mirrored(text: str) -> str:
+    """Return a map of lines and arcs as seen in a mirror along the x axis: what keeps right there, keeps left."""
+    turned = re.sub(r'\b(y|hdg|t|v|hOffset|curvature)="(-?[^"]*)"', lambda found: _negated(*found.groups()), text)
+    turned = re.sub(r'(<lane |<predecessor |<successor )(id)="(-?\d+)"', lambda m: m[1] + _negated(*m.groups()[1:]), turned)
+    turned = re.sub(r'(<(?:validity|laneLink) )(\w+)="(-?\d+)" (\w+)="(-?\d+)"', _negated_pair, turned)
+    turned = re.sub(r"<(/?)(left|right)>", lambda found: f"<{found[1]}{_OPPOSITE[found[2]]}>", turned)
+    return re.sub(r"<road ", '<road rule="LHT" ', turned)
+
+
+_OPPOSITE = {"left": "right", "right": "left"}
+
+
+def _negated(name: str, value: str) -> str:
+    return f'{name}="{value[1:] if value.startswith("-") else f"-{value}"}"'
+
+
+def _negated_pair(found: re.Match[str]) -> str:
+    return f"{found[1]}{_negated(found[2], found[3])} {_negated(found[4], found[5])}"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import takewhile
+from itertools import islice, takewhile
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -17,7 +17,7 @@ from carla_recap.roads.opendrive import LIGHT, SPEED_LIMIT, RoadSignal, in_carla
 from carla_recap.roads.speed_limits import lane_limits, limit_signs
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from carla_recap.roads.opendrive import OpenDrive, Road, RoadLane, RoadObject, RoadSection
     from carla_recap.util.arrays import Floats
@@ -51,6 +51,7 @@ class LaneGeometry:
         left: The points of the left border, as seen in driving direction, (n, 3).
         right: The points of the border to the right.
         headings: The driving directions, (n,).
+        reverse: Whether the driving direction is from the last point to the first, against that of the road.
         changes: Whether the markings allow to change to the lane on the left, and to the lane on the right.
         successors: The road, section and id of each lane that follows.
         limits: The speed limits at the stations in m/s, (n,); NaN where there is none.
@@ -66,6 +67,7 @@ class LaneGeometry:
     left: Floats
     right: Floats
     headings: Floats
+    reverse: bool
     changes: tuple[bool, bool]
     successors: tuple[Name, ...]
     limits: Floats
@@ -74,11 +76,6 @@ class LaneGeometry:
     def is_driving(self) -> bool:
         """Whether the lane is for cars."""
         return self.kind == DRIVING
-
-    @property
-    def reverse(self) -> bool:
-        """Whether the driving direction is from the last point to the first, against that of the road."""
-        return self.id > 0
 
     def borders(self) -> Iterator[tuple[Name, Floats]]:
         """Yield the two borders, each with a key that it shares with the neighbouring lane."""
@@ -199,7 +196,8 @@ class TownRoads:
     ) -> LaneGeometry:
         """Return a lane; `inner` are the lanes from the middle of the road to this one."""
         offset, slope = _to_middle(section, inner, stations)
-        centre, headings = _poses(road, stations, reference, offset, slope, reverse=lane.id > 0)
+        reverse = road.is_reverse(lane.id)
+        centre, headings = _poses(road, stations, reference, offset, slope, reverse=reverse)
         width = lane.width(stations - section.start)
         leftwards = np.stack((-np.sin(headings), np.cos(headings), np.zeros(len(headings))), axis=1)
         to_border = leftwards * width[:, None] / 2
@@ -215,53 +213,47 @@ class TownRoads:
             centre + to_border,
             centre - to_border,
             headings,
-            _changes(lane, beside, float(stations[len(stations) // 2]) - section.start),
+            reverse,
+            _changes(road, lane, beside, float(stations[len(stations) // 2]) - section.start),
             tuple(self._successors(road, section, lane)),
             lane_limits(road, section, lane, self._signs[road.number], stations),
         )
 
     def _successors(self, road: Road, section: RoadSection, lane: RoadLane) -> Iterator[Name]:
         """Yield the lanes that follow: of the next section, of the next road, or of a junction."""
-        ahead = lane.id < 0
+        ahead = not road.is_reverse(lane.id)
         following = lane.successor if ahead else lane.predecessor
-        position = road.sections.index(section) + (1 if ahead else -1)
-        if 0 <= position < len(road.sections):
-            yield from _edge(road, position, following)
+        position = road.sections.index(section)
+        beyond_section = road.sections[position + 1 :] if ahead else road.sections[:position][::-1]
+        if beyond_section:
+            yield from _first_with(road, beyond_section, following)
             return
         beyond = road.successor if ahead else road.predecessor
         if beyond in self._roads:
             yield from self._entered(beyond, following)
         elif beyond is not None:
-            for connecting in dict.fromkeys(self.content.connections.get(beyond, {}).get(road.number, ())):
-                yield from self._through(connecting, road.number, lane.id)
-
-    def _through(self, connecting: int, incoming: int, lane: int) -> Iterator[Name]:
-        """Yield the lanes of a road in a junction that begin at a lane of another road."""
-        road = self._roads.get(connecting)
-        if road is not None:
-            if road.predecessor == incoming:
-                yield from (
-                    (road.number, road.sections[0].number, other.id)
-                    for other in road.sections[0].right
-                    if other.predecessor == lane
-                )
-            if road.successor == incoming:
-                yield from (
-                    (road.number, road.sections[-1].number, other.id)
-                    for other in road.sections[-1].left
-                    if other.successor == lane
-                )
+            connecting = dict.fromkeys(self.content.connections.get(beyond, ()))
+            for way in (self._roads[number] for number in connecting if number in self._roads):
+                if way.predecessor == road.number:
+                    for other in way.sections[0].lanes:
+                        if other.predecessor == lane.id:
+                            yield from self._entered(way.number, other.id)
+                if way.successor == road.number:
+                    for other in way.sections[-1].lanes:
+                        if other.successor == lane.id:
+                            yield from self._entered(way.number, other.id)
 
     def _entered(self, road: int, lane: int) -> Iterator[Name]:
         """Yield a lane that begins where a road is entered."""
         if road in self._roads:
-            yield from _edge(self._roads[road], 0 if lane <= 0 else -1, lane)
+            entered = self._roads[road]
+            yield from _first_with(entered, entered.sections[:: -1 if entered.is_reverse(lane) else 1], lane)
 
 
-def _edge(road: Road, position: int, lane: int) -> Iterator[Name]:
-    section = road.sections[position]
-    if lane and any(other.id == lane for other in section.lanes):
-        yield road.number, section.number, lane
+def _first_with(road: Road, sections: Iterable[RoadSection], lane: int) -> Iterator[Name]:
+    """Yield the lane of a number of the first section that has it."""
+    numbers = (section.number for section in sections if any(other.id == lane for other in section.lanes))
+    yield from ((road.number, number, lane) for number in islice(numbers, 1 if lane else 0))
 
 
 def _stations(section: RoadSection, step: float) -> Floats:
@@ -344,14 +336,16 @@ def _polynomial(x: Floats, coefficients: Sequence[float]) -> Floats:
     return value
 
 
-def _changes(lane: RoadLane, beside: RoadLane | None, along: float) -> tuple[bool, bool]:
+def _changes(road: Road, lane: RoadLane, beside: RoadLane | None, along: float) -> tuple[bool, bool]:
     """Return whether the markings of a lane, at a distance from the start of its section, allow to change left and right.
 
-    A marking names the changes in the direction of ascending and descending numbers.
+    The words for which CARLA's library allows the changes are these, whatever OpenDRIVE means by them.
     """
     outer, inner = (_marked(each, along) for each in (lane, beside))
     outwards = "increase" if lane.id < 0 else "decrease"
-    return inner in ("both", "decrease" if lane.id < 0 else "increase"), outer in ("both", outwards)
+    inwards = "increase" if (lane.id > 0 if road.keeps_left else lane.id < -1) else "decrease"
+    allowed = inner in ("both", inwards), outer in ("both", outwards)
+    return allowed[::-1] if road.keeps_left else allowed
 
 
 def _marked(lane: RoadLane | None, along: float) -> str:
@@ -396,7 +390,7 @@ def _landmark(road: Road, place: RoadSignal, home: Road, signal: RoadSignal) -> 
 
 def _placed(road: Road, place: RoadSignal) -> float:
     """Return the station of a signal, which is not at the very end of a road."""
-    return road.length - _BEFORE_END if abs(place.station - road.length) < _BEFORE_END else place.station
+    return min(place.station, road.length - _BEFORE_END)
 
 
 def _one_side(road: Road, station: float, *, ahead: bool | None) -> Iterator[tuple[int, int]]:

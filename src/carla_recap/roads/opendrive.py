@@ -46,6 +46,7 @@ _MOST_ROADS: Final = 16_000  # of a file
 _MOST_SECTIONS: Final = 20_000  # of a file
 _MOST_OF_SIDE: Final = 40  # lanes
 _MOST_LANES: Final = 80_000  # of a file
+_HIGHEST: Final = 1_000  # number of a lane
 _MOST_RECORDS: Final = 20_000  # of one kind, of a road
 _MOST_CORNERS: Final = 100
 _LIMIT_OBJECT: Final = re.compile(r"[Ss]peed_(?:STATIC_)?(\d+(?:\.\d+)?)")
@@ -63,6 +64,7 @@ _SLOWEST: Final = 0.5  # m/s: what is slower is no limit
 _FASTEST: Final = 1e9  # m/s
 _BUCKETS: Final = (1, 13, 29, 59, 127, 257, 541, 1109, 2357, 5087, 10273, 20753)
 """The sizes of the hash table in which CARLA's library has roads and connections."""
+_LEFT_HAND: Final = "LHT"  # the rule of a road; as in CARLA, any other one is right-hand traffic
 _AHEAD: Final = {"+": True, "-": False}
 _ENDS: Final = ("predecessor", "successor")
 _DENSE_TOLERANCE: Final = 0.02  # m
@@ -358,6 +360,7 @@ class Road:
         limits: The speed limits: the station from which on each applies, and the limit in m/s; NaN for none.
         predecessor: The id of the road or junction before it; None for none.
         successor: That of the one after it.
+        keeps_left: Whether traffic keeps left on it: lanes to the left lead in its direction, those to the right against it.
     """
 
     id: str
@@ -373,6 +376,7 @@ class Road:
     limits: tuple[tuple[float, float], ...]
     predecessor: int | None
     successor: int | None
+    keeps_left: bool
 
     @cached_property
     def _starts(self) -> Floats:
@@ -387,6 +391,16 @@ class Road:
     def in_junction(self) -> bool:
         """Whether the road is part of a junction."""
         return self.junction != OUTSIDE
+
+    def is_reverse(self, lane: int) -> bool:
+        """Return whether the driving direction of a lane, by its number, is against that of the road."""
+        return (lane < 0) if self.keeps_left else (lane > 0)
+
+    def lanes_ahead(self, ahead: bool | None) -> tuple[tuple[int, int], ...]:
+        """Return the range of the lanes in the direction of the road, against it, or in both directions."""
+        if ahead is None:
+            return ((-_HIGHEST, _HIGHEST),)
+        return ((1, _HIGHEST),) if ahead == self.keeps_left else ((-_HIGHEST, -1),)
 
     def reference(self, stations: Floats, rounded: Rounding = double) -> tuple[Floats, Floats]:
         """Return the points of the reference line at stations, (n, 3), and its headings, (n,); with rounded coordinates."""
@@ -530,14 +544,13 @@ class OpenDrive:
 
     Attributes:
         roads: The roads.
-        connections: The ids of the roads through each junction, by its id and by the id of the road from which one comes,
-            in CARLA's order.
+        connections: The ids of the roads through each junction, by its id, in CARLA's order.
         priorities: Which connecting roads of a junction have priority over which.
         controllers: The ids of the signals of each controller, in the order in which these follow each other.
     """
 
     roads: list[Road] = field(default_factory=list)
-    connections: dict[int, dict[int, list[int]]] = field(default_factory=dict)
+    connections: dict[int, list[int]] = field(default_factory=dict)
     priorities: dict[int, set[tuple[int, int]]] = field(default_factory=lambda: defaultdict(set))
     controllers: dict[str, list[str]] = field(default_factory=dict)
 
@@ -562,14 +575,12 @@ def read_opendrive(text: str | Iterable[str]) -> OpenDrive:
                 found.roads.append(road)
         elif element.tag == "junction":
             id = _integer(element.get("id"))
-            ways = found.connections.setdefault(id, {})
+            ways = found.connections.setdefault(id, [])
             by_id: dict[int, list[Element]] = {}
             for connection in element.findall("connection")[:_MOST_CONNECTIONS]:
                 by_id.setdefault(_integer(connection.get("id")), []).append(connection)
             for connection in (each for number in in_carlas_order(by_id) for each in by_id[number]):
-                ways.setdefault(_integer(connection.get("incomingRoad")), []).append(
-                    _integer(connection.get("connectingRoad"))
-                )
+                ways.append(_integer(connection.get("connectingRoad")))
             for priority in element.findall("priority"):
                 found.priorities[id].add((_integer(priority.get("high")), _integer(priority.get("low"))))
         else:
@@ -660,8 +671,15 @@ def _road(element: Element) -> Road:
         pieces[:_MOST_RECORDS],
         tuple(any(link.get("elementType") == "junction" for link in element.findall(f"link/{end}")) for end in _ENDS),  # type: ignore[arg-type]
         tuple(_limits(element.findall("type")[:_MOST_RECORDS], "s", "speed")),
-        *(_integer(link.get("elementId")) if (link := element.find(f"link/{end}")) is not None else None for end in _ENDS),
+        _beyond(element, "predecessor"),
+        _beyond(element, "successor"),
+        element.get("rule") == _LEFT_HAND,
     )
+
+
+def _beyond(element: Element, end: str) -> int | None:
+    link = element.find(f"link/{end}")
+    return None if link is None else _integer(link.get("elementId"))
 
 
 def _piece(element: Element) -> _Piece | None:

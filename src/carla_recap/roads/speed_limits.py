@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from carla_recap.roads.opendrive import SPEED_LIMIT, in_metres_per_second
-from carla_recap.roads.stop_lines import applies_to, lanes_on_side
+from carla_recap.roads.stop_lines import applies_to
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -39,10 +39,11 @@ def limit_signs(roads: Iterable[Road]) -> list[list[LimitSign]]:
 def _signs(road: Road, values: dict[str, float]) -> Iterator[LimitSign]:
     for place in road.signals:
         if (limit := sign_limit(values.get(place.id))) is not None:
-            yield LimitSign(place.station, limit, place.lanes or lanes_on_side(place.ahead))
+            yield LimitSign(place.station, limit, place.lanes or road.lanes_ahead(place.ahead))
     for thing in road.objects:
-        if (limit := sign_limit(thing.speed_limit)) is not None:  # in CARLA, these are for the other side
-            yield LimitSign(thing.station, limit, lanes_on_side(None if thing.ahead is None else not thing.ahead))
+        if (limit := sign_limit(thing.speed_limit)) is not None:  # in CARLA, + is the left side
+            ahead = None if thing.ahead is None else thing.ahead == road.keeps_left
+            yield LimitSign(thing.station, limit, road.lanes_ahead(ahead))
 
 
 def lane_limits(road: Road, section: RoadSection, lane: RoadLane, signs: Sequence[LimitSign], stations: Floats) -> Floats:
@@ -53,7 +54,7 @@ def lane_limits(road: Road, section: RoadSection, lane: RoadLane, signs: Sequenc
     own = _stepwise(lane.limits, stations - section.start)
     unsigned = np.where(np.isfinite(own), own, _stepwise(road.limits, stations))
     of_lane = [(sign.station, sign.limit) for sign in signs if applies_to(lane.id, sign.lanes)]
-    if lane.id > 0:
+    if road.is_reverse(lane.id):
         signed = _stepwise([(road.length - station, limit) for station, limit in of_lane], road.length - stations)
     else:
         signed = _stepwise(of_lane, stations)

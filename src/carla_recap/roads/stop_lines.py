@@ -108,10 +108,10 @@ class _Signals:
 
     def _governed(self, number: int, place: RoadSignal) -> Iterator[tuple[int, int]]:
         """Yield the section and number of each lane of a road that a signal names, at its station."""
-        return self._lanes(number, place, place.lanes or lanes_on_side(place.ahead))
+        return self._lanes(number, place, place.lanes or self._roads[number].lanes_ahead(place.ahead))
 
     def _facing(self, number: int, place: RoadSignal) -> Iterator[tuple[int, int]]:
-        return self._lanes(number, place, lanes_on_side(place.ahead))
+        return self._lanes(number, place, self._roads[number].lanes_ahead(place.ahead))
 
     def _lanes(self, number: int, place: RoadSignal, ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
         for index, section in enumerate(self._roads[number].sections):
@@ -123,7 +123,7 @@ class _Signals:
     def _line(self, number: int, place: RoadSignal, index: int, lane: int) -> _Cross | None:
         """Return the stop line of a signal on a lane."""
         road = self._roads[number]
-        ahead = lane < 0
+        ahead = not road.is_reverse(lane)
         if road.in_junction:  # at its border
             station = 0.0 if ahead else road.length
         elif road.links[ahead] and (road.length - place.station if ahead else place.station) <= _TO_JUNCTION:
@@ -150,11 +150,6 @@ def _has(section: RoadSection, lane: int) -> bool:
 def _is_same(line: _Cross, other: _Cross) -> bool:
     apart = (line.left + line.right - other.left - other.right) / 2
     return bool(np.cos(line.heading - other.heading) > _SAME_HEADING and np.hypot(*apart[:2]) < _SAME_LINE)
-
-
-def lanes_on_side(ahead: bool | None) -> tuple[tuple[int, int], ...]:
-    """Return the lanes in the direction of the road, against it, or in both directions."""
-    return {True: ((-1000, -1),), False: ((1, 1000),), None: ((-1000, 1000),)}[ahead]
 
 
 def applies_to(lane: int, ranges: Sequence[tuple[int, int]]) -> bool:

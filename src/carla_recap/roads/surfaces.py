@@ -193,7 +193,8 @@ class _LaneMaker:
         junction = self.junctions[road.junction] if road.in_junction else roads.NONE
         middles, halves = (points[:-1] + points[1:]) / 2, (offsets[:-1] - offsets[1:]) / 2
         position = road.sections.index(section)
-        for side, reverse in ((slice(None, len(section.left)), True), (slice(len(section.left), None), False)):
+        left = len(section.left)
+        for side, reverse in ((slice(None, left), not road.keeps_left), (slice(left, None), road.keeps_left)):
             paved = np.array([lane.kind in self._kinds for lane in lanes[side]], np.bool_)
             if not paved.any():
                 continue

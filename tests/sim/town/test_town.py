@@ -15,7 +15,7 @@ from carla_recap.errors import RecapError
 from carla_recap.roads import find_map, load_map
 from carla_recap.sim.town.junctions import SignalKind
 from carla_recap.sim.town.loading import BUILT_IN, Town, load_town, main_lanes, make_town
-from tests.roads.towns import lane, opendrive, road, section, town
+from tests.roads.towns import lane, mirrored, opendrive, road, section, town
 from tests.sim.two_levels import two_levels
 from tests.waiting import time_limit
 
@@ -296,6 +296,34 @@ def test_a_left_turn_yields_to_oncoming_traffic(any_town: Town) -> None:
     assert seen or any_town.name == "Town10HD"
 
 
+def test_left_hand_traffic_is_right_hand_traffic_in_a_mirror(brickfield: Town) -> None:
+    other = make_town(mirrored(brickfield.opendrive), Path("Mirrored.xodr"))
+    number = {(lane.road_id, lane.section, -lane.lane_id): lane.index for lane in other.lanes}
+    same = {lane.index: number[lane.road_id, lane.section, lane.lane_id] for lane in brickfield.lanes}
+    for one in brickfield.lanes:
+        seen = other.lanes[same[one.index]]
+        assert seen.points == pytest.approx(one.points * (1, -1, 1), abs=1e-3)
+        assert np.cos(seen.heading + one.heading) == pytest.approx(1)
+        assert {same[lane] for lane in one.successors} == set(seen.successors)
+        assert (seen.left, seen.right) == tuple(None if lane is None else same[lane] for lane in (one.right, one.left))
+        assert seen.turn == {"left": "right", "right": "left"}.get(one.turn, one.turn)
+        assert seen.limits == pytest.approx(one.limits)
+    places = [
+        {(round(at.location.x, 2), round(side * at.location.y, 2)) for at in spawned.spawn_points}
+        for side, spawned in ((1, brickfield), (-1, other))
+    ]
+    assert places[0] == places[1]
+    for signal, seen in zip(brickfield.signals, other.signals, strict=True):
+        assert dict(seen.stops) == pytest.approx({same[lane]: s for lane, s in signal.stops}, abs=1e-3)
+        assert {same[lane] for lane in signal.governs} == set(seen.governs)
+    for junction, seen in zip(brickfield.junctions, other.junctions, strict=True):
+        yields = {(conflict.lane, conflict.other): conflict.yields for conflict in seen.conflicts}
+        for conflict in junction.conflicts:
+            one, rival = brickfield.lanes[conflict.lane], brickfield.lanes[conflict.other]
+            if np.cos(one.heading[0] - rival.heading[0]) < -0.9:
+                assert yields[same[one.index], same[rival.index]] == conflict.yields
+
+
 def test_stop_signs_yield_and_without_any_the_right_goes_first(brickfield: Town) -> None:
     (stop,) = (signal for signal in brickfield.signals if signal.kind is SignalKind.STOP)
     junctions = {junction.id: junction for junction in brickfield.junctions}
@@ -475,6 +503,21 @@ def test_a_damaged_town_is_loaded_or_refused(tmp_path: Path, seed: int) -> None:
 def test_yaws_of_spawn_points_are_within_180_degrees(any_town: Town) -> None:
     yaws = [point.rotation.yaw for point in any_town.spawn_points]
     assert all(-180 < yaw <= 180 for yaw in yaws)
+
+
+@pytest.mark.parametrize("keeps_left", [False, True])
+def test_spawn_points_head_as_the_waypoints_of_carlas_client(brickfield: Town, *, keeps_left: bool) -> None:
+    carla = pytest.importorskip("carla", reason="the extra carla is not installed")
+    text = mirrored(brickfield.opendrive) if keeps_left else brickfield.opendrive
+    made, client = make_town(text, Path("Town.xodr")), carla.Map("", text)
+    for at in made.spawn_points[::7]:
+        pose = client.get_waypoint(carla.Location(at.location.x, at.location.y, at.location.z - 0.3)).transform
+        aside = pose.get_right_vector()
+        assert abs((at.location.x - pose.location.x) * aside.x + (at.location.y - pose.location.y) * aside.y) < 0.05
+        assert np.cos(np.radians(at.rotation.yaw - pose.rotation.yaw)) > np.cos(np.radians(0.5))
+    entered = sorted(made.lanes, key=lambda lane: (lane.road_id, lane.reverse, lane.lane_id))
+    for at, entry in zip(made.standalone().spawn_points, entered, strict=True):
+        assert (at.location.x, at.location.y) == pytest.approx(entry.points[0, :2].tolist())
 
 
 def test_a_map_that_a_client_sends_has_a_spawn_point_at_each_entry_of_a_road(tmp_path: Path) -> None:

@@ -156,14 +156,15 @@ def _signal(
         (lane, sign)
         for sign in signs
         for lane in by_road.get(sign.road, ())
-        if _is_at(sign, courses[lane.index]) and (_faces(sign, lane) if sign.is_for_all else _names(sign, lane))
+        if _is_at(sign, courses[lane.index])
+        and (_faces(sign, courses[lane.index]) if sign.is_for_all else _names(sign, lane))
     ]
     if not governed:  # it says that it is for no lane, and no other road refers to it
         governed = [
             (lane, sign)
             for sign in signs
             for lane in by_road.get(sign.road, ())
-            if _is_at(sign, courses[lane.index]) and _faces(sign, lane)
+            if _is_at(sign, courses[lane.index]) and _faces(sign, courses[lane.index])
         ]
     stops, governs = _stops(kind, governed, lanes, courses)
     junctions = (lanes[lane].junction for lane in governs)
@@ -191,9 +192,9 @@ def _names(sign: Landmark, lane: Lane) -> bool:
     return any(min(pair) <= lane.lane_id <= max(pair) for pair in sign.lanes)
 
 
-def _faces(sign: Landmark, lane: Lane) -> bool:
+def _faces(sign: Landmark, course: LaneGeometry) -> bool:
     """Return whether a sign is for the direction of travel of a lane."""
-    return sign.ahead is None or sign.ahead == (lane.lane_id < 0)
+    return sign.ahead is None or sign.ahead != course.reverse
 
 
 def _stops(
@@ -212,7 +213,7 @@ def _stops(
             governs.update(after)
             stops[lane.index] = lane.length
         else:
-            start, stop = courses[lane.index].stations[[-1, 0] if lane.lane_id > 0 else [0, -1]].tolist()
+            start, stop = courses[lane.index].stations[[-1, 0] if courses[lane.index].reverse else [0, -1]].tolist()
             share = (sign.station - start) / (stop - start) if stop != start else 1.0
             stops[lane.index] = min(max(share, 0.0), 1.0) * lane.length
     return stops, governs
@@ -256,7 +257,8 @@ def _phases(junction: int, signals: Iterable[Signal], controllers: Iterable[str]
 _TOUCHING: Final = 0.7  # of half of both widths: nearer than that, two vehicles on two lanes touch
 _ONCOMING: Final = np.cos(np.radians(135))
 _ALIKE: Final = np.cos(np.radians(45))
-_RANKS: Final = {"straight": 0, "right": 1, "left": 2}
+_RANKS: Final = {False: {"straight": 0, "right": 1, "left": 2}, True: {"straight": 0, "left": 1, "right": 2}}
+"""The ranks of turns, by whether traffic keeps left."""
 _MOST: Final = 1_000_000  # pairs of lanes in all junctions
 
 
@@ -311,8 +313,8 @@ def _boxes_touch(one: NDArray[np.float64], other: NDArray[np.float64], near: flo
 def _yields(one: Lane, other: Lane, slowed: set[int], priorities: set[tuple[int, int]]) -> bool:
     """Return whether the traffic of one lane yields to that of the other.
 
-    The first rule that distinguishes them decides: stop and yield signs; priorities of the file; left turns yield to
-    oncoming traffic; right before left; straight on before a turn.
+    The first rule that distinguishes them decides: stop and yield signs; priorities of the file; right before left; straight
+    on before a turn; turns to the own side of the road before those across oncoming traffic.
     """
     if (one.index in slowed) != (other.index in slowed):
         return one.index in slowed
@@ -322,7 +324,7 @@ def _yields(one: Lane, other: Lane, slowed: set[int], priorities: set[tuple[int,
     between = other.heading[0] - one.heading[0]
     if abs(np.cos(between)) < _ALIKE and np.cos(between) > _ONCOMING:
         return bool(np.sin(between) < 0)  # traffic that heads to the left comes from the right
-    ranks = _RANKS[one.turn], _RANKS[other.turn]
+    ranks = _RANKS[one.keeps_left][one.turn], _RANKS[other.keeps_left][other.turn]
     return ranks[0] > ranks[1] if ranks[0] != ranks[1] else one.index > other.index
 
 

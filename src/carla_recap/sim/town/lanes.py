@@ -49,6 +49,7 @@ class Lane:
         road_id: The id of its road in the OpenDRIVE file.
         section: Which section of the road, counted from 0.
         lane_id: The number of the lane there.
+        reverse: Whether the direction of travel is against that of the road.
         points: The points of its middle in the direction of travel, evenly spaced, about 1 m apart, (n, 3).
         s: The distances of the points along the lane, (n,).
         heading: The directions of travel at the points, (n,); continuous, so that they may leave ±π.
@@ -66,6 +67,7 @@ class Lane:
     road_id: int
     section: int
     lane_id: int
+    reverse: bool
     points: Floats
     s: Floats
     heading: Floats
@@ -77,6 +79,11 @@ class Lane:
     right: int | None
     junction: int | None
     turn: Turn
+
+    @property
+    def keeps_left(self) -> bool:
+        """Whether traffic keeps left on its road."""
+        return self.reverse == (self.lane_id < 0)
 
     @property
     def length(self) -> float:
@@ -120,6 +127,7 @@ def _lane(
         road_id=course.road,
         section=course.section,
         lane_id=course.id,
+        reverse=course.reverse,
         points=rows[:, :3].copy(),
         s=np.linspace(0, length, len(rows)),
         heading=rows[:, 3].copy(),

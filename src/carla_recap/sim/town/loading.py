@@ -232,10 +232,10 @@ def _spawn_points(lane: Lane) -> list[Transform]:
 
 
 def _road_entries(lanes: Sequence[Lane]) -> list[Transform]:
-    """Return the transforms at which lanes enter roads, junctions included: by road, right lanes before left ones."""
+    """Return the transforms at which lanes enter roads, junctions included: by road, those in its direction first."""
     last = {lane.road_id: lane.section for lane in sorted(lanes, key=lambda lane: lane.section)}
-    entering = [lane for lane in lanes if lane.section == (0 if lane.lane_id < 0 else last[lane.road_id])]
-    entering.sort(key=lambda lane: (lane.road_id, lane.lane_id > 0, lane.lane_id))
+    entering = [lane for lane in lanes if lane.section == (last[lane.road_id] if lane.reverse else 0)]
+    entering.sort(key=lambda lane: (lane.road_id, lane.reverse, lane.lane_id))
     points = []
     for lane in entering:
         (x, y, z), (_, _, ahead) = lane.points[:2].tolist()

@@ -1,0 +1,224 @@
+"""The twin of `carla_recap.roads`: what CARLA's own library says about a map, from a process that it may abort."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from carla_recap.roads.lanes import LaneGeometry, TownRoads
+
+Place = tuple[int, int, float, float]
+"""The road, the lane and the station of a waypoint, and how far beyond it the next and the previous ones are."""
+
+
+class CarlaLibrary:
+    """A process that reads maps with CARLA's library."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[str] | None = None
+
+    def ask(self, text: str, places: list[Place]) -> dict[str, Any] | None:
+        """Return what the library says about a map and about places on it; None if it cannot read the map."""
+        if self._process is None:
+            self._process = subprocess.Popen(
+                [sys.executable, __file__],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                encoding="utf-8",
+            )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps((text, places)) + "\n")
+        self._process.stdin.flush()
+        answer = self._process.stdout.readline()
+        if not answer:  # aborted
+            self.close()
+            return None
+        facts: dict[str, Any] | None = json.loads(answer)
+        return facts
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            assert self._process.stdin is not None
+            assert self._process.stdout is not None
+            self._process.stdin.close()
+            self._process.wait()
+            self._process.stdout.close()
+            self._process = None
+
+
+_CHANGES = {(False, False): "NONE", (True, False): "Left", (False, True): "Right", (True, True): "Both"}
+_AHEAD = {True: "Positive", False: "Negative", None: "Both"}
+_FAR = 0.05  # m
+_TURNED = 0.5  # degrees
+
+
+def differences(roads: TownRoads, text: str, library: CarlaLibrary, every: int = 40) -> list[Any] | None:
+    """Return where roads and landmarks differ from the library's; None if it cannot read the map.
+
+    The library's `next` and `previous` leave out lanes that lead back to where one comes from, unlike its topology.
+    """
+    ends = {(road.number, part.number): (part.start, part.end) for road in roads.content.roads for part in road.sections}
+    places = []
+    for lane in roads.lanes:
+        start, end = ends[lane.road, lane.section]
+        last = len(lane.stations) - 1
+        for index in sorted({0, last // 2 + 1, last, *range(0, last, every)}):
+            station = float(lane.stations[index])
+            beyond = station - start if index == 0 else end - station if index == last else 0.0
+            places.append((lane, index, (lane.road, lane.id, station, beyond + 0.01)))
+    theirs = library.ask(text, [place for *_, place in places])
+    if theirs is None:
+        return None
+    lanes = {(lane.road, lane.section, lane.id): lane for lane in roads.lanes}
+    before: dict[Any, set[Any]] = {name: set() for name in lanes}
+    for name, lane in lanes.items():
+        for other in lane.successors:
+            before.setdefault(other, set()).add(name)
+    found: list[Any] = []
+    for (lane, index, place), point in zip(places, theirs["waypoints"], strict=True):
+        differing = ["waypoint"] if point is None else list(_differing(lane, index, point, lanes, before))
+        found += [(what, place, point) for what in differing]
+    if {tuple(name) for name in theirs["driving"]} != {name for name, lane in lanes.items() if lane.is_driving}:
+        found.append("driving lanes")
+    topology = {(tuple(one), tuple(other)) for one, other in theirs["topology"]}
+    known = {(name, other) for name, lane in lanes.items() if lane.is_driving for other in lane.successors}
+    ending = {name for name, lane in lanes.items() if not lane.successors}
+    found += [("topology", pair) for pair in topology ^ known if pair[1] in lanes and pair[0] not in ending]
+    return found + list(_differing_landmarks(roads, theirs["landmarks"]))
+
+
+def _differing(lane: LaneGeometry, index: int, point: Any, lanes: dict[Any, Any], before: dict[Any, Any]) -> Any:
+    name = lane.road, lane.section, lane.id
+    leading = set(lane.successors), before[name]
+    first, last = (-1, 0) if lane.reverse else (0, -1)
+    index -= len(lane.stations) if index == len(lane.stations) - 1 else 0
+    right = 1 if lane.reverse else -1  # the number to the right
+    beside = [(*name[:2], lane.id + step or lane.id + 2 * step) for step in (-right, right)]
+    facts = {
+        "name": (point["name"], list(name)),
+        "kind": (point["kind"].lower(), lane.kind),
+        "junction": (point["junction"], lane.junction),
+        "left": (point["left"], list(beside[0]) if beside[0] in lanes else None),
+        "right": (point["right"], list(beside[1]) if beside[1] in lanes else None),
+    }
+    if index == len(lane.stations) // 2:
+        facts["change"] = point["change"], _CHANGES[lane.changes]
+    if index == last:
+        facts["next"] = _known(point["next"], lanes), _known(leading[0] - leading[1], lanes)
+    if index == first:
+        facts["previous"] = _known(point["previous"], lanes), _known(leading[1] - leading[0], lanes)
+    yield from (what for what, (theirs, ours) in facts.items() if theirs != ours)
+    width = np.linalg.norm(lane.left[index] - lane.right[index])
+    if not np.abs(lane.centre[index] - point["position"]).max() < _FAR:
+        yield "position"
+    if not _turn(np.degrees(lane.headings[index]), point["yaw"]) < _TURNED:
+        yield "yaw"
+    if not abs(width - abs(point["width"])) < _FAR:
+        yield "width"
+
+
+def _known(names: Any, lanes: dict[Any, Any]) -> set[Any]:
+    return {tuple(name) for name in names} & set(lanes)
+
+
+def _turn(one: float, other: float) -> float:
+    return float(abs((one - other + 180) % 360 - 180))
+
+
+def _differing_landmarks(roads: TownRoads, theirs: list[Any]) -> Any:
+    ours = sorted(
+        (
+            (
+                *(mark.id, mark.kind, mark.value, mark.unit, mark.road, mark.station, _AHEAD[mark.ahead]),
+                sorted(map(list, mark.lanes)),
+                mark.location.tolist(),
+                float(np.degrees(mark.heading)),
+            )
+            for mark in roads.landmarks
+        ),
+        key=lambda mark: mark[:8],
+    )
+    if [mark[:8] for mark in ours] != [tuple(mark[:8]) for mark in theirs]:
+        yield "landmarks", ours, theirs
+        return
+    for one, other in zip(ours, theirs, strict=True):
+        if np.abs(np.subtract(one[8], other[8])).max() > _FAR or _turn(one[9], other[9]) > _TURNED:
+            yield "landmark", one, other
+
+
+def facts(town: Any, places: list[Place]) -> dict[str, Any]:
+    """Return what `carla.Map` says, in right-handed axes."""
+    return {
+        "waypoints": [_waypoint(town.get_waypoint_xodr(*place), beyond) for *place, beyond in places],
+        "driving": list(dict.fromkeys(_name(point) for point in town.generate_waypoints(0.5))),
+        "topology": sorted({(_name(one), _name(other)) for one, other in town.get_topology()}),
+        "landmarks": sorted(_landmark(mark) for mark in town.get_all_landmarks()),
+        "crossings": [_position(corner) for corner in town.get_crosswalks()],
+    }
+
+
+def _name(point: Any) -> tuple[int, int, int]:
+    return point.road_id, point.section_id, point.lane_id
+
+
+def _position(location: Any) -> tuple[float, float, float]:
+    return location.x, -location.y, location.z
+
+
+def _waypoint(point: Any, beyond: float) -> dict[str, Any] | None:
+    if point is None:
+        return None
+    left, right = point.get_left_lane(), point.get_right_lane()
+    return {
+        "name": _name(point),
+        "station": point.s,
+        "position": _position(point.transform.location),
+        "yaw": -point.transform.rotation.yaw,
+        "pitch": point.transform.rotation.pitch,
+        "width": point.lane_width,
+        "kind": str(point.lane_type),
+        "junction": point.junction_id if point.is_junction else -1,
+        "change": str(point.lane_change),
+        "next": sorted({_name(other) for other in point.next(beyond)}),
+        "previous": sorted({_name(other) for other in point.previous(beyond)}),
+        "left": None if left is None else _name(left),
+        "right": None if right is None else _name(right),
+    }
+
+
+def _landmark(mark: Any) -> tuple[Any, ...]:
+    return (
+        *(mark.id, mark.type, mark.value, mark.unit, mark.road_id, mark.s, str(mark.orientation)),
+        sorted(mark.get_lane_validities()),
+        _position(mark.transform.location),
+        -mark.transform.rotation.yaw,
+    )
+
+
+def _main() -> None:
+    import os
+
+    import carla
+
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # the library prints
+    for line in sys.stdin:
+        text, places = json.loads(line)
+        try:
+            answer = facts(carla.Map("", text), places)
+        except RuntimeError:
+            answer = None
+        print(json.dumps(answer), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    _main()
