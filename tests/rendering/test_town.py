@@ -19,7 +19,7 @@ from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
 from carla_recap.util import cache
-from tests.roads.towns import crossing, lane, opendrive, painted_stop, road, stop_sign
+from tests.roads.towns import crossing, crossing_by_road, lane, opendrive, painted_stop, road, stop_sign
 from tests.roads.towns import section as plain_section
 from tests.roads.towns import town as carla_town
 
@@ -161,6 +161,12 @@ def test_a_line_at_the_edge_is_on_the_asphalt():
     lines = faces(built(road(sections=section(0, marked(1), marked(-1)))), Material.WHITE_LINE)
     assert area(lines) == pytest.approx(2 * 100 * 0.12, rel=1e-3)
     assert np.abs(lines[..., 1]).max() < 3.5
+
+
+def test_a_crossing_may_have_corners_along_the_road():
+    by_road, local = (faces(built(road(inside=made(50))), Material.CROSSING) for made in (crossing_by_road, crossing))
+    assert len(by_road) == len(local)
+    assert np.sort(by_road.reshape(-1, 3), axis=0) == pytest.approx(np.sort(local.reshape(-1, 3), axis=0), abs=1e-4)
 
 
 def test_a_crossing_is_bars_in_the_direction_of_cars():

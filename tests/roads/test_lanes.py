@@ -7,6 +7,7 @@ import pytest
 
 from carla_recap.roads.lanes import LaneGeometry, TownRoads
 from carla_recap.roads.opendrive import read_opendrive
+from tests.roads import towns
 from tests.roads.straight_road import STRAIGHT_ROAD
 
 
@@ -54,3 +55,13 @@ def test_limits_are_of_signs_of_the_lane_or_of_the_road() -> None:
     assert limits[1, 1].tolist() == [36, 50, 72]
     assert (limits[2, -1].tolist(), limits[2, 1].tolist()) == ([50], [30])
     assert np.isnan(limits[3, -1]).all()
+
+
+@pytest.mark.parametrize("shape", ["<line/>", '<arc curvature="0.02"/>'])
+def test_the_corners_of_a_crossing_may_be_along_the_road(shape: str) -> None:
+    offset = '<laneOffset s="0" a="1.5" b="0" c="0" d="0"/>'  # the corners are beside the reference line
+    sections = offset + towns.section(0, towns.lane(1), towns.lane(-1))
+    content = read_opendrive(towns.opendrive(towns.road(shape=shape, sections=sections, inside=towns.crossing_by_road(50))))
+    (along,), (outline,) = content.roads, TownRoads(content).crossings
+    corners = ((48, -4), (52, -4), (52, 4), (48, 4), (48, -4))
+    assert outline == pytest.approx(np.array([along.at(*corner)[0] for corner in corners]))

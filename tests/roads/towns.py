@@ -68,6 +68,14 @@ def crossing(station: float) -> str:
     )
 
 
+def crossing_by_road(station: float) -> str:
+    corners = ((-2, -4), (2, -4), (2, 4), (-2, 4))
+    outline = "".join(
+        f'<cornerRoad s="{station + s}" t="{t}" dz="0" height="0" id="{n}"/>' for n, (s, t) in enumerate(corners)
+    )
+    return re.sub(r"<outline>.*</outline>", f"<outline>{outline}</outline>", crossing(station))
+
+
 def painted_stop(station: float, t: float, length: float) -> str:
     return (
         f'<objects><object id="9" name="StopLine" s="{station}" t="{t}" zOffset="0" hdg="1.5707963267948966" roll="0"'

@@ -380,7 +380,7 @@ def _placed(shape: Floats, point: Floats, heading: float) -> Floats:
 
 def _paint_crossing(painter: Painter, road: Road, crossing: RoadObject) -> None:
     point, heading = road.at(crossing.station, crossing.offset)
-    outline = crossing.outline
+    outline = road.outline(crossing)
     if len(outline) > 1 and np.allclose(outline[0], outline[-1], atol=0.01):
         outline = outline[:-1]
     if len(outline) < 3:

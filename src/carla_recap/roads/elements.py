@@ -43,7 +43,7 @@ OPENDRIVE: Final = DocumentShape(
             *("geometry", "line", "arc", "spiral", "poly3", "paramPoly3"),
             *("elevationProfile", "elevation", "lanes", "laneOffset", "laneSection", "left"),
             *("center", "right", "lane", "width", "roadMark", "objects"),
-            *("object", "outlines", "outline", "cornerLocal", "signals", "signal"),
+            *("object", "outlines", "outline", "cornerLocal", "cornerRoad", "signals", "signal"),
             *("signalReference", "validity", "connection", "priority", "control"),
         )
     ),

@@ -166,10 +166,10 @@ class TownRoads:
     def crossings(self) -> list[Floats]:
         """The outlines of pedestrian crossings, closed."""
         return [
-            _crossing(road, thing)
+            outline
             for road in self._roads.values()
             for thing in road.objects
-            if thing.kind == "crosswalk" and len(thing.outline) > 2
+            if thing.kind == "crosswalk" and len(outline := _crossing(road, thing)) > 2
         ]
 
     def _sampled(self, road: Road, section: RoadSection, step: float) -> Iterator[LaneGeometry]:
@@ -403,6 +403,9 @@ def _one_side(road: Road, station: float, *, ahead: bool | None) -> Iterator[tup
 
 
 def _crossing(road: Road, thing: RoadObject) -> Floats:
+    if not len(thing.outline):  # CARLA's library does not read such corners
+        corners = road.corners(thing)
+        return np.concatenate((corners, corners[:1]))
     station = np.array([min(max(thing.station, 0.0), road.length)])
     (point,), (heading,) = _poses(road, station, road.reference(station, single), np.zeros(1), np.zeros(1))
     along = single(np.degrees(heading))

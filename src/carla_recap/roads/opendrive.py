@@ -201,6 +201,7 @@ class RoadObject:
         width: The extent across its direction.
         length: The extent along its direction.
         outline: The corners along its direction and to the left of it, (n, 2); relative to its position.
+        road_corners: The corners as distances along the road and to the left of it, (n, 2), of an outline that has these.
         ahead: Whether it applies in the direction of the road: True, False (against it), or None (in both directions).
     """
 
@@ -214,6 +215,7 @@ class RoadObject:
     width: float
     length: float
     outline: Floats
+    road_corners: Floats
     ahead: bool | None
 
     @property
@@ -424,6 +426,19 @@ class Road:
         points, headings = self.reference(np.array([min(max(station, 0.0), self.length)]))
         heading = float(headings[0])
         return points[0] + offset * np.array((-np.sin(heading), np.cos(heading), 0.0)), heading
+
+    def outline(self, thing: RoadObject) -> Floats:
+        """Return the corners of an object along its direction and to the left of it, (n, 2), relative to its position."""
+        if len(thing.outline) or not len(thing.road_corners):
+            return thing.outline
+        middle, heading = self.at(thing.station, thing.offset)
+        cos, sin = np.cos(heading + thing.heading), np.sin(heading + thing.heading)
+        outline: Floats = (self.corners(thing) - middle)[:, :2] @ np.array(((cos, -sin), (sin, cos)))
+        return outline
+
+    def corners(self, thing: RoadObject) -> Floats:
+        """Return the corners of an object by distances along the road and to the left of it, (n, 3)."""
+        return np.array([self.at(*corner)[0] for corner in thing.road_corners.tolist()]).reshape(-1, 3)
 
     def breaks(self) -> list[float]:
         """Return the stations at which curvature, height or widths change abruptly."""
@@ -766,7 +781,9 @@ def _changes(markings: Iterable[Marking]) -> Iterator[Marking]:
 
 def _object(element: Element) -> RoadObject:
     outlines = [*element.findall("outline"), *element.findall("outlines/outline")]
-    corners = outlines[0].findall("cornerLocal")[:_MOST_CORNERS] if outlines else []
+    corners, on_road = (
+        outlines[0].findall(tag)[:_MOST_CORNERS] if outlines else [] for tag in ("cornerLocal", "cornerRoad")
+    )
     return RoadObject(
         id=element.get("id", ""),
         kind=element.get("type", "").lower(),
@@ -778,6 +795,7 @@ def _object(element: Element) -> RoadObject:
         width=_number(element, "width", 0.0),
         length=_number(element, "length", 0.0),
         outline=np.array([(_number(c, "u", 0.0), _number(c, "v", 0.0)) for c in corners], np.float64).reshape(-1, 2),
+        road_corners=np.array([(_number(c, "s", 0.0), _number(c, "t", 0.0)) for c in on_road], np.float64).reshape(-1, 2),
         ahead=_AHEAD.get(element.get("orientation", "")),
     )
 
