@@ -122,3 +122,35 @@ def test_lanes_are_sampled_to_their_ends(both: tuple[TownRoads, Any]) -> None:
         assert 0 <= lane.stations[0] - start < 0.5
         assert 0 < end - lane.stations[-1] < 1 / 2048
         assert all(0 < after - before <= 0.5 for before, after in pairwise(lane.stations.tolist()))
+
+
+def assert_equal_crossings(roads: TownRoads, theirs: Any) -> None:
+    carla = pytest.importorskip("carla", reason="the extra carla is not installed")
+    for lane in roads.lanes:
+        for row in sorted({0, len(lane.stations) // 4, len(lane.stations) // 2, len(lane.stations) - 1}):
+            at = theirs.get_waypoint_xodr(lane.road, lane.id, float(lane.stations[row]))
+            if (at.section_id, at.lane_id) != (lane.section, lane.id):
+                continue
+            sides = (
+                (True, at.left_lane_marking, carla.LaneChange.Left),
+                (False, at.right_lane_marking, carla.LaneChange.Right),
+            )
+            for left, marking, side in sides:
+                allowed = bool(marking and marking.lane_change & side)
+                assert lane.may_cross(float(lane.stations[row]), left=left) == allowed
+
+
+def test_planners_may_cross_the_markings_that_carlas_may(both: tuple[TownRoads, Any]) -> None:
+    assert_equal_crossings(*both)
+
+
+@pytest.mark.parametrize("rule", ["RHT", "LHT"])
+def test_markings_that_change_along_a_lane_may_be_crossed_where_carlas_planner_does(rule: str) -> None:
+    def lane(id: int, *marks: tuple[float, str]) -> str:
+        lines = "".join(f'<roadMark sOffset="{start}" type="solid" laneChange="{changes}"/>' for start, changes in marks)
+        return towns.lane(id).replace("</lane>", f"{lines}</lane>")
+
+    left = lane(3, (0, "none")) + lane(2, (0, "both")) + lane(1, (0, "increase"), (60, "decrease"))
+    right = lane(-1, (0, "both"), (40, "increase")) + lane(-2, (0, "increase"), (30, "none")) + lane(-3, (30, "none"))
+    road = towns.road(sections=towns.section(0, left, right)).replace("<road ", f'<road rule="{rule}" ')
+    assert_equal_crossings(*loaded(towns.opendrive(road)))

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import sys
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from carla_recap.errors import RecapWarning
 from carla_recap.queries.score.route_files import read_routes
 from carla_recap.roads.planning import RoutePlanner
 from tests.roads.test_waypoints import carla_map, lanes, lanes_of, location, place
 from tests.roads.towns import TOWNS, lane, road, section, town
+from tests.twins.planning import PlainRoad, changes, shortest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -84,9 +89,11 @@ def linked(number: int, x: float, before: int | None, after: int | None, lanes: 
     return road(number, x=x, sections=section(0, right=lanes)).replace("<planView>", f"<link>{links}</link><planView>")
 
 
-def following(id: int) -> str:
+def following(id: int, *marks: tuple[float, str]) -> str:
+    """Return a lane that goes on in the next road, with the markings to its right."""
     link = f'<link><predecessor id="{id}"/><successor id="{id}"/></link>'
-    return lane(id).replace("</lane>", f"{link}</lane>")
+    lines = "".join(f'<roadMark sOffset="{start}" type="solid" laneChange="{changes}"/>' for start, changes in marks)
+    return lane(id).replace("</lane>", f"{link}{lines}</lane>")
 
 
 def test_a_route_has_a_point_each_metre() -> None:
@@ -101,12 +108,123 @@ def test_a_route_has_a_point_each_metre() -> None:
 
 
 def test_a_route_changes_to_the_lane_beside() -> None:
-    both = following(-1) + following(-2)
+    both = following(-1, (0, "both")) + following(-2)
     two = lanes(linked(1, 0, None, 2, both), linked(2, 100, 1, None, both))
     at = RoutePlanner(two).route(np.array([(10.0, -1.75, 0.0), (150.0, -5.25, 0.0)]))
     assert at.position[0, 1] == pytest.approx(-1.75)
     assert at.position[-1, 1] == pytest.approx(-5.25)
     assert set(np.round(at.position[:, 1], 2).tolist()) == {-1.75, -5.25}
+
+
+@pytest.mark.parametrize(
+    ("marks", "changes"),
+    [
+        ([(0.0, "both"), (20.0, "none")], True),  # not in the middle of the lane
+        ([(0.0, "none"), (80.0, "both")], True),
+        ([(0.0, "none"), (45.0, "both"), (55.0, "none")], True),
+        ([(0.0, "increase")], True),
+        ([(0.0, "decrease")], False),
+        ([(0.0, "none")], False),
+        ([], False),  # CARLA's planner changes across markings alone
+    ],
+)
+def test_a_change_is_allowed_where_the_marking_allows_it(marks: list[tuple[float, str]], changes: bool) -> None:
+    one = following(-1, *marks) + following(-2)
+    two = following(-1, (0, "none")) + following(-2)
+    planner = RoutePlanner(lanes(linked(1, 0, None, 2, one), linked(2, 100, 1, None, two)))
+    places = np.array([(10.0, -1.75, 0.0), (150.0, -5.25, 0.0)])
+    if changes:
+        assert planner.route(places).position[-1, 1] == pytest.approx(-5.25)
+    else:
+        with pytest.raises(ValueError, match="no lanes lead from position 1 to position 2"):
+            planner.route(places)
+
+
+def test_where_lanes_part_the_route_takes_the_shortest() -> None:
+    """Roads 3 and 2 begin as one, and only road 2 leads on to the last position."""
+    lane_of = following(-1, (0, "none"))
+    before = linked(1, 0, None, None, lane_of).replace("<link>", '<link><successor elementType="junction" elementId="9"/>')
+    after = linked(4, 160, 2, None, lane_of)
+    inside = [
+        linked(number, 100, 1, following, lane_of).replace('length="100"', f'length="{length}"').replace('"-1">', '"9">', 1)
+        for number, length, following in ((3, 50, None), (2, 60, 4))
+    ]
+    links = "".join(
+        f'<connection id="{number}" incomingRoad="1" connectingRoad="{number}" contactPoint="start">'
+        '<laneLink from="-1" to="-1"/></connection>'
+        for number in (3, 2)
+    )
+    town = lanes(before, *inside, after, f'<junction id="9" name="">{links}</junction>')
+    at = RoutePlanner(town).route(np.array([(110.0, -1.75, 0.0), (200.0, -1.75, 0.0)]))
+    assert {town.lanes[lane].road for lane in at.lane.tolist()} == {2, 4}
+
+
+def test_a_leg_that_is_a_detour_warns() -> None:
+    """Around a square of 100 m, and back to a position that is near."""
+    lane_of = following(-1, (0, "none"))
+    corners = [(0, 0, 0.0), (100, 0, np.pi / 2), (100, 100, np.pi), (0, 100, -np.pi / 2)]
+    roads = [
+        linked(number, x, (number - 2) % 4 + 1, number % 4 + 1, lane_of)
+        .replace(f'x="{x}" y="0"', f'x="{x}" y="{y}"')
+        .replace('hdg="0"', f'hdg="{heading}"', 1)
+        for number, (x, y, heading) in enumerate(corners, 1)
+    ]
+    planner = RoutePlanner(lanes(*roads))
+    with pytest.warns(RecapWarning, match=r"^route '7': 36\d m from position 2 to position 3, which is 31 m away$"):
+        planner.route(np.array([(10.0, -1.75, 0.0), (20.0, -1.75, 0.0), (-1.75, 20.0, 0.0)]), "route '7'")
+
+
+WORDS = st.sampled_from(["none", "both", "increase", "decrease"])
+
+
+@st.composite
+def plain_roads(draw: st.DrawFn) -> list[PlainRoad]:
+    roads = []
+    for _ in range(draw(st.integers(1, 4))):
+        length = draw(st.integers(1, 60)) + 0.5
+        starts = st.lists(st.integers(0, 60).map(lambda metre: metre + 0.25 if metre else 0.0), max_size=4, unique=True)
+        marks = starts.flatmap(lambda found: st.tuples(*(st.tuples(st.just(start), WORDS) for start in sorted(found))))
+        roads.append(PlainRoad(length, draw(st.lists(marks.map(list), min_size=1, max_size=4))))
+    return roads
+
+
+@given(roads=plain_roads(), data=st.data())
+def test_ways_are_those_of_the_twin(roads: list[PlainRoad], data: st.DataObject) -> None:
+    begins = np.cumsum([0.0, *(road.length for road in roads)]).tolist()
+    places = [(row, number) for row, each_road in enumerate(roads) for number in range(len(each_road.lanes))]
+    start, stop = data.draw(st.sampled_from(places)), data.draw(st.sampled_from(places))
+    town = lanes(
+        *(
+            linked(
+                row + 1,
+                begins[row],
+                row or None,
+                row + 2 if row + 1 < len(roads) else None,
+                "".join(following(-number, *marks) for number, marks in enumerate(each_road.lanes, 1)),
+            ).replace('length="100"', f'length="{each_road.length}"')
+            for row, each_road in enumerate(roads)
+        )
+    )
+    shares = data.draw(st.floats(0.2, 0.8)), data.draw(st.floats(0.2, 0.8))
+    ends = [
+        (begins[row] + share * roads[row].length, -1.75 - 3.5 * number, 0.0)
+        for (row, number), share in zip((start, stop), shares, strict=True)
+    ]
+    expected = shortest(roads, start, stop)
+    planner = RoutePlanner(town)
+    if expected is None:
+        with pytest.raises(ValueError, match="no lanes lead"):
+            planner.route(np.array(ends))
+        return
+    at = planner.route(np.array(ends))
+    visited = [(town.lanes[number].road - 1, -town.lanes[number].id - 1) for number in at.lane.tolist()]
+    assert visited[0] == start
+    assert visited[-1] == stop
+    for before, after in pairwise(visited):
+        if before != after:
+            is_change = before[0] == after[0] and after[1] in changes(roads[before[0]], before[1])
+            assert is_change or after == (before[0] + 1, before[1])
+    assert sum(roads[row].length for row in range(start[0], stop[0])) == pytest.approx(expected)
 
 
 def test_far_positions_and_roads_that_are_not_connected_are_errors() -> None:

@@ -6,6 +6,7 @@ operations is CARLA's, so that they are equal.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice, takewhile
@@ -53,6 +54,8 @@ class LaneGeometry:
         headings: The driving directions, (n,).
         reverse: Whether the driving direction is from the last point to the first, against that of the road.
         changes: Whether the markings allow to change to the lane on the left, and to the lane on the right.
+        crossings: The stations, ascending, from which on the markings allow CARLA's route planner to change to the left, and
+            to the right, or not; it does not change where there is no marking.
         successors: The road, section and id of each lane that follows.
         limits: The speed limits at the stations in m/s, (n,); NaN where there is none.
     """
@@ -69,6 +72,7 @@ class LaneGeometry:
     headings: Floats
     reverse: bool
     changes: tuple[bool, bool]
+    crossings: tuple[tuple[float, bool, bool], ...]
     successors: tuple[Name, ...]
     limits: Floats
 
@@ -76,6 +80,11 @@ class LaneGeometry:
     def is_driving(self) -> bool:
         """Whether the lane is for cars."""
         return self.kind == DRIVING
+
+    def may_cross(self, station: float, *, left: bool) -> bool:
+        """Return whether the markings at a station allow a planner to change to the lane on the left or on the right."""
+        _, to_left, to_right = [each for each in self.crossings if each[0] <= station][-1]
+        return to_left if left else to_right
 
     def borders(self) -> Iterator[tuple[Name, Floats]]:
         """Yield the two borders, each with a key that it shares with the neighbouring lane."""
@@ -215,6 +224,7 @@ class TownRoads:
             headings,
             reverse,
             _changes(road, lane, beside, float(stations[len(stations) // 2]) - section.start),
+            tuple(_crossings(road, section, lane, beside)),
             tuple(self._successors(road, section, lane)),
             lane_limits(road, section, lane, self._signs[road.number], stations),
         )
@@ -348,9 +358,21 @@ def _changes(road: Road, lane: RoadLane, beside: RoadLane | None, along: float) 
     return allowed[::-1] if road.keeps_left else allowed
 
 
-def _marked(lane: RoadLane | None, along: float) -> str:
+def _crossings(
+    road: Road, section: RoadSection, lane: RoadLane, beside: RoadLane | None
+) -> Iterator[tuple[float, bool, bool]]:
+    """Yield from which stations on the markings of a lane allow a planner to change to the left and to the right."""
+    starts = {mark.start for each in (lane, beside) if each is not None for mark in each.markings}
+    for along in (-math.inf, *sorted(starts)):
+        inwards = _marked(beside, along, "none") in ("both", "decrease")
+        outwards = _marked(lane, along, "none") in ("both", "increase")
+        yield section.start + along, *((outwards, inwards) if road.keeps_left else (inwards, outwards))
+
+
+def _marked(lane: RoadLane | None, along: float, without: str = "both") -> str:
+    """Return the changes that the marking of a lane allows, or those without a marking."""
     marks = [] if lane is None else list(takewhile(lambda mark: mark.start <= along, lane.markings))
-    found = marks[-1].changes if marks else "both"
+    found = marks[-1].changes if marks else without
     return found if found in ("increase", "decrease", "none") else "both"
 
 

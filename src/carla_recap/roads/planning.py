@@ -3,19 +3,25 @@
 The graph has an edge for each lane and lane that follows it, and one of no length for each change to a lane beside. Its
 nodes are the ends of lanes, rounded to metres. The way from node to node is found by A*, which visits equally good nodes in
 the order of networkx, so that the way is CARLA's. Along an edge, there are points at equal distances.
+
+Where lanes lie on each other, as where they part, CARLA takes the one that rounding makes nearest, this planner the one with
+which the route is shortest.
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from heapq import heappop, heappush
 from itertools import count, pairwise
 from math import dist
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.errors import RecapWarning
 from carla_recap.roads.opendrive import single
+from carla_recap.roads.polylines import stations
 from carla_recap.roads.waypoints import NONE, Waypoints
 
 if TYPE_CHECKING:
@@ -27,6 +33,9 @@ if TYPE_CHECKING:
     Node = tuple[float, float, float]
     Place = tuple[int, float]  # a lane and a station
 
+_SAME_PLACE: Final = 0.05  # m: lanes that are no farther apart lie on each other
+_DETOUR: Final = 5.0  # times the straight distance: from there on, a leg warns
+_SHORT_LEG: Final = 100.0  # m: a leg that is shorter does not
 _ON_CHANGE: Final = 5  # points by which a change of lane goes on along the other lane
 _LONGEST: Final = 100_000  # points of a lane
 
@@ -50,6 +59,23 @@ class _Edge:
     is_change: bool = False
 
 
+class _Way(NamedTuple):
+    """A way to a place: the number of points from the first place on, those of the last leg, and the way before that."""
+
+    points: int
+    leg: list[Place]
+    before: _Way | None
+
+    def legs(self) -> list[list[Place]]:
+        """Return the points of each leg."""
+        legs: list[list[Place]] = []
+        plan = self
+        while plan.before is not None:
+            legs.append(plan.leg)
+            plan = plan.before
+        return legs[::-1]
+
+
 class RoutePlanner:
     """Finds routes along the lanes of a town.
 
@@ -71,27 +97,46 @@ class RoutePlanner:
         for node, lane, points in self._segments:
             self._add_changes(node, lane, points)
 
-    def route(self, places: Floats) -> Waypoints:
+    def route(self, places: Floats, name: str = "the route") -> Waypoints:
         """Return the route that passes places in their order.
 
         Args:
             places: Two or more, (n, 3), in m.
+            name: What warnings call it.
 
         Raises:
             ValueError: A place is far from all lanes, or there is no way to the next one.
+            RecapWarning: The way to the next place is many times as long as the straight line.
         """
-        at = self._town.nearest(places)
-        if len(far := np.flatnonzero(at.lane == NONE)):
-            raise ValueError(f"position {far[0] + 1} is far from all lanes for cars")
-        found: list[Place] = []
-        for number in range(len(places) - 1):
-            start, stop = ((int(at.lane[each]), float(at.station[each])) for each in (number, number + 1))
-            way = self._path(start[0], stop[0])
-            if way is None:
-                raise ValueError(f"no lanes lead from position {number + 1} to position {number + 2}")
-            found += self._traced(way, start, stop, places[number + 1])
-        lanes, stations = (np.array(values) for values in zip(*found, strict=True))
-        return self._town.at(lanes, stations)
+        plans = {start: _Way(0, [], None) for start in self._candidates(places[0], 1)}
+        for number, place in enumerate(places[1:], 2):
+            following: dict[Place, _Way] = {}
+            for stop in self._candidates(place, number):
+                for start, plan in plans.items():
+                    way = self._path(start[0], stop[0])
+                    leg = [] if way is None else self._traced(way, start, stop, place)
+                    if leg and (stop not in following or plan.points + len(leg) < following[stop].points):
+                        following[stop] = _Way(plan.points + len(leg), leg, plan)
+            if not following:
+                raise ValueError(f"no lanes lead from position {number - 1} to position {number}")
+            plans = following
+        legs = min(plans.values(), key=lambda plan: plan.points).legs()
+        for number, leg in enumerate(legs, 1):
+            length, straight = stations(self._positions(leg))[-1], dist(*places[number - 1 : number + 1])
+            if length > max(_DETOUR * straight, _SHORT_LEG):
+                message = f"{length:,.0f} m from position {number} to position {number + 1}, which is {straight:,.0f} m away"
+                warnings.warn(f"{name}: {message}", RecapWarning, stacklevel=2)
+        lanes, at = (np.array(values) for values in zip(*(place for leg in legs for place in leg), strict=True))
+        return self._town.at(lanes, at)
+
+    def _candidates(self, place: Floats, number: int) -> list[Place]:
+        """Return the places on lanes that are nearest to a place, first the one that `LaneMap.nearest` finds."""
+        at = self._town.nearest(place[None])
+        if at.lane[0] == NONE:
+            raise ValueError(f"position {number} is far from all lanes for cars")
+        nearest = int(at.lane[0]), float(at.station[0])
+        around = self._town.around(place, float(np.linalg.norm(at.position[0] - place)) + _SAME_PLACE)
+        return [nearest, *(each for each in around if each[0] != nearest[0])]
 
     def _add(self, lane: int) -> None:
         """Add the edges of a lane: one to each lane that follows it, or to its end."""
@@ -118,9 +163,9 @@ class RoutePlanner:
             return None if following is None else [following]
         length = abs(float(self._town.ends[lane]) - station)
         sign = -1.0 if self._town.lanes[lane].reverse else 1.0
-        stations = station + sign * spacing * np.arange(1.0, min(int(length / spacing), _LONGEST) + 1)
-        places = [(lane, each) for each in stations.tolist()]
-        near = _apart(self._town.at(np.full(len(stations), lane), stations).position, end) <= spacing
+        along = station + sign * spacing * np.arange(1.0, min(int(length / spacing), _LONGEST) + 1)
+        places = [(lane, each) for each in along.tolist()]
+        near = _apart(self._town.at(np.full(len(along), lane), along).position, end) <= spacing
         if near.any():
             return places[: int(np.argmax(near))]
         place = places[-1] if places else first
@@ -135,16 +180,17 @@ class RoutePlanner:
         return places
 
     def _add_changes(self, node: Node, lane: int, points: Sequence[Place]) -> None:
-        """Add the changes to the lanes beside one that the markings allow."""
-        town, course = self._town, self._town.lanes[lane]
-        if town.in_junction[lane]:
+        """Add a change to each lane beside one, at the first point at which the markings allow it."""
+        if self._town.in_junction[lane]:
             return
-        for left in (False, True):
-            other = town.beside(lane, left=left)
-            station = next((each for on, each in points if on == lane), None)
-            if other is not None and station is not None and course.changes[0 if left else 1] and other in self._of_lane:
-                target = self._of_lane[other][0]
-                self._edges[node][target] = _Edge([], (lane, station), (other, station), 0, is_change=True)
+        sides = [False, True]  # to the left?
+        for on, station in points:
+            for left in [side for side in sides if self._town.lanes[on].may_cross(station, left=side)]:
+                other = self._town.beside(on, left=left)
+                if other is not None and other in self._of_lane:
+                    change = _Edge([], (on, station), (other, station), 0, is_change=True)
+                    self._edges[node][self._of_lane[other][0]] = change
+                    sides.remove(left)
 
     def _path(self, start: int, stop: int) -> list[Node] | None:
         """Return the nodes from a lane to another one; None if no lanes lead there."""
@@ -202,8 +248,8 @@ class RoutePlanner:
         return found
 
     def _positions(self, places: Sequence[Place]) -> Floats:
-        lanes, stations = zip(*places, strict=True)
-        return self._town.at(np.array(lanes), np.array(stations)).position
+        lanes, along = zip(*places, strict=True)
+        return self._town.at(np.array(lanes), np.array(along)).position
 
     def _closest(self, place: Place, places: Sequence[Place]) -> int:
         """Return the index of the first of those places that are closest to one."""

@@ -128,9 +128,7 @@ class LaneMap:
 
         Of places that are equally near, as where lanes part, the one of the first lane counts.
         """
-        if kind not in self._segments:
-            self._segments[kind] = self._segments_of(kind)
-        segments, points = self._segments[kind], np.asarray(points, np.float64)
+        segments, points = self._segments_of(kind), np.asarray(points, np.float64)
         if segments is None:
             return self._nowhere(len(points))
         moved = np.append(True, (np.diff(points, axis=0) != 0).any(axis=1))[: len(points)]  # repeated points are found once
@@ -140,6 +138,19 @@ class LaneMap:
         places = self._between(known, start + share * (stop - start))
         places.lane[found == NONE] = NONE
         return places
+
+    def around(self, point: Floats, distance: float) -> list[tuple[int, float]]:
+        """Return the lanes for cars within a distance of a point, (3,), each with the station that is nearest to it."""
+        segments = self._segments_of(DRIVING)
+        if segments is None:
+            return []
+        numbers, shares, apart = segments.around(np.asarray(point, np.float64), distance)
+        stations = self._stations[numbers] + shares * (self._stations[numbers + 1] - self._stations[numbers])
+        lanes = self._lane_of[numbers].tolist()
+        found: dict[int, float] = {}
+        for row in np.argsort(apart, kind="stable").tolist():
+            found.setdefault(lanes[row], float(stations[row]))
+        return sorted(found.items())
 
     def ahead(self, lane: int, station: float, distance: float) -> tuple[int, float] | None:
         """Return the lane and the station that are a distance along the road ahead; None where the road ends.
@@ -165,12 +176,11 @@ class LaneMap:
         return other if other is not None and self.lanes[other].is_driving else None
 
     def _segments_of(self, kind: str) -> _Segments | None:
-        wanted = np.array([lane.kind == kind for lane in self.lanes], np.bool_)
-        if not wanted.any():
-            return None
-        starts = wanted[self._lane_of]
-        starts[self._last] = False
-        return _Segments(self._points, np.flatnonzero(starts))
+        if kind not in self._segments:
+            starts = np.array([lane.kind == kind for lane in self.lanes], np.bool_)[self._lane_of]
+            starts[self._last] = False
+            self._segments[kind] = _Segments(self._points, np.flatnonzero(starts)) if starts.any() else None
+        return self._segments[kind]
 
     def _between(self, point: Integers, station: Floats) -> Waypoints:
         """Return the places at stations between points and the next ones."""
@@ -232,6 +242,14 @@ class _Segments:
                 far.append(part[~is_sure])
             left = np.concatenate(far)
         return found, shares
+
+    def around(self, place: Floats, distance: float) -> tuple[Integers, Floats, Floats]:
+        """Return where each part within a distance begins, the share of it before the nearest place, and how far that is."""
+        away = place - self._start
+        along = np.clip((away * self._way).sum(axis=1) / self._square, 0.0, 1.0)
+        apart = np.sqrt(((away - along[:, None] * self._way) ** 2).sum(axis=1))
+        found = np.flatnonzero(apart <= distance)
+        return self._numbers[found], along[found], apart[found]
 
     def _nearest_in(self, grid: PointGrid, places: Floats) -> tuple[Integers, Floats, Floats]:
         """Return the nearest part of those around each place, the share, and the distance; infinite without one."""

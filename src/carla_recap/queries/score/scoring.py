@@ -23,6 +23,7 @@ from carla_recap.roads.planning import RoutePlanner
 from carla_recap.roads.surfaces import load_road_network
 from carla_recap.roads.waypoints import load_lane_map
 from carla_recap.tables.trajectories import trajectories
+from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -123,6 +124,7 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
     Raises:
         RecapError: The map is unknown, there is no such vehicle, or the route does not fit the map.
         FormatError: The file contradicts its format.
+        RecapWarning: The way between two places of the route is many times as long as the straight line.
     """
     options = options or ScoreOptions()
     path = map_file_of(source, options.road_map)
@@ -191,10 +193,11 @@ def _lights(source: Reader, network: RoadNetwork, passed: list[criteria.Passage]
 
 def _planned(route: Route, town: LaneMap, path: Path) -> PlannedRoute:
     """Return the points of a route along the lanes of a town."""
+    name = f"{route.path}: route {visible(route.id)!r}"
     try:
-        at = _planner(town).route(route.positions)
+        at = _planner(town).route(route.positions, name)
     except ValueError as error:
-        raise RecapError(f"{route.path}: route {route.id!r}: {error} of {path}") from None
+        raise RecapError(f"{name}: {error} of {path}") from None
     points = at.position.copy()
     points[0, 2] += _DROP
     return PlannedRoute(points, at.ahead)
