@@ -131,9 +131,9 @@ def differences(subject: Subject) -> Iterator[Line]:
     for what, other in ((".log and .mcap", subject.mcap), ("moved .log", moved)):
         peaks: list[int] = []
         seconds = cpu_time(lambda: peaks.append(run(sys.executable, "-c", DIFFERENCES, subject.log, other).peak))  # noqa: B023
-        limit = 10 * subject.seconds / 3600 + 2 * STARTED
+        limit = 14 * subject.seconds / 3600 + 2 * STARTED
         yield Line(f"diff, {what}, processor time", f"{seconds:.1f} s", "", f"≤ {limit:.1f} s", seconds <= limit)
-        yield _memory(f"diff, {what}", peaks[0], 250e6)
+        yield _memory(f"diff, {what}", peaks[0], 700e6)
     moved.unlink()
 
 

@@ -14,7 +14,7 @@ def life(id: int, spawned_at: float = 0.0, x: float = 0.0) -> ActorLife:
 
 
 def pairs(ours: list[ActorLife], theirs: list[ActorLife]) -> list[tuple[int, int]]:
-    return sorted((found.a.id, found.b.id) for found in match(ours, theirs))
+    return sorted((ours[found.a].id, theirs[found.b].id) for found in match(ours, theirs))
 
 
 @pytest.mark.parametrize("order", [1, -1])

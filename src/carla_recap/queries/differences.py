@@ -6,19 +6,27 @@ Nothing is aligned: places are those of the map, and times are elapsed seconds.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import defaultdict, deque
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final, Literal
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.lives import HERO, ActorLife, ActorLives
+from carla_recap.model.lives import HERO, ActorLife
 from carla_recap.model.records import Spawn
 from carla_recap.queries.incidents import Incident, incidents
 from carla_recap.queries.matching import Match, MatchedBy, match
-from carla_recap.queries.paths import PathComparison, PathTotals
+from carla_recap.queries.paths import (
+    ActorFrames,
+    PathDifference,
+    RecordedPaths,
+    compare_paths,
+    compare_states,
+    pair_frames,
+)
 from carla_recap.queries.recorded_actors import actors
 from carla_recap.roads.find import map_key
 from carla_recap.tables import Rows
@@ -27,11 +35,8 @@ from carla_recap.util.text import readable
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.formats.base import Reader
-
-Side = Literal["a", "b"]
+    from carla_recap.util.arrays import Floats
 
 TIME_TOLERANCE: Final = 1.0
 """The seconds by which times may differ, if positions may differ, too."""
@@ -259,50 +264,185 @@ def differences(
             raise RecapError(f"a {name} of {value:g} cannot be; it must be 0 or more")
     if time_tolerance is None:
         time_tolerance = TIME_TOLERANCE if tolerance > 0 else 0.0
-    lives = ActorLives(actors(a)), ActorLives(actors(b))
-    ours, theirs = ([life for life in every if life.type_id != _SPECTATOR] for every in lives)
-    matches = match(ours, theirs)
-    tracks = {id(life): number for number, found in enumerate(matches) for life in (found.a, found.b)}
-    paths = PathComparison((a, b), lives, tracks, len(matches), tolerance)
-    paths.read()
-    tracked = list(enumerate(matches))
-    missing, extra = ([life for life in every if id(life) not in tracks] for every in (ours, theirs))
-    for number, track in paths.unknown.items():
-        in_a, in_b = paths.totals.poses[:, track] > 0
-        life = ActorLife(number, "", "", "", math.nan, spawn=Spawn(number, x=math.nan, y=math.nan, z=math.nan))
-        if in_a and in_b:
-            tracked.append((track, Match(life, life, "id")))
-        elif in_a or in_b:
-            (missing if in_a else extra).append(life)
-    first, second = _compared(a, paths.elapsed[0]), _compared(b, paths.elapsed[1])
-    clock = _clock(*paths.elapsed)
-    rows = _Actors(paths.totals, tolerance, time_tolerance, (first.duration, second.duration), same_clock=clock is None)
-    lights = [_light(found, paths.totals, track, time_tolerance) for track, found in tracked if _is_light(found)]
-    return Differences(
-        a=first,
-        b=second,
-        tolerance=tolerance,
-        time_tolerance=time_tolerance,
-        actors=ActorDifferences(sorted((rows.row(found, track) for track, found in tracked), key=_by_size)),
-        missing=UnmatchedActors(missing),
-        extra=UnmatchedActors(extra),
-        lights=LightDifferences(sorted(lights, key=lambda row: (not row.differs, -row.seconds, row.id_a))),
-        events=EventDifferences(_events((a, b), lives, tracks, time_tolerance) if events else []),
-        clock=clock,
-    )
+    return _Comparison((_Side(a), _Side(b)), tolerance, time_tolerance).answer(events=events)
 
 
-def _compared(source: Reader, elapsed: NDArray[np.float64]) -> ComparedRecording:
-    extent = source.extent()
-    with np.errstate(invalid="ignore"):
-        steps = np.diff(elapsed)
-    location = str(getattr(source, "location", source.path))
-    steps = steps[np.isfinite(steps)]
-    step = float(np.median(steps)) if len(steps) else math.nan
-    return ComparedRecording(location, readable(source.header.map_name), extent.frames, extent.duration, step)
+class _Side:
+    """One of the recordings, and its actors by number: in order of appearance, those whose spawn is not recorded last."""
+
+    def __init__(self, source: Reader) -> None:
+        self.source = source
+        self.lives = list(actors(source))
+        self.paths = RecordedPaths.of(source)
+        self._numbers: dict[int, list[int]] = defaultdict(list)
+        for number, life in enumerate(self.lives):
+            self._numbers[life.id].append(number)
+        self.unknown: dict[int, int] = {}
+        for id in self.paths.poses:
+            if id not in self._numbers:
+                self.unknown[id] = len(self.lives)
+                self._numbers[id].append(len(self.lives))
+                spawn = Spawn(id, x=math.nan, y=math.nan, z=math.nan)
+                self.lives.append(ActorLife(id, "", "", "", math.nan, spawn=spawn))
+        self.poses, self.states = self._by_number(self.paths.poses), self._by_number(self.paths.states)
+
+    def number(self, id: int, time: float) -> int | None:
+        """Return the number of the actor that had an id at a time, as `ActorLives.at` has it."""
+        numbers = self._numbers.get(id)
+        if numbers is None or id in self.unknown:
+            return None
+        return numbers[max(bisect_right(numbers, time, key=lambda number: self.lives[number].spawned_at) - 1, 0)]
+
+    def _by_number(self, by_id: dict[int, ActorFrames]) -> dict[int, ActorFrames]:
+        found: dict[int, ActorFrames] = {}
+        for id, (frame, values) in by_id.items():
+            numbers = self._numbers.get(id, [])
+            if len(numbers) == 1:
+                found[numbers[0]] = ActorFrames(frame, values)
+                continue
+            again = [self.lives[number].spawned_at for number in numbers[1:]]
+            turn = np.searchsorted(again, self.paths.elapsed[frame], "right")
+            for which, number in enumerate(numbers):
+                if len(rows := np.flatnonzero(turn == which)):
+                    found[number] = ActorFrames(frame[rows], values[rows])
+        return found
+
+    def about(self) -> ComparedRecording:
+        with np.errstate(invalid="ignore"):
+            steps = np.diff(self.paths.elapsed)
+        steps = steps[np.isfinite(steps)]
+        extent, map_name = self.source.extent(), readable(self.source.header.map_name)
+        step = float(np.median(steps)) if len(steps) else math.nan
+        return ComparedRecording(self.source.location, map_name, extent.frames, extent.duration, step)
 
 
-def _clock(a: NDArray[np.float64], b: NDArray[np.float64]) -> float | None:
+class _Comparison:
+    """Two recordings, and what counts as equal; see `differences`."""
+
+    def __init__(self, sides: tuple[_Side, _Side], tolerance: float, time_tolerance: float) -> None:
+        self._sides = a, b = sides
+        self._tolerance, self._time_tolerance = tolerance, time_tolerance
+        self._about = a.about(), b.about()
+        self._clock = _clock(a.paths.elapsed, b.paths.elapsed)
+        self._pairs = pair_frames(a.paths.elapsed, b.paths.elapsed)
+        candidates = [[n for n, life in enumerate(side.lives) if self._counts(side, n, life)] for side in sides]
+        matches = match(*([side.lives[n] for n in some] for side, some in zip(sides, candidates, strict=True)))
+        self._matches = [Match(candidates[0][a], candidates[1][b], by) for a, b, by in matches]
+        self._matches += [Match(a.unknown[id], b.unknown[id], "id") for id in sorted(a.unknown.keys() & b.unknown.keys())]
+        self._tracks = [{match[side]: track for track, match in enumerate(self._matches)} for side in (0, 1)]
+
+    @staticmethod
+    def _counts(side: _Side, number: int, life: ActorLife) -> bool:
+        return life.type_id != _SPECTATOR and life.id not in side.unknown
+
+    def answer(self, *, events: bool) -> Differences:
+        """Return all differences."""
+        lights = [self._light(match) for match in self._matches if self._sides[0].lives[match.a].kind == "traffic_light"]
+        missing, extra = (
+            [life for n, life in enumerate(side.lives) if n not in tracks and life.type_id != _SPECTATOR]
+            for side, tracks in zip(self._sides, self._tracks, strict=True)
+        )
+        return Differences(
+            *self._about,
+            self._tolerance,
+            self._time_tolerance,
+            ActorDifferences(sorted(map(self._actor, self._matches), key=_by_size)),
+            UnmatchedActors(missing),
+            UnmatchedActors(extra),
+            LightDifferences(sorted(lights, key=lambda row: (not row.differs, -row.seconds, row.id_a))),
+            EventDifferences(self._events() if events else []),
+            self._clock,
+        )
+
+    def _actor(self, match: Match) -> ActorDifference:
+        sides = self._sides
+        a, b = (side.lives[number] for side, number in zip(sides, match[:2], strict=True))
+        poses_a, poses_b = (side.poses.get(number) for side, number in zip(sides, match[:2], strict=True))
+        path, is_exact = PathDifference(), not self._tolerance
+        if poses_a and poses_b:
+            path = compare_paths(poses_a, poses_b, self._pairs, sides[0].paths.elapsed, self._tolerance)
+        in_a, in_b = (len(poses.frame) if poses else 0 for poses in (poses_a, poses_b))
+        is_apart = path.first is not None or (is_exact and path.heading > 0)
+        is_everywhere = in_a == in_b == path.frames if is_exact and self._clock is None else (in_a == 0) == (in_b == 0)
+        return ActorDifference(
+            id_a=a.id,
+            id_b=b.id,
+            kind=a.kind,
+            type_id_a=a.type_id,
+            type_id_b=b.type_id,
+            role_name=a.role_name,
+            matched_by=match.by,
+            differs=is_apart or not is_everywhere or a.type_id != b.type_id or self._lives_differ(a, b),
+            spawned_at_a=a.spawned_at,
+            spawned_at_b=b.spawned_at,
+            destroyed_at_a=a.destroyed_at,
+            destroyed_at_b=b.destroyed_at,
+            **path._asdict(),
+        )
+
+    def _lives_differ(self, a: ActorLife, b: ActorLife) -> bool:
+        allowed = self._time_tolerance
+        if _is_apart(a.spawned_at, b.spawned_at, allowed):
+            return True
+        if a.destroyed_at is None and b.destroyed_at is None:
+            return False
+        end_a, end_b = (
+            about.duration if life.destroyed_at is None else life.destroyed_at
+            for about, life in zip(self._about, (a, b), strict=True)
+        )
+        only_one = (a.destroyed_at is None) != (b.destroyed_at is None)
+        return _is_apart(end_a, end_b, allowed) or (only_one and not allowed)
+
+    def _light(self, match: Match) -> LightDifference:
+        a, b = self._sides
+        states = a.states.get(match.a), b.states.get(match.b)
+        first, seconds = None, 0.0
+        if states[0] and states[1]:
+            frames = compare_states(states[0], states[1], self._pairs)
+            first = float(a.paths.elapsed[frames[0]]) if len(frames) else None
+            lasts = a.paths.duration[frames]
+            seconds = float(np.where(np.isfinite(lasts), np.maximum(lasts, 0.0), 0.0).sum())
+        differs = first is not None and (seconds > self._time_tolerance or not self._time_tolerance)
+        life = a.lives[match.a]
+        x, y, _ = life.place
+        return LightDifference(life.id, b.lives[match.b].id, x, y, differs, first, seconds)
+
+    def _events(self) -> list[EventDifference]:
+        """Return the incidents that are in one recording alone, or in both at different times, in order of time."""
+        window = max(_SAME_EVENT, self._time_tolerance)
+        rows: list[EventDifference] = []
+        open_events: dict[Hashable, deque[Incident]] = defaultdict(deque)
+        for incident in incidents(self._sides[0].source):
+            open_events[self._subject(0, incident)].append(incident)
+        for incident in incidents(self._sides[1].source):
+            earlier = open_events[self._subject(1, incident)]
+            while earlier and earlier[0].start < incident.start - window:
+                rows.append(_event(earlier.popleft(), None))
+            if not earlier or earlier[0].start > incident.start + window:
+                rows.append(_event(None, incident))
+                continue
+            other = earlier.popleft()
+            if _is_apart(other.start, incident.start, self._time_tolerance):
+                rows.append(_event(other, incident))
+        rows += [_event(incident, None) for left in open_events.values() for incident in left]
+        return sorted(rows, key=lambda row: (_start(row), row.kind))
+
+    def _subject(self, side: int, incident: Incident) -> Hashable:
+        """Return what is equal of incidents of both recordings: the kind and the actors."""
+        found: list[tuple[int, int]] = []
+        for id in incident.actors:
+            number = self._sides[side].number(id, incident.start)
+            if number is None:
+                found.append((-1, id))
+            elif (track := self._tracks[side].get(number)) is not None:
+                found.append((2, track))
+            else:
+                is_spectator = self._sides[side].lives[number].type_id == _SPECTATOR
+                found.append((3, 0) if is_spectator else (side, number))
+        return incident.kind, tuple(sorted(found))
+
+
+def _clock(a: Floats, b: Floats) -> float | None:
     """Return the first time at which only one recording has a frame; None if there is none."""
     count = min(len(a), len(b))
     with np.errstate(invalid="ignore"):
@@ -313,84 +453,6 @@ def _clock(a: NDArray[np.float64], b: NDArray[np.float64]) -> float | None:
         return float(np.fmin(a[row], b[row]))
     longer = a if len(a) > count else b
     return float(longer[count]) if len(longer) > count else None
-
-
-class _Actors:
-    """Makes the rows of actors.
-
-    Args:
-        totals: The differences of their paths.
-        tolerance: See `differences`.
-        time_tolerance: See `differences`.
-        durations: The elapsed times at which the recordings end.
-        same_clock: Whether the frames have equal times.
-    """
-
-    def __init__(
-        self,
-        totals: PathTotals,
-        tolerance: float,
-        time_tolerance: float,
-        durations: tuple[float, float],
-        *,
-        same_clock: bool,
-    ) -> None:
-        self._totals = totals
-        self._is_exact, self._time_tolerance = tolerance == 0, time_tolerance
-        self._durations, self._same_clock = durations, same_clock
-
-    def row(self, found: Match, track: int) -> ActorDifference:
-        """Return the row of an actor."""
-        totals = self._totals
-        a, b = found.a, found.b
-        finite, first = int(totals.finite[track]), _known(totals.first_at[track])
-        heading = float(totals.heading[track])
-        differs = first is not None or a.type_id != b.type_id or self._lives_differ(a, b) or self._poses_differ(track)
-        return ActorDifference(
-            id_a=a.id,
-            id_b=b.id,
-            kind=a.kind,
-            type_id_a=a.type_id,
-            type_id_b=b.type_id,
-            role_name=a.role_name,
-            matched_by=found.by,
-            differs=differs or (self._is_exact and heading > 0),
-            frames=int(totals.frames[track]),
-            first=first,
-            first_distance=_known(totals.first[track]),
-            mean=float(totals.total[track]) / finite if finite else math.nan,
-            rms=math.sqrt(float(totals.squares[track]) / finite) if finite else math.nan,
-            max=float(totals.largest[track]) if totals.frames[track] else math.nan,
-            max_at=float(totals.largest_at[track]),
-            final=float(totals.final[track]),
-            heading=heading,
-            spawned_at_a=a.spawned_at,
-            spawned_at_b=b.spawned_at,
-            destroyed_at_a=a.destroyed_at,
-            destroyed_at_b=b.destroyed_at,
-        )
-
-    def _lives_differ(self, a: ActorLife, b: ActorLife) -> bool:
-        allowed = self._time_tolerance
-        if _is_apart(a.spawned_at, b.spawned_at, allowed):
-            return True
-        if a.destroyed_at is None and b.destroyed_at is None:
-            return False
-        end_a = self._durations[0] if a.destroyed_at is None else a.destroyed_at
-        end_b = self._durations[1] if b.destroyed_at is None else b.destroyed_at
-        only_one = (a.destroyed_at is None) != (b.destroyed_at is None)
-        return _is_apart(end_a, end_b, allowed) or (only_one and not allowed)
-
-    def _poses_differ(self, track: int) -> bool:
-        """Return whether one recording has poses that the other one has not."""
-        in_a, in_b = map(int, self._totals.poses[:, track])
-        if self._is_exact and self._same_clock:
-            return in_a != in_b or in_a != int(self._totals.frames[track])
-        return (in_a == 0) != (in_b == 0)
-
-
-def _known(value: float) -> float | None:
-    return None if math.isnan(value) else float(value)
 
 
 def _is_apart(time: float, other: float, allowed: float) -> bool:
@@ -405,65 +467,12 @@ def _by_size(row: ActorDifference) -> tuple[bool, float, float, int]:
     return not row.differs, -row.max if row.max > 0 else 0.0, -row.heading, row.id_a
 
 
-def _is_light(found: Match) -> bool:
-    return found.a.kind == "traffic_light"
-
-
-def _light(found: Match, totals: PathTotals, track: int, time_tolerance: float) -> LightDifference:
-    first, seconds = _known(totals.light_first_at[track]), float(totals.light_seconds[track])
-    differs = first is not None and (seconds > time_tolerance or not time_tolerance)
-    x, y, _ = found.a.place
-    return LightDifference(found.a.id, found.b.id, x, y, differs, first, seconds)
-
-
-# --- events --------------------------------------------------------------------------------------------------------------
-
-
-def _events(
-    sources: tuple[Reader, Reader], lives: tuple[ActorLives, ActorLives], tracks: dict[int, int], time_tolerance: float
-) -> Iterator[EventDifference]:
-    """Yield the incidents that are in one recording alone, or in both at different times, in order of time."""
-
-    def subject(side: int, incident: Incident) -> Hashable:
-        found = [lives[side].at(number, incident.start) for number in incident.actors]
-        actors: list[tuple[int, int]] = []
-        for number, life in zip(incident.actors, found, strict=True):
-            if life is None:
-                actors.append((-1, number))
-            elif id(life) in tracks:
-                actors.append((2, tracks[id(life)]))
-            elif life.type_id == _SPECTATOR:
-                actors.append((3, 0))
-            else:
-                actors.append((side, id(life)))
-        return incident.kind, tuple(sorted(actors))
-
-    window = max(_SAME_EVENT, time_tolerance)
-    rows: list[EventDifference] = []
-    open_events: dict[Hashable, deque[Incident]] = defaultdict(deque)
-    for incident in incidents(sources[0]):
-        open_events[subject(0, incident)].append(incident)
-    for incident in incidents(sources[1]):
-        earlier = open_events[subject(1, incident)]
-        while earlier and earlier[0].start < incident.start - window:
-            rows.append(_only("a", earlier.popleft()))
-        if not earlier or earlier[0].start > incident.start + window:
-            rows.append(_only("b", incident))
-            continue
-        other = earlier.popleft()
-        if _is_apart(other.start, incident.start, time_tolerance):
-            rows.append(
-                EventDifference(incident.kind, other.start, incident.start, other.actors, incident.actors, other.text)
-            )
-    rows += [_only("a", incident) for left in open_events.values() for incident in left]
-    yield from sorted(rows, key=lambda row: (_start(row), row.kind))
-
-
-def _only(side: Side, incident: Incident) -> EventDifference:
-    start, actors = incident.start, incident.actors
-    if side == "a":
-        return EventDifference(incident.kind, start, None, actors, (), incident.text)
-    return EventDifference(incident.kind, None, start, (), actors, incident.text)
+def _event(a: Incident | None, b: Incident | None) -> EventDifference:
+    known = a or b
+    assert known is not None
+    times = (each.start if each else None for each in (a, b))
+    actors = (each.actors if each else () for each in (a, b))
+    return EventDifference(known.kind, *times, *actors, known.text)
 
 
 def _start(row: EventDifference) -> float:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter, defaultdict
-from dataclasses import dataclass
-from itertools import product
-from typing import TYPE_CHECKING, Final, Literal
+from heapq import heapify, heappop, heappush
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Hashable, Iterator, Sequence
 
     from carla_recap.model.lives import ActorLife
-
+    from carla_recap.util.arrays import Floats
 
 MatchedBy = Literal["role", "birth", "position", "parent", "order", "id"]
 """How two actors were recognized as the same.
@@ -32,17 +30,13 @@ NEAR: Final = 10.0
 """The distance between spawns of two actors that are matched by their order, in m, at most; also if it is unknown."""
 
 _STATIC: Final = ("traffic_light", "traffic_sign")
-_CANDIDATES: Final = 16  # actors near a place that are looked at, at most
-
-Place = tuple[float, float, float]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Match:
-    """An actor of one recording and the same actor of another."""
+class Match(NamedTuple):
+    """The numbers of an actor among those of one recording and of another, and how it was recognized."""
 
-    a: ActorLife
-    b: ActorLife
+    a: int
+    b: int
     by: MatchedBy
 
 
@@ -59,32 +53,31 @@ def match(a: Sequence[ActorLife], b: Sequence[ActorLife]) -> list[Match]:
     matching.by_birth()
     matching.by_parent()
     matching.by_order()
-    index = {id(life): number for number, life in enumerate(a)}
-    return sorted(matching.found, key=lambda match: index[id(match.a)])
+    return sorted(matching.found)
 
 
 class _Matching:
-    """Matches of two recordings, and the actors that are left."""
+    """Matches of two recordings, and the actors that are left, by number."""
 
     def __init__(self, a: Sequence[ActorLife], b: Sequence[ActorLife]) -> None:
         self.found: list[Match] = []
         self._all = a, b
-        self._left = {id(life): life for life in a}, {id(life): life for life in b}
+        self._left = dict(enumerate(a)), dict(enumerate(b))
 
-    def _add(self, a: ActorLife, b: ActorLife, by: MatchedBy) -> None:
+    def _add(self, a: int, b: int, by: MatchedBy) -> None:
         self.found.append(Match(a, b, by))
-        del self._left[0][id(a)], self._left[1][id(b)]
+        del self._left[0][a], self._left[1][b]
 
     def by_role(self) -> None:
-        def unique(lives: Iterable[ActorLife]) -> dict[tuple[str, str], ActorLife]:
-            roles = {(life.kind, life.role_name): life for life in lives if life.role_name}
+        def unique(lives: Sequence[ActorLife]) -> dict[tuple[str, str], int]:
             counts = Counter((life.kind, life.role_name) for life in lives)
-            return {role: life for role, life in roles.items() if counts[role] == 1}
+            roles = ((number, (life.kind, life.role_name)) for number, life in enumerate(lives) if life.role_name)
+            return {role: number for number, role in roles if counts[role] == 1}
 
         others = unique(self._all[1])
-        for role, life in unique(self._all[0]).items():
+        for role, number in unique(self._all[0]).items():
             if role in others:
-                self._add(life, others[role], "role")
+                self._add(number, others[role], "role")
 
     def by_birth(self) -> None:
         def exact(life: ActorLife) -> Hashable:
@@ -93,23 +86,37 @@ class _Matching:
 
         self._pair(lambda life: (exact(life), life.id))
         self._pair(exact)
-        grid: dict[Hashable, list[ActorLife]] = defaultdict(list)
-        for life in self._left[1].values():
-            cell = _cell(life.place)
-            if cell is not None:
-                grid[(*_blueprint(life), *cell)].append(life)
-        near: list[tuple[float, float, bool, int, ActorLife, ActorLife]] = []
-        for number, life in enumerate(self._left[0].values()):
-            for other in _neighbours(grid, life):
-                distance, seconds = _apart(life, other)
-                if distance <= SAME_PLACE and seconds <= SAME_BIRTH:
-                    near.append((distance, seconds, life.id != other.id, number, life, other))
-        for *_, life, other in sorted(near, key=lambda row: row[:4]):
-            if id(life) in self._left[0] and id(other) in self._left[1]:
-                self._add(life, other, _birth(life))
+        for a, b in self._groups():
+            self._match_nearest(a, b)
+
+    def _match_nearest(self, a: list[int], b: list[int]) -> None:
+        """Match actors of one blueprint whose spawns are near in place and time, the nearest of all first."""
+        theirs = [self._left[1][number] for number in b]
+        places, births = _places(theirs), np.array([life.spawned_at for life in theirs])
+        ids, is_free = np.array([life.id for life in theirs]), np.ones(len(b), np.bool_)
+
+        def nearest(number: int) -> tuple[float, float, bool, int, int] | None:
+            life = self._left[0][number]
+            seconds = np.zeros(len(b)) if life.kind in _STATIC else np.abs(births - life.spawned_at)
+            distance = _distances(places, life)
+            near = np.flatnonzero(is_free & (distance <= SAME_PLACE) & (seconds <= SAME_BIRTH))
+            if not len(near):
+                return None
+            best = near[np.lexsort((ids[near] != life.id, seconds[near], distance[near]))[0]]
+            return float(distance[best]), float(seconds[best]), bool(ids[best] != life.id), number, int(best)
+
+        heap = [found for number in a if (found := nearest(number)) is not None]
+        heapify(heap)
+        while heap:
+            *_, number, best = heappop(heap)
+            if is_free[best]:
+                is_free[best] = False
+                self._add(number, b[best], _birth(theirs[best]))
+            elif (found := nearest(number)) is not None:
+                heappush(heap, found)
 
     def by_parent(self) -> None:
-        partner = {(match.a.id): match.b.id for match in self.found}
+        partner = {self._all[0][match.a].id: self._all[1][match.b].id for match in self.found}
         known = set(partner.values())
 
         def attached(life: ActorLife, parent: int | None) -> Hashable:
@@ -122,27 +129,27 @@ class _Matching:
         )
 
     def by_order(self) -> None:
-        groups: dict[tuple[str, str], tuple[list[ActorLife], list[ActorLife]]] = defaultdict(lambda: ([], []))
-        for side in (0, 1):
-            for life in self._left[side].values():
-                if life.kind not in _STATIC:
-                    groups[_blueprint(life)][side].append(life)
-        for a, b in groups.values():
-            if not a or not b:
+        for a, b in self._groups():
+            theirs = [self._left[1][number] for number in b]
+            if theirs[0].kind in _STATIC:
                 continue
-            places = np.array([other.place for other in b])
-            starts = np.array([other.spawned_at for other in b])
-            stops = np.array([other.end for other in b])
-            is_free = np.ones(len(b), np.bool_)
-            for life in a:
-                with np.errstate(invalid="ignore", over="ignore"):
-                    is_far = np.linalg.norm(places - life.place, axis=1) > NEAR
-                    is_other = (life.end <= starts) | (stops <= life.spawned_at)
-                fitting = is_free & ~is_far & ~is_other
-                index = int(fitting.argmax())
-                if fitting[index]:
-                    is_free[index] = False
-                    self._add(life, b[index], "order")
+            places, is_free = _places(theirs), np.ones(len(b), np.bool_)
+            starts, stops = (np.array([getattr(life, name) for life in theirs]) for name in ("spawned_at", "end"))
+            for number in a:
+                life = self._left[0][number]
+                is_other = (life.end <= starts) | (stops <= life.spawned_at)
+                fitting = np.flatnonzero(is_free & ~(_distances(places, life) > NEAR) & ~is_other)
+                if len(fitting):
+                    is_free[fitting[0]] = False
+                    self._add(number, b[fitting[0]], "order")
+
+    def _groups(self) -> Iterator[tuple[list[int], list[int]]]:
+        """Yield the numbers of the actors that are left of each blueprint that is left in both recordings."""
+        groups: dict[tuple[str, str], tuple[list[int], list[int]]] = defaultdict(lambda: ([], []))
+        for side, left in enumerate(self._left):
+            for number, life in left.items():
+                groups[_blueprint(life)][side].append(number)
+        yield from ((a, b) for a, b in groups.values() if a and b)
 
     def _pair(
         self,
@@ -151,13 +158,13 @@ class _Matching:
         by: MatchedBy | None = None,
     ) -> None:
         """Match actors with the same key, in their order, except for actors whose key is None."""
-        groups: dict[Hashable, list[ActorLife]] = defaultdict(list)
-        for life in reversed(self._left[1].values()):
-            groups[(key_of_b or key)(life)].append(life)
-        for life in list(self._left[0].values()):
+        groups: dict[Hashable, list[int]] = defaultdict(list)
+        for number, life in reversed(self._left[1].items()):
+            groups[(key_of_b or key)(life)].append(number)
+        for number, life in list(self._left[0].items()):
             group = key(life)
             if group is not None and groups.get(group):
-                self._add(life, groups[group].pop(), by or _birth(life))
+                self._add(number, groups[group].pop(), by or _birth(life))
 
 
 def _blueprint(life: ActorLife) -> tuple[str, str]:
@@ -168,23 +175,11 @@ def _birth(life: ActorLife) -> MatchedBy:
     return "position" if life.kind in _STATIC else "birth"
 
 
-def _cell(place: Place) -> tuple[int, int, int] | None:
-    """Return the cube of a place; None if it is not finite."""
-    x, y, z = place
-    if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-        return None
-    return math.floor(x / SAME_PLACE), math.floor(y / SAME_PLACE), math.floor(z / SAME_PLACE)
+def _places(lives: Sequence[ActorLife]) -> Floats:
+    return np.array([life.place for life in lives], np.float64)
 
 
-def _neighbours(grid: dict[Hashable, list[ActorLife]], life: ActorLife) -> Iterator[ActorLife]:
-    """Yield the actors of the same blueprint that may be near; of many, the first ones."""
-    cell = _cell(life.place)
-    for step in product((-1, 0, 1), repeat=3) if cell is not None else ():
-        x, y, z = (coordinate + change for coordinate, change in zip(cell or (), step, strict=True))
-        yield from grid.get((*_blueprint(life), x, y, z), ())[:_CANDIDATES]
-
-
-def _apart(life: ActorLife, other: ActorLife) -> tuple[float, float]:
-    """Return the distance of the spawns of two actors in m, and the seconds between them, which do not count for lights."""
-    seconds = 0.0 if life.kind in _STATIC else abs(life.spawned_at - other.spawned_at)
-    return math.dist(life.place, other.place), seconds
+def _distances(places: Floats, life: ActorLife) -> Floats:
+    """Return the distances of places from that of an actor, in m."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        return np.asarray(np.linalg.norm(places - life.place, axis=1))

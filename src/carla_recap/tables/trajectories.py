@@ -271,14 +271,14 @@ def actor_rows(
     """
     wanted = None if actors is None else np.array(list(actors), np.uint32)
     pieces: dict[str, dict[int, list[ActorRows]]] = {name: {} for name in names}
-    for batches in _portions(reader.batches(tuple(names), start=start, stop=stop)):
+    for batches in portions(reader.batches(tuple(names), start=start, stop=stop)):
         for name in names:
-            for id, rows in _rows_by_actor(batches, name, wanted):
+            for id, rows in rows_by_actor(batches, name, wanted):
                 pieces[name].setdefault(id, []).append(rows)
     return {name: {id: _joined(found.pop(id)) for id in list(found)} for name, found in pieces.items()}
 
 
-def _portions(batches: Iterable[Batch]) -> Iterator[list[Batch]]:
+def portions(batches: Iterable[Batch]) -> Iterator[list[Batch]]:
     """Yield batches in lists of about `_FRAMES` frames."""
     portion, frames = [], 0
     for batch in batches:
@@ -293,7 +293,9 @@ def _portions(batches: Iterable[Batch]) -> Iterator[list[Batch]]:
         yield portion
 
 
-def _rows_by_actor(batches: list[Batch], name: str, wanted: NDArray[np.uint32] | None) -> Iterator[tuple[int, ActorRows]]:
+def rows_by_actor(
+    batches: list[Batch], name: str, wanted: NDArray[np.uint32] | None = None
+) -> Iterator[tuple[int, ActorRows]]:
     """Yield the records of a type in batches by actor, in the order in which the actors appear."""
     pieces = [np.ascontiguousarray(batch.records(name)) for batch in batches]
     dtype = next((piece.dtype for piece in pieces if piece.size), pieces[0].dtype)
@@ -307,7 +309,7 @@ def _rows_by_actor(batches: list[Batch], name: str, wanted: NDArray[np.uint32] |
     is_last = np.append((ids[1:] != ids[:-1]) | (rows[1:] != rows[:-1]), True)[: len(ids)]  # of an actor in a frame
     order, ids, rows = order[is_last], ids[is_last], rows[is_last]
     time = np.concatenate([batch.elapsed for batch in batches])[rows]
-    frame, records = frame[rows], records[order]
+    frame, records = frame[rows], records.take(order)  # several times faster than an index of records
     edges = np.flatnonzero(np.append(True, ids[1:] != ids[:-1])[: len(ids)]).tolist()
     for start, stop in sorted(pairwise([*edges, len(ids)]), key=lambda edge: int(order[edge[0]])):
         yield int(ids[start]), ActorRows(frame[start:stop], time[start:stop], records[start:stop])
