@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import fields
 from datetime import UTC, datetime
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -371,3 +373,28 @@ def test_heroes_are_the_actors_with_that_role(recording):
 def test_actors_are_a_table(recording):
     assert recording.actors.to_pandas()["id"].tolist() == list(recording.actors)
     assert recording.actors.to_arrow()["type_id"].to_pylist() == [a.type_id for a in recording.actors.values()]
+
+
+@pytest.mark.parametrize(
+    ("keywords", "options"),
+    [
+        ("queries.detectors:IncidentKeywords", "queries.detectors:IncidentOptions"),
+        ("queries.score.scoring:ScoreKeywords", "queries.score.scoring:ScoreOptions"),
+        ("sensors.options:SensingKeywords", "sensors.options:SensingOptions"),
+    ],
+)
+def test_keywords_are_the_fields_of_the_options(keywords: str, options: str) -> None:
+    found, expected = (
+        getattr(import_module(f"carla_recap.{name.partition(':')[0]}"), name.partition(":")[2]).__annotations__
+        for name in (keywords, options)
+    )
+    assert {name: kind.__forward_arg__ for name, kind in found.items()} == expected
+
+
+def test_keywords_of_exports_and_campaigns_are_their_options() -> None:
+    from carla_recap.exports import FORMATS, ExportKeywords
+    from carla_recap.fleet.campaign import Campaign, CampaignKeywords
+
+    known = set().union(*(form.options for form in FORMATS.values()))
+    assert {*ExportKeywords.__annotations__, "road_map"} == known
+    assert {"function", "out", *CampaignKeywords.__annotations__} == {field.name for field in fields(Campaign)}

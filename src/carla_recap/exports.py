@@ -6,7 +6,7 @@ import inspect
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypedDict, Unpack, cast
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.formats.sources import split_time
@@ -15,8 +15,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from carla_recap.files.datasets import DatasetWriter
+    from carla_recap.formats.base import Reader
+    from carla_recap.model.lives import ActorName
+    from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import Recording
+    from carla_recap.rendering.camera import Quality
     from carla_recap.replay import Played
+    from carla_recap.replay.follow import Follow
+    from carla_recap.sensors.rig import SensorRig
+    from carla_recap.show.rerun.blueprint import View
 
     Progress = Callable[[Iterable[Any], Any], Iterable[Any]]
 
@@ -143,6 +150,23 @@ def find_format(destination: Path | str, to: str | None = None, *, is_folder: bo
     return found
 
 
+class ExportKeywords(TypedDict, total=False):
+    """The options of all formats but the map of the town; which go with a format, its function says."""
+
+    start: float
+    duration: float
+    follow: Follow | None
+    view: View
+    incidents: IncidentOptions | None
+    cameras: Path | str | None
+    ghost: Recording | Reader | None
+    rig: SensorRig | Path | str | None
+    actor: ActorName
+    camera: str | None
+    rate: float | None
+    quality: Quality
+
+
 def export(
     recording: Recording,
     destination: Path | str,
@@ -151,7 +175,7 @@ def export(
     road_map: Path | str | None = None,
     force: bool = False,
     progress: Progress | None = None,
-    **options: Any,
+    **options: Unpack[ExportKeywords],
 ) -> Exported:
     """Write a recording in another format: for Rerun, Foxglove and other programs, or as a dataset.
 
@@ -170,7 +194,7 @@ def export(
         FormatError: The recording is damaged.
     """
     form = find_format(destination, to)
-    about = {"road_map": road_map, "progress": progress, **options}
+    about: dict[str, Any] = {"road_map": road_map, "progress": progress, **options}
     if form.dataset:
         from carla_recap.files.datasets import DatasetPart, dataset_folder
         from carla_recap.util.files import files_below

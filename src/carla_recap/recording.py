@@ -31,12 +31,14 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
+    from typing import Unpack
 
     from carla_recap.formats.base import Reader, TopicMessage
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame, Header
     from carla_recap.queries.blocked import Blocked
     from carla_recap.queries.collisions import Collisions
+    from carla_recap.queries.detectors import IncidentKeywords
     from carla_recap.queries.differences import Differences
     from carla_recap.queries.incidents import Incidents
     from carla_recap.queries.measures import Measures
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.measures.over_time import Subjects
     from carla_recap.queries.sensors import RecordedSensors
     from carla_recap.queries.summary import RecordingSummary
+    from carla_recap.roads.network import RoadNetwork
     from carla_recap.tables.display import Preview
 
 T = TypeVar("T")
@@ -363,7 +366,7 @@ class Recording:
 
         return blocked(self.reader, min_time, min_distance, compat=compat)
 
-    def incidents(self, **options: Any) -> Incidents:
+    def incidents(self, **options: Unpack[IncidentKeywords]) -> Incidents:
         """Return the incidents in order of time: by default collisions, long stops and hard braking.
 
         Args:
@@ -382,49 +385,64 @@ class Recording:
 
         return incidents(self.reader, IncidentOptions(**options))
 
-    def diff(self, other: Recording, **options: Any) -> Differences:
+    def diff(
+        self, other: Recording, *, tolerance: float = 0.0, time_tolerance: float | None = None, events: bool = True
+    ) -> Differences:
         """Return the differences from another recording of the same scenario, such as another run of a test.
 
         Args:
             other: The other recording.
-            options: Those of `carla_recap.queries.differences.differences`: `tolerance`, the distance in m that counts as
-                equal; `time_tolerance`, the time in s that does; `events`, whether to compare incidents.
+            tolerance: The distance in m that counts as equal.
+            time_tolerance: The time in s that counts as equal; None: 0 if the tolerance is 0, else 1.
+            events: Whether to compare incidents.
 
         Raises:
             RecapError: A tolerance is negative.
         """
         from carla_recap.queries.differences import differences
 
-        return differences(self.reader, other.reader, **options)
+        return differences(self.reader, other.reader, tolerance=tolerance, time_tolerance=time_tolerance, events=events)
 
-    def measures(self, actors: Subjects = None, **options: Any) -> Measures:
+    def measures(
+        self,
+        actors: Subjects = None,
+        *,
+        roads: RoadNetwork | None = None,
+        start: float = -math.inf,
+        stop: float = math.inf,
+    ) -> Measures:
         """Return the extreme values of measures: how close others came to an actor, how hard and how fast it drives.
 
         Args:
             actors: The ids of vehicles or walkers, "hero" or "all"; None: the heroes, or if there is none, all vehicles.
-            options: Those of `carla_recap.queries.measures.measures`: `start` and `stop`, in elapsed seconds.
+            roads: The roads of the map, for measures of the road; None: without these.
+            start: The elapsed seconds from which on to measure.
+            stop: The elapsed seconds until which to measure.
 
         Raises:
             RecapError: There is no such vehicle or walker, or no hero.
         """
         from carla_recap.queries.measures import measures
 
-        return measures(self.reader, actors, **options)
+        return measures(self.reader, actors, roads=roads, start=start, stop=stop)
 
-    def time_series(self, actor_id: ActorName, other_id: ActorName | None = None, **options: Any) -> MeasureSeries:
+    def time_series(
+        self, actor_id: ActorName, other_id: ActorName | None = None, *, start: float = -math.inf, stop: float = math.inf
+    ) -> MeasureSeries:
         """Return the measures of a vehicle or walker over time: arrays of shape (n,), for the n frames that have it.
 
         Args:
             actor_id: The id of the actor, or "hero".
             other_id: The same of the only other actor that counts; None for all.
-            options: Those of `carla_recap.queries.measures.time_series`: `start` and `stop`, in elapsed seconds.
+            start: The elapsed seconds from which on to measure.
+            stop: The elapsed seconds until which to measure.
 
         Raises:
             RecapError: There is no such vehicle or walker.
         """
         from carla_recap.queries.measures import time_series
 
-        return time_series(self.reader, actor_id, other_id, **options)
+        return time_series(self.reader, actor_id, other_id, start=start, stop=stop)
 
     def _rows(self, actor_id: ActorName, name: str) -> ActorRows:
         """Return the records of an actor; of several in a frame, the last one; raise if there is no such actor."""

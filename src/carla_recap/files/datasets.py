@@ -23,7 +23,7 @@ from carla_recap.rendering.camera import ImageKind
 from carla_recap.replay import Played
 from carla_recap.replay.pose import LOCATION, rotations
 from carla_recap.sensors.kinds import SENSOR_TYPES
-from carla_recap.sensors.options import SensingOptions
+from carla_recap.sensors.options import SensingKeywords, SensingOptions
 from carla_recap.sensors.rig import SensorRig, as_rig
 from carla_recap.sensors.sensing import sensed_frames
 from carla_recap.util.files import check_folder, new_folder
@@ -31,6 +31,7 @@ from carla_recap.util.files import check_folder, new_folder
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
+    from typing import Unpack
 
     from carla_recap.files.labels import ImageLabel, LabelledActor
     from carla_recap.recording import Recording
@@ -231,7 +232,7 @@ def write_part(
     rig: SensorRig | Path | str | None = None,
     camera: str | None = None,
     progress: Progress | None = None,
-    **options: Any,
+    **options: Unpack[SensingKeywords],
 ) -> Played:
     """Write the part of a dataset that is of a recording: what a rig would have seen, with labels.
 
@@ -258,7 +259,7 @@ def write_part(
     if rig is None:
         raise RecapError("a dataset needs a rig: --rig RIG.json (in Python, rig=...)")
     sensors = dataset.sensors_of(as_rig(rig), camera)
-    sensing = SensingOptions(**{"rate": dataset.rate, **options})
+    sensing = SensingOptions(**SensingKeywords(rate=dataset.rate) | options)
     times: list[float] = []
     has_labels = False
     with PartTables(folder, dataset.tables_of_part) as tables:

@@ -22,6 +22,7 @@ from carla_recap.sensors.rig import as_rig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Mapping
+    from typing import Unpack
 
     from distributed import Client
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from carla_recap.fleet.engine import Sources
     from carla_recap.fleet.outcomes import Outcome
     from carla_recap.fleet.sources import SourceFile
+    from carla_recap.sensors.options import SensingKeywords
     from carla_recap.sensors.rig import SensorRig
 
     WritePart = Callable[[str, Path, str], WrittenFile]
@@ -65,7 +67,7 @@ def export_dataset(
     force: bool = False,
     jobs: int | None = None,
     client: Client | None = None,
-    **options: Any,
+    **options: Unpack[SensingKeywords],
 ) -> ExportedDataset:
     """Write one dataset of many recordings, as `carla-recap export` does; those that fail are left out.
 
@@ -90,7 +92,7 @@ def export_dataset(
     datasets = [name for name, each in FORMATS.items() if each.dataset]
     if to not in datasets:
         raise RecapError(f"{to!r} is no format of datasets; one of {', '.join(datasets)} was expected")
-    given = {"rig": as_rig(rig), **({} if camera is None else {"camera": camera}), **options}
+    given: dict[str, Any] = {"rig": as_rig(rig), **({} if camera is None else {"camera": camera}), **options}
     FORMATS[to].dataset_class.sensors_of(given["rig"], camera)
     SensingOptions(**options)
     write = partial(_export_part, to, given)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet.check import CheckedRecording
@@ -18,19 +18,25 @@ from carla_recap.util.text import visible
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Mapping, Sequence
     from pathlib import Path
+    from typing import Unpack
 
     from distributed import Client
 
     from carla_recap.fleet.outcomes import Outcome
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.queries.score import Infraction, Score
+    from carla_recap.queries.score.scoring import ScoreKeywords
     from carla_recap.recording import Recording
 
 _LISTED: Final = 20  # infractions that a verdict lists
 
 
 def score(
-    recording: Recording, route: Route | Path | str | None = None, *, route_id: str | None = None, **options: Any
+    recording: Recording,
+    route: Route | Path | str | None = None,
+    *,
+    route_id: str | None = None,
+    **options: Unpack[ScoreKeywords],
 ) -> Score:
     """Return the score of a recording, as CARLA's Leaderboard scores a drive.
 

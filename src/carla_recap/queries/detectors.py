@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, Literal, Protocol
+from typing import TYPE_CHECKING, Final, Literal, Protocol, TypedDict
 
 from carla_recap.errors import RecapError
 from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, BrakingDetector
@@ -124,6 +124,22 @@ class IncidentOptions:
     def is_whole(self) -> bool:
         """Whether all of the recording is looked at."""
         return self.start == -math.inf and self.stop == math.inf
+
+
+class IncidentKeywords(TypedDict, total=False):
+    """The fields of `IncidentOptions`, as keywords."""
+
+    kinds: Collection[str] | Literal["all"] | None
+    roads: RoadNetwork | None
+    road_map: str | None
+    min_time: float
+    min_distance: float
+    deceleration: float
+    time_to_collision: float
+    post_encroachment_time: float
+    start: float
+    stop: float
+    actor: ActorName | None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -470,9 +470,9 @@ def _by_size(row: ActorDifference) -> tuple[bool, float, float, int]:
 def _event(a: Incident | None, b: Incident | None) -> EventDifference:
     known = a or b
     assert known is not None
-    times = (each.start if each else None for each in (a, b))
-    actors = (each.actors if each else () for each in (a, b))
-    return EventDifference(known.kind, *times, *actors, known.text)
+    start_a, start_b = (each.start if each else None for each in (a, b))
+    actors_a, actors_b = (each.actors if each else () for each in (a, b))
+    return EventDifference(known.kind, start_a, start_b, actors_a, actors_b, known.text)
 
 
 def _start(row: EventDifference) -> float:

@@ -176,7 +176,8 @@ def compare_states(a: ActorFrames, b: ActorFrames, pairs: FramePairs) -> NDArray
     before, is_before = _rows_of(b, pairs.before[a.frame])
     after, is_after = _rows_of(b, pairs.after[a.frame])
     differs = is_before & (a.values != b.values[before])[:, 0] & ((a.values != b.values[after])[:, 0] | ~is_after)
-    return a.frame[differs]
+    frames: NDArray[np.int32] = a.frame[differs]
+    return frames
 
 
 def _interpolated(a: ActorFrames, b: ActorFrames, pairs: FramePairs) -> tuple[Floats, Booleans]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict
 
 from carla_recap.errors import RecapError
 from carla_recap.model.lives import HERO
@@ -45,3 +45,14 @@ class SensingOptions:
             raise RecapError(f"a duration of {self.duration:g} s; 0 or more was expected")
         if self.rate is not None and not 0 < self.rate < math.inf:
             raise RecapError(f"a rate of {self.rate:g} per second; a number above 0 was expected")
+
+
+class SensingKeywords(TypedDict, total=False):
+    """The fields of `SensingOptions`, as keywords."""
+
+    actor: ActorName
+    start: float
+    duration: float
+    rate: float | None
+    road_map: Path | str | None
+    quality: Quality

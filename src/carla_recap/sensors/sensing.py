@@ -38,6 +38,7 @@ from carla_recap.sensors.position import Gnss, Imu, geo_reference
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Mapping, Sequence
     from pathlib import Path
+    from typing import Unpack
 
     from numpy.typing import NDArray
 
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.description import SceneDescription, Uncut
     from carla_recap.scene.instances import Instances
     from carla_recap.sensors.carrier_motion import Motion
+    from carla_recap.sensors.options import SensingKeywords
     from carla_recap.sensors.rig import SensorRig, SensorSpec
     from carla_recap.util.arrays import Floats
 
@@ -128,7 +130,7 @@ class SensedFrame:
 
 
 def sense(
-    recording: Recording, rig: SensorRig, *, progress: Progress | None = None, **options: Any
+    recording: Recording, rig: SensorRig, *, progress: Progress | None = None, **options: Unpack[SensingKeywords]
 ) -> Generator[SensedFrame]:
     """Return what the sensors of a rig on an actor of a recording would have measured, moment by moment.
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 from carla_recap.errors import RecapError
 from carla_recap.fleet.campaign.origin import made_with
@@ -148,13 +148,28 @@ class Campaign:
         )
 
 
+class CampaignKeywords(TypedDict, total=False):
+    """The fields of `Campaign` that are options of `campaign`."""
+
+    town: str | None
+    maps: str | Path | None
+    duration: float
+    additional_data: bool
+    date: int | None
+    limit: float | None
+    jobs: int | None
+    client: Client | None
+    scoring: Scoring | None
+    again: bool
+
+
 def campaign(
     function: Callable[..., object] | str | Path,
     *,
     seeds: Sequence[int],
     out: str | Path,
     params: Mapping[str, Sequence[Value]] | None = None,
-    **options: Any,
+    **options: Unpack[CampaignKeywords],
 ) -> Generator[FinishedRun]:
     """Yield the runs of a function with all combinations of seeds and values of parameters, as they are finished.
 
@@ -167,7 +182,7 @@ def campaign(
         seeds: The seeds of the worlds.
         out: The folder of the recordings, or a prefix of an object store.
         params: The values of each parameter.
-        **options: Further attributes of `Campaign`, such as `duration`, `limit`, `jobs` and `client`.
+        options: Further attributes of `Campaign`, such as `duration`, `limit`, `jobs` and `client`.
 
     Raises:
         RecapError: There are too many runs, the function lacks a parameter, or the recordings cannot be written there.

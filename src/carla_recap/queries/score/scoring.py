@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypedDict
 
 import numpy as np
 
@@ -65,6 +65,16 @@ class ScoreOptions:
     def __post_init__(self) -> None:
         if self.formula not in FORMULAS:
             raise RecapError(f"{self.formula!r} is no formula; there are {', '.join(FORMULAS)}")
+
+
+class ScoreKeywords(TypedDict, total=False):
+    """The fields of `ScoreOptions`, as keywords."""
+
+    formula: Formula
+    actor: ActorName
+    road_map: str | None
+    start: float
+    stop: float
 
 
 @dataclass(frozen=True, slots=True)

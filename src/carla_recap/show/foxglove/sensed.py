@@ -11,7 +11,7 @@ from heapq import merge
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -38,11 +38,13 @@ from carla_recap.v1.sensors_pb2 import ActorEntry, ActorTable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
+    from typing import Unpack
 
     from carla_recap.model.batch import Batch
     from carla_recap.model.lives import ActorLife, ActorName
     from carla_recap.recording import Recording
     from carla_recap.replay.player import Progress
+    from carla_recap.sensors.options import SensingKeywords
     from carla_recap.sensors.rig import SensorRig
     from carla_recap.sensors.sensing import SensedFrame
     from carla_recap.show.foxglove.topics import TimedMessages
@@ -80,7 +82,7 @@ def export_sensed(
     video: bool = False,
     force: bool = False,
     progress: Progress | None = None,
-    **options: Any,
+    **options: Unpack[SensingKeywords],
 ) -> SensedFile:
     """Write a recording with what the sensors of a rig on one of its actors would have measured.
 
