@@ -372,8 +372,9 @@ class Recording:
         Args:
             options: The fields of `carla_recap.queries.incidents.IncidentOptions`: `kinds`, such as `["near miss"]` or
                 "all"; `roads` or `road_map`, the map, for kinds that need it; `min_time` in s and `min_distance` in cm of
-                stops; `deceleration` in m/s² of hard braking; `time_to_collision` and `post_encroachment_time` in s of near
-                misses; `start` and `stop`, in s, of the part to look at; `actor`, an id or "hero", that takes part.
+                stops; `deceleration` in m/s² of hard braking; `time_to_collision` and `post_encroachment_time` in s and
+                `required_deceleration` in m/s² of near misses; `start` and `stop`, in s, of the part to look at; `actor`, an
+                id or "hero", that takes part.
 
         Raises:
             RecapError: A limit makes no sense, there is no such kind or actor, or all kinds need the map, which is unknown.

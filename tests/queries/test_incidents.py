@@ -410,10 +410,16 @@ def test_limits_of_near_misses_are_options(crossing: Callable[[float], Reader]) 
     assert len(incidents(later, IncidentOptions(kinds=["near miss"], post_encroachment_time=2))) == 1
 
 
+@pytest.mark.parametrize("value", [-0.1, math.inf, math.nan])
+def test_a_required_deceleration_without_a_sense_is_an_error(value: float) -> None:
+    with pytest.raises(RecapError, match=f"^required_deceleration is {value:g} m/s²; expected 0 or more$"):
+        IncidentOptions(required_deceleration=value)
+
+
 @pytest.mark.parametrize("name", ["time_to_collision", "post_encroachment_time"])
 @pytest.mark.parametrize("value", [-0.1, 60.1, math.inf, math.nan])
 def test_limits_of_near_misses_without_a_sense_are_errors(name: str, value: float) -> None:
-    with pytest.raises(RecapError, match=f"^{name} is {value:g} s; 0 to 60 s were expected$"):
+    with pytest.raises(RecapError, match=f"^{name} is {value:g} s; expected 0 to 60 s$"):
         IncidentOptions(**{name: value})
 
 

@@ -188,6 +188,14 @@ post_encroachment_time = click.option(
     metavar="S",
     help="Greatest post-encroachment time of a near miss.",
 )
+required_deceleration = click.option(
+    "--required-deceleration",
+    type=NUMBER,
+    default=0,
+    show_default=True,
+    metavar="M/S²",
+    help="Least deceleration that a near miss by its time to collision requires.",
+)
 involved = click.option(
     "--actor", type=FOLLOW, metavar="ID|hero", help="The actor that has to take part in the incidents; else any."
 )
@@ -260,6 +268,7 @@ incident_options = together(
     deceleration,
     time_to_collision,
     post_encroachment_time,
+    required_deceleration,
     gathered("wanted", _load_incident_options),
 )
 """The options that say which incidents to find, as an `IncidentOptions`."""

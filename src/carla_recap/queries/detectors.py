@@ -19,7 +19,13 @@ from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 from carla_recap.queries.blocked import longest_first
 from carla_recap.queries.contacts import LOOK_UPS, ImpactSearch, impacts, is_known, joined, read_spans
 from carla_recap.queries.measures.definitions import DURATION, MEASURES, RELATIVE_SPEED
-from carla_recap.queries.measures.near_misses import LONGEST, POST_ENCROACHMENT_TIME, TIME_TO_COLLISION, NearMissDetector
+from carla_recap.queries.measures.near_misses import (
+    LONGEST,
+    POST_ENCROACHMENT_TIME,
+    REQUIRED_DECELERATION,
+    TIME_TO_COLLISION,
+    NearMissDetector,
+)
 from carla_recap.queries.measures.near_misses import TYPES as MOTION_TYPES
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
@@ -93,12 +99,14 @@ class IncidentOptions:
         deceleration: The deceleration from which on braking is hard, in m/s².
         time_to_collision: The greatest time to collision of a near miss, in s; 60 at most.
         post_encroachment_time: The greatest post-encroachment time of a near miss, in s; 60 at most.
+        required_deceleration: The least deceleration that a near miss by its time to collision requires, in m/s²; 0: any.
         start: The elapsed seconds from which on to look for incidents.
         stop: The elapsed seconds until which to look for them. Long stops in MCAP files may begin and end outside.
         actor: The actor that has to take part in them; None: any.
 
     Raises:
-        RecapError: The deceleration is not above 0, or a time of near misses is below 0 or above 60 s.
+        RecapError: The deceleration is not above 0, a time of near misses is below 0 or above 60 s, or the deceleration that
+            they require is below 0.
     """
 
     kinds: Collection[str] | Literal["all"] | None = None
@@ -109,6 +117,7 @@ class IncidentOptions:
     deceleration: float = HARD
     time_to_collision: float = TIME_TO_COLLISION
     post_encroachment_time: float = POST_ENCROACHMENT_TIME
+    required_deceleration: float = REQUIRED_DECELERATION
     start: float = -math.inf
     stop: float = math.inf
     actor: ActorName | None = None
@@ -118,7 +127,9 @@ class IncidentOptions:
             raise RecapError(f"a deceleration of {self.deceleration:g} m/s² is no braking; it must be above 0")
         for name in ("time_to_collision", "post_encroachment_time"):
             if not 0 <= (time := getattr(self, name)) <= LONGEST:
-                raise RecapError(f"{name} is {time:g} s; 0 to {LONGEST:g} s were expected")
+                raise RecapError(f"{name} is {time:g} s; expected 0 to {LONGEST:g} s")
+        if not 0 <= self.required_deceleration < math.inf:
+            raise RecapError(f"required_deceleration is {self.required_deceleration:g} m/s²; expected 0 or more")
 
     @property
     def is_whole(self) -> bool:
@@ -364,6 +375,7 @@ class NearMissIncidents:
             series=search.series,
             time_to_collision=search.options.time_to_collision,
             post_encroachment_time=search.options.post_encroachment_time,
+            required_deceleration=search.options.required_deceleration,
         )
 
     def add(self, batch: Batch) -> None:

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carla_recap.model.lives import ActorLives
+from carla_recap.model.lives import ActorLife
+from carla_recap.model.records import Spawn
 from carla_recap.queries.measures import post_encroachment_time
-from carla_recap.queries.measures.encroachment import Encroachments, Path, encroachments
-from carla_recap.queries.measures.motion_blocks import TYPES, MotionBlock, MotionCollector
+from carla_recap.queries.measures.encroachment import Crossing, CrossingSearch, Path
+from carla_recap.queries.measures.motion_table import TYPES, MotionCollector, MotionTable
 from carla_recap.queries.recorded_actors import actors
 from tests.queries.measures.conftest import Mover
 
@@ -89,46 +90,48 @@ def circling(id: int, x: float, y: float, radius: float, speed: float) -> Mover:
     )
 
 
-def arrivals(reader: Reader, size: int) -> set[tuple[int, int, int, int]]:
-    """Return the actors that leave a spot, those that arrive, and the frames of both, for a block size in frames."""
-    collector = MotionCollector(ActorLives(actors(reader)))
-    blocks = [block for batch in reader.batches(TYPES) for block in collector.add(batch)]
-    found = set()
-    for block in [*blocks, *collector.finish()]:
-        one, other = np.triu_indices(len(block.ids), 1)
-        for start in range(block.first, block.last, size):
-            for first, second, left, arrived, _ in zip(*encroachments(block, start, one, other, 3.0), strict=True):
-                found.add((int(block.ids[first]), int(block.ids[second]), block.index + left, block.index + arrived))
-    return found
+def crossings(reader: Reader, longest: float) -> set[tuple[int, int, float, float, float]]:
+    """Return the actors that leave a spot, those that arrive, when, and the least time between both."""
+    search = CrossingSearch(longest)
+    collector = MotionCollector(actors(reader), before=search.before, after=3.0)
+    tables = [table for batch in reader.batches(TYPES) for table in collector.add(batch)]
+    for table in [*tables, *collector.finish()]:
+        search.add(table, np.ones(len(table.ids), np.bool_))
+    return {
+        (each.first.id, each.second.id, *(round(time, 6) for time in (each.left, each.arrived, each.time)))
+        for each in search.finish()
+    }
 
 
-def test_the_number_of_frames_at_once_changes_nothing(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("longest", [1.0, 3.0, 12.0])
+def test_the_number_of_frames_at_once_changes_nothing(drive: Drive, monkeypatch: pytest.MonkeyPatch, longest: float) -> None:
     """Cars in circles, which cross, follow and touch each other again and again for 30 s."""
     cars = [circling(id, 9.0 * (id % 3), 11.0 * (id // 3), 7.0 + id, 4.0 + 0.7 * id) for id in range(6)]
     reader = drive(cars, seconds=30)
-    found = {}
-    for size, block in ((1024, 1024), (512, 1024), (64, 1024), (64, 100), (30, 1024)):
-        monkeypatch.setattr("carla_recap.queries.measures.encroachment.FRAMES", size)
-        monkeypatch.setattr("carla_recap.queries.measures.motion_blocks._FRAMES", block)
-        found[size, block] = arrivals(reader, size)
-    whole = found[1024, 1024]
-    assert len(whole) > 400
-    assert {sizes: len(part ^ whole) for sizes, part in found.items()} == dict.fromkeys(found, 0)
+    found = []
+    for frames, moments in ((1024, 16), (1024, 1000), (100, 16), (37, 5)):
+        monkeypatch.setattr("carla_recap.queries.measures.motion_table._FRAMES", frames)
+        monkeypatch.setattr("carla_recap.queries.measures.encroachment._AT_ONCE", moments)
+        found.append(crossings(reader, longest))
+    assert found[0]
+    assert all(each == found[0] for each in found)
 
 
 # --- what counts as a crossing ---------------------------------------------------------------------------
 
 
-def crossing(time: np.ndarray, **changed: Any) -> MotionBlock:
+LIVES = tuple(ActorLife(id, "vehicle.audi.tt", "vehicle", "", 0.0, spawn=Spawn(id)) for id in (1, 2))
+
+
+def crossing(time: np.ndarray, **changed: Any) -> MotionTable:
     """Two cars at 10 m/s: one to the east is at the origin after 5 s, one to the north after 7 s; 1.4 s are between them."""
     still = np.zeros(len(time))
-    block = MotionBlock(
-        index=0,
+    table = MotionTable(
         first=0,
         last=len(time),
         time=time,
         ids=np.array([1, 2]),
-        actors=(),
+        actors=LIVES,
         is_vehicle=np.array([True, True]),
         x=np.stack([10 * (time - 5), still]),
         y=np.stack([still, 10 * (time - 7)]),
@@ -141,70 +144,76 @@ def crossing(time: np.ndarray, **changed: Any) -> MotionBlock:
         height=np.array([1.5, 2.5]),
         offset=np.zeros((2, 3)),
     )
-    return replace(block, **changed)
+    return replace(table, **changed)
 
 
-def found_in(block: MotionBlock, longest: float = 3.0) -> Encroachments:
+def found_in(table: MotionTable, longest: float = 3.0) -> list[Crossing]:
     """Return the crossings in all frames."""
-    parts = [encroachments(block, start, np.array([0]), np.array([1]), longest) for start in range(0, block.last, 64)]
-    return Encroachments(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    search = CrossingSearch(longest)
+    search.add(table, np.array([True, True]))
+    return search.finish()
 
 
 TIME = np.arange(0, 14, 0.05)
 
 
-def test_a_crossing_has_both_actors_and_frames() -> None:
-    found = found_in(crossing(TIME))
-    assert set(found.first.tolist()) == {0}
-    assert set(found.second.tolist()) == {1}
-    assert found.time.min() == pytest.approx(1.4, abs=0.051)
-    assert (TIME[found.arrived] - TIME[found.left]).tolist() == found.time.tolist()
+def test_a_crossing_has_both_actors_and_times() -> None:
+    (found,) = found_in(crossing(TIME))
+    assert (found.first.id, found.second.id) == (1, 2)
+    assert found.time == pytest.approx(1.4, abs=0.011)
+    assert found.arrived - found.left == pytest.approx(1.4, abs=0.11)
+    assert found.speed == pytest.approx(10)
+    assert found.begin <= found.arrived <= found.end
 
 
-@pytest.mark.parametrize(("longest", "some"), [(1.39, False), (1.46, True)])
+@pytest.mark.parametrize(("longest", "some"), [(1.39, False), (1.41, True)])
 def test_a_time_above_the_longest_is_none(longest: float, some: bool) -> None:
-    assert (len(found_in(crossing(TIME), longest).time) > 0) == some
+    assert (len(found_in(crossing(TIME), longest)) > 0) == some
 
 
-@pytest.mark.parametrize("rate", [5, 10, 20, 40, 100])
-def test_the_frame_rate_changes_little(rate: int) -> None:
-    found = found_in(crossing(np.arange(0, 14, 1 / rate)))
-    assert 1.4 - 1e-9 <= found.time.min() <= 1.4 + max(2 / rate, 0.1)
+@pytest.mark.parametrize("rate", [2, 3, 5, 10, 20, 30, 100])
+def test_the_frame_rate_changes_nothing(rate: int) -> None:
+    (found,) = found_in(crossing(np.arange(0, 14, 1 / rate)))
+    assert found.time == pytest.approx(1.4, abs=0.011)
+
+
+@pytest.mark.parametrize("start", [1e6, 1e8, -5.0])
+def test_a_recording_may_start_at_any_time(start: float) -> None:
+    table = crossing(TIME)
+    (found,) = found_in(replace(table, time=TIME + start))
+    assert found.time == pytest.approx(1.4, abs=0.011)
 
 
 @pytest.mark.parametrize(("dz", "some"), [(2.0, True), (-2.0, True), (2.001, False), (-2.001, False)])
 def test_a_bridge_is_no_crossing(dz: float, some: bool) -> None:
     """Boxes of 1.5 m and 2.5 m height touch up to 2 m between their centres."""
     z = np.stack([np.full(len(TIME), 5.0), np.full(len(TIME), 5.0 + dz)])
-    assert (len(found_in(crossing(TIME, z=z)).time) > 0) == some
+    assert (len(found_in(crossing(TIME, z=z))) > 0) == some
 
 
 @pytest.mark.parametrize("actor", [0, 1])
 @pytest.mark.parametrize(("speed", "some"), [(1.0, True), (0.999, False)])
 def test_an_actor_below_a_metre_per_second_crosses_nothing(actor: int, speed: float, some: bool) -> None:
-    block = crossing(TIME)
-    vx, vy = block.vx.copy(), block.vy.copy()
+    table = crossing(TIME)
+    vx, vy = table.vx.copy(), table.vy.copy()
     (vx, vy)[actor][actor] = speed
-    assert (len(found_in(replace(block, vx=vx, vy=vy)).time) > 0) == some
+    assert (len(found_in(replace(table, vx=vx, vy=vy))) > 0) == some
 
 
 @pytest.mark.parametrize(("angle", "some"), [(29.9, False), (30.1, True), (149.9, True), (150.1, False), (-29.9, False)])
 def test_paths_cross_at_thirty_degrees(angle: float, some: bool) -> None:
     yaw = np.stack([np.zeros(len(TIME)), np.full(len(TIME), math.radians(angle))])
     x, y = 10 * (TIME - 7) * math.cos(yaw[1, 0]), 10 * (TIME - 7) * math.sin(yaw[1, 0])
-    block = crossing(TIME, yaw=yaw)
-    block = replace(block, x=np.stack([block.x[0], x]), y=np.stack([block.y[0], y]))
-    assert (len(found_in(block).time) > 0) == some
+    table = crossing(TIME, yaw=yaw)
+    table = replace(table, x=np.stack([table.x[0], x]), y=np.stack([table.y[0], y]))
+    assert (len(found_in(table)) > 0) == some
 
 
-@pytest.mark.parametrize(("apart", "some"), [(2.95, False), (3.0, True)])
-@pytest.mark.parametrize("direction", [-1, 1])
-def test_actors_that_touch_within_three_seconds_are_there_at_once(direction: int, apart: float, some: bool) -> None:
-    """The second one stands in the way of the first for a moment, before or after all arrivals by some time."""
-    block = crossing(TIME)
-    arrived = found_in(block).arrived
-    frame = int(np.searchsorted(TIME, TIME[arrived.max() if direction > 0 else arrived.min()] + direction * apart - 1e-6))
-    x, y = block.x.copy(), block.y.copy()
+@pytest.mark.parametrize(("moment", "some"), [(1.5, True), (2.4, False), (9.6, False), (10.45, True)])
+def test_actors_that_touch_within_three_seconds_are_there_at_once(moment: float, some: bool) -> None:
+    """The first one leaves from 4.7 s to 5.3 s, the second one arrives from 6.7 s to 7.3 s, and they touch once."""
+    table = crossing(TIME)
+    frame = round(moment * 20)
+    x, y = table.x.copy(), table.y.copy()
     x[0, frame], y[0, frame] = x[1, frame] + 1, y[1, frame] + 1
-    left = found_in(replace(block, x=x, y=y))
-    assert (len(left.time) == len(arrived)) == some
+    assert (len(found_in(replace(table, x=x, y=y))) > 0) == some

@@ -152,6 +152,53 @@ def test_both_formats(drive: Drive, suffix: str) -> None:
     assert values(measures(drive(cars, seconds=1.0, suffix=suffix)))["gap"] == pytest.approx(26, abs=1e-3)
 
 
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_a_recorded_collision_is_a_contact(drive: Drive, suffix: str) -> None:
+    """A car passes another one at 5.7 cm, and its sensor notes a collision in two frames."""
+    cars = [straight(1, 0, 0, 10, role_name="hero"), straight(2, 20, 2.057, 0), straight(3, 20, 30, 0)]
+    events = {frame: {"collisions": [(0, 1, 2, 1, 0)]} for frame in (40, 41)}
+    reader = drive(cars, seconds=4, events=events, suffix=suffix)
+    for id, other in ((1, 2), (2, 1)):
+        found = of(measures(reader, "all"), id)
+        for name in ("gap", "time_to_collision"):
+            assert (found[name].value, found[name].time, found[name].other) == (0, pytest.approx(2.0), other)
+        series = time_series(reader, id)
+        assert np.flatnonzero(series.gap == 0).tolist() == np.flatnonzero(series.time_to_collision == 0).tolist() == [40, 41]
+        assert (series.nearest[40], series.threat[41]) == (other, other)
+        assert time_series(reader, id, 3).gap.min() > 1
+    assert of(measures(drive(cars, seconds=4)))["gap"].value == pytest.approx(0.057, abs=1e-3)
+
+
+def test_a_time_to_collision_with_what_was_hit_does_not_count_for_five_seconds(drive: Drive) -> None:
+    """A vehicle hits another one, which the hero then approaches."""
+    cars = [straight(1, 0, 0, 10, role_name="hero"), straight(2, 84, 0, 0), straight(3, 84, 2.1, 0)]
+    near = of(measures(drive(cars, seconds=7)))["time_to_collision"]
+    assert near.value == pytest.approx(1.0, abs=0.01)
+    hit = {100: {"collisions": [(0, 3, 2, 0, 0)]}}
+    far = of(measures(drive(cars, seconds=7, events=hit)))["time_to_collision"]
+    assert (far.value, far.time) == (pytest.approx(3.05, abs=0.01), pytest.approx(4.95))
+
+
+@pytest.mark.parametrize("seconds", [2.0, 4.0, 9.0])
+def test_any_time_to_collision_takes_paths_that_meet(drive: Drive, seconds: float) -> None:
+    """A car turns off before it reaches the one that it drives towards."""
+    radius = 15.0
+
+    def angle(t: float) -> float:
+        return max(t - 0.5, 0.0) * 10 / radius
+
+    turning = Mover(
+        1,
+        lambda t: min(10 * t, 5.0) + radius * math.sin(angle(t)),
+        lambda t: radius * (1 - math.cos(angle(t))),
+        lambda t: math.degrees(angle(t)),
+        role_name="hero",
+    )
+    reader = drive([turning, straight(2, 4 + 10 * (seconds + 0.5), 0, 0)], seconds=1.5)
+    assert time_series(reader, 1).time_to_collision.min() == pytest.approx(seconds, abs=0.11)
+    assert "time_to_collision" not in of(measures(reader))
+
+
 # --- of which actors ------------------------------------------------------------------------------------
 
 

@@ -9,13 +9,13 @@ import pytest
 
 from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import Spawn
-from carla_recap.queries.measures.encroachment import encroachments
-from carla_recap.queries.measures.motion_blocks import MotionBlock
+from carla_recap.queries.measures.encroachment import CrossingSearch
+from carla_recap.queries.measures.motion_table import MotionTable
 from carla_recap.queries.measures.pairs import FRAMES, PairFrames, near_pairs
 
 
-def block_of(x, y=0.0, z=0.0, heights=1.0, parents=(), offset=(0.0, 0.0, 0.0), yaw=0.0, is_vehicle=True):
-    """Return a block of one actor for each x, whose other numbers are the same for all or one for each; three frames."""
+def table_of(x, y=0.0, z=0.0, heights=1.0, parents=(), offset=(0.0, 0.0, 0.0), yaw=0.0, is_vehicle=True):
+    """Return a table of one actor for each x, whose other numbers are the same for all or one for each; three frames."""
     count, frames = len(x), 3
 
     def rows(values):
@@ -26,8 +26,7 @@ def block_of(x, y=0.0, z=0.0, heights=1.0, parents=(), offset=(0.0, 0.0, 0.0), y
         ActorLife(id, "vehicle.audi.tt", "vehicle", "", 0.0, parent=dict(parents).get(id), spawn=Spawn(id))
         for id in ids.tolist()
     )
-    return MotionBlock(
-        index=0,
+    return MotionTable(
         first=0,
         last=frames,
         time=np.arange(frames) / 20,
@@ -47,23 +46,23 @@ def block_of(x, y=0.0, z=0.0, heights=1.0, parents=(), offset=(0.0, 0.0, 0.0), y
     )
 
 
-def pairs_of(block, reach, subjects=True):
-    found = near_pairs(block, np.broadcast_to(subjects, len(block.ids)), reach)
-    return {tuple(sorted(pair)) for _, one, other in found for pair in zip(one.tolist(), other.tolist(), strict=True)}
+def pairs_of(table, reach, subjects=True):
+    found = near_pairs(table, np.broadcast_to(subjects, len(table.ids)), reach)
+    return {tuple(sorted(pair)) for each in found for pair in zip(each.one.tolist(), each.other.tolist(), strict=True)}
 
 
 @pytest.mark.parametrize(("dz", "count"), [(2.5, 3), (2.51, 0), (-2.5, 3), (-2.51, 0)])
 def test_boxes_are_on_one_level_up_to_half_a_metre_between_them(dz, count):
-    block = block_of([0, 5], z=[0, dz], heights=[1, 3])
-    assert len(PairFrames.of(block, 0, np.array([0]), np.array([1])).frame) == count
+    table = table_of([0, 5], z=[0, dz], heights=[1, 3])
+    assert len(PairFrames.of(table, slice(0, 3), np.array([0]), np.array([1])).frame) == count
 
 
 @pytest.mark.parametrize(("dz", "meet"), [(1.9, True), (2.1, False), (-1.9, True), (-2.1, False)])
 def test_paths_cross_if_boxes_reach_the_same_level(dz, meet):
     time = np.arange(FRAMES) / 20
     still = np.zeros(FRAMES)
-    block = replace(
-        block_of([0, 0], z=[0, dz], heights=[1, 3]),
+    table = replace(
+        table_of([0, 0], z=[0, dz], heights=[1, 3]),
         last=FRAMES,
         time=time,
         x=np.stack([10 * (time - 1), still]),
@@ -73,40 +72,43 @@ def test_paths_cross_if_boxes_reach_the_same_level(dz, meet):
         vx=np.stack([still + 10, still]),
         vy=np.stack([still, still + 10]),
     )
-    found = encroachments(block, 0, np.array([0]), np.array([1]), 3.0)
-    assert (len(found.time) > 0) == meet
+    search = CrossingSearch(3.0)
+    search.add(table, np.array([True, True]))
+    found = search.finish()
+    assert (len(found) > 0) == meet
     if meet:
-        assert (found.first.tolist()[0], found.second.tolist()[0]) == (0, 1)
-        assert found.time.min() == pytest.approx(0.4, abs=0.11)  # the boxes are 4 m long, samples 0.1 s apart
+        assert [(each.first.id, each.second.id) for each in found] == [(1, 2)]
+        assert found[0].time == pytest.approx(0.4, abs=0.03)
 
 
 @pytest.mark.parametrize(("distance", "are_near"), [(20.0, True), (20.1, False)])
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_actors_are_near_if_their_reaches_meet(axis, distance, are_near):
-    block = block_of([0, distance if axis == "x" else 0], y=[0, distance if axis == "y" else 0])
-    assert pairs_of(block, 10.0) == ({(0, 1)} if are_near else set())
+    table = table_of([0, distance if axis == "x" else 0], y=[0, distance if axis == "y" else 0])
+    assert pairs_of(table, 10.0) == ({(0, 1)} if are_near else set())
 
 
 def test_pairs_have_a_subject_and_a_vehicle_and_no_one_is_attached():
-    block = block_of([0, 1, 2], parents=[(3, 1)], is_vehicle=[True, True, False])
-    assert pairs_of(block, 10.0) == {(0, 1), (1, 2)}
-    assert pairs_of(block, 10.0, subjects=[True, False, False]) == {(0, 1)}
-    assert pairs_of(block_of([0, 1], is_vehicle=False), 10.0) == set()
+    table = table_of([0, 1, 2], parents=[(3, 1)], is_vehicle=[True, True, False])
+    assert pairs_of(table, 10.0) == {(0, 1), (1, 2)}
+    assert pairs_of(table, 10.0, subjects=[True, False, False]) == {(0, 1)}
+    assert pairs_of(table_of([0, 1], is_vehicle=False), 10.0) == set()
 
 
 @pytest.mark.parametrize(
     ("yaw", "expected"), [(0.0, (9, 18, 27)), (np.pi / 2, (12, 19, 27)), (np.pi, (11, 22, 27)), (-np.pi / 2, (8, 21, 27))]
 )
 def test_the_location_of_an_actor_is_off_the_centre_of_its_box(yaw, expected):
-    block = block_of([10], y=20, z=30, offset=(1, 2, 3), yaw=yaw)
-    assert block.location(0, 1) == pytest.approx(expected)
+    table = table_of([10], y=20, z=30, offset=(1, 2, 3), yaw=yaw)
+    assert table.location(0, 1) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("distance", "seconds"), [(50.0, 4.6), (103.9, 9.99), (104.1, np.inf)])
 def test_times_to_collision_are_known_up_to_a_horizon(distance, seconds):
     """Boxes of 4 m length close up at 10 m/s."""
-    block = block_of([0, distance])
-    block = replace(block, vx=np.stack([np.full(3, 10.0), np.zeros(3)]))
-    pairs = PairFrames.of(block, 0, np.array([0]), np.array([1]))
-    assert pairs.time_to_collision(10.0) == pytest.approx(seconds)
-    assert pairs.turned().time_to_collision(10.0) == pytest.approx(seconds)
+    table = table_of([0, distance])
+    table = replace(table, vx=np.stack([np.full(3, 10.0), np.zeros(3)]))
+    pairs = PairFrames.of(table, slice(0, 3), np.array([0]), np.array([1]))
+    for each in (pairs, pairs.turned()):
+        _, times = each.colliding(10.0)
+        assert times.tolist() == ([pytest.approx(seconds)] * 3 if seconds < np.inf else [])

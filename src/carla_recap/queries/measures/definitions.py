@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.model.lives import ActorLife
-    from carla_recap.queries.measures.motion_blocks import MotionBlock
+    from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.queries.measures.series import Criticality
     from carla_recap.util.arrays import Floats, Indices
 
@@ -132,22 +132,22 @@ class MeasureSeries(Columns):
         return {"time": "s"} | {name: measure.unit for name, measure in MEASURES.items() if hasattr(self, name)}
 
 
-def series_of(block: MotionBlock, rows: Indices, found: Criticality) -> MeasureSeries:
-    """Return the measures of some actors in a block; the arrays have the shape (actors, frames).
+def series_of(table: MotionTable, rows: Indices, found: Criticality) -> MeasureSeries:
+    """Return the measures of some actors in a table; the arrays have the shape (actors, frames).
 
     Args:
-        block: The block.
+        table: The table.
         rows: The rows of the actors.
         found: How critical their situation is.
     """
-    speed = block.speed[rows]
-    acceleration = slope(block.time, speed, SPEED_WINDOW)
-    ids = np.append(block.ids, NO_OTHER).astype(np.int64)
+    speed = table.speed[rows]
+    acceleration = slope(table.time, speed, SPEED_WINDOW)
+    ids = np.append(table.ids, NO_OTHER).astype(np.int64)
     return MeasureSeries(
-        time=np.broadcast_to(block.time, speed.shape),
+        time=np.broadcast_to(table.time, speed.shape),
         speed=speed,
         acceleration=acceleration,
-        jerk=slope(block.time, acceleration, JERK_WINDOW),
+        jerk=slope(table.time, acceleration, JERK_WINDOW),
         gap=found.gap,
         nearest=ids[found.nearest],
         time_to_collision=found.time_to_collision,
@@ -232,8 +232,8 @@ MEASURES: Final = _named(
             short="ttc",
             unit="s",
             extreme="least",
-            text="the time until the boxes touch if both keep their velocity, up to 10 s [1, 2]; less than 3 s count if "
-            "both also meet on the paths that they take, see below",
+            text="the time until the boxes touch if both keep their velocity, up to 10 s [1, 2]; it counts if both also "
+            "meet on the paths that they take, see below",
             values=lambda series: series.time_to_collision,
             other="threat",
         ),
@@ -273,7 +273,7 @@ MEASURES: Final = _named(
             extreme="least",
             of_events=True,
             text="where paths cross: the time between one leaving a spot and the other arriving there, up to 3 s; without a "
-            "value if both are there at once (they touch in the 3 s before or after), or follow each other [1, 5]",
+            "value if both are there at once (they touch in the 3 s before, after, or between), or follow each other [1, 5]",
         ),
         Measure(
             name="speed",

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.kinematics import LONGEST_STEP
 from carla_recap.queries.measures.boxes import Boxes, overlaps
-from carla_recap.queries.measures.motion_blocks import MARGIN
-from carla_recap.queries.measures.pairs import FRAMES
+from carla_recap.queries.measures.pairs import ELEMENTS, bounds
 
 if TYPE_CHECKING:
-    from carla_recap.queries.measures.motion_blocks import MotionBlock
-    from carla_recap.util.arrays import Booleans, Floats, Indices
+    from collections.abc import Iterator
+
+    from carla_recap.model.lives import ActorLife
+    from carla_recap.queries.measures.motion_table import MotionTable
+    from carla_recap.util.arrays import Booleans, Floats, Indices, Integers
 
 
 CROSSING: Final = 30.0
@@ -26,9 +32,14 @@ SLOWEST: Final = 1.0
 STEP: Final = 0.05
 """The time between the moments that are compared, in s."""
 
-_LAGS: Final = 128  # moments before another one that are compared with it, at most
+AROUND: Final = 3.0
+"""The time before leaving and after arriving in which two actors must not touch, or be on one path, in s."""
+ENCOUNTER: Final = 3.0
+"""The time in s; critical moments of a pair with less time between them are one encounter."""
+
 _FINE: Final = 10  # moments per step when the time is refined
-_HITS: Final = 2048  # that are examined at once
+_AT_ONCE: Final = 16  # moments that are compared with as many others at once
+_LATEST: Final = 1e9  # s; times above it are none
 _ALONG: Final = math.cos(math.radians(CROSSING))
 _ACROSS: Final = math.sin(math.radians(CROSSING))
 
@@ -114,155 +125,285 @@ def _cross(turn: Floats) -> Booleans:
     return np.asarray(np.abs(np.sin(turn)) >= _ACROSS)
 
 
-class Encroachments(NamedTuple):
-    """Moments at which actors arrive where others were; arrays of one length.
+@dataclass(frozen=True, slots=True)
+class Crossing:
+    """An actor that arrives where another one was, on a path that crosses its own.
 
     Attributes:
-        first: The actor that was there first, as a row of the block.
+        first: The actor that was there first.
         second: The actor that arrives.
-        left: The frame in which the first one is still there.
-        arrived: The frame in which the second one is there.
-        time: The time between both in s.
+        left: When the first one is still there, in elapsed seconds.
+        arrived: When the second one is there, in elapsed seconds.
+        time: The time between leaving and arriving in s.
+        speed: The speed of the second one then, in m/s.
+        location: Its location, in m.
+        begin, end: The first and the last time at which it arrives where the first one was, in elapsed seconds.
+    """
+
+    first: ActorLife
+    second: ActorLife
+    left: float
+    arrived: float
+    time: float
+    speed: float
+    location: tuple[float, float, float]
+    begin: float
+    end: float
+
+
+class CrossingSearch:
+    """Finds the paths that cross in tables of motion, each with the least time between leaving and arriving.
+
+    Args:
+        longest: The longest such time, in s.
+        least_speed: The least speed with which an actor arrives, in m/s.
+        only_vehicles: Whether vehicles alone arrive.
+    """
+
+    def __init__(self, longest: float, *, least_speed: float = SLOWEST, only_vehicles: bool = False) -> None:
+        self._longest, self._least_speed, self._only_vehicles = longest, least_speed, only_vehicles
+        self._found: dict[tuple[int, float, int, float], list[Crossing]] = defaultdict(list)
+
+    @property
+    def before(self) -> float:
+        """The time before the frames of a table that it needs, in s."""
+        return self._longest + 2 * STEP + AROUND
+
+    def add(self, table: MotionTable, subjects: Booleans) -> None:
+        """Process a table; `subjects` says whether an actor is of interest, one of a pair is."""
+        grid = _Grid.of(table)
+        hits = grid.hits(subjects, self._longest)
+        arrives = grid.speed[hits.second, hits.arrived] >= self._least_speed
+        if self._only_vehicles:
+            arrives &= table.is_vehicle[hits.second]
+        hits = hits.take(arrives)
+        lag = grid.step[hits.arrived] - grid.step[hits.left]
+        for rows in encounters(hits.first, hits.second, grid.time[hits.arrived]):
+            best = rows[np.lexsort((hits.arrived[rows], lag[rows]))[0]]
+            first, second = int(hits.first[best]), int(hits.second[best])
+            left, arrived = (float(grid.time[each[best]]) for each in (hits.left, hits.arrived))
+            paths = _path_of(table, first, left), _path_of(table, second, arrived)
+            time = refined(*paths, arrived, arrived - left)
+            frame = int(np.clip(np.searchsorted(table.clock, arrived - SAME_TIME), 0, len(table.time) - 1))
+            crossing = Crossing(
+                first=table.actors[first],
+                second=table.actors[second],
+                left=left,
+                arrived=arrived,
+                time=time,
+                speed=float(grid.speed[second, hits.arrived[best]]),
+                location=table.location(second, frame),
+                begin=float(grid.time[hits.arrived[rows].min()]),
+                end=float(grid.time[hits.arrived[rows].max()]),
+            )
+            one, other = crossing.first, crossing.second
+            self._found[one.id, one.spawned_at, other.id, other.spawned_at].append(crossing)
+
+    def finish(self) -> list[Crossing]:
+        """Return what was found; what goes on from table to table is one crossing."""
+        joined: list[Crossing] = []
+        for found in self._found.values():
+            for number, each in enumerate(found):
+                if number and each.begin - joined[-1].end <= ENCOUNTER:
+                    best = min(joined[-1], each, key=lambda crossing: crossing.time)
+                    joined[-1] = replace(best, begin=joined[-1].begin, end=each.end)
+                else:
+                    joined.append(each)
+        return [each for each in joined if each.time <= self._longest]
+
+
+def encounters(one: Indices, other: Indices, time: Floats) -> Iterator[Indices]:
+    """Yield the positions of critical moments of each encounter, by time: those of a pair with at most 3 s between them."""
+    order = np.lexsort((time, other, one))
+    one, other, time = one[order], other[order], time[order]
+    is_new = (np.diff(one) != 0) | (np.diff(other) != 0) | (np.diff(time) > ENCOUNTER)
+    edges = [0, *(np.flatnonzero(is_new) + 1).tolist(), len(order)]
+    for start, stop in pairwise(edges if len(order) else ()):
+        yield order[start:stop]
+
+
+class _Hits(NamedTuple):
+    """Moments at which actors are where others were; arrays of one length.
+
+    Attributes:
+        first, second: The rows of the actor that was there first, and of the one that arrives.
+        left, arrived: The moments at which they are there.
     """
 
     first: Indices
     second: Indices
     left: Indices
     arrived: Indices
-    time: Floats
 
-    def take(self, kept: Booleans | Indices) -> Encroachments:
+    def take(self, kept: Booleans | Indices | slice) -> _Hits:
         """Return some of them."""
-        return Encroachments(self.first[kept], self.second[kept], self.left[kept], self.arrived[kept], self.time[kept])
+        return _Hits(*(column[kept] for column in self))
 
 
-def encroachments(block: MotionBlock, start: int, one: Indices, other: Indices, longest: float) -> Encroachments:
-    """Return the moments in 64 frames at which one of a pair arrives where the other was, on a path that crosses its own.
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Motion at the multiples of 0.05 s, between frames along straight lines; arrays of the shape (actors, moments).
 
-    Args:
-        block: The motion.
-        start: The first of the 64 frames.
-        one: The first actor of each pair, as a row of the block.
-        other: The second actor.
-        longest: The longest time between leaving and arriving, in s.
+    Attributes:
+        table: The motion.
+        step: The number of each moment from time 0, (moments,), ascending; there are none where frames are far apart.
+        core: The moments from the first frame that the table is for to the one after the last.
+        x, y, z, yaw, speed, thrown: As in the table.
     """
-    firsts, seconds = np.concatenate((one, other)), np.concatenate((other, one))
-    step = _typical_step(block.time)
-    stride = max(1, round(STEP / step)) if step > 0 else 1
-    last = min(start + FRAMES, block.last)
-    parts = []
-    speed = block.speed
-    radius = np.hypot(block.length, block.width) / 2
-    moves = np.asarray((speed >= SLOWEST).any(axis=1))
-    kept = moves[firsts] & moves[seconds]
-    firsts, seconds = firsts[kept], seconds[kept]
-    reach = ((radius[firsts] + radius[seconds]) ** 2)[:, None]
-    open_pairs = np.ones((len(firsts), last - start), np.bool_)  # for which no shorter time is known
-    arrived = np.arange(start, last)
-    x, y = block.x[seconds][:, start:last], block.y[seconds][:, start:last]
-    for lag in range(1, min(math.ceil(longest / (step * stride)) if step > 0 else 0, _LAGS) + 1):
-        shift = lag * stride
-        skipped = max(shift - start, 0)
-        if skipped >= last - start or not len(firsts):
-            break
-        rows = slice(start + skipped - shift, last - shift)
-        dx = x[:, skipped:] - block.x[firsts, rows]
-        dy = y[:, skipped:] - block.y[firsts, rows]
-        pair, frame = np.nonzero((dx * dx + dy * dy <= reach) & open_pairs[:, skipped:])
-        if not len(pair):
-            continue
-        frame += skipped
-        arrivals = Encroachments(firsts[pair], seconds[pair], arrived[frame] - shift, arrived[frame], np.zeros(len(pair)))
-        hits = _crossing(block, speed, arrivals)
-        open_pairs[pair[hits], frame[hits]] = False
-        parts.append(arrivals.take(hits))
-    first, second, left, found = (
-        np.concatenate([np.zeros(0, np.intp), *(part[column] for part in parts)]).astype(np.intp) for column in range(4)
-    )
-    time = block.time[found] - block.time[left]
-    joined = Encroachments(first, second, left, found, time)
-    return _apart(block, joined.take((time > 0) & (time <= longest)))
+
+    table: MotionTable
+    step: Integers
+    core: slice
+    x: Floats
+    y: Floats
+    z: Floats
+    yaw: Floats
+    speed: Floats
+    thrown: Booleans
+
+    @property
+    def time(self) -> Floats:
+        """The moments in elapsed seconds."""
+        return np.asarray(self.step * STEP)
+
+    @staticmethod
+    def of(table: MotionTable) -> _Grid:
+        """Return the motion of a table."""
+        clock = np.clip(table.clock, -_LATEST, _LATEST)
+        same = SAME_TIME / STEP
+        first, last = np.ceil(clock / STEP - same), np.floor(clock / STEP + same)  # the moments next to each frame
+        counts = np.where(np.diff(clock) <= LONGEST_STEP, last[1:] - first[:-1] + 1, last[:-1] - first[:-1] + 1)
+        counts = np.maximum(np.append(counts, last[-1] - first[-1] + 1), 0).astype(np.int64)
+        within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+        step = np.unique(np.repeat(first, counts).astype(np.int64) + within)
+        frame = np.maximum(np.searchsorted(clock, step * STEP + SAME_TIME, side="right") - 1, 0)
+        behind = np.minimum(frame + 1, len(clock) - 1)
+        seconds = clock[behind] - clock[frame]
+        share = np.divide(step * STEP - clock[frame], seconds, out=np.zeros(len(step)), where=seconds > 0)
+        share[np.abs(step * STEP - clock[frame]) <= SAME_TIME] = 0.0
+        joined = np.hstack((table.joined, np.zeros((len(table.ids), 1), np.bool_)))[:, frame] | (share == 0)
+
+        def between(values: Floats) -> Floats:
+            now, then = values[:, frame], values[:, behind]
+            return np.where(joined, np.where(share == 0, now, now + share * (then - now)), np.nan)
+
+        end = clock[table.last] if table.last < len(clock) else np.inf
+        core = np.searchsorted(step * STEP, (clock[table.first] - SAME_TIME, end - SAME_TIME))
+        x, y, z, yaw, speed = map(between, (table.x, table.y, table.z, table.heading, table.speed))
+        return _Grid(table, step, slice(*core.tolist()), x, y, z, yaw, speed, table.thrown[:, frame])
+
+    def hits(self, subjects: Booleans, longest: float) -> _Hits:
+        """Return where actors arrive in the core at most a time after others, on crossing paths; see `CrossingSearch`."""
+        lags = math.ceil(longest / STEP - SAME_TIME) + 1  # a refined time may be shorter
+        moves = (self.speed >= SLOWEST) & ~self.thrown
+        x, y = np.where(moves, self.x, np.nan), np.where(moves, self.y, np.nan)
+        found = [_Hits(*np.zeros((4, 0), np.intp))]
+        for start in range(self.core.start, self.core.stop, _AT_ONCE):
+            arrivals = slice(start, min(start + _AT_ONCE, self.core.stop))
+            earliest = int(np.searchsorted(self.step, self.step[start] - lags))
+            for stop in range(arrivals.stop, earliest, -_AT_ONCE):
+                leavings = slice(max(stop - _AT_ONCE, earliest), stop)
+                lag = self.step[arrivals, None] - self.step[leavings]
+                for second, first in self._near(x, y, arrivals, leavings, subjects):
+                    dx = x[second, arrivals][:, :, None] - x[first, leavings][:, None, :]
+                    dy = y[second, arrivals][:, :, None] - y[first, leavings][:, None, :]
+                    reach = (self.table.radius[first] + self.table.radius[second])[:, None, None]
+                    near = (dx * dx + dy * dy <= reach * reach) & (lag > 0) & (lag <= lags)
+                    pair, arrived, left = np.nonzero(near)
+                    hits = _Hits(first[pair], second[pair], left + leavings.start, arrived + arrivals.start)
+                    found.append(self._crossing(hits))
+        return _Hits(*map(np.concatenate, zip(*found, strict=True)))
+
+    def _near(
+        self, x: Floats, y: Floats, arrivals: slice, leavings: slice, subjects: Booleans
+    ) -> Iterator[tuple[Indices, Indices]]:
+        """Yield the actors that may be in some moments where others are in some others, and these."""
+        radius = self.table.radius
+        (left, right), (bottom, top) = (bounds(values[:, arrivals], radius) for values in (x, y))
+        (west, east), (south, north) = (bounds(values[:, leavings], radius) for values in (x, y))
+        seconds, firsts = np.flatnonzero(left <= right), np.flatnonzero(west <= east)
+        size = max(1, ELEMENTS // max(len(firsts), 1))
+        for begin in range(0, len(seconds), size):
+            some = seconds[begin : begin + size, None]
+            near = (left[some] <= east[firsts]) & (west[firsts] <= right[some])
+            near &= (bottom[some] <= north[firsts]) & (south[firsts] <= top[some])
+            row, column = np.nonzero(near)
+            second, first = some[row, 0], firsts[column]
+            kept = (subjects[second] | subjects[first]) & self.table.free(second, first)
+            second, first = second[kept], first[kept]
+            few = max(1, ELEMENTS // _AT_ONCE**2)
+            for at in range(0, len(second), few):
+                yield second[at : at + few], first[at : at + few]
+
+    def _crossing(self, hits: _Hits) -> _Hits:
+        """Return the hits in which boxes overlap, on one level, on crossing paths, of pairs that do not touch or follow."""
+        first, second, left, arrived = hits
+        kept = _cross(self.yaw[second, arrived] - self.yaw[first, left])
+        height = (self.table.height[first] + self.table.height[second]) / 2
+        kept &= np.abs(self.z[second, arrived] - self.z[first, left]) <= height
+        hits = hits.take(kept)
+        hits = hits.take(overlaps(self._boxes(hits.first, hits.left), self._boxes(hits.second, hits.arrived)))
+        if not len(hits.first):
+            return hits
+        begin = np.searchsorted(self.step, self.step[hits.left] - round(AROUND / STEP))
+        end = np.searchsorted(self.step, self.step[hits.arrived] + round(AROUND / STEP), side="right")
+        few = max(1, ELEMENTS // int((end - begin).max()))
+        apart = [
+            ~self._follow(hits.take(part), begin[part]) & ~self._touch(hits.take(part), begin[part], end[part])
+            for part in (slice(start, start + few) for start in range(0, len(begin), few))
+        ]
+        return hits.take(np.concatenate(apart))
+
+    def _follow(self, hits: _Hits, begin: Indices) -> Booleans:
+        """Return whether arriving actors follow leaving ones, which had the same position and heading before."""
+        first, second, _, arrived = hits
+        moments = np.arange(begin.min(), arrived.max() + 1)
+        dx = self.x[first[:, None], moments] - self.x[second, arrived][:, None]
+        dy = self.y[first[:, None], moments] - self.y[second, arrived][:, None]
+        distance = np.nan_to_num(dx * dx + dy * dy, nan=math.inf)
+        distance[(moments < begin[:, None]) | (moments > arrived[:, None])] = math.inf
+        nearest, rows = distance.argmin(axis=1), np.arange(len(first))
+        turn = self.yaw[first, moments[nearest]] - self.yaw[second, arrived]
+        reach = (self.table.width[first] + self.table.width[second]) / 2
+        return np.asarray((distance[rows, nearest] <= reach * reach) & (np.cos(turn) >= _ALONG))
+
+    def _touch(self, hits: _Hits, begin: Indices, end: Indices) -> Booleans:
+        """Return whether pairs touch between two moments, in which case both are there at once."""
+        pairs, index = np.unique(np.stack((hits.first, hits.second)), axis=1, return_inverse=True)
+        moments = np.arange(begin.min(), end.max())
+        first, second = pairs
+        dx, dy = (values[first[:, None], moments] - values[second[:, None], moments] for values in (self.x, self.y))
+        reach = (self.table.radius[first] + self.table.radius[second])[:, None]
+        touching = dx * dx + dy * dy <= reach * reach
+        pair, moment = np.nonzero(touching)
+        boxes = (self._boxes(each[pair], moments[moment]) for each in (first, second))
+        touching[pair, moment] = overlaps(*boxes)
+        for one, other, frames in self.table.touching:
+            together = ((first == one) & (second == other)) | ((first == other) & (second == one))
+            times = self.table.clock[frames]
+            during = (self.time[moments] >= times[0] - STEP) & (self.time[moments] <= times[-1] + STEP)
+            touching[np.ix_(together, during)] = True
+        count = np.pad(np.cumsum(touching, axis=1), ((0, 0), (1, 0)))  # of the moments before each one in which they touch
+        row = index.ravel()
+        return np.asarray(count[row, end - moments[0]] > count[row, begin - moments[0]])
+
+    def _boxes(self, actor: Indices, moment: Indices) -> Boxes:
+        table = self.table
+        return Boxes(
+            self.x[actor, moment], self.y[actor, moment], self.yaw[actor, moment], table.length[actor], table.width[actor]
+        )
 
 
-def _crossing(block: MotionBlock, speed: Floats, arrivals: Encroachments) -> Indices:
-    """Return which actors arrive in a frame where another was in an earlier one, on a path that crosses its own."""
-    first, second, left, arrived, _ = arrivals
-    kept = (speed[first, left] >= SLOWEST) & (speed[second, arrived] >= SLOWEST)
-    kept &= _cross(block.yaw[second, arrived] - block.yaw[first, left])
-    kept &= np.abs(block.z[second, arrived] - block.z[first, left]) <= (block.height[first] + block.height[second]) / 2
-    near = np.flatnonzero(kept)
-    near = near[overlaps(_boxes(block, first[near], left[near]), _boxes(block, second[near], arrived[near]))]
-    follows = [_follow(block, arrivals.take(near[start : start + _HITS])) for start in range(0, len(near), _HITS)]
-    return near[~np.concatenate(follows)] if follows else near
-
-
-def _follow(block: MotionBlock, arrivals: Encroachments) -> Booleans:
-    """Return whether arriving actors follow leaving ones, which had the same position and heading earlier."""
-    first, second, _, arrived, _ = arrivals
-    frames = slice(int(_before(block, arrived).min()), int(arrived.max()) + 1)
-    dx = block.x[first, frames] - block.x[second, arrived][:, None]
-    dy = block.y[first, frames] - block.y[second, arrived][:, None]
-    distance = np.nan_to_num(dx * dx + dy * dy, nan=math.inf)
-    frame = np.arange(frames.start, frames.stop)
-    earliest = _before(block, arrived)[:, None]
-    distance[(frame < earliest) | (frame > arrived[:, None])] = math.inf
-    rows = np.arange(len(first))
-    nearest = distance.argmin(axis=1)
-    turn = block.yaw[first, nearest + frames.start] - block.yaw[second, arrived]
-    reach = (block.width[first] + block.width[second]) / 2
-    return np.asarray((distance[rows, nearest] <= reach * reach) & (np.cos(turn) >= _ALONG))
-
-
-def _apart(block: MotionBlock, arrivals: Encroachments) -> Encroachments:
-    """Return the arrivals of pairs that do not touch in the 3 s before and after, in which case both are there at once."""
-    if not len(arrivals.time):
-        return arrivals
-    pairs, index = np.unique(np.stack((arrivals.first, arrivals.second)), axis=1, return_inverse=True)
-    begin, end = _before(block, arrivals.arrived), _after(block, arrivals.arrived)
-    frames = np.arange(begin.min(), end.max() + 1)
-    touching = overlaps(_boxes(block, pairs[0][:, None], frames), _boxes(block, pairs[1][:, None], frames))
-    count = np.pad(np.cumsum(touching, axis=1), ((0, 0), (1, 0)))  # of the frames before each one in which they touch
-    row = index.ravel()
-    return arrivals.take(count[row, end + 1 - frames[0]] == count[row, begin - frames[0]])
-
-
-def _before(block: MotionBlock, frame: Indices) -> Indices:
-    """Return the first frame within 3 s before each of some frames; the margins of a block have all of these."""
-    return np.minimum(np.searchsorted(block.time, block.time[frame] - MARGIN + SAME_TIME), frame)
-
-
-def _after(block: MotionBlock, frame: Indices) -> Indices:
-    """Return the last frame within 3 s after each of some frames."""
-    return np.maximum(np.searchsorted(block.time, block.time[frame] + MARGIN - SAME_TIME) - 1, frame)
-
-
-def _boxes(block: MotionBlock, actor: Indices, frame: Indices) -> Boxes:
-    return Boxes(
-        block.x[actor, frame], block.y[actor, frame], block.yaw[actor, frame], block.length[actor], block.width[actor]
-    )
-
-
-def _typical_step(time: Floats) -> float:
-    """Return the median of the time between frames in s; 0 without one."""
-    steps = np.diff(time)
-    steps = steps[steps > 0]
-    return float(np.median(steps)) if len(steps) else 0.0
-
-
-def path_of(block: MotionBlock, actor: int, frame: int) -> Path:
-    """Return the path of an actor of a block around a frame, as long as it is present without a break."""
-    known = ~np.isnan(block.x[actor])
-    known[1:] &= np.diff(block.time) > 0
-    absent = np.flatnonzero(~known)
-    place = int(np.searchsorted(absent, frame))
-    begin = int(absent[place - 1]) + 1 if place else 0
-    stop = int(absent[place]) if place < len(absent) else len(known)
-    rows = slice(begin, max(stop, begin + 1))
+def _path_of(table: MotionTable, actor: int, time: float) -> Path:
+    """Return the path of an actor of a table around a time, as long as it is present without a break."""
+    frame = int(np.clip(np.searchsorted(table.clock, time + SAME_TIME, side="right") - 1, 0, len(table.time) - 1))
+    begin, end = (int(edge[actor, frame]) for edge in table.path)
+    rows = slice(begin, end + 1)
     return Path(
-        block.time[rows],
-        block.x[actor, rows],
-        block.y[actor, rows],
-        block.yaw[actor, rows],
-        float(block.length[actor]),
-        float(block.width[actor]),
+        table.time[rows],
+        table.x[actor, rows],
+        table.y[actor, rows],
+        table.heading[actor, rows],
+        float(table.length[actor]),
+        float(table.width[actor]),
     )

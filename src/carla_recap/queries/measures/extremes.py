@@ -13,41 +13,32 @@ from carla_recap.model.lives import TYPES as ACTOR_TYPES
 from carla_recap.model.lives import ActorLives
 from carla_recap.queries import Answer
 from carla_recap.queries.measures.definitions import MEASURES, Extreme, MeasureRow, MeasureValues, series_of
-from carla_recap.queries.measures.encroachment import STEP, encroachments, path_of, refined
-from carla_recap.queries.measures.motion_blocks import TYPES, MotionCollector
-from carla_recap.queries.measures.near_misses import paths_meet
+from carla_recap.queries.measures.encroachment import CrossingSearch
+from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
 from carla_recap.queries.measures.over_time import measured_actors
-from carla_recap.queries.measures.pairs import near_pairs
+from carla_recap.queries.measures.paths_ahead import SEEN
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
-from carla_recap.queries.measures.series import NO_OTHER, criticality
+from carla_recap.queries.measures.series import HORIZON, NO_OTHER, criticality
 from carla_recap.queries.roads import roads_of, warn_without_roads
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
-    from numpy.typing import NDArray
-
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
-    from carla_recap.queries.measures.definitions import Measure, MeasureSeries
-    from carla_recap.queries.measures.motion_blocks import MotionBlock
+    from carla_recap.queries.measures.definitions import Measure
+    from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.queries.measures.over_time import Subjects
-    from carla_recap.queries.measures.series import Criticality
     from carla_recap.roads.network import RoadNetwork
-    from carla_recap.util.arrays import Floats
 
 
 POST_ENCROACHMENT_TIME: Final = 3.0
 """The longest post-encroachment time that is measured, in s."""
 
-SHORT: Final = 3.0
-"""The time to collision below which both actors have to meet on the paths that they take, too, in s."""
-
+_PET: Final = "post_encroachment_time"
+_NONE: Final = Extreme(math.inf, math.nan)
 _BEFORE_CONTACT: Final = 0.4  # s before a contact in which its effect on the motion begins, since motions are means
-_LATER: Final = 0.5  # s by which a bent path may take longer
-_CHECKS: Final = 64  # of an actor in a block
-_SAME_THREAT: Final = 0.25  # s
 
 
 class Measures(Answer[MeasureRow]):
@@ -139,7 +130,8 @@ class MeasureSearch:
             for packet in frame.packets:
                 lives.add(packet, frame.elapsed)
         self._subjects = measured_actors(source, lives, actors)
-        self._motion = MotionCollector(lives)
+        self._lives, self._crossings = lives, CrossingSearch(POST_ENCROACHMENT_TIME)
+        self._motion = MotionCollector(lives, self._contacts, before=self._crossings.before, after=HORIZON + SEEN)
         self._over_time = over_time or {}
         self._roads = None if roads is None else RoadSearch(source, roads, lives, self._over_time)
         self._parts: dict[tuple[str, int], list[MeasureValues]] = defaultdict(list)
@@ -161,13 +153,19 @@ class MeasureSearch:
         """Process the next frames, which have at least their transforms, velocities and, with roads, states of lights."""
         if self._roads is not None:
             self._roads.add(batch)
-        for block in self._motion.add(batch):
-            self._measure(block)
+        for table in self._motion.add(batch):
+            self._measure(table)
 
     def finish(self) -> Measures:
         """Return the measures."""
-        for block in self._motion.finish():
-            self._measure(block)
+        for table in self._motion.finish():
+            self._measure(table)
+        for crossing in sorted(self._crossings.finish(), key=lambda crossing: (crossing.time, crossing.arrived)):
+            for subject, met in ((crossing.first, crossing.second), (crossing.second, crossing.first)):
+                if subject.id in self._subjects:
+                    self._extremes[subject.id].setdefault(_PET, Extreme(crossing.time, crossing.arrived, met))
+                    values = np.array([crossing.arrived]), np.array([crossing.time]), np.array([met.id], np.int64)
+                    self._parts[_PET, subject.id].append(MeasureValues(*values))
         if self._roads is not None:
             self._roads.finish()
             for id in self._subjects:
@@ -185,111 +183,38 @@ class MeasureSearch:
                     rows.append(MeasureRow(name, *sides, extreme.value, measure.unit, extreme.time))
         return Measures(rows, self._source, compat=False)
 
-    def _measure(self, block: MotionBlock) -> None:
-        rows = np.flatnonzero(np.isin(block.ids, list(self._subjects)))
+    def _measure(self, table: MotionTable) -> None:
+        rows = np.flatnonzero(np.isin(table.ids, list(self._subjects)))
         if not len(rows):
             return
-        found = criticality(block, rows)
-        self._drop_unconfirmed(block, rows, found, every="time_to_collision" in self._over_time)
-        series = series_of(block, rows, found)
-        for number, row in enumerate(rows.tolist()):
-            for start, stop in self._contacts.affected(int(block.ids[row]), _BEFORE_CONTACT):
-                affected = (block.time >= start) & (block.time <= stop)
+        ids = table.ids[rows].tolist()
+        kept = self._over_time.get("time_to_collision", ())
+        known = [math.inf if id in kept else self._extremes[id].get("time_to_collision", _NONE).value for id in ids]
+        series = series_of(table, rows, criticality(table, rows, shortest=np.array(known)))
+        for number, id in enumerate(ids):
+            for start, stop in self._contacts.affected(id, _BEFORE_CONTACT):
+                affected = (table.time >= start) & (table.time <= stop)
                 series.acceleration[number, affected] = series.jerk[number, affected] = np.nan
         for measure in MEASURES.values():
             if measure.values is not None:
-                values = measure.values(series)
-                self._note(block, rows, measure, series, values)
-                self._keep(block, rows, measure, series, values)
-        self._note_crossings(block, rows)
+                values = measure.values(series)[:, table.core]
+                others = getattr(series, measure.other)[:, table.core] if measure.other else None
+                for number, id in enumerate(ids):
+                    of_other = np.full(values.shape[1], NO_OTHER) if others is None else others[number]
+                    self._note(id, measure, MeasureValues(table.time[table.core], values[number], of_other))
+        self._crossings.add(table, np.isin(table.ids, ids))
 
-    def _note(
-        self, block: MotionBlock, rows: NDArray[np.intp], measure: Measure, series: MeasureSeries, values: Floats
-    ) -> None:
-        """Note the extreme values of a measure in a block, (subjects, frames)."""
-        sign = -1.0 if measure.extreme == "greatest" else 1.0
-        ranked = np.where(np.isfinite(values), sign * values, np.inf)[:, block.core]
-        best = ranked.argmin(axis=1) if ranked.shape[1] else np.zeros(0, np.intp)
-        for number, (row, frame) in enumerate(zip(rows.tolist(), best.tolist(), strict=True)):
-            value = float(ranked[number, frame])
-            known = self._extremes[int(block.ids[row])]
-            if value < math.inf and (measure.name not in known or value < sign * known[measure.name].value):
-                frame += block.first
-                other = None
-                if measure.other:
-                    other = block.actors[int(np.flatnonzero(block.ids == getattr(series, measure.other)[number, frame])[0])]
-                known[measure.name] = Extreme(sign * value, float(block.time[frame]), other)
-
-    def _keep(
-        self, block: MotionBlock, rows: NDArray[np.intp], measure: Measure, series: MeasureSeries, values: Floats
-    ) -> None:
-        """Keep the values over time of a measure in a block, (subjects, frames)."""
-        wanted = self._over_time.get(measure.name, ())
-        for number, id in enumerate(block.ids[rows].tolist()):
-            if id in wanted:
-                frames = np.flatnonzero(np.isfinite(values[number, block.core])) + block.first
-                others = getattr(series, measure.other)[number] if measure.other else np.full(len(block.time), NO_OTHER)
-                part = MeasureValues(block.time[frames], values[number, frames], others[frames])
-                self._parts[measure.name, id].append(part)
-
-    def _drop_unconfirmed(
-        self, block: MotionBlock, rows: NDArray[np.intp], found: Criticality, *, every: bool = False
-    ) -> None:
-        """Drop short times to collision with actors that are not on the path that the subject takes, as in a bend.
-
-        Args:
-            block: The block.
-            rows: The rows of the subjects.
-            found: How critical their situation is.
-            every: Whether every value counts, not the least one alone.
-        """
-        for number, row in enumerate(rows.tolist()):
-            times, threats = found.time_to_collision[number], found.threat[number]
-            known = self._extremes[int(block.ids[row])].get("time_to_collision")
-            limit = SHORT if known is None or every else min(SHORT, known.value)
-            open_times = times[block.core].copy()  # of which it is not known whether both meet
-            for _ in range(len(open_times) + 1 if every else _CHECKS):
-                frame = block.first + int(open_times.argmin())
-                if not open_times[frame - block.first] < limit:
-                    break
-                meet = paths_meet(block, row, int(threats[frame]), frame, SHORT + _LATER)
-                if meet and not every:
-                    break
-                is_same = (threats == threats[frame]) & (np.abs(block.time - block.time[frame]) <= _SAME_THREAT)
-                open_times[is_same[block.core]] = np.inf
-                if not meet:
-                    times[is_same] = np.inf
-            else:
-                times[times < limit] = np.inf
-
-    def _note_crossings(self, block: MotionBlock, rows: NDArray[np.intp]) -> None:
-        """Note the least post-encroachment times in a block."""
-        wanted = self._over_time.get("post_encroachment_time", ())
-        is_subject = np.zeros(len(block.ids), np.bool_)
-        is_subject[rows] = True
-        fastest = np.nan_to_num(np.fmax.reduce(block.speed, axis=1))
-        reach = np.hypot(block.length, block.width) / 2 + fastest * POST_ENCROACHMENT_TIME
-        for start, one, other in near_pairs(block, is_subject, reach):
-            found = encroachments(block, start, one, other, POST_ENCROACHMENT_TIME)
-            for subjects, others in ((found.first, found.second), (found.second, found.first)):
-                order = np.lexsort((found.time, others, subjects))
-                order = order[is_subject[subjects[order]]]
-                is_least = (np.diff(subjects[order], prepend=-1) != 0) | (np.diff(others[order], prepend=-1) != 0)
-                for index in order[is_least].tolist():
-                    id = int(block.ids[subjects[index]])
-                    known = self._extremes[id]
-                    before = known.get("post_encroachment_time")
-                    time = float(found.time[index])
-                    if before is not None and time - STEP > before.value and id not in wanted:
-                        continue
-                    left, arrived = int(found.left[index]), int(found.arrived[index])
-                    first = path_of(block, int(found.first[index]), left)
-                    second = path_of(block, int(found.second[index]), arrived)
-                    time = refined(first, second, float(block.time[arrived]), time)
-                    if id in wanted:
-                        met = block.ids[others[index]]
-                        part = MeasureValues(block.time[[arrived]], np.array([time]), np.array([met], np.int64))
-                        self._parts["post_encroachment_time", id].append(part)
-                    if before is None or time < before.value:
-                        extreme = Extreme(time, float(block.time[arrived]), block.actors[int(others[index])])
-                        known["post_encroachment_time"] = extreme
+    def _note(self, id: int, measure: Measure, found: MeasureValues) -> None:
+        """Note the extreme value of a measure of an actor in some frames, and keep all values if they are asked for."""
+        finite = np.isfinite(found.value)
+        found = MeasureValues(found.time[finite], found.value[finite], found.other[finite])
+        if not len(found.value):
+            return
+        if id in self._over_time.get(measure.name, ()):
+            self._parts[measure.name, id].append(found)
+        best = int(found.value.argmin() if measure.extreme == "least" else found.value.argmax())
+        value, time, other = (column[best].item() for column in (found.value, found.time, found.other))
+        known = self._extremes[id].get(measure.name)
+        if known is None or measure.key(value) < measure.key(known.value):
+            actor = None if other == NO_OTHER else self._lives.at(other, time)
+            self._extremes[id][measure.name] = Extreme(value, time, actor)

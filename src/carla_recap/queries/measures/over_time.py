@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from carla_recap.errors import RecapError
+from carla_recap.model.contacts import Contacts
 from carla_recap.model.lives import HERO, ROAD_USERS, ActorLives, ActorName, find_actor
 from carla_recap.queries.measures.definitions import MeasureSeries, series_of
-from carla_recap.queries.measures.motion_blocks import TYPES, MotionCollector
-from carla_recap.queries.measures.series import NO_OTHER, criticality
+from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
+from carla_recap.queries.measures.series import MARGIN, NO_OTHER, criticality
 from carla_recap.queries.recorded_actors import actors as recorded_actors
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.lives import ActorLife
-    from carla_recap.queries.measures.motion_blocks import MotionBlock
+    from carla_recap.queries.measures.motion_table import MotionTable
 
 
 Subjects = Collection[int] | Literal["hero", "all"] | None
@@ -164,15 +165,18 @@ def _collect(
     stop: float = math.inf,
 ) -> None:
     """Add the motion of a recording to collectors."""
-    motion = MotionCollector(ActorLives(lives))
-    blocks = chain.from_iterable(map(motion.add, source.batches(TYPES, start=start, stop=stop)))
-    for block in chain(blocks, motion.finish()):
+    contacts = Contacts()
+    for frame in source.frames(("collisions",), sparse=True):
+        contacts.add(frame)
+    motion = MotionCollector(lives, contacts, before=MARGIN, after=MARGIN)
+    tables = chain.from_iterable(map(motion.add, source.batches(TYPES, start=start, stop=stop)))
+    for table in chain(tables, motion.finish()):
         for series in collectors:
-            series.add(block)
+            series.add(table)
 
 
 class SeriesCollector:
-    """Collects the measures of an actor over time from blocks of motion.
+    """Collects the measures of an actor over time from tables of motion.
 
     Attributes:
         actor: The id of the actor.
@@ -186,15 +190,15 @@ class SeriesCollector:
         self.actor, self._other = actor, other
         self._parts: list[dict[str, NDArray[Any]]] = []
 
-    def add(self, block: MotionBlock) -> None:
-        """Add a block."""
-        rows = np.flatnonzero(block.ids == self.actor)
-        others = np.flatnonzero(block.ids == (self.actor if self._other is None else self._other))
-        if not len(rows) or not len(others):
+    def add(self, table: MotionTable) -> None:
+        """Add a table."""
+        rows = np.flatnonzero(table.ids == self.actor)
+        if self._other is not None and self._other not in table.ids:
             return
-        series = series_of(block, rows, criticality(block, rows, None if self._other is None else int(others[0])))
-        present = np.flatnonzero(~np.isnan(block.x[rows[0], block.core])) + block.first
-        self._parts.append({name: values[0, present] for name, values in series.columns().items()})
+        found = series_of(table, rows, criticality(table, rows, self._other)).columns()
+        for number, row in enumerate(rows.tolist()):
+            present = np.flatnonzero(~np.isnan(table.x[row, table.core])) + table.first
+            self._parts.append({name: values[number, present] for name, values in found.items()})
 
     def finish(self) -> MeasureSeries:
         """Return the measures."""

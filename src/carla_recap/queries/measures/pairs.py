@@ -12,73 +12,25 @@ from carla_recap.queries.measures.boxes import Boxes, gap, time_to_collision
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from carla_recap.queries.measures.motion_blocks import MotionBlock
+    from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.util.arrays import Booleans, Floats, Indices
 
 
 FRAMES: Final = 64
 """The number of frames for which near pairs are looked for at once."""
-HORIZON: Final = 10.0
-"""The longest time to collision that is computed, in s."""
+ELEMENTS: Final = 1 << 19
+"""The number of values that are computed at once."""
 
-_PAIRS: Final = 1 << 17  # of 64 frames, at most
-_ELEMENTS: Final = 1 << 19  # pairs and frames that are computed at once
 _STEP: Final = 0.5  # m; boxes with more than this height between them are on different levels
+_COLUMNS: Final = ("one", "other", "frame", "dx", "dy", "vx", "vy", "distance")
 
 
-def near_pairs(
-    block: MotionBlock, subjects: Booleans, reach: float | Floats, *, frames: int = FRAMES
-) -> Iterator[tuple[int, Indices, Indices]]:
-    """Yield the pairs that may be near each other within some frames: the first frame, and the actors of each pair.
-
-    Of two walkers, and of actors one of which is attached to the other, there are no pairs. If more than 131,072 pairs are
-    near each other, those that are beside each other along x come first.
-
-    Args:
-        block: The motion.
-        subjects: Whether an actor is of interest, (actors,); one of a pair is.
-        reach: The distance in m from the centre of an actor within which the other's reach has to be; for all actors, or for
-            each.
-        frames: The number of frames for which near pairs are looked for at once.
-    """
-    reach = np.broadcast_to(np.asarray(reach, np.float64), block.ids.shape)
-    parent = {actor.id: actor.parent for actor in block.actors if actor.parent is not None}
-    starts = range(block.first, block.last, frames)
-    edges = list(starts)
-    if not edges or len(block.ids) < 2:
-        return
-    bounds = [_bounds(values[:, block.core], np.array(edges) - block.first, reach) for values in (block.x, block.y)]
-    for number, start in enumerate(starts):
-        (left, right), (bottom, top) = ((low[:, number], high[:, number]) for low, high in bounds)
-        present = np.flatnonzero(left <= right)
-        order = present[np.argsort(left[present], kind="stable")]
-        counts = np.searchsorted(left[order], right[order], side="right") - np.arange(1, len(order) + 1)
-        if counts.sum() > _PAIRS:
-            counts = np.minimum(counts, _PAIRS // len(order) + 1)
-        first = np.repeat(np.arange(len(order)), counts)
-        second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
-        one, other = order[first], order[second]
-        near = (bottom[one] <= top[other]) & (bottom[other] <= top[one])
-        near &= (subjects[one] | subjects[other]) & (block.is_vehicle[one] | block.is_vehicle[other])
-        one, other = one[near], other[near]
-        if parent:
-            ids = block.ids
-            free = [
-                parent.get(a) != b and parent.get(b) != a
-                for a, b in zip(ids[one].tolist(), ids[other].tolist(), strict=True)
-            ]
-            one, other = one[free], other[free]
-        step = _ELEMENTS // frames
-        for begin in range(0, len(one), step):
-            yield start, one[begin : begin + step], other[begin : begin + step]
-
-
-def _bounds(values: Floats, edges: Indices, reach: Floats) -> tuple[Floats, Floats]:
-    """Return the least and the greatest value from each edge to the next, less and more the reach; inf, -inf without any."""
+def bounds(values: Floats, reach: Floats) -> tuple[Floats, Floats]:
+    """Return the least and the greatest value of each row, less and more its reach; inf and -inf of a row of NaN."""
     absent = np.isnan(values)
-    low = np.minimum.reduceat(np.where(absent, np.inf, values), edges, axis=1)
-    high = np.maximum.reduceat(np.where(absent, -np.inf, values), edges, axis=1)
-    return low - reach[:, None], high + reach[:, None]
+    least = np.where(absent, np.inf, values).min(axis=1, initial=np.inf)
+    greatest = np.where(absent, -np.inf, values).max(axis=1, initial=-np.inf)
+    return least - reach, greatest + reach
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +38,7 @@ class PairFrames:
     """Pairs of actors in frames in which both are present, on one level; arrays of one length.
 
     Attributes:
-        block: The motion.
+        table: The motion.
         one: The first actor of each pair.
         other: The second actor.
         frame: The frame.
@@ -95,7 +47,7 @@ class PairFrames:
         distance: The distance of the centres in m.
     """
 
-    block: MotionBlock
+    table: MotionTable
     one: Indices
     other: Indices
     frame: Indices
@@ -106,39 +58,28 @@ class PairFrames:
     distance: Floats
 
     @staticmethod
-    def of(block: MotionBlock, start: int, one: Indices, other: Indices, *, frames: int = FRAMES) -> PairFrames:
-        """Return pairs in some frames from one on."""
-        rows = slice(start, min(start + frames, block.last))
+    def of(table: MotionTable, frames: slice, one: Indices, other: Indices) -> PairFrames:
+        """Return pairs in some frames."""
 
         def difference(values: Floats) -> Floats:
-            part = values[:, rows]
+            part = values[:, frames]
             return np.asarray(part[other] - part[one])
 
-        dx, dy, dz = difference(block.x), difference(block.y), difference(block.z)
-        level = np.abs(dz) <= ((block.height[one] + block.height[other]) / 2 + _STEP)[:, None]
+        dx, dy, dz = difference(table.x), difference(table.y), difference(table.z)
+        level = np.abs(dz) <= ((table.height[one] + table.height[other]) / 2 + _STEP)[:, None]
         pair, frame = np.nonzero(level)  # False for NaN
         dx, dy = dx[pair, frame], dy[pair, frame]
-        vx, vy = difference(block.vx)[pair, frame], difference(block.vy)[pair, frame]
-        return PairFrames(block, one[pair], other[pair], frame + start, dx, dy, vx, vy, np.hypot(dx, dy))
+        vx, vy = difference(table.vx)[pair, frame], difference(table.vy)[pair, frame]
+        return PairFrames(table, one[pair], other[pair], frame + frames.start, dx, dy, vx, vy, np.hypot(dx, dy))
 
     def take(self, kept: Booleans | Indices) -> PairFrames:
         """Return some of them."""
-        return PairFrames(
-            self.block,
-            self.one[kept],
-            self.other[kept],
-            self.frame[kept],
-            self.dx[kept],
-            self.dy[kept],
-            self.vx[kept],
-            self.vy[kept],
-            self.distance[kept],
-        )
+        return PairFrames(self.table, *(getattr(self, name)[kept] for name in _COLUMNS))
 
     def turned(self) -> PairFrames:
         """Return the pairs with their actors exchanged."""
         return PairFrames(
-            self.block, self.other, self.one, self.frame, -self.dx, -self.dy, -self.vx, -self.vy, self.distance
+            self.table, self.other, self.one, self.frame, -self.dx, -self.dy, -self.vx, -self.vy, self.distance
         )
 
     def __len__(self) -> int:
@@ -146,41 +87,70 @@ class PairFrames:
 
     def around(self) -> Floats:
         """Return the sum of the radii of circles around both boxes in m."""
-        radius = np.hypot(self.block.length, self.block.width) / 2
-        return np.asarray(radius[self.one] + radius[self.other])
+        return np.asarray(self.table.radius[self.one] + self.table.radius[self.other])
 
     def within(self) -> Floats:
         """Return the sum of the radii of circles within both boxes in m."""
-        radius = np.minimum(self.block.length, self.block.width) / 2
+        radius = np.minimum(self.table.length, self.table.width) / 2
         return np.asarray(radius[self.one] + radius[self.other])
+
+    def approach(self) -> Floats:
+        """Return the magnitude of the difference of both velocities in m/s."""
+        return np.hypot(self.vx, self.vy)
 
     def boxes(self) -> tuple[Boxes, Boxes]:
         """Return the boxes of both actors, the first one at rest in the origin."""
-        block, one, other = self.block, self.one, self.other
-        yaw = block.yaw
+        table, one, other = self.table, self.one, self.other
+        yaw = table.yaw
         return (
-            Boxes(0.0, 0.0, yaw[one, self.frame], block.length[one], block.width[one]),
-            Boxes(self.dx, self.dy, yaw[other, self.frame], block.length[other], block.width[other], self.vx, self.vy),
+            Boxes(0.0, 0.0, yaw[one, self.frame], table.length[one], table.width[one]),
+            Boxes(self.dx, self.dy, yaw[other, self.frame], table.length[other], table.width[other], self.vx, self.vy),
         )
 
     def gap(self) -> Floats:
         """Return the gaps in m."""
         return gap(*self.boxes())
 
-    def time_to_collision(self, horizon: float = HORIZON) -> Floats:
-        """Return the times to collision in s; inf above the horizon."""
-        times = np.full(len(self), np.inf)
-        speed = np.hypot(self.vx, self.vy)
-        around = self.around()
-        with np.errstate(invalid="ignore"):
-            toward = -(self.dx * self.vx + self.dy * self.vy)  # times the speed
-            aside = np.abs(self.dx * self.vy - self.dy * self.vx)  # times the speed
-            possible = (toward > 0) & (aside <= around * speed) & (self.distance - around <= speed * horizon)
-        found = np.flatnonzero(possible | (self.distance <= around))
-        if len(found):
-            near = time_to_collision(*self.take(found).boxes())
-            times[found] = np.where(near <= horizon, near, np.inf)
-        return times
+    def colliding(self, horizon: float) -> tuple[PairFrames, Floats]:
+        """Return those that collide within a time in s if they keep their velocity, and their times to collision in s."""
+        speed, around = self.approach(), self.around()
+        toward = -(self.dx * self.vx + self.dy * self.vy)  # times the speed
+        aside = np.abs(self.dx * self.vy - self.dy * self.vx)  # times the speed
+        soon = (toward > 0) & (aside <= around * speed) & (self.distance - around <= speed * horizon)
+        pairs = self.take(np.flatnonzero(soon | (self.distance <= around)))
+        times = time_to_collision(*pairs.boxes())
+        kept = np.flatnonzero(times <= horizon)
+        return pairs.take(kept), times[kept]
+
+
+def near_pairs(table: MotionTable, subjects: Booleans, reach: Floats | float) -> Iterator[PairFrames]:
+    """Yield the pairs that may be near each other, in some frames of those that the table is for.
+
+    Args:
+        table: The motion.
+        subjects: Whether an actor is of interest, (actors,); one of a pair is.
+        reach: The distance in m from the centre of an actor within which the other's reach has to be, (actors,).
+    """
+    reach = np.broadcast_to(np.asarray(reach, np.float64), table.ids.shape)
+    for start in range(table.first, table.last, FRAMES):
+        frames = slice(start, min(start + FRAMES, table.last))
+        left, right = bounds(table.x[:, frames], reach)
+        bottom, top = bounds(table.y[:, frames], reach)
+        order = np.argsort(left, kind="stable")[: np.count_nonzero(left <= right)]
+        behind = np.searchsorted(left[order], right[order], side="right")  # those that are not beside each one along x
+        step = max(1, ELEMENTS // max(len(order), 1))
+        for begin in range(0, len(order), step):
+            first = np.arange(begin, min(begin + step, len(order)))
+            counts = behind[first] - first - 1
+            second = np.arange(counts.sum()) + np.repeat(first + 1 - (np.cumsum(counts) - counts), counts)
+            one, other = order[np.repeat(first, counts)], order[second]
+            near = (bottom[one] <= top[other]) & (bottom[other] <= top[one]) & (subjects[one] | subjects[other])
+            one, other = one[near], other[near]
+            free = table.free(one, other)
+            one, other = one[free], other[free]
+            for few in range(0, len(one), ELEMENTS // FRAMES):
+                part = slice(few, few + ELEMENTS // FRAMES)
+                yield PairFrames.of(table, frames, one[part], other[part])
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,17 +174,17 @@ def ahead(pairs: PairFrames) -> Following:
 
     Its heading differs by 45 degrees at most.
     """
-    block = pairs.block
-    pairs = pairs.take(block.is_vehicle[pairs.other])
-    yaw = block.yaw[pairs.one, pairs.frame]
+    table = pairs.table
+    pairs = pairs.take(table.is_vehicle[pairs.other])
+    yaw = table.yaw[pairs.one, pairs.frame]
     cos, sin = np.cos(yaw), np.sin(yaw)
     along, across = pairs.dx * cos + pairs.dy * sin, np.abs(pairs.dy * cos - pairs.dx * sin)
-    half_width, reach = block.width / 2, np.hypot(block.length, block.width) / 2
-    kept = (along > 0) & (across < half_width[pairs.one] + reach[pairs.other])
+    half_width = table.width / 2
+    kept = (along > 0) & (across < half_width[pairs.one] + table.radius[pairs.other])
     pairs, along, across = pairs.take(kept), along[kept], across[kept]
-    turn = block.yaw[pairs.other, pairs.frame] - block.yaw[pairs.one, pairs.frame]
+    turn = table.yaw[pairs.other, pairs.frame] - table.yaw[pairs.one, pairs.frame]
     cos, sin = np.cos(turn), np.abs(np.sin(turn))
-    length, width = block.length[pairs.other] / 2, half_width[pairs.other]
+    length, width = table.length[pairs.other] / 2, half_width[pairs.other]
     kept = (cos >= _SAME_HEADING) & (across < half_width[pairs.one] + sin * length + cos * width)
-    gaps = along - block.length[pairs.one] / 2 - cos * length - sin * width
+    gaps = along - table.length[pairs.one] / 2 - cos * length - sin * width
     return Following(pairs.take(kept), np.maximum(gaps[kept], 0.0))

@@ -8,15 +8,18 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.queries.measures.boxes import required_deceleration, time_headway
-from carla_recap.queries.measures.pairs import FRAMES, PairFrames, ahead, near_pairs
+from carla_recap.queries.measures.pairs import PairFrames, ahead, near_pairs
+from carla_recap.queries.measures.paths_ahead import on_collision_course
 
 if TYPE_CHECKING:
-    from carla_recap.queries.measures.motion_blocks import MotionBlock
+    from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.util.arrays import Floats, Indices
 
 
 RANGE: Final = 100.0
-"""The distance of centres up to which others count, in m."""
+"""The distance of centres up to which others count for gaps and headways, in m."""
+HORIZON: Final = 10.0
+"""The longest time to collision that is computed, in s."""
 SPEED_WINDOW: Final = 0.125
 """The time before and after a moment, of which the speeds count for its acceleration, in s."""
 JERK_WINDOW: Final = 0.25
@@ -24,18 +27,17 @@ JERK_WINDOW: Final = 0.25
 
 NO_OTHER: Final = -1
 """The row of no actor."""
-
-_FEW: Final = 4  # actors for which pairs are looked for
-_MORE: Final = 8  # times as many frames at once, since the number of steps costs more than that of pairs
+MARGIN: Final = 2.0
+"""The time around a frame that the measures of an actor alone depend on, in s."""
 
 
 @dataclass(eq=False)
 class Criticality:
-    """How critical the situation of some actors is in each frame of a block; arrays of the shape (subjects, frames).
+    """How critical the situation of some actors is in each frame of a table; arrays of the shape (subjects, frames).
 
     Attributes:
         gap: The least gap to another actor in m; inf without one within 100 m.
-        nearest: The row in the block of the actor that is this near; -1 without one.
+        nearest: The row in the table of the actor that is this near; -1 without one.
         time_to_collision: The least time to collision in s; inf above 10 s.
         threat: The row of the actor that this is the time to; -1 without one.
         headway: The distance to the leader from bumper to bumper in m; inf without one.
@@ -54,38 +56,52 @@ class Criticality:
     leader: Indices
 
 
-def criticality(block: MotionBlock, subjects: Indices, other: int | None = None) -> Criticality:
-    """Return how critical the situation of some actors of a block is, in each of its frames; margins have no values.
+def criticality(
+    table: MotionTable, subjects: Indices, other: int | None = None, *, shortest: Floats | None = None
+) -> Criticality:
+    """Return how critical the situation of some actors of a table is, in each of its frames; margins have no values.
 
     Args:
-        block: The motion.
+        table: The motion.
         subjects: The rows of the actors.
-        other: The row of the only other actor that counts; None for all.
+        other: The id of the only other actor that counts; None for all.
+        shortest: For times to collision of actors that also meet on the paths that they take alone, see
+            `on_collision_course`: the least times that are known, in s; longer ones are inf. None: all times count.
     """
-    shape = len(subjects), len(block.time)
-    position = np.full(len(block.ids), -1)
+    shape = len(subjects), len(table.time)
+    position = np.full(len(table.ids), -1)
     position[subjects] = np.arange(len(subjects))
     gaps, times, headways = _Least(shape), _Least(shape), _Least(shape)
-    frames = _MORE * FRAMES if len(subjects) <= _FEW else FRAMES
-    for start, first, second in near_pairs(block, position >= 0, RANGE / 2, frames=frames):
-        kept = slice(None) if other is None else (first == other) | (second == other)
-        pairs = PairFrames.of(block, start, first[kept], second[kept], frames=frames)
-        pairs = pairs.take(pairs.distance <= RANGE)
-        for each in (pairs, pairs.turned()):
+    for pairs in near_pairs(table, position >= 0, np.maximum(RANGE / 2, table.radius + table.fastest * HORIZON)):
+        if other is not None:
+            pairs = pairs.take((table.ids[pairs.one] == other) | (table.ids[pairs.other] == other))
+        near = pairs.take(pairs.distance <= RANGE)
+        for each in (near, near.turned()):
             each = each.take(position[each.one] >= 0)
-            if not len(each):
-                continue
-            row = position[each.one]
-            times.add(row, each, each.time_to_collision())
-            _add_gaps(gaps, row, each)
+            _add_gaps(gaps, position[each.one], each)
             following = ahead(each)
             headways.add(position[following.pairs.one], following.pairs, following.gap)
-    speed = block.speed[subjects]
+        pairs, seconds = pairs.colliding(HORIZON)
+        if shortest is not None:
+            shortest = np.minimum(shortest, times.value.min(axis=1, initial=np.inf))
+            limits = np.append(shortest, -np.inf)
+            kept = np.flatnonzero(seconds < np.maximum(limits[position[pairs.one]], limits[position[pairs.other]]))
+            kept = kept[on_collision_course(pairs.take(kept), seconds[kept])]
+            pairs, seconds = pairs.take(kept), seconds[kept]
+        for each in (pairs, pairs.turned()):
+            known = position[each.one] >= 0
+            times.add(position[each.one[known]], each.take(known), seconds[known])
+    for one, second, frames in table.touching:
+        for row, met in ((one, second), (second, one)):
+            if position[row] >= 0 and other in (None, table.ids[met]):
+                for least in (gaps, times):
+                    least.value[position[row], frames], least.other[position[row], frames] = 0.0, met
+    speed = table.speed[subjects]
     leader = headways.other
     known = leader >= 0
     frame = np.broadcast_to(np.arange(shape[1]), shape)
-    yaw = block.yaw[subjects]
-    along = np.cos(yaw) * block.vx[leader, frame] + np.sin(yaw) * block.vy[leader, frame]
+    yaw = table.yaw[subjects]
+    along = np.cos(yaw) * table.vx[leader, frame] + np.sin(yaw) * table.vy[leader, frame]
     deceleration = np.where(known, required_deceleration(headways.value, speed, np.where(known, along, 0.0)), 0.0)
     return Criticality(
         gap=gaps.value,

@@ -12,9 +12,8 @@ import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.kinematics import possible_step
-from carla_recap.model.lives import ActorLives
-from carla_recap.queries.measures.motion_blocks import MotionCollector
-from carla_recap.queries.measures.series import NO_OTHER, criticality
+from carla_recap.queries.measures.motion_table import MotionCollector
+from carla_recap.queries.measures.series import MARGIN, NO_OTHER, criticality
 from carla_recap.queries.recorded_actors import actors as recorded_actors
 from carla_recap.replay.events import Destroyed
 from carla_recap.replay.player import Player
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from carla_recap.model.batch import Batch
     from carla_recap.model.lives import ActorLife
     from carla_recap.queries.incidents import Incident
-    from carla_recap.queries.measures.motion_blocks import MotionBlock
+    from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.recording import Recording
     from carla_recap.replay.player import Progress
     from carla_recap.replay.scene import Scene, SceneBatch
@@ -447,20 +446,20 @@ class _Measurer:
         for measured, followed in zip(self.measured, self._followed, strict=True):
             measured.acceleration[samples] = followed.series(batch).acceleration[rows]
 
-    def find_leaders(self, block: MotionBlock) -> None:
-        """Measure the distances to leaders in a block of motion."""
-        samples, rows = self._samples_in(block.time[block.core])
-        wanted, known = find(np.array([each.id for each in self.measured], np.uint32), np.asarray(block.ids, np.uint32))
-        subjects = wanted[known]
-        if not len(rows) or not len(subjects):
+    def find_leaders(self, table: MotionTable) -> None:
+        """Measure the distances to leaders in a table of motion."""
+        samples, frames = self._samples_in(table.time[table.core])
+        subjects = np.flatnonzero(np.isin(table.ids, [each.id for each in self.measured]))
+        if not len(frames) or not len(subjects):
             return
-        found = criticality(block, subjects)
-        rows += block.first
-        for position, index in enumerate(np.flatnonzero(known).tolist()):
-            measured, leader = self.measured[index], found.leader[position, rows]
-            there = np.flatnonzero(leader != NO_OTHER)
-            measured.headway[samples[there]] = found.headway[position, rows[there]]
-            measured.leader[samples[there]] = block.ids[leader[there]]
+        found = criticality(table, subjects)
+        frames += table.first
+        for measured in self.measured:
+            for position in np.flatnonzero(table.ids[subjects] == measured.id).tolist():
+                there = frames[found.leader[position, frames] != NO_OTHER]
+                of_those = samples[found.leader[position, frames] != NO_OTHER]
+                measured.headway[of_those] = found.headway[position, there]
+                measured.leader[of_those] = table.ids[found.leader[position, there]]
 
     def _samples_in(self, moments: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the samples that are among some moments, ascending, and which of these they are of."""
@@ -478,16 +477,16 @@ def measure(recording: Recording, ids: Iterable[int], times: Floats) -> list[Mea
         ids: The ids of the actors.
         times: The times of the samples, in elapsed seconds, ascending.
     """
-    measurer, motion = _Measurer(ids, times), MotionCollector(ActorLives(recorded_actors(recording.reader)))
+    measurer, motion = _Measurer(ids, times), MotionCollector(recorded_actors(recording.reader), before=MARGIN, after=MARGIN)
 
     def observe(batch: Batch) -> None:
-        for block in motion.add(batch):
-            measurer.find_leaders(block)
+        for table in motion.add(batch):
+            measurer.find_leaders(table)
 
     player = Player(recording)
     player.observe(observe)
     for batch in player.batches():
         measurer.follow(batch)
-    for block in motion.finish():
-        measurer.find_leaders(block)
+    for table in motion.finish():
+        measurer.find_leaders(table)
     return measurer.measured

@@ -1,0 +1,357 @@
+"""The motion of all vehicles and walkers in some frames, as dense arrays, for measures."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from carla_recap.model.blueprints import box_of
+from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.kinematics import LONGEST_STEP, place_in_metres, possible_step
+from carla_recap.model.lives import ROAD_USERS
+from carla_recap.model.presence import FAR, RoadHeights
+from carla_recap.model.segment import SegmentBuffer, segments
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from numpy.typing import NDArray
+
+    from carla_recap.model.batch import Batch
+    from carla_recap.model.contacts import Contact
+    from carla_recap.model.lives import ActorLife
+    from carla_recap.util.arrays import Booleans, Floats, Indices, Integers
+
+    Ids = NDArray[np.integer[Any]]
+
+TYPES: Final = ("transforms", "velocities")
+"""The record types that motion is computed from."""
+THROWN: Final = 5.0
+"""The time after a contact with a vehicle in which an actor may be thrown, in s."""
+
+_FRAMES: Final = 1024  # of a table, without its margins
+_STEP: Final = 64  # frames after which tables are tried again
+_VALUES: Final = 1 << 20  # poses of a table, unless its margins have more
+_CONTEXT: Final = 2.0  # s around a frame that its motion depends on
+_FASTEST: Final = 150.0  # m/s; velocities above it do not count
+_AROUND_JUMP: Final = 0.5  # s before and after a jump in which an actor does not count
+
+
+class Touching(NamedTuple):
+    """A recorded contact of two actors of a table.
+
+    Attributes:
+        one, other: The rows of the actors.
+        frames: The frames of the contact.
+    """
+
+    one: int
+    other: int
+    frames: slice
+
+
+@dataclass(frozen=True, eq=False)
+class MotionTable:
+    """The motion of some consecutive frames; arrays have the shape (actors, frames), in right-handed axes.
+
+    Attributes:
+        first, last: The frames that the table is for, `last` exclusive; those before and after are margins.
+        time: Elapsed seconds, (frames,).
+        ids: The ids of the actors, ascending, (actors,); an id that is used again has several rows.
+        actors: Their actors.
+        is_vehicle: Whether each is a vehicle, not a walker, (actors,).
+        x, y, z: The centre of the box in m; NaN where the actor is absent, jumps, or is at no sensible place,
+            such as far below the roads.
+        yaw: The heading in radians, counter-clockwise.
+        vx, vy: The velocity in m/s: as recorded, else derived from the positions.
+        length, width, height: The size of the box in m, (actors,).
+        offset: The centre of the box in the axes of the actor in m, (actors, 3).
+        contacts: The recorded contacts.
+    """
+
+    first: int
+    last: int
+    time: Floats
+    ids: Integers
+    actors: tuple[ActorLife, ...]
+    is_vehicle: Booleans
+    x: Floats
+    y: Floats
+    z: Floats
+    yaw: Floats
+    vx: Floats
+    vy: Floats
+    length: Floats
+    width: Floats
+    height: Floats
+    offset: Floats
+    contacts: tuple[Contact, ...] = ()
+
+    @property
+    def core(self) -> slice:
+        """The frames that the table is for, without margins."""
+        return slice(self.first, self.last)
+
+    @cached_property
+    def clock(self) -> Floats:
+        """The times, each not before the one before it, (frames,)."""
+        return _clock(self.time)
+
+    @cached_property
+    def speed(self) -> Floats:
+        """The speed over the ground in m/s, (actors, frames)."""
+        return np.hypot(self.vx, self.vy)
+
+    @cached_property
+    def radius(self) -> Floats:
+        """The radius of a circle around the box in m, (actors,)."""
+        return np.hypot(self.length, self.width) / 2
+
+    @cached_property
+    def fastest(self) -> Floats:
+        """The greatest speed in the frames that the table is for in m/s, (actors,)."""
+        return np.asarray(np.fmax.reduce(self.speed[:, self.core], axis=1, initial=0.0))
+
+    @cached_property
+    def heading(self) -> Floats:
+        """The heading in radians without steps of whole turns, (actors, frames)."""
+        turns = -np.round(np.nan_to_num(np.diff(self.yaw, axis=1)) / (2 * np.pi))
+        return np.asarray(self.yaw + 2 * np.pi * np.pad(np.cumsum(turns, axis=1), ((0, 0), (1, 0))))
+
+    @cached_property
+    def joined(self) -> Booleans:
+        """Whether an actor is present in a frame and the next one without a break, (actors, frames - 1)."""
+        present, seconds = ~np.isnan(self.x), np.diff(self.time)
+        return np.asarray(present[:, 1:] & present[:, :-1] & (seconds > 0) & (seconds <= LONGEST_STEP))
+
+    @cached_property
+    def path(self) -> tuple[Indices, Indices]:
+        """The first and the last frame that an actor is present in without a break from each frame, (actors, frames)."""
+        frame, ends = np.arange(len(self.time)), np.ones((len(self.ids), 1), np.bool_)
+        begin = np.where(np.hstack((ends, ~self.joined)), frame, 0)
+        end = np.where(np.hstack((~self.joined, ends)), frame, len(frame))
+        return np.maximum.accumulate(begin, axis=1), np.minimum.accumulate(end[:, ::-1], axis=1)[:, ::-1]
+
+    @cached_property
+    def touching(self) -> tuple[Touching, ...]:
+        """The recorded contacts of two of the actors."""
+        found = []
+        for contact in self.contacts:
+            begin, end = np.searchsorted(self.clock, (contact.start - SAME_TIME, contact.stop + SAME_TIME)).tolist()
+            ones, others = (np.flatnonzero(self.ids == id) for id in contact.ids)
+            pairs = [(one, other) for one in ones.tolist() for other in others.tolist() if begin < end]
+            found += [Touching(one, other, slice(begin, end)) for one, other in pairs if self.free(one, other)]
+        return tuple(found)
+
+    @cached_property
+    def thrown(self) -> Booleans:
+        """Whether an actor may be thrown: it touches a vehicle, or has done so in the 5 s before, (actors, frames)."""
+        found = np.zeros(self.x.shape, np.bool_)
+        for contact in self.contacts:
+            during = (self.time >= contact.start - SAME_TIME) & (self.time <= contact.stop + THROWN)
+            rows = [self.ids == id for id in contact.ids]
+            for these, others in (rows, rows[::-1]):
+                if (others & self.is_vehicle).any():
+                    found[np.ix_(these, during)] = True
+        return found
+
+    @cached_property
+    def _parents(self) -> Integers:
+        """The ids of the actors that they are attached to; -1 without one, (actors,)."""
+        return np.array([-1 if actor.parent is None else actor.parent for actor in self.actors], np.int64)
+
+    def free(self, one: Indices | int, other: Indices | int) -> Booleans:
+        """Return whether rows are pairs that count: not two walkers, and neither attached to the other."""
+        parent, ids = self._parents, self.ids
+        attached = (parent[one] == ids[other]) | (parent[other] == ids[one])
+        return np.asarray((self.is_vehicle[one] | self.is_vehicle[other]) & (ids[one] != ids[other]) & ~attached)
+
+    def location(self, actor: int, frame: int) -> tuple[float, float, float]:
+        """Return the location of an actor, not of the centre of its box, in m."""
+        x, y, z = self.offset[actor].tolist()
+        yaw = self.yaw[actor, frame]
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        return (
+            float(self.x[actor, frame] - cos * x + sin * y),
+            float(self.y[actor, frame] - sin * x - cos * y),
+            float(self.z[actor, frame] - z),
+        )
+
+
+class MotionCollector:
+    """Collects the frames of a recording into tables of motion, which follow each other.
+
+    Memory is bounded: a table has 1,024 frames, or fewer if there are very many actors, and its margins.
+
+    Args:
+        actors: The actors of the recording.
+        contacts: The contacts between them.
+        before, after: The times before and after the frames of a table that it has, too, in s.
+    """
+
+    def __init__(
+        self, actors: Iterable[ActorLife], contacts: Iterable[Contact] = (), *, before: float = 0.0, after: float = 0.0
+    ) -> None:
+        actors, lives = list(actors), defaultdict(list)
+        for actor in actors:
+            lives[actor.id].append(actor)
+        self._lives = {  # of each id, with the times from which and until which it is theirs
+            id: list(zip(each, [-np.inf, *starts], [*starts, np.inf], strict=True))
+            for id, each in lives.items()
+            if any(actor.kind in ROAD_USERS for actor in each)
+            for starts in [[actor.spawned_at - SAME_TIME for actor in each[1:]]]
+        }
+        self._known = np.array(list(self._lives), np.uint32)
+        self._contacts = tuple(contacts)
+        self._before, self._after = before + _CONTEXT, after + _CONTEXT
+        self._heights = RoadHeights(actors)
+        self._poses, self._velocities = SegmentBuffer(), SegmentBuffer()
+        self._time = np.zeros(0)  # of the frames that these hold
+        self._done = 0  # the number of them that have been in a table
+        self._size = _FRAMES  # of the next table
+        self._due = 0  # the number of frames at which the next table may be complete
+
+    def add(self, batch: Batch) -> Iterator[MotionTable]:
+        """Add frames that have at least their transforms and velocities, and yield the tables that are complete.
+
+        Raises:
+            FormatError: A packet contradicts its layout.
+        """
+        if batch.preamble:
+            return
+        for buffer, name in ((self._velocities, TYPES[1]), (self._poses, TYPES[0])):
+            records = batch.records(name)
+            found = [segment.only(np.isin(segment.ids, self._known)) for segment in segments(records)]
+            buffer.add(found, len(records))
+        self._size = max(1, min(_FRAMES, _VALUES // max(len(found[-1].ids) if found else 0, 1)))
+        self._time = np.concatenate((self._time, batch.elapsed))
+        if len(self._time) - self._done >= self._size and len(self._time) >= self._due:
+            yield from self._tables()
+            self._due = len(self._time) + min(_STEP, self._size)
+
+    def finish(self) -> Iterator[MotionTable]:
+        """Yield the last tables."""
+        yield from self._tables(ended=True)
+
+    def _tables(self, *, ended: bool = False) -> Iterator[MotionTable]:
+        """Yield tables of the frames so far, as far as what follows them is known."""
+        clock = _clock(self._time)
+        ready = len(clock) if ended else int(np.searchsorted(clock, clock[-1] - self._after))
+        while self._done < ready and (ended or ready - self._done >= self._size):
+            first, last = self._done, min(self._done + self._size, ready)
+            while True:
+                start = int(np.searchsorted(clock, clock[first] - self._before))
+                stop = int(np.searchsorted(clock, clock[last - 1] + self._after, side="right"))
+                margins = first - start + stop - last
+                ids = self._poses.ids(start, stop)
+                if last - first <= max(margins, 1) or len(ids) * (stop - start) <= _VALUES:
+                    break
+                last = first + (last - first + 1) // 2
+            yield self._table(ids, start, first, last, stop)
+            self._done = last
+        if self._done < len(clock):
+            dropped = int(np.searchsorted(clock, clock[self._done] - self._before))
+            self._poses.drop(dropped)
+            self._velocities.drop(dropped)
+            self._time, self._done = self._time[dropped:], self._done - dropped
+
+    @np.errstate(invalid="ignore")  # of signalling NaN
+    def _table(self, ids: Ids, start: int, first: int, last: int, stop: int) -> MotionTable:
+        time = self._time[start:stop]
+        rows, actors, lived = [], [], []
+        for row, id in enumerate(ids.tolist()):
+            for actor, begin, end in self._lives[id]:
+                during = (time >= begin) & (time < end)
+                if actor.kind in ROAD_USERS and during.any():
+                    rows.append(row)
+                    actors.append(actor)
+                    lived.append(during)
+        alive = np.array(lived, np.bool_).reshape(-1, len(time))
+        pose, velocity = (
+            np.where(known[rows] & alive, values[:, rows], np.nan).astype(np.float64)
+            for values, known in (
+                self._poses.dense(("x", "y", "z", "yaw"), ids, start, stop),
+                self._velocities.dense(("x", "y"), ids, start, stop),
+            )
+        )
+        boxes = [box_of(actor) for actor in actors]
+        size = 2 * np.array([(box.extent_x, box.extent_y, box.extent_z) for box in boxes]).reshape(-1, 3)
+        offset = np.array([(box.x, box.y, box.z) for box in boxes]).reshape(-1, 3)
+        away = self._heights.away(ids[rows], pose[:3].T).T
+        x, y, z, yaw, vx, vy = _motion(time, pose, velocity, away)
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        return MotionTable(
+            first=first - start,
+            last=last - start,
+            time=time,
+            ids=ids[rows].astype(np.int64),
+            actors=tuple(actors),
+            is_vehicle=np.array([actor.kind == "vehicle" for actor in actors], np.bool_),
+            x=x + cos * offset[:, :1] - sin * offset[:, 1:2],
+            y=y + sin * offset[:, :1] + cos * offset[:, 1:2],
+            z=z + offset[:, 2:],
+            yaw=yaw,
+            vx=vx,
+            vy=vy,
+            length=size[:, 0],
+            width=size[:, 1],
+            height=size[:, 2],
+            offset=offset,
+            contacts=tuple(each for each in self._contacts if each.start <= time[-1] and each.stop >= time[0] - THROWN),
+        )
+
+
+def _clock(time: Floats) -> Floats:
+    return np.asarray(np.maximum.accumulate(np.where(np.isfinite(time), time, -np.inf)))
+
+
+@np.errstate(all="ignore")
+def _motion(time: Floats, pose: Floats, velocity: Floats, away: Booleans) -> tuple[Floats, ...]:
+    """Return positions in m, headings in radians and velocities in m/s, right-handed, of CARLA's own; NaN where unusable.
+
+    Where actors are away, they are as absent.
+    """
+    x, y, z = place_in_metres(*pose[:3])
+    yaw = np.deg2rad(np.remainder(-pose[3], 360.0))
+    vx, vy = velocity[0], -velocity[1]
+    absent = away | ~((np.abs(x) < FAR) & (np.abs(y) < FAR) & (np.abs(z) < FAR) & np.isfinite(yaw))
+    unknown = ~(np.hypot(vx, vy) < _FASTEST)
+    vx[unknown] = vy[unknown] = np.nan
+    if len(time) > 1:
+        seconds = np.diff(time)
+        dx, dy = np.diff(x), np.diff(y)
+        distance = np.hypot(dx, dy)
+        speed = np.hypot(vx, vy)
+        speed = np.fmax(speed[:, 1:], speed[:, :-1])
+        ordered = (seconds > 0) & (seconds <= LONGEST_STEP)
+        jumps = (distance > possible_step(seconds, speed, least=0.0)) & ordered
+        if jumps.any():
+            absent |= _around(jumps, time)
+        if unknown.any():
+            joined = ordered & ~jumps & ~absent[:, 1:] & ~absent[:, :-1]
+            for values, steps in ((vx, dx), (vy, dy)):
+                values[unknown] = _slopes(np.where(joined, steps, 0.0), np.where(joined, seconds, 0.0))[unknown]
+    for values in (x, y, z, yaw, vx, vy):
+        values[absent] = np.nan
+    return x, y, z, yaw, vx, vy
+
+
+def _around(jumps: Booleans, time: Floats) -> Booleans:
+    """Return which frames are within 0.5 s of a jump between two frames."""
+    count = np.pad(np.cumsum(jumps, axis=1), ((0, 0), (1, 0)))
+    clock = _clock(time)
+    frames = np.arange(len(time))
+    first = np.minimum(np.searchsorted(clock, clock - _AROUND_JUMP), np.maximum(frames - 1, 0))
+    last = np.maximum(np.searchsorted(clock, clock + _AROUND_JUMP, side="right") - 1, np.minimum(frames + 1, len(time) - 1))
+    return np.asarray(count[:, last] > count[:, first])
+
+
+def _slopes(steps: Floats, seconds: Floats) -> Floats:
+    """Return the slope between the neighbours of each frame; NaN without one that it is joined with."""
+    padding = ((0, 0), (1, 1))
+    steps, seconds = np.pad(steps, padding), np.pad(seconds, padding)
+    return np.asarray((steps[:, 1:] + steps[:, :-1]) / (seconds[:, 1:] + seconds[:, :-1]))

@@ -1,0 +1,113 @@
+"""Whether two actors meet on the paths that they really take, not only along straight lines."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from carla_recap.queries.measures.boxes import Boxes, time_to_collision
+from carla_recap.queries.measures.pairs import ELEMENTS
+
+if TYPE_CHECKING:
+    from carla_recap.queries.measures.motion_table import MotionTable
+    from carla_recap.queries.measures.pairs import PairFrames
+    from carla_recap.util.arrays import Booleans, Floats, Indices
+
+
+LATER: Final = 0.5
+"""The time by which actors may meet later on their paths than along straight lines, in s."""
+SEEN: Final = 3.0
+"""The time after a collision along straight lines up to which paths are known, in s."""
+BEND_TIME: Final = 3.0
+"""The time before the end of a path in which its bend is determined, in s."""
+
+_STEP: Final = 0.1  # s in which an actor goes straight on, at least
+_STEPS: Final = 100  # until actors meet, at most; each is as much longer
+_BEND: Final = 3.0  # m of a path by which its bend is determined
+_SHARPEST: Final = 0.3  # radians per m
+_BESIDE: Final = 0.3  # m between boxes that still meet
+
+
+def on_collision_course(pairs: PairFrames, times: Floats) -> Booleans:
+    """Return whether times to collision count.
+
+    They do if neither actor may be thrown by a collision, and both touch, or pass at less than 0.3 m, if they keep their
+    speed on the paths that they take, at most 0.5 s later than along straight lines. So the other lane of a bend, and what
+    is parked beside it, is no obstacle, though a straight line leads there.
+
+    Args:
+        pairs: The pairs.
+        times: Their times to collision in s.
+    """
+    table, frame = pairs.table, pairs.frame
+    counts = ~(table.thrown[pairs.one, frame] | table.thrown[pairs.other, frame])
+    open_pairs = np.flatnonzero(counts & (times > 0))
+    open_pairs = open_pairs[np.argsort(times[open_pairs], kind="stable")]  # those with as many steps together
+    few = ELEMENTS // _STEPS
+    for some in (open_pairs[start : start + few] for start in range(0, len(open_pairs), few)):
+        counts[some] = paths_meet(table, pairs.one[some], pairs.other[some], frame[some], times[some])
+    return counts
+
+
+def paths_meet(table: MotionTable, one: Indices, other: Indices, frame: Indices, times: Floats) -> Booleans:
+    """Return whether actors meet on their paths; see `on_collision_course`.
+
+    Args:
+        table: The motion.
+        one: The rows of the first actors.
+        other: Those of the second ones.
+        frame: The frames from which on they keep their speed.
+        times: The times to collision along straight lines, in s.
+    """
+    step = np.maximum(_STEP, (times + LATER) / _STEPS)[:, None]
+    ahead = np.arange(math.ceil(float(((times + LATER) / step[:, 0]).max(initial=0.0))) + 1.0) * step
+    stop = table.clock[frame] + times + SEEN
+    first, second = (_path_ahead(table, actor, frame, ahead, stop) for actor in (one, other))
+    x, y = second[0] - first[0], second[1] - first[1]
+    vx, vy = np.diff(x, axis=1) / step, np.diff(y, axis=1) / step
+    x, y = x[:, :-1], y[:, :-1]
+    reach = (table.radius[one] + table.radius[other])[:, None] + _BESIDE + np.hypot(vx, vy) * step
+    near = (np.hypot(x, y) <= reach) & (ahead[:, :-1] < (times + LATER)[:, None])
+    row, moment = np.nonzero(near)
+    a, b = one[row], other[row]
+    touching = time_to_collision(
+        Boxes(0.0, 0.0, first[2][row, moment], table.length[a], table.width[a] + _BESIDE),
+        Boxes(x[near], y[near], second[2][row, moment], table.length[b], table.width[b] + _BESIDE, vx[near], vy[near]),
+    )
+    found = np.zeros(len(one), np.bool_)
+    found[row[touching <= step[row, 0]]] = True
+    return found
+
+
+def _path_ahead(
+    table: MotionTable, actor: Indices, frame: Indices, ahead: Floats, stop: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return where actors come with their speed on the paths that they take until a time, and then as those bend."""
+    distance = table.speed[actor, frame][:, None] * ahead
+    x, y, yaw = np.empty((3, *distance.shape))
+    for each in np.unique(actor).tolist():
+        rows = np.flatnonzero(actor == each)
+        begin, end = (edge[each, frame[rows]] for edge in table.path)
+        end = np.minimum(end, np.searchsorted(table.clock, stop[rows], side="right") - 1)
+        steps = np.hypot(np.diff(table.x[each]), np.diff(table.y[each]))
+        covered = np.append(0.0, np.cumsum(np.where(table.joined[each], steps, 1.0)))
+        wanted = covered[frame[rows]][:, None] + distance[rows]
+        known = np.minimum(wanted, covered[end][:, None])
+        present = np.flatnonzero(~np.isnan(table.x[each]))
+        x[rows], y[rows], yaw[rows] = (
+            np.interp(known, covered[present], values[each, present]) for values in (table.x, table.y, table.heading)
+        )
+        before = np.searchsorted(covered, covered[end] - _BEND, side="right") - 1
+        before = np.maximum(before, np.searchsorted(table.clock, table.clock[end] - BEND_TIME))
+        before = np.maximum(before, begin)
+        length = covered[end] - covered[before]
+        turn = table.heading[each, end] - table.heading[each, before]
+        bend = np.divide(turn, length, out=np.zeros(len(rows)), where=length >= _BEND / 3)
+        beyond = wanted - known
+        yaw[rows] += np.clip(bend, -_SHARPEST, _SHARPEST)[:, None] * beyond
+        steps = np.diff(beyond, axis=1, prepend=0.0)
+        x[rows] += np.cumsum(steps * np.cos(yaw[rows]), axis=1)
+        y[rows] += np.cumsum(steps * np.sin(yaw[rows]), axis=1)
+    return x, y, yaw

@@ -1,0 +1,155 @@
+"""Tables of motion: which frames they have, and which poses and velocities count."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from carla_recap.formats import open_reader
+from carla_recap.model.presence import FAR
+from carla_recap.model.records import Spawn
+from carla_recap.queries.measures import motion_table
+from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
+from carla_recap.queries.recorded_actors import actors
+from tests.queries.measures.conftest import Mover, straight
+
+if TYPE_CHECKING:
+    from carla_recap.formats.base import Reader
+    from carla_recap.queries.measures.motion_table import MotionTable
+    from tests.queries.measures.conftest import Drive
+
+
+def tables_of(reader: Reader, **margins: float) -> list[MotionTable]:
+    collector = MotionCollector(actors(reader), **margins)
+    tables = [table for batch in reader.batches(TYPES) for table in collector.add(batch)]
+    return [*tables, *collector.finish()]
+
+
+def frames_of(table: MotionTable, time: np.ndarray) -> range:
+    """Return the numbers of the frames that a table is for."""
+    first = int(np.searchsorted(time, table.time[table.first] - 1e-6))
+    return range(first, first + table.last - table.first)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+@pytest.mark.parametrize(("before", "after"), [(1.0, 1.0), (0.0, 8.0), (10.0, 1.0)])
+@pytest.mark.parametrize("size", [100, 128, 1024])
+def test_tables_follow_each_other_and_have_the_time_before_and_after(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch, suffix: str, size: int, before: float, after: float
+) -> None:
+    monkeypatch.setattr(motion_table, "_FRAMES", size)
+    reader = drive([straight(1, 0, 0, 10)], seconds=30, rate=8, suffix=suffix)
+    tables = tables_of(reader, before=before, after=after)
+    time = np.array([frame.elapsed for frame in reader.frames(("transforms",)) if not frame.preamble])
+    frames = [frames_of(table, time) for table in tables]
+    assert [len(each) for each in frames[:-1]] == [size] * (len(frames) - 1)
+    assert [number for each in frames for number in each] == list(range(len(time)))
+    for table, each in zip(tables, frames, strict=True):
+        assert table.time[0] <= max(time[each.start] - before, 0) + 1e-6
+        assert table.time[-1] >= min(time[each.stop - 1] + after, time[-1]) - 1e-6
+        assert table.x[0] == pytest.approx(10 * table.time, abs=1e-3)
+
+
+def test_a_table_has_no_more_poses_than_fit(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 8 actors, 400 poses are 50 frames; the margins of 2 s have 40."""
+    monkeypatch.setattr(motion_table, "_VALUES", 400)
+    reader = drive([straight(id, 0, 10 * id, 10) for id in range(1, 9)], seconds=10, rate=10)
+    tables = tables_of(reader)
+    time = np.arange(101) / 10
+    assert [number for table in tables for number in frames_of(table, time)] == list(range(101))
+    for table in tables:
+        assert table.last - table.first <= 50
+        assert np.isfinite(table.x).all()
+
+
+def test_margins_are_whole_however_many_actors_there_are(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(motion_table, "_VALUES", 10)
+    for table in tables_of(drive([straight(id, 0, 10 * id, 10) for id in range(1, 9)], seconds=10, rate=10), after=4.0):
+        assert table.time[-1] >= min(table.time[table.last - 1] + 4.0, 10.0) - 1e-6
+
+
+def test_an_id_that_is_used_again_has_two_rows(drive: Drive) -> None:
+    again = {20: {"destroyed": [(1,)], "spawned": [Spawn(1, 1, type_id="vehicle.bh.crossbike")]}}
+    (table,) = tables_of(drive([straight(1, 0, 0, 5)], seconds=2, events=again))
+    assert table.ids.tolist() == [1, 1]
+    assert [actor.type_id for actor in table.actors] == ["vehicle.audi.tt", "vehicle.bh.crossbike"]
+    assert [np.flatnonzero(~np.isnan(row)).tolist() for row in table.x] == [list(range(20)), list(range(20, 41))]
+    assert table.length[0] == 4.0
+    assert table.length[1] < 3.0
+
+
+@pytest.mark.parametrize("yaw", [0.0, 30.0, 100.0, 200.0, 300.0])
+def test_a_location_is_as_recorded_whatever_the_offset_of_the_box(drive: Drive, yaw: float) -> None:
+    (table,) = tables_of(drive([straight(1, 7, -4, 3, yaw=yaw, offset=(1.0, 0.5), z=2.0)], seconds=1))
+    cos, sin = np.cos(np.deg2rad(yaw)), np.sin(np.deg2rad(yaw))
+    assert table.location(0, 20) == pytest.approx((7 + 3 * cos, -4 + 3 * sin, 2), abs=1e-4)
+    assert (table.x[0, 20], table.y[0, 20], table.z[0, 20]) == pytest.approx(
+        (7 + 4 * cos - 0.5 * sin, -4 + 4 * sin + 0.5 * cos, 2.75), abs=1e-4
+    )
+    assert (table.vx[0, 20], table.vy[0, 20]) == pytest.approx((3 * cos, 3 * sin), abs=1e-4)
+
+
+@pytest.mark.parametrize(("far", "counts"), [(-0.999 * FAR, True), (0.999 * FAR, True), (FAR, False), (-FAR, False)])
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_pose_farther_out_than_any_place_does_not_count(drive: Drive, axis: str, far: float, counts: bool) -> None:
+    given = {axis: far if axis == "z" else lambda _: far}
+    (table,) = tables_of(drive([Mover(1, **given)], seconds=0.5))
+    assert np.isfinite([table.x, table.y, table.z, table.yaw, table.vx]).all() == counts
+    assert np.isfinite([table.x, table.y, table.z, table.yaw, table.vx]).any() == counts
+
+
+def test_an_actor_that_jumps_does_not_count_for_half_a_second_before_and_after(drive: Drive) -> None:
+    (table,) = tables_of(drive([Mover(1, lambda t: 0.0 if t < 2.975 else 50.0)], seconds=6, rate=20))
+    absent = np.flatnonzero(np.isnan(table.x[0]))
+    assert absent.tolist() == list(range(50, 70))  # the jump is from frame 59 to 60; 0.5 s are ten frames
+    assert np.isnan(table.vx[0, absent]).all()
+
+
+def test_a_velocity_that_no_actor_has_is_replaced_by_the_slope_of_the_positions(drive: Drive) -> None:
+    fast = {
+        10: {"velocities": [(1, 150.0, 0.0, 0.0, 0.0, 0.0, 0.0)]},
+        12: {"velocities": [(1, 149.0, 0.0, 0.0, 0.0, 0.0, 0.0)]},
+    }
+    (table,) = tables_of(drive([Mover(1, lambda t: 5 * t * t)], seconds=1, events=fast))
+    assert table.vx[0, 10] == pytest.approx(10 * 0.5, abs=1e-3)
+    assert table.vx[0, 12] == pytest.approx(149.0, abs=1e-3)
+
+
+def test_the_first_and_last_velocity_are_those_of_their_only_step(drive: Drive) -> None:
+    (table,) = tables_of(drive([Mover(1, lambda t: 5 * t * t, lambda t: -3 * t, has_velocity=False)], seconds=1))
+    assert table.vx[0, [0, 1, 10, 20]] == pytest.approx([0.25, 0.5, 5.0, 9.75], abs=2e-3)
+    assert table.vy[0] == pytest.approx(-3, abs=2e-3)
+
+
+def test_a_step_of_more_than_a_second_gives_no_velocity(drive: Drive) -> None:
+    for rate, known in ((1.0, True), (0.9, False)):
+        (table,) = tables_of(drive([Mover(1, lambda t: 5 * t, has_velocity=False)], seconds=10, rate=rate))
+        assert np.isfinite(table.vx).all() == np.isfinite(table.vx).any() == known
+        assert np.isfinite(table.x).all()
+
+
+@pytest.mark.parametrize(
+    ("given", "size"),
+    [
+        ({"type_id": "vehicle.no.such"}, (4.5, 1.9, 1.5)),
+        ({"type_id": "vehicle.no.such", "other": {"number_of_wheels": "2"}}, (2.0, 0.8, 1.6)),
+        ({"type_id": "walker.no.such", "kind": 2}, (0.5, 0.5, 1.8)),
+    ],
+)
+def test_an_unknown_actor_has_the_size_of_its_kind(drive: Drive, given: dict, size: tuple) -> None:
+    (table,) = tables_of(drive([Mover(1, size=None, **given)], seconds=0.5))
+    assert (table.length[0], table.width[0], table.height[0]) == pytest.approx(size)
+    assert table.z[0, 0] == pytest.approx(0.0 if given.get("kind") == 2 else size[2] / 2, abs=1e-3)
+
+
+def test_signalling_nan_is_unknown_without_a_warning(drive: Drive) -> None:
+    reader = drive([Mover(1, lambda t: 123.75 if t == 1 else t)], seconds=2, suffix=".log")
+    path = Path(reader.path)
+    path.write_bytes(path.read_bytes().replace(np.float32(12375).tobytes(), np.uint32(0x7F800001).tobytes()))
+    with closing(open_reader(path)) as damaged:
+        (table,) = tables_of(damaged)
+    assert np.flatnonzero(np.isnan(table.x[0])).tolist() == [20]
