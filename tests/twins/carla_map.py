@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from carla_recap.roads.landmarks import find_landmarks
+
 if TYPE_CHECKING:
     from carla_recap.roads.lanes import LaneGeometry, TownRoads
 
@@ -143,7 +145,7 @@ def _differing_landmarks(roads: TownRoads, theirs: list[Any]) -> Any:
                 mark.location.tolist(),
                 float(np.degrees(mark.heading)),
             )
-            for mark in roads.landmarks
+            for mark in find_landmarks(roads)
         ),
         key=lambda mark: mark[:8],
     )

@@ -51,9 +51,15 @@ def shapes(draw: Draw, length: float) -> tuple[str, tuple[float, float, float]]:
 
 
 @st.composite
-def plans(draw: Draw) -> tuple[float, str]:
-    """The course of a road: its length and its records."""
-    x, y, heading, station, records = draw(number(-200, 200)), draw(number(-200, 200)), draw(number(-3, 3)), 0.0, []
+def plans(draw: Draw, index: int) -> tuple[float, str]:
+    """The course of a road, far from those of other indices: its length and its records."""
+    x, y, heading, station, records = (
+        500 * index + draw(number(-99, 99)),
+        draw(number(-99, 99)),
+        draw(number(-3, 3)),
+        0.0,
+        [],
+    )
     for _ in range(draw(st.integers(1, 3))):
         length = draw(number(5, 40))
         shape, (ahead, left, turn) = draw(shapes(length))
@@ -92,7 +98,8 @@ def marks(draw: Draw, length: float) -> str:
 
 @st.composite
 def signals(draw: Draw, id: int, length: float, ids: list[int]) -> str:
-    place = f's="{round(draw(number(0, 1)) * length, 2)}" t="{draw(number(-9, 9))}" zOffset="{draw(number(0, 4))}"'
+    offset = draw(st.sampled_from((-1, 1))) * draw(number(20, 25))  # beside all lanes
+    place = f's="{round(draw(number(0, 1)) * length, 2)}" t="{offset}" zOffset="{draw(number(0, 4))}"'
     orientation = draw(st.sampled_from(("+", "-", "none")))
     kind, value = draw(st.sampled_from((("1000001", -1), ("206", -1), ("205", -1), ("274", 30), ("274", 90))))
     valid = ""
@@ -145,7 +152,7 @@ def maps(draw: Draw) -> str:
                 neighbours[0] = ("road", ids[before], "end")
             if after < count:
                 neighbours[1] = ("road", ids[after], "start")
-        length, plan = draw(plans())
+        length, plan = draw(plans(index))
         of_sections = numbers[index]
         cuts = [round(length * number / len(of_sections), 2) for number in range(len(of_sections))]
         sections = ""

@@ -14,7 +14,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.roads.opendrive import LIGHT, SPEED_LIMIT, RoadSignal, in_carlas_order, lanes_length, limit_lanes, single
+from carla_recap.roads.opendrive import (
+    in_carlas_order,
+    lanes_length,
+    limit_lanes,
+    single,
+)
 from carla_recap.roads.speed_limits import lane_limits, limit_signs
 
 if TYPE_CHECKING:
@@ -33,8 +38,6 @@ _MOST_LANES: Final = 20_000  # of a map; each of CARLA's small towns has about 5
 _BEGIN: Final = 10 * np.finfo(np.float64).eps  # m, where CARLA has the first point of a road
 _SHARE: Final = 4096  # of a metre, to which the end of a lane is exact
 _TO_DEGREES: Final = single(180.0) / single(np.pi)
-_LIGHT_AHEAD: Final = 0.25  # m by which CARLA moves lights forward
-_BEFORE_END: Final = 1e-5  # m of a road, where CARLA has what is at its end
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,37 +97,6 @@ class LaneGeometry:
         yield (self.road, self.section, upper - 1), lower
 
 
-@dataclass(frozen=True)
-class Landmark:
-    """A traffic light or sign at a position where it applies; it may apply at several.
-
-    Attributes:
-        id: The id in the file.
-        kind: The OpenDRIVE type, such as `opendrive.LIGHT`.
-        value: The value, such as a speed.
-        unit: The unit of the value.
-        road: The road along which it applies.
-        station: The distance along the road.
-        lanes: The ranges of lanes for which it applies: first and last lane.
-        is_for_all: Whether the file names no lanes; the ranges are CARLA's then, all lanes on one side.
-        ahead: Whether it applies in the direction of the road: True, False (against it), or None (in both directions).
-        location: The position, (3,).
-        heading: The direction that it faces.
-    """
-
-    id: str
-    kind: str
-    value: float
-    unit: str
-    road: int
-    station: float
-    lanes: tuple[tuple[int, int], ...]
-    is_for_all: bool
-    ahead: bool | None
-    location: Floats
-    heading: float
-
-
 class TownRoads:
     """The roads of a town.
 
@@ -140,43 +112,27 @@ class TownRoads:
         limit_lanes(content.roads, most_lanes)
         self.content = content
         numbered = {road.number: road for road in reversed(content.roads)}
-        self._roads = {number: numbered[number] for number in in_carlas_order(road.number for road in content.roads)}
-        self._signs = dict(zip(self._roads, limit_signs(self._roads.values()), strict=True))
+        self.roads = {number: numbered[number] for number in in_carlas_order(road.number for road in content.roads)}
+        self._signs = dict(zip(self.roads, limit_signs(self.roads.values()), strict=True))
 
     @cached_property
     def lanes(self) -> list[LaneGeometry]:
         """The lanes for cars, and all lanes of their sections, in the order in which CARLA lists roads."""
-        step = max(_STEP, lanes_length(self._roads.values()) / _MOST_POINTS)
+        step = max(_STEP, lanes_length(self.roads.values()) / _MOST_POINTS)
         with np.errstate(all="ignore"):
             return [
                 lane
-                for road in self._roads.values()
+                for road in self.roads.values()
                 for section in road.sections
                 for lane in self._sampled(road, section, step)
             ]
-
-    @cached_property
-    def landmarks(self) -> list[Landmark]:
-        """The traffic lights and signs at every road where they apply, with the objects that are speed-limit signs."""
-        signals = {
-            signal.id: (road, signal) for road in reversed(self.content.roads) for signal in road.signals if signal.kind
-        }
-        found = []
-        for road in self._roads.values():
-            limits = (_limit_sign(road, thing) for thing in road.objects)
-            found += [_landmark(road, sign, road, sign) for sign in limits if sign is not None]
-            for place in road.signals:
-                is_for_none = bool(place.lanes) and all(ends == (0, 0) for ends in place.lanes)
-                if place.id in signals and not is_for_none:
-                    found.append(_landmark(road, place, *signals[place.id]))
-        return found
 
     @cached_property
     def crossings(self) -> list[Floats]:
         """The outlines of pedestrian crossings, closed."""
         return [
             outline
-            for road in self._roads.values()
+            for road in self.roads.values()
             for thing in road.objects
             if thing.kind == "crosswalk" and len(outline := _crossing(road, thing)) > 2
         ]
@@ -239,11 +195,11 @@ class TownRoads:
             yield from _first_with(road, beyond_section, following)
             return
         beyond = road.successor if ahead else road.predecessor
-        if beyond in self._roads:
+        if beyond in self.roads:
             yield from self._entered(beyond, following)
         elif beyond is not None:
             connecting = dict.fromkeys(self.content.connections.get(beyond, ()))
-            for way in (self._roads[number] for number in connecting if number in self._roads):
+            for way in (self.roads[number] for number in connecting if number in self.roads):
                 if way.predecessor == road.number:
                     for other in way.sections[0].lanes:
                         if other.predecessor == lane.id:
@@ -255,8 +211,8 @@ class TownRoads:
 
     def _entered(self, road: int, lane: int) -> Iterator[Name]:
         """Yield a lane that begins where a road is entered."""
-        if road in self._roads:
-            entered = self._roads[road]
+        if road in self.roads:
+            entered = self.roads[road]
             yield from _first_with(entered, entered.sections[:: -1 if entered.is_reverse(lane) else 1], lane)
 
 
@@ -299,19 +255,19 @@ def _poses(
 ) -> tuple[Floats, Floats]:
     """Return points at distances to the right of the central line of a road, and the headings of a lane there."""
     points, headings = reference
-    points = _aside(points, headings, -road.lane_offset(stations))
-    points = _aside(points, headings, offset)
-    turned = single(slope) - single(road.lane_offset.slope(stations))
-    return points, _rounded(headings - turned, reverse=reverse)
+    points = aside(points, headings, -road.lane_offset(stations))
+    points = aside(points, headings, offset)
+    turn = single(slope) - single(road.lane_offset.slope(stations))
+    return points, rounded(headings - turn, reverse=reverse)
 
 
-def _rounded(headings: Floats, *, reverse: bool = False) -> Floats:
+def rounded(headings: Floats, *, reverse: bool = False) -> Floats:
     """Return headings as CARLA has them: degrees to the right, in single precision."""
     yaw = single(-headings) * _TO_DEGREES + single(180.0 if reverse else 0.0)
     return np.radians(-yaw.astype(np.float64))
 
 
-def _aside(points: Floats, headings: Floats, right: Floats | float) -> Floats:
+def aside(points: Floats, headings: Floats, right: Floats | float) -> Floats:
     """Return points shifted to the right of a direction."""
     sine, cosine = _sine_and_cosine(single(headings))
     shifted = points.copy()
@@ -376,54 +332,6 @@ def _marked(lane: RoadLane | None, along: float, without: str = "both") -> str:
     return found if found in ("increase", "decrease", "none") else "both"
 
 
-def _limit_sign(road: Road, thing: RoadObject) -> RoadSignal | None:
-    """Return the signal that CARLA makes of an object that is a speed-limit sign; it faces the lanes on one side."""
-    limit = thing.speed_limit
-    if limit is None:
-        return None
-    place = thing.station, thing.offset, thing.height, thing.heading
-    lanes = tuple(_one_side(road, thing.station, ahead=thing.ahead))
-    return RoadSignal(thing.id, SPEED_LIMIT, limit, *place, thing.ahead, lanes, "mph")
-
-
-def _landmark(road: Road, place: RoadSignal, home: Road, signal: RoadSignal) -> Landmark:
-    points, headings = home.reference(np.array([min(max(_placed(home, signal), 0.0), home.length)]), single)
-    (location,) = _aside(points, headings, -signal.offset)
-    (heading,) = _rounded(headings + signal.heading)
-    location[2] = single(location[2]) + single(signal.height)
-    if signal.kind == LIGHT:
-        location = single(location) + single(_LIGHT_AHEAD) * _turned(single(np.degrees(heading)))[0]
-    lanes = place.lanes or tuple(_one_side(road, place.station, ahead=place.ahead))
-    station = _placed(road, place)
-    return Landmark(
-        place.id,
-        signal.kind,
-        signal.value,
-        signal.unit,
-        road.number,
-        station,
-        lanes,
-        not place.lanes,
-        place.ahead,
-        location.astype(np.float64),
-        float(heading),
-    )
-
-
-def _placed(road: Road, place: RoadSignal) -> float:
-    """Return the station of a signal, which is not at the very end of a road."""
-    return min(place.station, road.length - _BEFORE_END)
-
-
-def _one_side(road: Road, station: float, *, ahead: bool | None) -> Iterator[tuple[int, int]]:
-    """Yield the lanes for which a signal applies that names none: as in CARLA, those on the left if it is for the road."""
-    lanes = [lane.id for section in road.sections if section.start <= station <= section.end for lane in section.lanes]
-    if ahead is not False and max(lanes, default=0) > 0:
-        yield 1, max(lanes)
-    if ahead is not True and min(lanes, default=0) < 0:
-        yield min(lanes), -1
-
-
 def _crossing(road: Road, thing: RoadObject) -> Floats:
     if not len(thing.outline):  # CARLA's library does not read such corners
         corners = road.corners(thing)
@@ -431,14 +339,14 @@ def _crossing(road: Road, thing: RoadObject) -> Floats:
     station = np.array([min(max(thing.station, 0.0), road.length)])
     (point,), (heading,) = _poses(road, station, road.reference(station, single), np.zeros(1), np.zeros(1))
     along = single(np.degrees(heading))
-    middle = single(point) + single(thing.offset) * _turned(along + single(90.0))[0]
-    ahead, left = _turned(along + single(thing.heading) * _TO_DEGREES)
+    middle = single(point) + single(thing.offset) * turned(along + single(90.0))[0]
+    ahead, left = turned(along + single(thing.heading) * _TO_DEGREES)
     u, v = single(thing.outline.T)[..., None]
     outline: Floats = (u * ahead + v * left + middle).astype(np.float64)
     return outline
 
 
-def _turned(degrees: Floats) -> tuple[Floats, Floats]:
+def turned(degrees: Floats) -> tuple[Floats, Floats]:
     """Return the directions ahead and to the left of a heading, (3,) each."""
     sine, cosine = _sine_and_cosine(degrees * (single(np.pi) / single(180.0)))
     return np.array((cosine, sine, 0.0), np.float32), np.array((-sine, cosine, 0.0), np.float32)

@@ -231,7 +231,7 @@ class RoadSignal:
 
     Attributes:
         id: The id in the file.
-        kind: The OpenDRIVE type, such as 1000001 for a traffic light; empty for a reference.
+        kind: The OpenDRIVE type, such as 1000001 for a traffic light.
         value: The value, such as a speed.
         station: The distance along the road.
         offset: The distance to the left of the reference line.
@@ -240,6 +240,8 @@ class RoadSignal:
         ahead: Whether it applies in the direction of the road: True, False (against it), or None (in both directions).
         lanes: The ranges of lanes for which it applies; none for all.
         unit: The unit of the value, such as km/h; empty without one.
+        name: The name.
+        is_reference: Whether it is a reference.
     """
 
     id: str
@@ -252,6 +254,8 @@ class RoadSignal:
     ahead: bool | None
     lanes: tuple[tuple[int, int], ...]
     unit: str = ""
+    name: str = ""
+    is_reference: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -535,6 +539,11 @@ def _sparse_stations(road: Road, section: RoadSection, spacing: float) -> Floats
     return np.interp(np.linspace(0.0, numbers[-1], count + 1), numbers, stations)
 
 
+def defined_signals(roads: Iterable[Road]) -> dict[str, tuple[Road, RoadSignal]]:
+    """Return the signals by their ids, and the roads that they stand at; of several with an id, the last one as in CARLA."""
+    return {signal.id: (road, signal) for road in roads for signal in road.signals if not signal.is_reference}
+
+
 def in_carlas_order(numbers: Iterable[int]) -> list[int]:
     """Return ids, each once, in the order in which CARLA's library lists roads and connections: that of its hash tables."""
     sizes = iter(_BUCKETS)
@@ -816,6 +825,8 @@ def _signal(element: Element) -> RoadSignal:
         ahead=_AHEAD.get(element.get("orientation", "")),
         lanes=tuple((first, last) for first, last in ranges),
         unit=element.get("unit", ""),
+        name=element.get("name", ""),
+        is_reference=element.tag == "signalReference",
     )
 
 

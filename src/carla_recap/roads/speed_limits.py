@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from carla_recap.roads.opendrive import SPEED_LIMIT, in_metres_per_second
+from carla_recap.roads.opendrive import SPEED_LIMIT, defined_signals, in_metres_per_second
 from carla_recap.roads.stop_lines import applies_to
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def sign_limit(value: float | None) -> float | None:
 def limit_signs(roads: Iterable[Road]) -> list[list[LimitSign]]:
     """Return the speed-limit signs along each road: signals, references to those of other roads, and objects."""
     found = list(roads)
-    values = {signal.id: signal.value for road in reversed(found) for signal in road.signals if signal.kind == SPEED_LIMIT}
+    values = {id: signal.value for id, (_, signal) in defined_signals(found).items() if signal.kind == SPEED_LIMIT}
     return [list(_signs(road, values)) for road in found]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from carla_recap.roads import network as roads
 from carla_recap.roads import opendrive
 from carla_recap.roads.network import LANE_KINDS
-from carla_recap.roads.opendrive import BEFORE_END, borders_at
+from carla_recap.roads.opendrive import BEFORE_END, borders_at, defined_signals
 from carla_recap.roads.polylines import distances_to
 
 if TYPE_CHECKING:
@@ -73,17 +73,13 @@ class _Signals:
         self._rows: list[tuple[int, float, float, float, float]] = []
         self._lines: list[tuple[int | float, ...]] = []
         self._ids: list[str] = []
-        signals: dict[str, tuple[int, RoadSignal]] = {}
         places: dict[str, list[tuple[int, RoadSignal]]] = defaultdict(list)
         for number, road in enumerate(found):
             for signal in road.signals:
                 places[signal.id].append((number, signal))
-                if signal.kind in _SIGNALS:
-                    signals.setdefault(signal.id, (number, signal))
-        for id, (number, signal) in signals.items():
-            if len(self._lines) >= _MOST_LINES:
-                break
-            self._add(id, found[number], signal, places[id][:_MOST_PLACES])
+        for id, (road, signal) in defined_signals(found).items():
+            if signal.kind in _SIGNALS and len(self._lines) < _MOST_LINES:
+                self._add(id, road, signal, places[id][:_MOST_PLACES])
 
     def tables(self) -> tuple[NDArray[np.void], NDArray[np.void], tuple[str, ...]]:
         """Return the signals, the stop lines, and the ids of the signals."""

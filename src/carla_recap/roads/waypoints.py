@@ -73,10 +73,11 @@ class Waypoints:
 
 
 class LaneMap:
-    """The lanes of a town for cars and for parking, and the places on them.
+    """The lanes of a town for cars and for parking, or of other kinds, and the places on them.
 
     Args:
         roads: The roads of the town.
+        kinds: The kinds of the lanes.
 
     Attributes:
         lanes: The lanes.
@@ -84,9 +85,9 @@ class LaneMap:
         in_junction: Whether each lane is in a junction, (lanes,).
     """
 
-    def __init__(self, roads: TownRoads) -> None:
+    def __init__(self, roads: TownRoads, kinds: Sequence[str] = (DRIVING, PARKING)) -> None:
         self.lanes: list[LaneGeometry] = [
-            lane for lane in roads.lanes if lane.kind in (DRIVING, PARKING) and np.isfinite(lane.centre).all()
+            lane for lane in roads.lanes if lane.kind in kinds and np.isfinite(lane.centre).all()
         ]
         self.number = {(lane.road, lane.section, lane.id): index for index, lane in enumerate(self.lanes)}
         self.in_junction = np.array([lane.junction != NO_JUNCTION for lane in self.lanes], np.bool_)
@@ -99,7 +100,7 @@ class LaneMap:
         self._widths = _joined([np.linalg.norm(lane.left - lane.right, axis=1) for lane in self.lanes])
         self._reverse = np.array([lane.reverse for lane in self.lanes], np.bool_)
         self._keys = self._lane_of * _LONGEST + self._stations
-        self._segments: dict[str, _Segments | None] = {}
+        self._segments: dict[tuple[str, ...], _Segments | None] = {}
 
     @cached_property
     def successors(self) -> list[tuple[int, ...]]:
@@ -123,12 +124,12 @@ class LaneMap:
         first = self._last[lane] - np.bincount(self._lane_of, minlength=len(self.lanes))[lane] + 1
         return self._between(np.clip(point, first, self._last[lane] - 1), station)
 
-    def nearest(self, points: Floats, kind: str = DRIVING) -> Waypoints:
-        """Return the places nearest to points, (n, 3), in the middle of lanes of a kind.
+    def nearest(self, points: Floats, *kinds: str) -> Waypoints:
+        """Return the places nearest to points, (n, 3), in the middle of lanes of some kinds; without any, of those for cars.
 
         Of places that are equally near, as where lanes part, the one of the first lane counts.
         """
-        segments, points = self._segments_of(kind), np.asarray(points, np.float64)
+        segments, points = self._segments_of(kinds or (DRIVING,)), np.asarray(points, np.float64)
         if segments is None:
             return self._nowhere(len(points))
         moved = np.append(True, (np.diff(points, axis=0) != 0).any(axis=1))[: len(points)]  # repeated points are found once
@@ -141,7 +142,7 @@ class LaneMap:
 
     def around(self, point: Floats, distance: float) -> list[tuple[int, float]]:
         """Return the lanes for cars within a distance of a point, (3,), each with the station that is nearest to it."""
-        segments = self._segments_of(DRIVING)
+        segments = self._segments_of((DRIVING,))
         if segments is None:
             return []
         numbers, shares, apart = segments.around(np.asarray(point, np.float64), distance)
@@ -175,12 +176,12 @@ class LaneMap:
         other = self.number.get((course.road, course.section, course.id + step or 2 * step + course.id))
         return other if other is not None and self.lanes[other].is_driving else None
 
-    def _segments_of(self, kind: str) -> _Segments | None:
-        if kind not in self._segments:
-            starts = np.array([lane.kind == kind for lane in self.lanes], np.bool_)[self._lane_of]
+    def _segments_of(self, kinds: tuple[str, ...]) -> _Segments | None:
+        if kinds not in self._segments:
+            starts = np.array([lane.kind in kinds for lane in self.lanes], np.bool_)[self._lane_of]
             starts[self._last] = False
-            self._segments[kind] = _Segments(self._points, np.flatnonzero(starts)) if starts.any() else None
-        return self._segments[kind]
+            self._segments[kinds] = _Segments(self._points, np.flatnonzero(starts)) if starts.any() else None
+        return self._segments[kinds]
 
     def _between(self, point: Integers, station: Floats) -> Waypoints:
         """Return the places at stations between points and the next ones."""

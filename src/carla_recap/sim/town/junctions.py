@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.roads.lanes import Landmark, LaneGeometry
+    from carla_recap.roads.landmarks import Landmark
+    from carla_recap.roads.lanes import LaneGeometry
     from carla_recap.roads.opendrive import OpenDrive
     from carla_recap.sim.town.lanes import Lane, LaneIndex
     from carla_recap.util.arrays import Floats, Integers

@@ -17,6 +17,7 @@ from carla_recap.errors import RecapError
 from carla_recap.roads.barriers import barriers
 from carla_recap.roads.files import expecting, read_text
 from carla_recap.roads.find import described_folder, find_map, plain_name
+from carla_recap.roads.landmarks import find_landmarks
 from carla_recap.roads.lanes import TownRoads
 from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.sim.geometry import Location, Rotation, Transform
@@ -145,7 +146,7 @@ def make_town(text: str, path: Path) -> Town:
             (lane for lane in roads.lanes if lane.is_driving), key=lambda lane: (lane.road, lane.section, lane.id)
         )
         lanes = make_lanes(courses)
-        signals = make_signals(roads.landmarks, lanes, courses, roads.content.controllers)
+        signals = make_signals(find_landmarks(roads), lanes, courses, roads.content.controllers)
         walks = make_walks(roads)
         return Town(
             "",
