@@ -32,9 +32,8 @@ if TYPE_CHECKING:
 
     from carla_recap.model.frame import Extent
     from carla_recap.model.layout import Records
-    from carla_recap.util.arrays import Floats
+    from carla_recap.util.arrays import Floats, Integers
 
-    Indices = NDArray[np.int64]
 
 TimeUnit = Literal["s", "ms", "us", "ns"]
 LengthUnit = Literal["m", "cm"]
@@ -126,7 +125,7 @@ class _Table:
     """
 
     numbers: dict[str, Floats]
-    texts: dict[str, tuple[list[str], Indices]]
+    texts: dict[str, tuple[list[str], Integers]]
     lines: NDArray[np.uint32]
     left_out: int
 
@@ -390,7 +389,7 @@ class _ImportedTracks:
         for name in _POSE:
             np.nan_to_num(self._numbers.setdefault(name, np.zeros(len(time))), copy=False)
 
-    def _face(self, rows: Indices) -> None:
+    def _face(self, rows: Integers) -> None:
         """Set the yaw of a track where it is missing: the direction of its motion, kept while it stands."""
         x, y, yaw = self._numbers["x"][rows] * CM, self._numbers["y"][rows] * CM, self._numbers["yaw"][rows]
         origin, moved = 0, np.full(len(rows), np.nan)

@@ -20,13 +20,10 @@ from carla_recap.sensors.encoding import load_pillow
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.rendering.camera import Camera
     from carla_recap.sensors.sensing import SensedFrame
-    from carla_recap.util.arrays import Booleans, Floats
+    from carla_recap.util.arrays import Booleans, Floats, Ids
 
-    Ids = NDArray[np.uint32]
 
 _NEAREST: Final = 0.05  # m along the axis of view; what is nearer is behind the image
 _DIRECTIONS: Final = 96  # in which the outline of a model is looked for

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from carla_recap.formats.log_scan import Offsets, Run, Span
+    from carla_recap.formats.log_scan import Offsets, PacketSpan, Run
     from carla_recap.model.batch import Column
 
 MAGIC: Final = b"CARLA_RECORDER"
@@ -289,7 +289,9 @@ class LogReader(Reader):
         starts = np.ndarray((count,), _STARTS, data, start + PACKET.size, (stride,))
         return Batch(index, starts["id"], starts["elapsed"], starts["duration"], columns)
 
-    def _frame(self, index: int, start: int, spans: Sequence[Span], data: bytes, base: int, *, preamble: bool) -> Frame:
+    def _frame(
+        self, index: int, start: int, spans: Sequence[PacketSpan], data: bytes, base: int, *, preamble: bool
+    ) -> Frame:
         """Return the frame that starts at an index of some data, which are at `base` in the file."""
         origin = self.location, base
         types, ids, empty = self._types, self._ids, self._empty

@@ -40,7 +40,7 @@ _SHORT_RUN: Final = 16  # frames; fewer take longer to compare than to be found 
 _LONGEST_WAIT: Final = 128  # frames after several short runs
 _WORD: Final = 8  # bytes that are compared at once
 
-Span = tuple[int, int, int]  # id of a packet as in the file, offset in the frame and size of its payload
+PacketSpan = tuple[int, int, int]  # id of a packet as in the file, offset in the frame and size of its payload
 
 
 class Run(NamedTuple):
@@ -61,7 +61,7 @@ class Run(NamedTuple):
     offset: int
     frames: int
     stride: int
-    packets: Sequence[Span]
+    packets: Sequence[PacketSpan]
     preamble: bool
     data: bytes
     base: int
@@ -336,7 +336,7 @@ class Scanner:
         ends = data.startswith(START_HEAD, following) or self._window.base + following + PACKET.size > self._window.size
         return max(same if ends else same - 1, 1)
 
-    def _frame(self, offset: int, *, preamble: bool) -> tuple[list[Span], int] | None:
+    def _frame(self, offset: int, *, preamble: bool) -> tuple[list[PacketSpan], int] | None:
         """Return the wanted packets of a frame, and where it ends; None where none begins."""
         window, head, lenient = self._window, PACKET.unpack_from, self._lenient
         size = window.size
@@ -348,7 +348,7 @@ class Scanner:
         if not preamble and not data.startswith(START_HEAD, offset - base):
             return None
         last = base + len(data) - PACKET.size
-        packets: list[Span] = []
+        packets: list[PacketSpan] = []
         while True:
             if here > last:
                 data = b""  # so that its memory serves again

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from obstore import GetOptions, ObjectMeta
     from obstore.store import ClientConfig, ObjectStore, RetryConfig
 
-    from carla_recap.formats.sources import Span
+    from carla_recap.formats.sources import ByteRange
 
 T = TypeVar("T")
 
@@ -222,7 +222,7 @@ class RemoteSource:
         self._block = offset, data
         return data[:size]
 
-    def read_ranges(self, spans: Iterable[Span], what: str, *, whole: bool = False) -> Iterator[bytes]:
+    def read_ranges(self, spans: Iterable[ByteRange], what: str, *, whole: bool = False) -> Iterator[bytes]:
         """Yield the bytes of each of some spans; see `ByteSource.read_ranges`."""
         windows = _windows(spans, self._tail[0], _WINDOW if whole else _FIRST_WINDOW)
         first = next(windows, None)
@@ -262,7 +262,7 @@ class RemoteSource:
             raise outside(self, offset, size, what)
         self.check_open()
 
-    def _fetch_all(self, spans: Sequence[Span], what: str) -> deque[bytes]:
+    def _fetch_all(self, spans: Sequence[ByteRange], what: str) -> deque[bytes]:
         """Return the bytes of some spans, fetched at once."""
         for offset, size in spans:
             self._check(offset, size, what)
@@ -354,7 +354,7 @@ def _started(function: Callable[[], T]) -> Future[T]:
     return future
 
 
-def _at_once(fetch: Callable[[Span], bytes], spans: Sequence[Span]) -> list[bytes]:
+def _at_once(fetch: Callable[[ByteRange], bytes], spans: Sequence[ByteRange]) -> list[bytes]:
     """Return what is fetched for each of some spans, with several requests at the same time."""
     parts = dict.fromkeys(range(len(spans)), b"")
     waiting = deque(enumerate(spans))
@@ -415,9 +415,9 @@ def _write_all(file: BinaryIO, data: bytes) -> None:
         view = view[file.write(view) :]
 
 
-def _windows(spans: Iterable[Span], stop: int, limit: int) -> Iterator[list[Span]]:
+def _windows(spans: Iterable[ByteRange], stop: int, limit: int) -> Iterator[list[ByteRange]]:
     """Yield spans in parts, the first of limited size, each twice as large; bytes from an offset on are there already."""
-    window: list[Span] = []
+    window: list[ByteRange] = []
     total = 0
     for span in spans:
         size = span[1] if span[0] < stop else 0
@@ -430,12 +430,12 @@ def _windows(spans: Iterable[Span], stop: int, limit: int) -> Iterator[list[Span
         yield window
 
 
-def _joined(spans: Iterable[Span], stop: int) -> list[Span]:
+def _joined(spans: Iterable[ByteRange], stop: int) -> list[ByteRange]:
     """Return spans that contain those that begin before an offset, with gaps between them that are worth a request.
 
     `obstore.get_ranges` joins ranges, too, but takes no ETag: old and new content of an object could be mixed.
     """
-    joined: list[Span] = []
+    joined: list[ByteRange] = []
     for offset, size in sorted(spans):
         if offset >= stop:
             break

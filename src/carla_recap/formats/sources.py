@@ -17,7 +17,7 @@ from carla_recap.errors import Closed, FormatError, RecapError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    Span = tuple[int, int]
+    ByteRange = tuple[int, int]
     """The offset of some bytes, and their number."""
 
 SCHEMES: Final = ("s3", "s3a", "gs", "az", "adl", "azure", "abfs", "abfss", "http", "https")
@@ -61,7 +61,7 @@ class ByteSource(Protocol):
         """
         ...
 
-    def read_ranges(self, spans: Iterable[Span], what: str, *, whole: bool = False) -> Iterator[bytes]:
+    def read_ranges(self, spans: Iterable[ByteRange], what: str, *, whole: bool = False) -> Iterator[bytes]:
         """Yield the bytes of each of some spans, in their order; those of an object are fetched many at a time.
 
         Args:
@@ -122,7 +122,7 @@ class LocalSource:
             raise FormatError(self.location, offset + len(data), f"the file ends inside {what}")
         return data
 
-    def read_ranges(self, spans: Iterable[Span], what: str, *, whole: bool = False) -> Iterator[bytes]:
+    def read_ranges(self, spans: Iterable[ByteRange], what: str, *, whole: bool = False) -> Iterator[bytes]:
         """Yield the bytes of each of some spans; see `ByteSource.read_ranges`."""
         for offset, size in spans:
             yield self.read(offset, size, what)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.lives import ActorLife
 
-Table = Literal["vehicles", "walkers", "props"]
+BlueprintKind = Literal["vehicles", "walkers", "props"]
 Size = tuple[float, float, float]
 """Length, width and height in m."""
 
@@ -36,10 +36,10 @@ _TWO_WHEELS: Final = (1.0, 0.4, 0.8)
 _SIMILAR: Final = 0.3  # m, of length and half the width, by which vehicles of about the same size differ
 _SMALL: Final = (0.15, 0.15, 0.15)
 
-_PREFIXES: Final[dict[Table, str]] = {"vehicles": "vehicle", "walkers": "walker", "props": "static.prop"}
+_PREFIXES: Final[dict[BlueprintKind, str]] = {"vehicles": "vehicle", "walkers": "walker", "props": "static.prop"}
 
 
-def blueprint_rows(table: Table) -> list[dict[str, str]]:
+def blueprint_rows(table: BlueprintKind) -> list[dict[str, str]]:
     """Return the rows of a table; their ids lack the prefix of the family."""
     with Path(__file__).with_name(f"{table}.csv").open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from carla_recap.model.records import Spawn
     from carla_recap.util.arrays import Booleans, Floats
 
-    Ids = NDArray[np.uint32]
 
 HARD: Final = 6.0
 """The deceleration from which on braking is hard, in m/s², unless a query asks for another one."""

@@ -13,9 +13,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.util.arrays import Booleans, Indices
-
-    Ids = NDArray[np.integer[Any]]
+    from carla_recap.util.arrays import Booleans, Ids, Indices
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -20,9 +20,8 @@ if TYPE_CHECKING:
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame, Packet
     from carla_recap.model.records import Table
-    from carla_recap.util.arrays import Booleans, Floats, Indices
+    from carla_recap.util.arrays import Booleans, Floats, Ids, Indices
 
-    Ids = NDArray[np.integer[Any]]
 
 MIN_TIME: Final = 30.0  # s
 MIN_DISTANCE: Final = 10.0  # cm

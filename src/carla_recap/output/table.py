@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from carla_recap.model.lives import STATIC_OBJECT, ActorLife
 from carla_recap.model.records import NO_ACTOR
-from carla_recap.output.terminal import TableColumn, actor_style, brief_actor, print_table
+from carla_recap.output.terminal import INCIDENT_STYLES, TableColumn, actor_style, brief_actor, print_table
 from carla_recap.output.text import KMH, incident_counts, local_date
 from carla_recap.queries.blocked import Blocked, BlockedRow
 from carla_recap.queries.collisions import CollisionRow, Collisions
 from carla_recap.queries.incidents import Incident
 from carla_recap.queries.info import InfoRow
-from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures.definitions import MeasureRow
 from carla_recap.queries.measures.over_time import MeasureMoment
 from carla_recap.queries.recorded_actors import RecordedActors
@@ -214,7 +213,7 @@ _COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
     Incident: (
         _number("Start (s)", lambda row: _seconds(row.start)),
         _number("Stop (s)", lambda row: _seconds(row.stop), rank=2),
-        _column("Incident", lambda row: row.kind, style=lambda kind: KINDS[kind].style),
+        _column("Incident", lambda row: row.kind, style=lambda kind: INCIDENT_STYLES.get(kind, "")),
         _column("What happens", lambda row: row.text, narrowed="words", brief=brief_actor),
         _number("Value", lambda row: "" if math.isnan(row.value) else f"{row.value:.2f} {row.unit}", rank=3),
         _column("Place (m)", lambda row: ", ".join(f"{number:.1f}" for number in (row.x, row.y, row.z)), rank=1),

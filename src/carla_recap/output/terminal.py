@@ -204,3 +204,17 @@ def brief_actor(name: str) -> str:
 def actor_style(kind: str) -> str:
     """Return the style of a kind of actor."""
     return {"vehicle": "cyan", "walker": "magenta", "": ""}.get(kind, "dim")
+
+
+INCIDENT_STYLES: Final = {
+    "collision": "red",
+    "red light": "magenta",
+    "wrong way": "magenta",
+    "off road": "magenta",
+    "stop sign": "magenta",
+    "near miss": "yellow",
+    "hard braking": "yellow",
+    "speeding": "magenta",
+    "blocked": "cyan",
+}
+"""The styles of kinds of incidents, by name; another kind has none."""

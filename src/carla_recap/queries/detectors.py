@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Literal, Protocol, TypedDict
 
 from carla_recap.errors import RecapError
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from carla_recap.model.contacts import Contacts
     from carla_recap.model.lives import ActorLives, ActorName
     from carla_recap.model.stationary import BlockedRow
+    from carla_recap.queries.measures.definitions import Measure
     from carla_recap.queries.measures.over_time import SeriesCollector
     from carla_recap.roads.network import RoadNetwork
 
@@ -179,6 +180,23 @@ class Search:
         """Return what a text calls an actor."""
         return self.actors.name(id, time)
 
+    def incident(
+        self,
+        kind: str,
+        ids: tuple[int, ...],
+        span: tuple[float, float],
+        place: tuple[float, float, float],
+        measure: Measure,
+        extreme: tuple[float, float],
+        threshold: float,
+        text: str,
+    ) -> Incident:
+        """Return an incident of actors, of a beginning and an end, at a place; with the critical value and its time."""
+        types, (value, time) = self.actors.type_ids(ids, span[0]), extreme
+        return Incident(
+            kind, *span, ids, types, *place, measure.name, value, measure.unit, threshold=threshold, time=time, text=text
+        )
+
 
 class Detector(Protocol):
     """Finds the incidents of some kinds: it is made of a `Search`, gets the batches, and returns what it has found."""
@@ -234,21 +252,11 @@ class CollisionIncidents:
         ids = (first,) if actors.is_object(second) else (first, second)
         impact = contact.impact or Impact(*contact.key)
         known = dict(zip(contact.ids, impact.positions, strict=True))
-        return Incident(
-            "collision",
-            contact.start,
-            contact.stop,
-            ids,
-            actors.type_ids(ids, contact.start),
-            *place_in_metres(*next((known[id] for id in ids if is_known(known[id])), UNKNOWN)),
-            measure=RELATIVE_SPEED.name,
-            value=impact.relative_speed,
-            unit=RELATIVE_SPEED.unit,
-            threshold=math.nan,
-            time=contact.start,
-            text=f"{actors.name(first, contact.start)} collides with {actors.name(second, contact.start)}",
-            contact=contact,
-        )
+        place = place_in_metres(*next((known[id] for id in ids if is_known(known[id])), UNKNOWN))
+        text = f"{actors.name(first, contact.start)} collides with {actors.name(second, contact.start)}"
+        span, extreme = (contact.start, contact.stop), (impact.relative_speed, contact.start)
+        found = self._search.incident("collision", ids, span, place, RELATIVE_SPEED, extreme, math.nan, text)
+        return replace(found, contact=contact)
 
 
 class LongStopIncidents:
@@ -280,20 +288,10 @@ class LongStopIncidents:
         return is_user and not self._heights.is_away(row.id, (row.x, row.y, row.z))
 
     def _incident(self, row: BlockedRow) -> Incident:
-        return Incident(
-            "blocked",
-            row.start,
-            row.start + row.duration,
-            (row.id,),
-            (row.type_id,),
-            *place_in_metres(row.x, row.y, row.z),
-            measure=DURATION.name,
-            value=row.duration,
-            unit=DURATION.unit,
-            threshold=self._search.options.min_time,
-            time=row.start + row.duration,
-            text=f"{self._search.name(row.id, row.start)} stands still for {row.duration:.0f} s",
-        )
+        stop, threshold = row.start + row.duration, self._search.options.min_time
+        place, extreme = place_in_metres(row.x, row.y, row.z), (row.duration, stop)
+        text = f"{self._search.name(row.id, row.start)} stands still for {row.duration:.0f} s"
+        return self._search.incident("blocked", (row.id,), (row.start, stop), place, DURATION, extreme, threshold, text)
 
 
 class HardBrakingIncidents:
@@ -321,20 +319,15 @@ class HardBrakingIncidents:
         for row, stop in found:
             if not detector.can_be_braking(row.id, row.start, stop):
                 continue
-            value, time = detector.hardest(row.id, row.start, stop)
-            yield Incident(
+            yield search.incident(
                 "hard braking",
-                row.start,
-                stop,
                 (row.id,),
-                search.actors.type_ids((row.id,), row.start),
-                *place_in_metres(row.x, row.y, row.z),
-                measure=deceleration.name,
-                value=value,
-                unit=deceleration.unit,
-                threshold=search.options.deceleration,
-                time=time,
-                text=f"{search.name(row.id, row.start)} brakes hard at {row.speed * _KMH:.0f} km/h",
+                (row.start, stop),
+                place_in_metres(row.x, row.y, row.z),
+                deceleration,
+                detector.hardest(row.id, row.start, stop),
+                search.options.deceleration,
+                f"{search.name(row.id, row.start)} brakes hard at {row.speed * _KMH:.0f} km/h",
             )
 
     def _apart_from_contacts(self, rows: Iterable[Braking]) -> Iterator[tuple[Braking, float]]:
@@ -397,21 +390,16 @@ class NearMissIncidents:
             ids, other = (row.id1, row.id2), actors.at(row.id2, row.start)
             if (other is not None and other.is_hero) or actors.kind(row.id1, row.start) == "walker":
                 ids = ids[::-1]
-            by_collision = row.time_to_collision < math.inf
-            measure = MEASURES["time_to_collision" if by_collision else "post_encroachment_time"]
-            yield Incident(
+            measure = "time_to_collision" if row.time_to_collision < math.inf else "post_encroachment_time"
+            yield self._search.incident(
                 "near miss",
-                row.start,
-                row.stop,
                 ids,
-                actors.type_ids(ids, row.start),
-                *(row.x, row.y, row.z),
-                measure=measure.name,
-                value=row.time_to_collision if by_collision else row.post_encroachment_time,
-                unit=measure.unit,
-                threshold=options.time_to_collision if by_collision else options.post_encroachment_time,
-                time=row.time,
-                text=text,
+                (row.start, row.stop),
+                (row.x, row.y, row.z),
+                MEASURES[measure],
+                (getattr(row, measure), row.time),
+                getattr(options, measure),
+                text,
             )
 
 
@@ -435,17 +423,13 @@ class RoadIncidents:
         actors = self._search.actors
         for event in self._roads.finish():
             if actors.kind(event.id, event.start) == "vehicle":
-                yield Incident(
+                yield self._search.incident(
                     event.kind,
-                    event.start,
-                    event.stop,
                     (event.id,),
-                    actors.type_ids((event.id,), event.start),
-                    *(event.x, event.y, event.z),
-                    measure=event.measure,
-                    value=event.value,
-                    unit=MEASURES[event.measure].unit,
-                    threshold=event.threshold,
-                    time=event.time,
-                    text=f"{actors.name(event.id, event.start)} {event.text}",
+                    (event.start, event.stop),
+                    (event.x, event.y, event.z),
+                    MEASURES[event.measure],
+                    (event.value, event.time),
+                    event.threshold,
+                    f"{actors.name(event.id, event.start)} {event.text}",
                 )

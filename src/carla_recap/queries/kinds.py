@@ -31,8 +31,6 @@ class IncidentKind:
         text: The definition, as in docs/incidents.md.
         measures: What its incidents are measured by.
         dark, light: Its colour on dark and on light ground, such as `#ff5f5f`.
-        style: Its style in a terminal.
-        icon: The path of its icon on the incident page, in a square of 16 units.
         detector: What finds it; one detector may find several kinds.
         every_frame: Whether every frame is read to find it, so that it is looked for only if it is asked for.
         needs_roads: Whether the roads of the map are needed.
@@ -45,8 +43,6 @@ class IncidentKind:
     measures: tuple[Measure, ...]
     dark: str
     light: str
-    style: str
-    icon: str
     detector: Callable[[Search], Detector]
     every_frame: bool = False
     needs_roads: bool = False
@@ -71,8 +67,6 @@ KINDS: Final = _named(
             measures=(RELATIVE_SPEED,),
             dark="#ff5f5f",
             light="#cf2230",
-            style="red",
-            icon="M4.5 4.5l7 7m0-7l-7 7",
             detector=CollisionIncidents,
         ),
         IncidentKind(
@@ -85,8 +79,6 @@ KINDS: Final = _named(
             measures=(MEASURES["speed"],),
             dark="#ff6fa5",
             light="#b3125f",
-            style="magenta",
-            icon="M5.5 2.5h5v11h-5zM8 5.2v.1M8 8v.1M8 10.8v.1",
             detector=RoadIncidents,
             every_frame=True,
             needs_roads=True,
@@ -100,8 +92,6 @@ KINDS: Final = _named(
             measures=(MEASURES["distance_against_lane"],),
             dark="#ff8a66",
             light="#a8380f",
-            style="magenta",
-            icon="M13 8H3.5M7 4.5L3.5 8 7 11.5",
             detector=RoadIncidents,
             every_frame=True,
             needs_roads=True,
@@ -114,8 +104,6 @@ KINDS: Final = _named(
             measures=(MEASURES["distance_off_road"],),
             dark="#d6b36a",
             light="#7a5a12",
-            style="magenta",
-            icon="M5 13.5V9c0-2 1-3 3-3h4M9.5 3.5L12 6 9.5 8.5",
             detector=RoadIncidents,
             every_frame=True,
             needs_roads=True,
@@ -129,8 +117,6 @@ KINDS: Final = _named(
             measures=(MEASURES["speed"],),
             dark="#f08fd6",
             light="#96308a",
-            style="magenta",
-            icon="M6 3h4l3 3v4l-3 3H6l-3-3V6z",
             detector=RoadIncidents,
             every_frame=True,
             needs_roads=True,
@@ -146,8 +132,6 @@ KINDS: Final = _named(
             ),
             dark="#ffd24d",
             light="#806300",
-            style="yellow",
-            icon="M3.5 3.5l3 3M12.5 12.5l-3-3M12.5 3.5l-3 3M3.5 12.5l3-3",
             detector=NearMissIncidents,
             every_frame=True,
         ),
@@ -159,8 +143,6 @@ KINDS: Final = _named(
             measures=(MEASURES["deceleration"],),
             dark="#ffa24d",
             light="#b45a00",
-            style="yellow",
-            icon="M4 4l4 4 4-4M4 8.5l4 4 4-4",
             detector=HardBrakingIncidents,
         ),
         IncidentKind(
@@ -171,8 +153,6 @@ KINDS: Final = _named(
             measures=(MEASURES["speed_over_limit"],),
             dark="#5cc8ff",
             light="#0b6fa8",
-            style="magenta",
-            icon="M3 11.5a5.2 5.2 0 0 1 10 0M8 11.5l3-4",
             detector=RoadIncidents,
             every_frame=True,
             needs_roads=True,
@@ -185,8 +165,6 @@ KINDS: Final = _named(
             measures=(DURATION,),
             dark="#b9a0ff",
             light="#6a45c9",
-            style="cyan",
-            icon="M5.5 4v8M10.5 4v8",
             detector=LongStopIncidents,
         ),
     )

@@ -13,7 +13,7 @@ from carla_recap.model.lives import HERO, ROAD_USERS, ActorName, find_actor, her
 from carla_recap.model.records import CM
 from carla_recap.queries.recorded_actors import actors
 from carla_recap.replay.pose import LOCATION
-from carla_recap.replay.selection import NO_IDS, Ids, Selection, array, find, numbers
+from carla_recap.replay.selection import NO_IDS, Selection, array, find, numbers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.model.lives import ActorLife
     from carla_recap.replay.scene import Scene
+    from carla_recap.util.arrays import Ids
 
 __all__ = ["HERO", "Follow", "LiveChoice", "choose_followed", "find_followed"]
 
@@ -107,7 +108,8 @@ def _distances(reader: Reader, start: float, stop: float) -> dict[int, float]:
     step = min(_MAX_STEP, (min(stop, reader.extent().duration) - start) / _MIN_STEPS)
     distances: dict[int, float] = {}
     selection = Selection()
-    ids, locations, distance, before = NO_IDS, np.zeros((0, 3)), np.zeros(0), 0.0
+    ids: Ids = NO_IDS
+    locations, distance, before = np.zeros((0, 3)), np.zeros(0), 0.0
     for elapsed, records in _samples(reader, start, stop, step):
         with np.errstate(invalid="ignore"):  # a signaling NaN
             now = numbers(records)[selection.choose(records, NO_IDS), LOCATION].astype(np.float64)

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.frame import Frame
-    from carla_recap.replay.selection import Ids
-    from carla_recap.util.arrays import Floats
+    from carla_recap.util.arrays import Floats, Ids
 
     Progress = Callable[[Iterable[Scene], "Player"], Iterable[Scene]]
 

@@ -13,13 +13,13 @@ import numpy as np
 
 from carla_recap.model.kinematics import JUMP, possible_step
 from carla_recap.model.records import CM
-from carla_recap.replay.selection import NO_IDS, Ids, Selection, array, find, latest, numbers
+from carla_recap.replay.selection import NO_IDS, Selection, array, find, latest, numbers
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.model.frame import Frame
-    from carla_recap.util.arrays import Floats
+    from carla_recap.util.arrays import Floats, Ids
 
 
 F = TypeVar("F", bound=np.floating)

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame
-    from carla_recap.replay.selection import Ids
     from carla_recap.replay.state import ReplayState
+    from carla_recap.util.arrays import Ids
 
 E = TypeVar("E", bound=Event)
 

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.model.layout import Records
+    from carla_recap.util.arrays import Ids
 
-Ids = np.ndarray[tuple[int], np.dtype[np.uint32]]
-NO_IDS: Final = np.zeros(0, np.uint32)
+NO_IDS: Final[Ids] = np.zeros(0, np.uint32)
 NO_IDS.setflags(write=False)
 
 

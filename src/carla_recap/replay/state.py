@@ -12,7 +12,7 @@ import numpy as np
 from carla_recap.model.lives import ActorLife, BoundingBox
 from carla_recap.model.presence import RoadHeights
 from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Spawned
-from carla_recap.replay.selection import NO_IDS, Ids, Selection, merged
+from carla_recap.replay.selection import NO_IDS, Selection, merged
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame
     from carla_recap.model.records import Spawn, Table
+    from carla_recap.util.arrays import Ids
 
 ALL_DOORS: Final = 6
 DOORS: Final = range(ALL_DOORS)

@@ -27,10 +27,9 @@ if TYPE_CHECKING:
 
     from carla_recap.recording import Recording
     from carla_recap.replay import SceneBatch
-    from carla_recap.replay.selection import Ids
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.falls import Fall
-    from carla_recap.util.arrays import Booleans, Floats, Indices, Integers
+    from carla_recap.util.arrays import Booleans, Floats, Ids, Indices, Integers
 
     Lamps = NDArray[np.uint64]
 

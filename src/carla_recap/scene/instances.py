@@ -9,6 +9,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from carla_recap.util.arrays import Ids
+
 
 @dataclass(frozen=True, eq=False)
 class Instances:
@@ -30,7 +32,7 @@ class Instances:
         tags: The semantic tags, (n,) of uint8.
     """
 
-    ids: NDArray[np.uint32]
+    ids: Ids
     models: NDArray[np.uint16]
     locations: NDArray[np.float64]
     rotations: NDArray[np.float32]

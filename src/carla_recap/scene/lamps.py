@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.lives import ActorLife
     from carla_recap.replay import SceneBatch
-    from carla_recap.replay.selection import Ids
-    from carla_recap.util.arrays import Booleans, Floats, Indices, Integers
+    from carla_recap.util.arrays import Booleans, Floats, Ids, Indices, Integers
 
 
 BRAKE, RIGHT_BLINKER, LEFT_BLINKER, REVERSE = 8, 16, 32, 64

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from types import TracebackType
 
-    Buffer = bytes | bytearray | memoryview
+    BytesLike = bytes | bytearray | memoryview
 
 _SYNC_SECONDS: Final = 1.0
 """The least time between two syncs, in s of the clock, so that a fast simulation does not keep the disk busy."""
@@ -137,7 +137,7 @@ class AtomicFile:
         else:
             self._partial.unlink()
 
-    def _put(self, data: Buffer) -> None:
+    def _put(self, data: BytesLike) -> None:
         """Write bytes.
 
         Raises:

@@ -31,7 +31,7 @@ from carla_recap.formats.mcap.schema import (
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from carla_recap.formats.sources import ByteSource, Span
+    from carla_recap.formats.sources import ByteRange, ByteSource
 
 CHUNK_LIMIT: Final = 64 << 20
 """The largest chunk that is read, in bytes, compressed or not; ours are about 1 MiB."""
@@ -253,8 +253,8 @@ class Summary:
         self.channels: dict[int, ChannelRecord] = {}
         self.chunks: list[ChunkIndex] = []
         self.metadata: dict[str, int] = {}
-        self.schema_spans: dict[int, Span] = {}
-        self.channel_spans: dict[int, Span] = {}
+        self.schema_spans: dict[int, ByteRange] = {}
+        self.channel_spans: dict[int, ByteRange] = {}
         self.messages: int | None = None
         self.counts: Counter[int] = Counter()
         self.chunk_count: int | None = None

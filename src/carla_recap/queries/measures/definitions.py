@@ -14,14 +14,10 @@ from carla_recap.tables import Columns
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from numpy.typing import NDArray
-
     from carla_recap.model.lives import ActorLife
     from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.queries.measures.series import Criticality
-    from carla_recap.util.arrays import Floats, Indices
-
-    Ids = NDArray[np.int64]
+    from carla_recap.util.arrays import Floats, Ids, Indices
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from carla_recap.replay.scene import Scene, SceneBatch
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.description import SceneDescription
-    from carla_recap.util.arrays import Floats
+    from carla_recap.util.arrays import Floats, Ids
 
 
 BLOCK: Final = 128  # samples that are handled together
@@ -189,7 +189,7 @@ class Sampler:
         self._columns = np.zeros(0, np.intp)  # the actors of the rows of a sample
         self._before: Scene | None = None  # the scene before, if it belongs to the same interval
         self._latest: Scene | None = None  # the scene of the latest sample, until the next scene
-        self._latest_ids = NO_IDS  # of the rows of that sample
+        self._latest_ids: Ids = NO_IDS  # of the rows of that sample
         self._appeared = np.zeros(0, np.bool_)  # whether each of its ids is not in the scene before
         self._light_ids, self._light_states = b"", b""
         self._shown: dict[int, int] = {}  # the states of the traffic lights

@@ -125,13 +125,28 @@ def hexadecimal(color: Color) -> str:
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 
+_ICONS: Final = {
+    "collision": "M4.5 4.5l7 7m0-7l-7 7",
+    "red light": "M5.5 2.5h5v11h-5zM8 5.2v.1M8 8v.1M8 10.8v.1",
+    "wrong way": "M13 8H3.5M7 4.5L3.5 8 7 11.5",
+    "off road": "M5 13.5V9c0-2 1-3 3-3h4M9.5 3.5L12 6 9.5 8.5",
+    "stop sign": "M6 3h4l3 3v4l-3 3H6l-3-3V6z",
+    "near miss": "M3.5 3.5l3 3M12.5 12.5l-3-3M12.5 3.5l-3 3M3.5 12.5l3-3",
+    "hard braking": "M4 4l4 4 4-4M4 8.5l4 4 4-4",
+    "speeding": "M3 11.5a5.2 5.2 0 0 1 10 0M8 11.5l3-4",
+    "blocked": "M5.5 4v8M10.5 4v8",
+}
+"""The icons of kinds of incidents by name: paths in a square of 16 units."""
+_OTHER_ICON: Final = "M8 4v5M8 11.5v.1"
+
+
 def kind_data() -> dict[str, Any]:
     """Return what the page shows of each kind of incident, by name, the most important first."""
     return {
         kind.name: {
             "name": kind.singular[:1].upper() + kind.singular[1:],
             "many": kind.plural[:1].upper() + kind.plural[1:],
-            "icon": kind.icon,
+            "icon": _ICONS.get(kind.name, _OTHER_ICON),
             "dark": kind.dark,
             "light": kind.light,
         }

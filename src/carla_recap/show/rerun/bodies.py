@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.model.lives import ActorLife
-    from carla_recap.replay.selection import Ids
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.description import SceneDescription
     from carla_recap.scene.materials import Color
     from carla_recap.scene.mesh import Mesh
     from carla_recap.show.rerun.stream import PoseBlock, Stream, TimeColumns, TimePoint
+    from carla_recap.util.arrays import Ids
 
 MOST_BOXES: Final = 5_000
 """The number of actors in the world, the first ones; the viewer is too slow to draw more. All are on the map."""

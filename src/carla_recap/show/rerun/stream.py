@@ -27,9 +27,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.replay import SceneBatch
-    from carla_recap.replay.selection import Ids
     from carla_recap.scene.description import SceneDescription
-    from carla_recap.util.arrays import Booleans, Floats
+    from carla_recap.util.arrays import Booleans, Floats, Ids
 
 
 V = TypeVar("V")

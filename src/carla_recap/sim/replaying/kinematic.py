@@ -35,9 +35,8 @@ if TYPE_CHECKING:
     from carla_recap.sim.physics.moving_bodies import MovingBodies
     from carla_recap.sim.replaying.actor_mapping import ActorMapping
     from carla_recap.sim.world import World
-    from carla_recap.util.arrays import Floats
+    from carla_recap.util.arrays import Floats, Ids
 
-    Ids = NDArray[np.int64]
     Rows = NDArray[np.intp]
 
 _SHORTEST: Final = 1e-3  # s; velocities are not computed over less
@@ -256,7 +255,7 @@ class KinematicReplay:
         signals.elapsed[rows] = states["elapsed"]
         signals.frozen[rows] = states["frozen"] != 0
 
-    def _linked(self, name: str, ids: NDArray[np.unsignedinteger], world_ids: NDArray[np.int64]) -> tuple[Rows, Rows]:
+    def _linked(self, name: str, ids: Ids, world_ids: NDArray[np.int64]) -> tuple[Rows, Rows]:
         """Return the rows of the world to which recorded ids are mapped, and the indices of these ids.
 
         They are kept until either set of ids, or the mapping, changes.
