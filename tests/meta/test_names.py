@@ -67,3 +67,10 @@ def test_no_class_name_is_defined_twice() -> None:
             for name in re.findall(r"^ *class (\w+)[(:]", path.read_text("utf-8"), re.MULTILINE):
                 modules[name].append(path.relative_to(PACKAGE).as_posix())
     assert {name: found for name, found in modules.items() if len(found) > 1} == {}
+
+
+@pytest.mark.parametrize("name", ["Booleans", "Buffer", "Ids", "Indices", "Span", "Table"])
+def test_a_name_of_a_type_is_defined_once(name: str) -> None:
+    definition = re.compile(rf"^ *(class {name}\b[(:]|{name} = )", re.MULTILINE)
+    defined = [path.name for path in sorted(PACKAGE.rglob("*.py")) if definition.search(path.read_text("utf-8"))]
+    assert len(defined) == 1

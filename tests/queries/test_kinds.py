@@ -13,11 +13,13 @@ from click import Context
 from carla_recap import RecapError, open_recording
 from carla_recap.cli import cli, options
 from carla_recap.output.table import cells
+from carla_recap.output.terminal import INCIDENT_STYLES
 from carla_recap.queries.incidents import Incident
 from carla_recap.queries.kinds import KINDS, kind_named, kinds_named
 from carla_recap.queries.measures import MEASURES, measures
 from carla_recap.rules.rule_sets import check, parse_rules
 from carla_recap.show.page import write_report
+from carla_recap.show.page.script import kind_data
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
@@ -140,5 +142,7 @@ def test_another_name_is_an_error_that_lists_the_kinds(name: str) -> None:
 
 
 def test_icons_and_colours_are_different() -> None:
-    for field in ("icon", "dark", "light", "plural", "text"):
+    for field in ("dark", "light", "plural", "text"):
         assert len({getattr(kind, field) for kind in KINDS.values()}) == len(KINDS)
+    assert len({kind["icon"] for kind in kind_data().values()}) == len(KINDS)
+    assert INCIDENT_STYLES.keys() == KINDS.keys()

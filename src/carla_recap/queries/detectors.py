@@ -149,6 +149,7 @@ class IncidentKeywords(TypedDict, total=False):
     deceleration: float
     time_to_collision: float
     post_encroachment_time: float
+    required_deceleration: float
     start: float
     stop: float
     actor: ActorName | None

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from carla_recap.replay import Scene
     from carla_recap.scene.instances import Instances
     from carla_recap.sensors.rig import SensorSpec
-    from carla_recap.util.arrays import Floats
+    from carla_recap.util.arrays import Floats, Ids
 
     Image = NDArray[Any]
 
@@ -149,7 +149,7 @@ def _actors_of(previous: tuple[Camera, Instances] | None) -> Instances | None:
     return None if previous is None else previous[1]
 
 
-def decoded(kind: ImageKind, image: Image, ids: NDArray[np.uint32]) -> Image:
+def decoded(kind: ImageKind, image: Image, ids: Ids) -> Image:
     """Return an image in the encoding of CARLA's sensors as numbers.
 
     Args:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -19,14 +19,11 @@ from carla_recap.model.segment import SegmentBuffer, segments
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import NDArray
-
     from carla_recap.model.batch import Batch
     from carla_recap.model.contacts import Contact
     from carla_recap.model.lives import ActorLife
-    from carla_recap.util.arrays import Booleans, Floats, Indices, Integers
+    from carla_recap.util.arrays import Booleans, Floats, Ids, Indices, Integers
 
-    Ids = NDArray[np.integer[Any]]
 
 TYPES: Final = ("transforms", "velocities")
 """The record types that motion is computed from."""
