@@ -318,6 +318,7 @@ def _reported(
 def _show(rows: Sequence[CampaignRow], measure: Measure, form: str | None, folder: Path | None) -> None:
     """Print all rows as JSON or CSV, or the worst ones."""
     from carla_recap.fleet.campaign.report import runs_as_json, worst_first
+    from carla_recap.fleet.campaign.results import crash_text
 
     if form == "json":
         print_pieces([runs_as_json(rows)])
@@ -334,5 +335,6 @@ def _show(rows: Sequence[CampaignRow], measure: Measure, form: str | None, folde
         found = row.results.get(measure.name)
         value = f"no {measure.title}" if found is None else f"{measure.title} {found.value:.3g} {measure.unit}".rstrip()
         time = "" if found is None or found.time is None else f" at {found.time:.2f} s"
+        crash = crash_text(row.results)
         rules = f"; breaks {', '.join(row.broken)}" if row.broken else ""
-        say(f"{os.fspath(row.recording)}: {value}{time}{rules}", stream=sys.stdout)
+        say(f"{os.fspath(row.recording)}: {f'{crash}, ' * bool(crash)}{value}{time}{rules}", stream=sys.stdout)

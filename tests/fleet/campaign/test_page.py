@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from carla_recap.fleet.campaign.page import campaign_page
-from carla_recap.fleet.campaign.report import CampaignRow
-from carla_recap.fleet.campaign.results import COLLISIONS, Result, result_named
+from carla_recap.fleet.campaign.report import CampaignRow, worst_first
+from carla_recap.fleet.campaign.results import COLLISIONS, IMPACT_SPEED, Result, crash_text, result_named
 
 NASTY = "</style></p><img src=x onerror=alert(1)>\"'&amp;\x1b"
 MEASURE = result_named("ttc")
@@ -78,6 +78,17 @@ def test_the_worst_runs_come_first_and_failed_ones_last():
     assert seeds == ["2", "3", "1", "5"]
     assert page.index("is-long") < page.index("takes more than 5 s")
     assert "<h1>5 runs, 1 breaks rules, 1 failed</h1>" in page
+
+
+def test_of_runs_that_crash_the_fastest_comes_first_and_says_so():
+    rows = [row(1, value=0.0), row(2, value=0.0), row(3, value=0.0), row(4, value=0.0), row(5, value=0.1)]
+    for each, speed in ((rows[1], 3.0), (rows[2], 12.5), (rows[3], None)):
+        each.results[COLLISIONS.name] = Result(1.0, 1.5, 41)
+        if speed is not None:
+            each.results[IMPACT_SPEED.name] = Result(speed, 1.5, 41)
+    assert [each.seed for each in worst_first(rows, MEASURE)] == [3, 2, 4, 1, 5]
+    assert [crash_text(each.results) for each in rows] == ["", "crashed at 11 km/h", "crashed at 45 km/h", "crashed", ""]
+    assert "12.5 m/s" in shown(rows)
 
 
 def test_texts_cannot_become_markup():

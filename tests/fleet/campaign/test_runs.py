@@ -12,6 +12,7 @@ import pytest
 from carla_recap import open_recording
 from carla_recap.errors import RecapError
 from carla_recap.fleet.campaign import campaign
+from carla_recap.fleet.campaign.results import measured
 from carla_recap.sim import World
 from carla_recap.util.functions import FileFunction
 from tests.fleet.campaign import functions
@@ -21,6 +22,7 @@ from tests.waiting import time_limit
 pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
 
 FILE = str(Path(functions.__file__))
+SAMPLES = Path(__file__).parents[3] / "samples"
 NO_TICK = "no tick was recorded; a function that ticks its world was expected, or a duration"
 FAULTS = {
     "raise": "KeyError: 'three' (functions.py)",
@@ -186,3 +188,13 @@ def test_a_recording_that_does_not_say_what_made_it_is_an_error(tmp_path):
         world.tick()
     with pytest.raises(RecapError, match="does not say which function and code made it"):
         list(campaign(functions.drive, seeds=[1], out=tmp_path, jobs=1))
+
+
+def test_an_impact_has_the_relative_speed_just_before():
+    with open_recording(SAMPLES / "crash.mcap") as recording:
+        found = measured(recording)
+        expected = max(row.relative_speed for row in recording.collisions() if row.hero1 or row.hero2)
+    assert found["impact_speed"].value == expected > 5
+    assert found["impact_speed"].actor == 41
+    with open_recording(SAMPLES / "avoided.mcap") as recording:
+        assert "impact_speed" not in measured(recording)

@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 from carla_recap.fleet.campaign.plan import SEED, text_of
 from carla_recap.fleet.campaign.report import RUNS, address_from, worst_first
-from carla_recap.fleet.campaign.results import BROKEN_RULES, COLLISIONS, SCORE
+from carla_recap.fleet.campaign.results import BROKEN_RULES, COLLISIONS, IMPACT_SPEED, SCORE, severity
 from carla_recap.fleet.pages import document
 from carla_recap.util.resources import viewer_folder
 from carla_recap.util.text import visible
@@ -67,7 +67,8 @@ def campaign_page(rows: Sequence[CampaignRow], folder: Path, measure: Measure, t
     said += [f"{counts['error']:,} failed"] if counts["error"] else []
     origin = f"{title} · {datetime.now(UTC):%d %B %Y, %H:%M} UTC · carla-recap {version('carla-recap')}"
     has_rules = any(row.broken is not None for row in rows)
-    others = [COLLISIONS, *[BROKEN_RULES] * has_rules, *[SCORE] * any(SCORE.name in row.results for row in rows)]
+    known = {name for row in rows for name in row.results}
+    others = [COLLISIONS, *[BROKEN_RULES] * has_rules, *(each for each in (IMPACT_SPEED, SCORE) if each.name in known)]
     shown = [measure, *(each for each in others if each is not measure)]
     maps = "".join(_heat_map(rows, folder, each) for each in shown)
     main = f"{maps}{_table(rows, folder, shown, has_rules=has_rules)}{_failed(rows)}"
@@ -160,7 +161,7 @@ def _cell(rows: Sequence[CampaignRow], folder: Path, measure: Measure, span: tup
     if not there:
         tip = f"{_run_text(rows[0])}: {rows[0].error}"
         return f'<g class="none"><title>{_text(tip)}</title><rect {box}/><text {middle}>failed</text></g>'
-    worst = min(known, key=lambda row: measure.key(row.results[measure.name].value)) if known else there[0]
+    worst = min(known, key=lambda row: severity(row.results, measure)) if known else there[0]
     if known:
         value = worst.results[measure.name].value
         low, high = span

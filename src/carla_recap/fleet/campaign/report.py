@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.fleet.campaign.plan import SEED
-from carla_recap.fleet.campaign.results import BROKEN_RULES, RESULTS, Result
+from carla_recap.fleet.campaign.results import BROKEN_RULES, RESULTS, Result, crash_text, severity
 from carla_recap.fleet.check import check_sources
 from carla_recap.fleet.pages import PAGES, opening_of, write_incident_pages
 from carla_recap.formats.sources import is_remote
@@ -134,11 +133,10 @@ def judged(
 
 
 def worst_first(rows: Iterable[CampaignRow], measure: Measure) -> list[CampaignRow]:
-    """Return the rows with recordings: those that break most rules first, then in the order of a measure, unknown last."""
+    """Return the rows with recordings: those that break most rules first, then as `severity` has it."""
 
-    def key(row: CampaignRow) -> tuple[int, float]:
-        found = row.results.get(measure.name)
-        return -len(row.broken or ()), math.inf if found is None else measure.key(found.value)
+    def key(row: CampaignRow) -> tuple[int, tuple[float, float, float]]:
+        return -len(row.broken or ()), severity(row.results, measure)
 
     return sorted((row for row in rows if row.error is None), key=key)
 
@@ -185,7 +183,8 @@ def _opening(row: CampaignRow, measure: Measure, checked: CheckedRecording | Non
     if found is None:
         return Opening(notes=(run,))
     actors = () if found.actor is None else (found.actor,)
-    return Opening(found.time, actors, (f"{run}: {measure.title} {found.value:.3g} {measure.unit}".rstrip(),))
+    value = f"{measure.title} {found.value:.3g} {measure.unit}".rstrip()
+    return Opening(found.time, actors, (f"{run}: {', '.join(filter(None, (crash_text(row.results), value)))}",))
 
 
 def write_runs(rows: Iterable[CampaignRow], path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -25,9 +26,17 @@ COLLISIONS: Final = Measure(
 BROKEN_RULES: Final = Measure(
     name="broken_rules", unit="", extreme="greatest", text="the number of rules that the recording breaks"
 )
+IMPACT_SPEED: Final = Measure(
+    name="impact_speed",
+    unit="m/s",
+    extreme="greatest",
+    text="the greatest relative speed just before one of these contacts; without a value where it is unknown",
+)
 SCORE: Final = Measure(name="score", unit="", extreme="least", text="the driving score of the Leaderboard")
 RESULTS: Final[Mapping[str, Measure]] = {
-    measure.name: measure for measure in (COLLISIONS, BROKEN_RULES, SCORE, *MEASURES.values()) if not measure.needs_roads
+    measure.name: measure
+    for measure in (COLLISIONS, IMPACT_SPEED, BROKEN_RULES, SCORE, *MEASURES.values())
+    if not measure.needs_roads
 }
 """What the runs of a campaign can be compared by, by name."""
 
@@ -85,6 +94,24 @@ def result_named(name: str) -> Measure:
     return found
 
 
+def severity(results: Mapping[str, Result], measure: Measure) -> tuple[float, float, float]:
+    """Return what sorts runs, the worst first: a measure, unknown last; of equal values crashes first, the fastest first."""
+    found, collisions, impact = (results.get(each.name) for each in (measure, COLLISIONS, IMPACT_SPEED))
+    return (
+        math.inf if found is None else measure.key(found.value),
+        -float(collisions is not None and collisions.value > 0),
+        0.0 if impact is None else -impact.value,
+    )
+
+
+def crash_text(results: Mapping[str, Result]) -> str:
+    """Return that a run has crashed, and how fast; empty if it has not."""
+    collisions, impact = results.get(COLLISIONS.name), results.get(IMPACT_SPEED.name)
+    if collisions is None or not collisions.value:
+        return ""
+    return "crashed" if impact is None else f"crashed at {impact.value * 3.6:.0f} km/h"
+
+
 def measured(recording: Recording, scoring: Scoring | None = None) -> dict[str, Result]:
     """Return the most critical values of the measures of a recording's heroes, or if there is none, of all vehicles.
 
@@ -106,6 +133,12 @@ def measured(recording: Recording, scoring: Scoring | None = None) -> dict[str, 
     if hits:
         first = hits[0]
         found[COLLISIONS.name] = Result(count, first.elapsed, first.id1 if first.hero1 or not has_hero else first.id2)
+    for hit in hits:
+        if not math.isnan(hit.relative_speed):
+            best = found.get(IMPACT_SPEED.name)
+            if best is None or hit.relative_speed > best.value:
+                actor = hit.id1 if hit.hero1 or not has_hero else hit.id2
+                found[IMPACT_SPEED.name] = Result(hit.relative_speed, hit.elapsed, actor)
     for row in recording.measures():
         best = found.get(row.measure)
         key = MEASURES[row.measure].key
