@@ -9,30 +9,15 @@ from typing import TYPE_CHECKING, Any, Final
 from carla_recap.model.lives import HERO
 from carla_recap.output.json import encoded, rows
 from carla_recap.output.table import most_important_first
-from carla_recap.output.terminal import TableColumn, brief_actor, print_table
+from carla_recap.output.terminal import TableColumn, name_column, number_column, print_table
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from rich.console import Console
 
     from carla_recap.queries.differences import ActorDifference, ComparedRecording, Differences, LightDifference
-
-
-@dataclass(frozen=True)
-class _ListedColumn:
-    heading: str
-    cell: Callable[[Any], str]
-    is_number: bool = False
-    is_name: bool = False
-    rank: int = 0
-
-    def looks(self) -> TableColumn:
-        """Return the column of a table on a terminal."""
-        if self.is_name:
-            return TableColumn(self.heading, narrowed="middle", brief=brief_actor)
-        return TableColumn(self.heading, self.is_number, "words" if self.heading == "What happens" else "never", self.rank)
 
 
 @dataclass(frozen=True)
@@ -46,7 +31,7 @@ class _Listing:
     """
 
     title: str
-    columns: Sequence[_ListedColumn]
+    columns: Sequence[TableColumn]
     rows: Sequence[Any]
 
     def cells(self) -> list[list[str]]:
@@ -92,7 +77,7 @@ def table(found: Differences, console: Console | None = None) -> None:
         rows = [[column.cell(row) for column in listing.columns] for row in listing.rows]
         console.print()
         console.print(Text(listing.title, "bold"))
-        print_table(console, [column.looks() for column in listing.columns], rows)
+        print_table(console, listing.columns, rows)
 
 
 def json(found: Differences) -> Iterator[str]:
@@ -184,33 +169,33 @@ def _lives(row: ActorDifference) -> str:
 
 
 _ACTORS: Final = (
-    _ListedColumn("Id", _ids, is_number=True),
-    _ListedColumn("Actor", _actor, is_name=True),
-    _ListedColumn("From", lambda row: _seconds(row.first), is_number=True),
-    _ListedColumn("By", lambda row: _metres(row.first_distance), is_number=True),
-    _ListedColumn("Mean", lambda row: _metres(row.mean), is_number=True),
-    _ListedColumn("Max", lambda row: _metres(row.max), is_number=True),
-    _ListedColumn("At", lambda row: _seconds(row.max_at) if row.max else "", is_number=True),
-    _ListedColumn("Final", lambda row: _metres(row.final), is_number=True),
-    _ListedColumn("Heading", lambda row: _degrees(row.heading), is_number=True, rank=2),
-    _ListedColumn("Exists", _lives, rank=1),
+    number_column("Id", _ids),
+    name_column("Actor", _actor),
+    number_column("From", lambda row: _seconds(row.first)),
+    number_column("By", lambda row: _metres(row.first_distance)),
+    number_column("Mean", lambda row: _metres(row.mean)),
+    number_column("Max", lambda row: _metres(row.max)),
+    number_column("At", lambda row: _seconds(row.max_at) if row.max else ""),
+    number_column("Final", lambda row: _metres(row.final)),
+    number_column("Heading", lambda row: _degrees(row.heading), rank=2),
+    TableColumn("Exists", _lives, rank=1),
 )
 _UNMATCHED: Final = (
-    _ListedColumn("Id", lambda actor: str(actor.id), is_number=True),
-    _ListedColumn("Kind", lambda actor: actor.kind),
-    _ListedColumn("Actor", lambda actor: actor.type_id or "unknown", is_name=True),
-    _ListedColumn("Role", lambda actor: actor.role_name),
-    _ListedColumn("Exists", lambda actor: _life(actor.spawned_at, actor.destroyed_at)),
+    number_column("Id", lambda actor: str(actor.id)),
+    TableColumn("Kind", lambda actor: actor.kind),
+    name_column("Actor", lambda actor: actor.type_id or "unknown"),
+    TableColumn("Role", lambda actor: actor.role_name),
+    TableColumn("Exists", lambda actor: _life(actor.spawned_at, actor.destroyed_at)),
 )
 _LIGHTS: Final = (
-    _ListedColumn("Id", _ids, is_number=True),
-    _ListedColumn("Place", lambda row: f"{row.x:.1f}, {row.y:.1f}"),
-    _ListedColumn("From", lambda row: _seconds(row.first), is_number=True),
-    _ListedColumn("For", lambda row: _seconds(row.seconds), is_number=True),
+    number_column("Id", _ids),
+    TableColumn("Place", lambda row: f"{row.x:.1f}, {row.y:.1f}"),
+    number_column("From", lambda row: _seconds(row.first)),
+    number_column("For", lambda row: _seconds(row.seconds)),
 )
 _EVENTS: Final = (
-    _ListedColumn("A", lambda row: _seconds(row.start_a), is_number=True),
-    _ListedColumn("B", lambda row: _seconds(row.start_b), is_number=True),
-    _ListedColumn("Event", lambda row: row.kind),
-    _ListedColumn("What happens", lambda row: row.text),
+    number_column("A", lambda row: _seconds(row.start_a)),
+    number_column("B", lambda row: _seconds(row.start_b)),
+    TableColumn("Event", lambda row: row.kind),
+    TableColumn("What happens", lambda row: row.text, narrowed="words"),
 )

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import math
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.model.lives import STATIC_OBJECT, ActorLife
 from carla_recap.model.records import NO_ACTOR
-from carla_recap.output.terminal import INCIDENT_STYLES, TableColumn, actor_style, brief_actor, print_table
+from carla_recap.output.terminal import (
+    INCIDENT_STYLES,
+    TableColumn,
+    actor_style,
+    brief_actor,
+    name_column,
+    number_column,
+    print_table,
+)
 from carla_recap.output.text import KMH, incident_counts, local_date
 from carla_recap.queries.blocked import Blocked, BlockedRow
 from carla_recap.queries.collisions import CollisionRow, Collisions
@@ -21,20 +29,11 @@ from carla_recap.queries.summary import RecordingSummary
 from carla_recap.util.text import number, readable, visible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from rich.console import Console
 
     from carla_recap.output.text import AnyAnswer
-
-
-class _Column(NamedTuple):
-    looks: TableColumn
-    cell: Callable[[Any], str]
-
-
-def _column(heading: str, cell: Callable[[Any], str], **looks: Any) -> _Column:
-    return _Column(TableColumn(heading, **looks), cell)
 
 
 def table(answer: AnyAnswer, console: Console | None = None) -> None:
@@ -55,7 +54,7 @@ def table(answer: AnyAnswer, console: Console | None = None) -> None:
     while page := list(islice(rows, None if isinstance(answer, list) else _PAGE)):
         columns = _COLUMNS[answer.row_type]
         cells = [[column.cell(row) for column in columns] for row in page]
-        print_table(console, [column.looks for column in columns], cells, headed=not count)
+        print_table(console, columns, cells, headed=not count)
         count += len(page)
     extent = answer.extent
     things = "row" if count == 1 else "rows"
@@ -94,7 +93,7 @@ def print_rows(console: Console, row_type: type | None, rows: Sequence[Sequence[
         rows: The cells of each row: those of further columns at the left, then those of `cells`.
         first: The columns at the left.
     """
-    columns = [*first, *(column.looks for column in _COLUMNS[row_type])] if row_type else first
+    columns = [*first, *_COLUMNS[row_type]] if row_type else first
     print_table(console, columns, rows)
 
 
@@ -135,87 +134,79 @@ _KINDS: Final = {"vehicle": 0, "walker": 1, "traffic_light": 2, "sensor": 3, "tr
 """The ranks of kinds of actors in the order of tables."""
 
 
-def _number(heading: str, cell: Callable[[Any], str], **looks: Any) -> _Column:
-    return _column(heading, cell, is_number=True, **looks)
-
-
-def _name(heading: str, cell: Callable[[Any], str], **looks: Any) -> _Column:
-    return _column(heading, cell, narrowed="middle", brief=brief_actor, **looks)
-
-
-_COLUMNS: Final[dict[type, tuple[_Column, ...]]] = {
+_COLUMNS: Final[dict[type, tuple[TableColumn, ...]]] = {
     InfoRow: (
-        _number("Time (s)", lambda row: _seconds(row.elapsed), least=8),
-        _number("Frame", lambda row: str(row.frame), least=8, rank=-1),
-        _column("Record", lambda row: row.type, least=16),
-        _column("Details", lambda row: _details(row.record), narrowed="words", least=16),
+        number_column("Time (s)", lambda row: _seconds(row.elapsed), least=8),
+        number_column("Frame", lambda row: str(row.frame), least=8, rank=-1),
+        TableColumn("Record", lambda row: row.type, least=16),
+        TableColumn("Details", lambda row: _details(row.record), narrowed="words", least=16),
     ),
     CollisionRow: (
-        _number("Time (s)", lambda row: _seconds(row.elapsed)),
-        _number("Frame", lambda row: str(row.frame), rank=2),
-        _number("Id", lambda row: _id(row.id1)),
-        _name("Actor 1", lambda row: _actor(row.id1, row.type_id1, row.hero1)),
-        _number("Id", lambda row: _id(row.id2)),
-        _name("Actor 2", lambda row: _actor(row.id2, row.type_id2, row.hero2)),
-        _number("Contact", lambda row: str(row.contact), rank=3),
-        _number("Impact (m/s)", lambda row: _speed(row.impact_speed), rank=-1),
-        _number("Relative (m/s)", lambda row: _speed(row.relative_speed), rank=1),
+        number_column("Time (s)", lambda row: _seconds(row.elapsed)),
+        number_column("Frame", lambda row: str(row.frame), rank=2),
+        number_column("Id", lambda row: _id(row.id1)),
+        name_column("Actor 1", lambda row: _actor(row.id1, row.type_id1, row.hero1)),
+        number_column("Id", lambda row: _id(row.id2)),
+        name_column("Actor 2", lambda row: _actor(row.id2, row.type_id2, row.hero2)),
+        number_column("Contact", lambda row: str(row.contact), rank=3),
+        number_column("Impact (m/s)", lambda row: _speed(row.impact_speed), rank=-1),
+        number_column("Relative (m/s)", lambda row: _speed(row.relative_speed), rank=1),
     ),
     ActorLife: (
-        _number("Id", lambda row: str(row.id)),
-        _column("Kind", lambda row: row.kind, style=actor_style),
-        _name("Actor", lambda row: row.type_id),
-        _column("Role", lambda row: row.role_name, narrowed="middle", rank=-3),
-        _number("From (s)", lambda row: _seconds(row.spawned_at), rank=-2),
-        _number("To (s)", lambda row: "" if row.destroyed_at is None else _seconds(row.destroyed_at), rank=-1),
-        _number("Parent", lambda row: "" if row.parent is None else str(row.parent), rank=1),
+        number_column("Id", lambda row: str(row.id)),
+        TableColumn("Kind", lambda row: row.kind, style=actor_style),
+        name_column("Actor", lambda row: row.type_id),
+        TableColumn("Role", lambda row: row.role_name, narrowed="middle", rank=-3),
+        number_column("From (s)", lambda row: _seconds(row.spawned_at), rank=-2),
+        number_column("To (s)", lambda row: "" if row.destroyed_at is None else _seconds(row.destroyed_at), rank=-1),
+        number_column("Parent", lambda row: "" if row.parent is None else str(row.parent), rank=1),
     ),
     BlockedRow: (
-        _number("Start (s)", lambda row: _seconds(row.start), rank=-1),
-        _number("Duration (s)", lambda row: _seconds(row.duration)),
-        _number("Id", lambda row: str(row.id)),
-        _name("Actor", lambda row: _actor(row.id, row.type_id)),
-        _column("Place (cm)", lambda row: ", ".join(map(number, (row.x, row.y, row.z))), rank=1),
+        number_column("Start (s)", lambda row: _seconds(row.start), rank=-1),
+        number_column("Duration (s)", lambda row: _seconds(row.duration)),
+        number_column("Id", lambda row: str(row.id)),
+        name_column("Actor", lambda row: _actor(row.id, row.type_id)),
+        TableColumn("Place (cm)", lambda row: ", ".join(map(number, (row.x, row.y, row.z))), rank=1),
     ),
     MeasureRow: (
-        _number("Id", lambda row: str(row.actor)),
-        _name("Actor", lambda row: _actor(row.actor, row.type_id, row.hero), rank=4),
-        _column("Measure", lambda row: row.measure.replace("_", " "), narrowed="words"),
-        _number("Value", lambda row: f"{row.value:.3f}"),
-        _column("Unit", lambda row: row.unit, rank=2),
-        _number("Time (s)", lambda row: _seconds(row.time)),
-        _number("Id", lambda row: "" if row.other is None else str(row.other), rank=1),
-        _name("Other", lambda row: "" if row.other is None else row.other_type_id, rank=3),
+        number_column("Id", lambda row: str(row.actor)),
+        name_column("Actor", lambda row: _actor(row.actor, row.type_id, row.hero), rank=4),
+        TableColumn("Measure", lambda row: row.measure.replace("_", " "), narrowed="words"),
+        number_column("Value", lambda row: f"{row.value:.3f}"),
+        TableColumn("Unit", lambda row: row.unit, rank=2),
+        number_column("Time (s)", lambda row: _seconds(row.time)),
+        number_column("Id", lambda row: "" if row.other is None else str(row.other), rank=1),
+        name_column("Other", lambda row: "" if row.other is None else row.other_type_id, rank=3),
     ),
     MeasureMoment: (
-        _number("Time (s)", lambda row: _seconds(row.time), least=8),
-        _number("Id", lambda row: str(row.actor), least=6),
-        _number("Speed (m/s)", lambda row: _known(row.speed), least=11),
-        _number("Acceleration (m/s²)", lambda row: _known(row.acceleration), least=11, rank=3),
-        _number("Gap (m)", lambda row: _known(row.gap), least=7),
-        _number("To", lambda row: _id(row.nearest), least=5, rank=1),
-        _number("TTC (s)", lambda row: _known(row.time_to_collision), least=7),
-        _number("With", lambda row: _id(row.threat), least=5, rank=1),
-        _number("Headway (m)", lambda row: _known(row.distance_headway), least=11),
-        _number("Headway (s)", lambda row: _known(row.time_headway), least=11, rank=2),
-        _number("Leader", lambda row: _id(row.leader), least=6, rank=1),
+        number_column("Time (s)", lambda row: _seconds(row.time), least=8),
+        number_column("Id", lambda row: str(row.actor), least=6),
+        number_column("Speed (m/s)", lambda row: _known(row.speed), least=11),
+        number_column("Acceleration (m/s²)", lambda row: _known(row.acceleration), least=11, rank=3),
+        number_column("Gap (m)", lambda row: _known(row.gap), least=7),
+        number_column("To", lambda row: _id(row.nearest), least=5, rank=1),
+        number_column("TTC (s)", lambda row: _known(row.time_to_collision), least=7),
+        number_column("With", lambda row: _id(row.threat), least=5, rank=1),
+        number_column("Headway (m)", lambda row: _known(row.distance_headway), least=11),
+        number_column("Headway (s)", lambda row: _known(row.time_headway), least=11, rank=2),
+        number_column("Leader", lambda row: _id(row.leader), least=6, rank=1),
     ),
     RecordingSummary: (
-        _column("Map", lambda row: readable(row.map), narrowed="middle", rank=3),
-        _number("Duration (s)", lambda row: _seconds(row.duration)),
-        _number("Frames", lambda row: str(row.frames), rank=4),
-        _number("Vehicles", lambda row: str(row.actors.get("vehicle", 0)), rank=1),
-        _number("Walkers", lambda row: str(row.actors.get("walker", 0)), rank=2),
-        _number("Hero (m)", lambda row: f"{row.hero.distance:.0f}" if row.hero else ""),
-        _number("Top speed (km/h)", lambda row: f"{row.hero.top_speed * KMH:.0f}" if row.hero else "", rank=1),
-        _column("Incidents", lambda row: incident_counts(row.incidents), narrowed="end"),
+        TableColumn("Map", lambda row: readable(row.map), narrowed="middle", rank=3),
+        number_column("Duration (s)", lambda row: _seconds(row.duration)),
+        number_column("Frames", lambda row: str(row.frames), rank=4),
+        number_column("Vehicles", lambda row: str(row.actors.get("vehicle", 0)), rank=1),
+        number_column("Walkers", lambda row: str(row.actors.get("walker", 0)), rank=2),
+        number_column("Hero (m)", lambda row: f"{row.hero.distance:.0f}" if row.hero else ""),
+        number_column("Top speed (km/h)", lambda row: f"{row.hero.top_speed * KMH:.0f}" if row.hero else "", rank=1),
+        TableColumn("Incidents", lambda row: incident_counts(row.incidents), narrowed="end"),
     ),
     Incident: (
-        _number("Start (s)", lambda row: _seconds(row.start)),
-        _number("Stop (s)", lambda row: _seconds(row.stop), rank=2),
-        _column("Incident", lambda row: row.kind, style=lambda kind: INCIDENT_STYLES.get(kind, "")),
-        _column("What happens", lambda row: row.text, narrowed="words", brief=brief_actor),
-        _number("Value", lambda row: "" if math.isnan(row.value) else f"{row.value:.2f} {row.unit}", rank=3),
-        _column("Place (m)", lambda row: ", ".join(f"{number:.1f}" for number in (row.x, row.y, row.z)), rank=1),
+        number_column("Start (s)", lambda row: _seconds(row.start)),
+        number_column("Stop (s)", lambda row: _seconds(row.stop), rank=2),
+        TableColumn("Incident", lambda row: row.kind, style=lambda kind: INCIDENT_STYLES.get(kind, "")),
+        TableColumn("What happens", lambda row: row.text, narrowed="words", brief=brief_actor),
+        number_column("Value", lambda row: "" if math.isnan(row.value) else f"{row.value:.2f} {row.unit}", rank=3),
+        TableColumn("Place (m)", lambda row: ", ".join(f"{number:.1f}" for number in (row.x, row.y, row.z)), rank=1),
     ),
 }

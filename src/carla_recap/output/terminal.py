@@ -9,18 +9,17 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from rich.console import Console
+    from rich.console import Console, ConsoleOptions
+    from rich.measure import Measurement
+    from rich.text import Text
+
+    _Shown = list[tuple["TableColumn", list[str]]]
 
 _GAP: Final = 2  # spaces between two columns
-_COMFORT: Final = {
-    "never": 0,
-    "middle": 24,
-    "words": 40,
-    "end": 40,
-}  # characters that are enough, by how a column is narrowed
-_LEAST: Final = {"never": 0, "middle": 10, "words": 12, "end": 12}  # characters below which nothing could be read
+_COMFORT: Final = {"middle": 24, "words": 40, "end": 40}  # characters that are enough, by how a column is narrowed
+_LEAST: Final = {"middle": 10, "words": 12, "end": 12}  # characters below which nothing could be read
 
 
 @dataclass(frozen=True)
@@ -29,6 +28,7 @@ class TableColumn:
 
     Attributes:
         heading: Its heading, with the unit.
+        cell: Returns the text of a row in it.
         is_number: Whether its cells are numbers, which are at the right.
         narrowed: What is done with cells that are too wide: "middle" is left out, as of paths and names, or their "end", or
             they are continued in the next line ("words").
@@ -40,6 +40,7 @@ class TableColumn:
     """
 
     heading: str
+    cell: Callable[[Any], str] = str
     is_number: bool = False
     narrowed: Literal["never", "middle", "words", "end"] = "never"
     rank: int = 0
@@ -47,11 +48,31 @@ class TableColumn:
     brief: Callable[[str], str] | None = None
     style: Callable[[str], str] | None = None
 
-    def width(self, cells: Sequence[str]) -> int:
-        """Return the width that cells need."""
+    def width(self, cells: Sequence[str], enough: Mapping[str, int] | None = None) -> int:
+        """Return the width that cells need, or at most what is enough for a column that is narrowed as it is."""
         from rich.cells import cell_len
 
-        return max([self.least, cell_len(self.heading), *(cell_len(line) for cell in cells for line in cell.split("\n"))])
+        whole = max([self.least, cell_len(self.heading), *(cell_len(line) for cell in cells for line in cell.split("\n"))])
+        return min(whole, max(enough.get(self.narrowed, whole), self.least)) if enough else whole
+
+    def shown(self, cell: str) -> _NarrowedText | Text:
+        """Return what Rich prints of a cell, in the room that it has for the column."""
+        from rich.text import Text
+
+        style = self.style(cell) if self.style else ""
+        if self.narrowed == "middle":
+            return _NarrowedText(cell, style)
+        return Text(cell, style, overflow="ellipsis", no_wrap=True) if self.narrowed == "end" else Text(cell, style)
+
+
+def number_column(heading: str, cell: Callable[[Any], str], **looks: Any) -> TableColumn:
+    """Return a column of numbers."""
+    return TableColumn(heading, cell, is_number=True, **looks)
+
+
+def name_column(heading: str, cell: Callable[[Any], str], **looks: Any) -> TableColumn:
+    """Return a column of names of actors."""
+    return TableColumn(heading, cell, narrowed="middle", brief=brief_actor, **looks)
 
 
 def print_table(
@@ -67,65 +88,72 @@ def print_table(
         rows: The cells of each row.
         headed: Whether it has headings.
     """
-    shown = [list(map(visible, cells)) for cells in zip(*rows, strict=True)] or [[] for _ in columns]
-    kept = [number for number, cells in enumerate(shown) if any(cells) or not rows or columns[number].least]
-    if _total(columns, shown, kept) > console.width:
-        for number in kept:
-            brief = columns[number].brief
-            if brief is not None:
-                shown[number] = list(map(brief, shown[number]))
-    dropped = _drop(columns, shown, kept, console.width)
-    widths = _widths(columns, shown, kept, console.width)
-    console.print(_made(columns, shown, kept, widths, headed=headed))
-    if dropped and headed:
-        from rich.text import Text
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
 
-        names = ", ".join(dict.fromkeys(columns[number].heading for number in sorted(dropped)))
-        console.print(Text(f"({names}: in a wider terminal, or with --json)", style="dim"))
+    every = [list(map(visible, cells)) for cells in zip(*rows, strict=True)] or [[]] * len(columns)
+    shown = [(column, cells) for column, cells in zip(columns, every, strict=True) if any(cells) or not rows or column.least]
+    if _room(shown) > console.width:
+        shown = [(column, list(map(column.brief, cells)) if column.brief else cells) for column, cells in shown]
+    kept = _kept(shown, console.width)
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, show_header=headed, pad_edge=False, padding=(0, 1, 0, 0))
+    for column, _ in kept:
+        table.add_column(
+            Text(visible(column.heading)),
+            justify="right" if column.is_number else "left",
+            no_wrap=column.narrowed == "never",
+            min_width=column.least,
+            overflow="fold",
+        )
+    for row in zip(*(map(column.shown, cells) for column, cells in kept), strict=True):
+        table.add_row(*row)
+    console.print(table)
+    dropped = dict.fromkeys(column.heading for column, cells in shown if (column, cells) not in kept)
+    if dropped and headed:
+        console.print(Text(f"({', '.join(dropped)}: in a wider terminal, or with --json)", style="dim"))
 
 
 def fits(columns: Sequence[TableColumn], rows: Sequence[Sequence[str]], width: int) -> bool:
     """Return whether all columns of a table fit into a width, with those that may be narrowed as narrow as can be read."""
     shown = [list(map(visible, cells)) for cells in zip(*rows, strict=True)]
-    kept = range(len(columns))
-    return sum(_limited(columns, shown, kept, _LEAST)) + _GAP * (len(kept) - 1) <= width
+    return _room(list(zip(columns, shown, strict=True)), _LEAST) <= width
 
 
-def _made(
-    columns: Sequence[TableColumn],
-    shown: Sequence[Sequence[str]],
-    kept: Sequence[int],
-    widths: Sequence[int],
-    *,
-    headed: bool,
-) -> Any:
-    """Return a table of Rich's."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, show_header=headed, pad_edge=False, padding=(0, 1, 0, 0))
-    for number, width in zip(kept, widths, strict=True):
-        column = columns[number]
-        heading = Text(visible(column.heading))
-        table.add_column(heading, justify="right" if column.is_number else "left", width=width, overflow="fold")
-    for cells in zip(*(shown[number] for number in kept), strict=True):
-        table.add_row(
-            *(
-                Text(_narrowed(cell, columns[number], width), columns[number].style(cell) if columns[number].style else "")  # type: ignore[misc]
-                for cell, number, width in zip(cells, kept, widths, strict=True)
-            )
-        )
-    return table
+def _room(shown: _Shown, enough: Mapping[str, int] | None = None) -> int:
+    return sum(column.width(cells, enough) for column, cells in shown) + _GAP * (len(shown) - 1)
 
 
-def _narrowed(cell: str, column: TableColumn, width: int) -> str:
-    from rich.cells import cell_len, set_cell_size
+def _kept(shown: _Shown, room: int) -> _Shown:
+    """Return the columns without the less important ones for which there is not enough room."""
+    kept, dropped = shown[:], []
+    for enough, sign in ((_COMFORT, 1), (_LEAST, -1)):
+        for _, each in sorted(enumerate(shown), key=lambda numbered: (-numbered[1][0].rank, -numbered[0])):
+            if each[0].rank * sign > 0 and _room(kept, enough) > room:
+                kept.remove(each)
+                dropped.append(each)
+    for each in reversed(dropped):  # a narrow one may fit, where a wide one was in its way
+        if _room(more := [one for one in shown if one in kept or one is each], _COMFORT) <= room:
+            kept = more
+    return kept
 
-    if column.narrowed == "middle":
-        return shortened(cell, width)
-    is_cut = column.narrowed == "end" and cell_len(cell) > width
-    return set_cell_size(cell, max(width - 1, 0)) + "…" if is_cut else cell
+
+class _NarrowedText:
+    """A text whose middle is left out if it is too wide."""
+
+    def __init__(self, text: str, style: str) -> None:
+        self._text, self._style = text, style
+
+    def __rich_measure__(self, console: Console, options: ConsoleOptions) -> Measurement:
+        from rich.cells import cell_len
+        from rich.measure import Measurement
+
+        return Measurement(1, min(cell_len(self._text), options.max_width))
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Text]:
+        from rich.text import Text
+
+        yield Text(shortened(self._text, options.max_width), self._style)
 
 
 def shortened(text: str, width: int) -> str:
@@ -139,61 +167,6 @@ def shortened(text: str, width: int) -> str:
     while cell_len(tail) > end:
         tail = tail[1:]
     return set_cell_size(text, max(width - 1 - cell_len(tail), 0)) + "…" + tail
-
-
-def _total(columns: Sequence[TableColumn], shown: Sequence[Sequence[str]], kept: Sequence[int]) -> int:
-    return sum(columns[number].width(shown[number]) for number in kept) + _GAP * (len(kept) - 1)
-
-
-def _limited(
-    columns: Sequence[TableColumn], shown: Sequence[Sequence[str]], kept: Sequence[int], enough: Mapping[str, int]
-) -> list[int]:
-    """Return the width of each column, at most what is enough for one that is narrowed as it is."""
-    found = []
-    for number in kept:
-        column, whole = columns[number], columns[number].width(shown[number])
-        found.append(whole if column.narrowed == "never" else min(whole, max(enough[column.narrowed], column.least)))
-    return found
-
-
-def _drop(columns: Sequence[TableColumn], shown: Sequence[Sequence[str]], kept: list[int], room: int) -> list[int]:
-    """Remove the less important columns for which there is not enough room; return these."""
-    dropped: list[int] = []
-
-    def fits(enough: Mapping[str, int], among: Sequence[int]) -> bool:
-        return sum(_limited(columns, shown, among, enough)) + _GAP * (len(among) - 1) <= room
-
-    for enough, sign in ((_COMFORT, 1), (_LEAST, -1)):
-        ranked = [number for number in kept if columns[number].rank * sign > 0]
-        for number in sorted(ranked, key=lambda number: (columns[number].rank, number), reverse=True):
-            if not fits(enough, kept):
-                dropped.append(number)
-                kept.remove(number)
-    for number in reversed(dropped):  # a narrow one may fit, where a wide one was in its way
-        if fits(_COMFORT, more := sorted([*kept, number])):
-            kept[:] = more
-            dropped.remove(number)
-    return dropped
-
-
-def _widths(columns: Sequence[TableColumn], shown: Sequence[Sequence[str]], kept: Sequence[int], room: int) -> list[int]:
-    """Return the widths of columns that share a room."""
-    room -= _GAP * (len(kept) - 1)
-    widths = _limited(columns, shown, kept, _COMFORT)
-    whole = [columns[number].width(shown[number]) for number in kept]
-    for index, number in sorted(enumerate(kept), key=lambda each: columns[each[1]].narrowed):  # "middle" before "words"
-        if columns[number].narrowed != "never":
-            widths[index] += max(min(whole[index] - widths[index], room - sum(widths)), 0)
-    for least in (_LEAST, dict.fromkeys(_LEAST, 1)):  # numbers are whole for as long as there is room for them
-        while sum(widths) > room:
-            spare = [
-                0 if columns[number].narrowed == "never" else width - least[columns[number].narrowed]
-                for width, number in zip(widths, kept, strict=True)
-            ]
-            if max(spare) <= 0:
-                break
-            widths[max(range(len(kept)), key=lambda index: (spare[index] > 0, widths[index]))] -= 1
-    return widths
 
 
 def brief_actor(name: str) -> str:
