@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carla_recap.errors import FormatError, RecapError
+from carla_recap.errors import FormatError, RecapError, RecapWarning
 from carla_recap.roads import find_map
 from carla_recap.roads.network import LIGHT, NONE, STOP, RoadNetwork
 from carla_recap.roads.surfaces import build_network, find_road_network, load_road_network, road_network_of
@@ -203,6 +203,7 @@ def test_many_roads_at_one_point_are_searched_in_bounded_time() -> None:
     road = STRAIGHT_ROAD[STRAIGHT_ROAD.index("<road") : STRAIGHT_ROAD.index("</road>") + 7]
     roads = build_network(f"<OpenDRIVE>{road * 500}</OpenDRIVE>")
     started = time.process_time()
-    found = roads.lanes_at(np.random.default_rng(0).uniform((0, -40), (100, 40), (20_000, 2)))
+    with pytest.warns(RecapWarning, match="parts of lanes within 10 m, 2,048 are looked at"):
+        found = roads.lanes_at(np.random.default_rng(0).uniform((0, -40), (100, 40), (20_000, 2)))
     assert time.process_time() - started < 20
     assert found.on_road.any()

@@ -5,12 +5,15 @@ Units are m, m/s and radians; axes are right-handed: x forward, y left, z up.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+
+from carla_recap.errors import RecapWarning
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -69,8 +72,7 @@ _CELL: Final = 2.0  # m
 _MARGIN: Final = 0.5  # m around the cells of a piece within which it is found
 _MOST_ENTRIES: Final = 4_000_000
 _MOST_CELLS: Final = 4_000_000  # in a table; more are searched
-_MOST_PIECES: Final = 64  # of a cell, in areas of less than a lane's length
-_MOST_FAR_PIECES: Final = 512  # of a cell, in wide areas
+_MOST_PIECES: Final = 2_048  # of a cell; those of 10 m in CARLA's towns have up to 500 within reach
 _BLOCK: Final = 1 << 15  # points that are evaluated together
 _LEVELS: Final = 3.0  # m between roads above each other
 _INSIDE: Final = 1e-3  # m
@@ -176,11 +178,11 @@ class RoadNetwork:
 
     @cached_property
     def _near(self) -> _PieceGrid:
-        return _PieceGrid(self, _CELL, _MARGIN, _MOST_PIECES)
+        return _PieceGrid(self, _CELL, _MARGIN)
 
     @cached_property
     def _far(self) -> _PieceGrid:
-        return _PieceGrid(self, REACH / 2, REACH, _MOST_FAR_PIECES)
+        return _PieceGrid(self, REACH / 2, REACH)
 
 
 _FOUND: Final = np.dtype(
@@ -208,12 +210,11 @@ class _PieceGrid:
         roads: The roads.
         cell: The size of a square in m; larger if there were too many.
         margin: How far outside a square its pieces may be, in m.
-        most: The greatest number of pieces of a square; those beyond it are left out.
     """
 
-    def __init__(self, roads: RoadNetwork, cell: float, margin: float, most: int) -> None:
+    def __init__(self, roads: RoadNetwork, cell: float, margin: float) -> None:
         pieces = roads.pieces
-        self._margin, self._most = margin, most
+        self._margin = margin
         kinds = roads.lanes["kind"][pieces["lane"]]
         self._is_driving = np.isin(kinds, (DRIVING, BOTH_WAYS))
         self._in_junction = roads.lanes["junction"][pieces["lane"]] != NONE
@@ -247,7 +248,10 @@ class _PieceGrid:
         order = np.argsort(2 * cells + ~self._is_driving[piece], kind="stable")
         self._pieces = piece[order]
         self._cells, starts, amounts = np.unique(cells[order], return_index=True, return_counts=True)
-        amounts = np.minimum(amounts, self._most)
+        if amounts.max(initial=0) > _MOST_PIECES:
+            message = f"of {amounts.max():,} parts of lanes within {self._cell:g} m, {_MOST_PIECES:,} are looked at"
+            warnings.warn(message, RecapWarning, stacklevel=2)
+            amounts = np.minimum(amounts, _MOST_PIECES)
         total = self._rows * self._columns
         self._table = None
         self._starts, self._amounts = np.append(starts, 0), np.append(amounts, 0)
