@@ -25,6 +25,10 @@ def test_one_recording_is_a_few_lines() -> None:
     lines = answer("score", CRASH, *BY_ROUTE).splitlines()
     assert lines[0] == "route 1 of Brickfield: Completed"
     assert lines[1] == "score 30.00 = 100.00 % x 0.3000, by the formula of Leaderboard 2.0"
+    assert lines[2] == (
+        "110 m driven in 15.2 s, along a route of 110 m; "
+        "Bench2Drive: no success, efficiency unknown without background vehicles, smoothness 42.86 %"
+    )
     assert lines[3].startswith("    12.10 s  x0.500   Collisions with pedestrians (collisions_pedestrian): Agent collided")
     assert lines[-3:] == [
         f"to see the first: carla-recap view '{CRASH}#t=12.10'",
@@ -55,6 +59,8 @@ def test_many_recordings_are_a_table_with_the_mean() -> None:
     rows = [line.split("\t") for line in answer("score", CRASH, AVOIDED, *BY_ROUTE, "--formula", "2.1").splitlines()]
     assert [row[2] for row in rows] == ["Score", "37.04", "100.00", "68.52", "44.52"]
     assert [row[0] for row in rows[1:]] == [str(CRASH), str(AVOIDED), "mean", "std. deviation"]
+    assert rows[0][-3:] == ["Success", "Efficiency (%)", "Smoothness (%)"]
+    assert [row[-3:] for row in rows[1:]] == [["no", "", "42.86"], ["yes", "", "50.00"], ["50.00 %", "", "46.43"], [""] * 3]
     code, shown, _ = on_terminal("score", CRASH, AVOIDED, *BY_ROUTE)
     assert code == 0
     assert "avoided.mcap" in shown
@@ -72,6 +78,15 @@ def test_json_is_the_form_of_the_leaderboard() -> None:
     assert overall["scores_std_dev"] == {"score_composed": 49.497, "score_route": 0.0, "score_penalty": 0.495}
     assert overall["infractions"]["collisions_pedestrian"] == pytest.approx(1 / 0.219, abs=0.05)
     assert found["values"][0] == "65.0"
+    numbers = [(each["success"], each["driving_efficiency"], each["driving_smoothness"]) for each in (first, second)]
+    assert numbers == [(False, None, 42.857), (True, None, 50.0)]
+    assert first["comfort"]["lateral_acceleration"] == 100.0
+    assert found["_checkpoint"]["bench2drive"] == {
+        "success_rate": 50.0,
+        "driving_efficiency": None,
+        "driving_smoothness": 46.429,
+        "abilities": {"mean": None},
+    }
 
 
 def test_limits_decide_the_exit_code(tmp_path: Path) -> None:

@@ -115,6 +115,13 @@ def test_recordings_are_scored_by_a_route_file(tmp_path):
         "avoided.mcap": 100,
         "crossing.log": None,
     }
+    assert {name: row["success"] for name, row in found.items()} == {
+        "crash.mcap": False,
+        "avoided.mcap": True,
+        "crossing.log": None,
+    }
+    assert found["avoided.mcap"]["driving_smoothness"] == 50
+    assert found["avoided.mcap"]["driving_efficiency"] is None
     assert "is of the map 'Crossing', and the route of" in found["crossing.log"]["warning"]
     assert {row["route_file"] for row in found.values()} == {str(routes)}
     assert found["crash.mcap"]["measured"]

@@ -178,7 +178,7 @@ def _lines(score: Score) -> Iterator[str]:
         product = f"{score.score:.2f} = {score.completion:.2f} % x {score.penalty:.4f}"
     yield f"{visible(name)} of {visible(score.town)}: {score.status}\n"
     yield f"score {product}, by the formula of Leaderboard {score.formula}\n"
-    yield f"{score.driven:.0f} m driven in {score.duration:.1f} s{of_route}\n"
+    yield f"{score.driven:.0f} m driven in {score.duration:.1f} s{of_route}; Bench2Drive: {_driving(score)}\n"
     for each, same in groupby(score.infractions):
         cost, count = _cost(each.kind, each.share, score.formula), len(list(same))
         times = "" if count == 1 else ", counted twice" if count == 2 else f", counted {count} times"
@@ -189,6 +189,14 @@ def _lines(score: Score) -> Iterator[str]:
         yield f"to see the first: carla-recap view {moment}\n"
         yield f"as a picture: carla-recap snapshot {moment} moment.png\n"
         yield f"as a page, at page.html{link}: carla-recap report {recording} page.html\n"
+
+
+def _driving(score: Score) -> str:
+    """Return the numbers of Bench2Drive in words."""
+    efficiency = "unknown without background vehicles" if score.efficiency is None else f"{score.efficiency:.2f} %"
+    smoothness = "unknown" if score.smoothness is None else f"{score.smoothness:.2f} %"
+    success = "" if score.success is None else "success, " if score.success else "no success, "
+    return f"{success}efficiency {efficiency}, smoothness {smoothness}"
 
 
 def _cost(kind: str, share: float, formula: Formula) -> str:
@@ -203,9 +211,9 @@ def _cost(kind: str, share: float, formula: Formula) -> str:
 
 def _print_table(scores: Sequence[Score], form: str | None) -> None:
     """Print a line for each score, and the mean and the standard deviation of all."""
-    from carla_recap.queries.score.checkpoint import means
+    from carla_recap.queries.score.checkpoint import bench2drive, means
 
-    rows = [
+    rows: list[tuple[str, ...]] = [
         (
             visible(each.recording),
             visible(each.route),
@@ -215,20 +223,30 @@ def _print_table(scores: Sequence[Score], form: str | None) -> None:
             f"{each.duration:.1f}",
             each.status,
             _counts(each),
+            "" if each.success is None else "yes" if each.success else "no",
+            _percent(each.efficiency),
+            _percent(each.smoothness),
         )
         for each in scores
     ]
-    averages = means(scores)
+    averages, overall = means(scores), bench2drive(scores)
+    rate = overall["success_rate"]
+    driving = (
+        "" if rate is None else f"{rate:.2f} %",
+        *map(_percent, (overall["driving_efficiency"], overall["driving_smoothness"])),
+    )
     for word, number in (("mean", 0), ("std. deviation", 1)):
         score, completion, penalty = (averages[name][number] for name in ("score", "completion", "penalty"))
         completed = f"{completion:.2f}" if any(each.route for each in scores) else ""
-        rows.append((word, "", f"{score:.2f}", completed, f"{penalty:.3f}", "", "", ""))
+        rows.append(
+            (word, "", f"{score:.2f}", completed, f"{penalty:.3f}", "", "", "", *(("", "", "") if number else driving))
+        )
     if form is None and sys.stdout.isatty():
         from rich.console import Console
 
         from carla_recap.output.terminal import TableColumn, print_table
 
-        numbers = {"Score", "Completion (%)", "Penalty", "Duration (s)"}
+        numbers = {"Score", "Completion (%)", "Penalty", "Duration (s)", "Efficiency (%)", "Smoothness (%)"}
         columns = [TableColumn(name, is_number=name in numbers, **_LOOKS.get(name, {})) for name in _HEADINGS]
         print_table(Console(), columns, rows)
         return
@@ -237,12 +255,22 @@ def _print_table(scores: Sequence[Score], form: str | None) -> None:
         click.echo("\t".join(row))
 
 
-_HEADINGS: Final = ("Recording", "Route", "Score", "Completion (%)", "Penalty", "Duration (s)", "Status", "Infractions")
+def _percent(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}"
+
+
+_HEADINGS: Final = (
+    *("Recording", "Route", "Score", "Completion (%)", "Penalty", "Duration (s)", "Status", "Infractions"),
+    *("Success", "Efficiency (%)", "Smoothness (%)"),
+)
 _LOOKS: Final[Mapping[str, Any]] = {
     "Recording": {"narrowed": "middle"},
     "Status": {"narrowed": "end", "rank": 1},
     "Infractions": {"narrowed": "words"},
     "Duration (s)": {"rank": 2},
+    "Success": {"rank": 3},
+    "Efficiency (%)": {"rank": 4},
+    "Smoothness (%)": {"rank": 4},
 }
 
 

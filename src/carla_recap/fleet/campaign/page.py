@@ -13,7 +13,15 @@ from urllib.parse import quote
 
 from carla_recap.fleet.campaign.plan import SEED, text_of
 from carla_recap.fleet.campaign.report import RUNS, address_from, worst_first
-from carla_recap.fleet.campaign.results import BROKEN_RULES, COLLISIONS, IMPACT_SPEED, SCORE, severity
+from carla_recap.fleet.campaign.results import (
+    BROKEN_RULES,
+    COLLISIONS,
+    EFFICIENCY,
+    IMPACT_SPEED,
+    SCORE,
+    SMOOTHNESS,
+    severity,
+)
 from carla_recap.fleet.pages import document
 from carla_recap.util.resources import viewer_folder
 from carla_recap.util.text import visible
@@ -68,7 +76,8 @@ def campaign_page(rows: Sequence[CampaignRow], folder: Path, measure: Measure, t
     origin = f"{title} · {datetime.now(UTC):%d %B %Y, %H:%M} UTC · carla-recap {version('carla-recap')}"
     has_rules = any(row.broken is not None for row in rows)
     known = {name for row in rows for name in row.results}
-    others = [COLLISIONS, *[BROKEN_RULES] * has_rules, *(each for each in (IMPACT_SPEED, SCORE) if each.name in known)]
+    scores = (each for each in (IMPACT_SPEED, SCORE, EFFICIENCY, SMOOTHNESS) if each.name in known)
+    others = [COLLISIONS, *[BROKEN_RULES] * has_rules, *scores]
     shown = [measure, *(each for each in others if each is not measure)]
     maps = "".join(_heat_map(rows, folder, each) for each in shown)
     main = f"{maps}{_table(rows, folder, shown, has_rules=has_rules)}{_failed(rows)}"

@@ -33,9 +33,15 @@ IMPACT_SPEED: Final = Measure(
     text="the greatest relative speed just before one of these contacts; without a value where it is unknown",
 )
 SCORE: Final = Measure(name="score", unit="", extreme="least", text="the driving score of the Leaderboard")
+EFFICIENCY: Final = Measure(
+    name="driving_efficiency", unit="%", extreme="least", text="the driving efficiency of Bench2Drive"
+)
+SMOOTHNESS: Final = Measure(
+    name="driving_smoothness", unit="%", extreme="least", text="the driving smoothness of Bench2Drive"
+)
 RESULTS: Final[Mapping[str, Measure]] = {
     measure.name: measure
-    for measure in (COLLISIONS, IMPACT_SPEED, BROKEN_RULES, SCORE, *MEASURES.values())
+    for measure in (COLLISIONS, IMPACT_SPEED, BROKEN_RULES, SCORE, EFFICIENCY, SMOOTHNESS, *MEASURES.values())
     if not measure.needs_roads
 }
 """What the runs of a campaign can be compared by, by name."""
@@ -70,15 +76,17 @@ class Scoring:
     route_id: str | None = None
     road_map: str | None = None
 
-    def result(self, recording: Recording) -> Result:
-        """Return the score of a recording, with the time of the first infraction.
+    def results(self, recording: Recording) -> dict[str, Result]:
+        """Return the score of a recording, with the time of the first infraction, and the known numbers of Bench2Drive.
 
         Raises:
             RecapError: It cannot be scored.
         """
         route = None if self.routes is None else route_for(self.routes, recording.reader, self.route_id)
         found = score(recording, route, road_map=self.road_map)
-        return Result(found.score, found.infractions[0].time if found.infractions else None)
+        values = {EFFICIENCY.name: found.efficiency, SMOOTHNESS.name: found.smoothness}
+        driving = {name: Result(value) for name, value in values.items() if value is not None}
+        return {SCORE.name: Result(found.score, found.infractions[0].time if found.infractions else None), **driving}
 
 
 def result_named(name: str) -> Measure:
@@ -146,7 +154,7 @@ def measured(recording: Recording, scoring: Scoring | None = None) -> dict[str, 
             found[row.measure] = Result(row.value, row.time, row.actor)
     if scoring is not None:
         try:
-            found[SCORE.name] = scoring.result(recording)
+            found.update(scoring.results(recording))
         except RecapError as error:
             warnings.warn(f"{error}; it has no score", RecapWarning, stacklevel=2)
     return found

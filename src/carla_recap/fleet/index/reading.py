@@ -120,18 +120,25 @@ def _content(
         "heroes": sum(actor.is_hero for actor in found),
         "parameters": list(recording.header.parameters.items()),
         "route_file": routes[0].path if routes else None,
-        "score": _score(recording, routes, road_map) if routes else None,
+        **(_scores(recording, routes, road_map) if routes else {}),
     }
     return fields, children
 
 
-def _score(recording: Recording, routes: Sequence[Route], road_map: str | None) -> float | None:
-    """Return the driving score of a recording; None, and a warning, if it cannot be scored."""
+def _scores(recording: Recording, routes: Sequence[Route], road_map: str | None) -> dict[str, Any]:
+    """Return the columns of the score of a recording; none, and a warning, if it cannot be scored."""
     try:
-        return score(recording.reader, route_for(routes, recording.reader), ScoreOptions(road_map=road_map)).score
+        found = score(recording.reader, route_for(routes, recording.reader), ScoreOptions(road_map=road_map))
     except RecapError as error:
         warnings.warn(str(error), RecapWarning, stacklevel=2)
-        return None
+        return {}
+    return {
+        "score": found.score,
+        "scenario": found.scenarios[0] if found.scenarios else None,
+        "success": found.success,
+        "driving_efficiency": found.efficiency,
+        "driving_smoothness": found.smoothness,
+    }
 
 
 def _roads(map_name: str, road_map: str | None) -> RoadNetwork | None:

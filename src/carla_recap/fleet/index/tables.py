@@ -46,6 +46,10 @@ class RecordingRow:
         parameters: What the simulation was run with; see `Header.parameters`.
         route_file: The route file by which it was scored; None: it was not.
         score: Its driving score; None if it could not be scored, which `warning` says.
+        scenario: The type of the first scenario of its route; None without one.
+        success: Whether it is a success by Bench2Drive.
+        driving_efficiency: Bench2Drive's driving efficiency in %; None without background vehicles.
+        driving_smoothness: Bench2Drive's driving smoothness in %.
     """
 
     size: int | None
@@ -66,6 +70,10 @@ class RecordingRow:
     parameters: dict[str, str] | None = None
     route_file: str | None = None
     score: float | None = None
+    scenario: str | None = None
+    success: bool | None = None
+    driving_efficiency: float | None = None
+    driving_smoothness: float | None = None
 
     @property
     def lacks_roads(self) -> bool:
@@ -138,7 +146,9 @@ class IndexTable:
         return pa.schema([field(RECORDING, pa.string()), *named])
 
 
-RECORDINGS: Final = IndexTable("recordings", RecordingRow, {"size": "bytes", "duration": "s"})
+RECORDINGS: Final = IndexTable(
+    "recordings", RecordingRow, {"size": "bytes", "duration": "s", "driving_efficiency": "%", "driving_smoothness": "%"}
+)
 CHILDREN: Final = (
     IndexTable("actors", ActorRow, {"spawned_at": "s", "destroyed_at": "s", "bounding_box": "m"}),
     IndexTable("collisions", CollisionRow, Collisions.row_units),

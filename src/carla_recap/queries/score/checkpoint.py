@@ -7,10 +7,11 @@ from statistics import fmean, stdev
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.queries.score.infractions import INFRACTIONS
+from carla_recap.queries.score.scenario_types import abilities
 from carla_recap.queries.score.scoring import COMPLETED, FAILED, PERFECT
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from carla_recap.queries.score.scoring import Score
 
@@ -28,15 +29,20 @@ _LABELS: Final = {
 
 
 def checkpoint(scores: Sequence[Score]) -> dict[str, Any]:
-    """Return scores in the form of the Leaderboard's results, with the recording and the events of each as further fields.
+    """Return scores in the form of the Leaderboard's results, with additional fields.
 
-    The computing time of a drive is unknown, and 0.
+    They are the recording, the events, and the numbers of Bench2Drive. The computing time of a drive is unknown, and 0.
     """
     records = [_record(index, score) for index, score in enumerate(scores)]
     overall = _global_record(scores, records)
     mean, infractions = overall["scores_mean"], overall["infractions"]
     return {
-        "_checkpoint": {"global_record": overall, "progress": [len(scores), len(scores)], "records": records},
+        "_checkpoint": {
+            "global_record": overall,
+            "progress": [len(scores), len(scores)],
+            "records": records,
+            "bench2drive": bench2drive(scores),
+        },
         "entry_status": "Finished",
         "eligible": True,
         "sensors": [],
@@ -52,6 +58,23 @@ def means(scores: Sequence[Score]) -> dict[str, tuple[float, float]]:
         values = [getattr(score, name) for score in scores]
         found[name] = (fmean(values), stdev(values) if len(values) > 1 else 0.0) if values else (0.0, 0.0)
     return found
+
+
+def bench2drive(scores: Sequence[Score]) -> dict[str, Any]:
+    """Return the numbers of Bench2Drive of all scores; None where no score has them."""
+    shown = [each for each in abilities(scores) if each.routes]
+    shares = {each.name: 100 * each.passed / each.routes for each in shown}
+    return {
+        "success_rate": _mean(None if each.success is None else 100.0 * each.success for each in scores),
+        "driving_efficiency": _mean(each.efficiency for each in scores),
+        "driving_smoothness": _mean(each.smoothness for each in scores),
+        "abilities": {**{name: round(share, _DIGITS) for name, share in shares.items()}, "mean": _mean(shares.values())},
+    }
+
+
+def _mean(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return round(fmean(known), _DIGITS) if known else None
 
 
 def _record(index: int, score: Score) -> dict[str, Any]:
@@ -71,6 +94,11 @@ def _record(index: int, score: Score) -> dict[str, Any]:
         "recording": score.recording,
         "formula": score.formula,
         "driven": round(score.driven, _DIGITS),
+        "scenario": score.scenarios[0] if score.scenarios else None,
+        "success": score.success,
+        "driving_efficiency": _mean([score.efficiency]),
+        "driving_smoothness": _mean([score.smoothness]),
+        "comfort": {name: round(share, _DIGITS) for name, share in score.within.items()},
         "events": [
             {
                 "kind": each.kind,

@@ -316,6 +316,23 @@ def _between(one: float, other: float) -> float:
 
 def slow_quarters(drive: Drive, route: PlannedRoute, others: Iterable[Trajectory]) -> Iterator[Infraction]:
     """Yield the quarters of the route along which the hero is slower than the background vehicles."""
+    for end, percentage in traffic_shares(drive, route, others, _QUARTERS):
+        if percentage < 100:
+            text = f"Average speed is {percentage}% of the surrounding traffic's one"
+            yield _infraction("min_speed_infractions", drive, end, text, share=1 - percentage / 100)
+
+
+def traffic_shares(
+    drive: Drive, route: PlannedRoute, others: Iterable[Trajectory], parts: int
+) -> Iterator[tuple[int, float]]:
+    """Yield the frame in which each part of a route ends, and the speed of the hero there in % of that of the traffic.
+
+    Args:
+        drive: The drive of the hero.
+        route: The route.
+        others: The background vehicles.
+        parts: The number of equal parts.
+    """
     sums, counts = np.zeros((2, len(drive)))
     for path in others:
         frames = np.minimum(np.searchsorted(drive.time, path.time - SAME_TIME), len(drive) - 1)
@@ -328,7 +345,7 @@ def slow_quarters(drive: Drive, route: PlannedRoute, others: Iterable[Trajectory
     travelled = route.travelled[route.reached(drive, _WINDOW)]
     first, begin = 0, 0.0
     ends = []
-    while len(over := np.flatnonzero(travelled[first:] - begin > route.length / _QUARTERS)):
+    while len(over := np.flatnonzero(travelled[first:] - begin > route.length / parts)):
         end = first + int(over[0])
         ends.append((first, end))
         first, begin = end, float(travelled[end])
@@ -336,11 +353,7 @@ def slow_quarters(drive: Drive, route: PlannedRoute, others: Iterable[Trajectory
         ends += [(first, len(drive))] * _LAST_COUNTS
     for start, end in ends:
         points, mean = known[start:end].sum(), float(traffic[start:end].sum())
-        percentage = round(float(hero[start:end].sum()) / mean * 100, 2) if points and mean else 100.0
-        if percentage < 100:
-            text = f"Average speed is {percentage}% of the surrounding traffic's one"
-            frame = min(end, len(drive) - 1)
-            yield _infraction("min_speed_infractions", drive, frame, text, share=1 - percentage / 100)
+        yield min(end, len(drive) - 1), round(float(hero[start:end].sum()) / mean * 100, 2) if points and mean else 100.0
 
 
 def _reported_speed(drive: Drive, path: Trajectory, frames: Integers) -> Floats:

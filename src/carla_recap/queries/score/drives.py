@@ -33,6 +33,7 @@ class Drive:
         position: x, y and z in m, right-handed.
         yaw: The heading in radians.
         speed: The speed over the ground in m/s.
+        velocity: The velocity over the ground in m/s, (n, 2); it may be no number.
     """
 
     actor: ActorLife
@@ -40,13 +41,15 @@ class Drive:
     position: Floats
     yaw: Floats
     speed: Floats
+    velocity: Floats
 
     @classmethod
     def of(cls, actor: ActorLife, path: Trajectory) -> Drive:
         """Return the motion of an actor, without frames in which its pose is no number."""
         place = np.stack((path.x, path.y, path.z), axis=1)
         kept = np.isfinite(place).all(axis=1) & np.isfinite(path.yaw)
-        return cls(actor, path.time[kept], place[kept], np.radians(path.yaw[kept]), ground_speed(path)[kept])
+        velocity = np.stack((path.vx, path.vy), axis=1)
+        return cls(actor, path.time[kept], place[kept], np.radians(path.yaw[kept]), ground_speed(path)[kept], velocity[kept])
 
     def __len__(self) -> int:
         return len(self.time)
@@ -54,7 +57,8 @@ class Drive:
     def part(self, first: int, last: int) -> Drive:
         """Return some of the frames, both ends included."""
         rows = slice(first, last + 1)
-        return Drive(self.actor, self.time[rows], self.position[rows], self.yaw[rows], self.speed[rows])
+        values = (self.time, self.position, self.yaw, self.speed, self.velocity)
+        return Drive(self.actor, *(each[rows] for each in values))
 
     @property
     def length(self) -> float:
@@ -102,10 +106,12 @@ class PlannedRoute:
     Attributes:
         points: The points, (n, 3), in m.
         ahead: The driving direction at each, as vectors of length 1, (n, 3).
+        junction: The share of the points in %, counted to a bit behind the first one in a junction; None without one.
     """
 
     points: Floats
     ahead: Floats
+    junction: float | None = None
 
     @classmethod
     def of_drive(cls, drive: Drive) -> PlannedRoute:

@@ -17,6 +17,7 @@ from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.queries.roads import map_file_of
 from carla_recap.queries.score import criteria
 from carla_recap.queries.score.drives import Drive, PlannedRoute
+from carla_recap.queries.score.driving import comfort, efficiency
 from carla_recap.queries.score.infractions import FORMULAS, INFRACTIONS, Formula, Infraction, penalty_of
 from carla_recap.queries.score.route_files import repetition
 from carla_recap.roads.planning import RoutePlanner
@@ -26,6 +27,7 @@ from carla_recap.tables.trajectories import trajectories
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from pathlib import Path
 
     from carla_recap.formats.base import Reader
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
 PERFECT, COMPLETED, FAILED, DRIVEN = "Perfect", "Completed", "Failed", "Driven"
 """The status of a route that is completed without infractions, or with some, or not; and that of a drive without a route."""
 
+_UNPUNISHED: Final = "min_speed_infractions"  # the kind with which a route is a success
+_BEHIND_JUNCTION: Final = 8  # points behind the first one in a junction, by which Bench2Drive has passed it
 _AROUND: Final = 1.0  # s around stop lines in which lights are read
 _DROP: Final = 0.5
 """The height above the road of the first point of a route in m: the evaluator drops the hero there."""
@@ -96,6 +100,12 @@ class Score:
         driven: The distance driven in m.
         start: The elapsed seconds at which the drive begins.
         stop: The elapsed seconds at which it ends.
+        scenarios: The types of the scenarios along the route.
+        efficiency: Bench2Drive's driving efficiency, the speed in % of that of the background vehicles; None without any.
+        smoothness: Bench2Drive's driving smoothness, the windows of 2 s in % in which all quantities are within nuPlan's
+            bounds of comfort; None for a drive that is too short.
+        within: The same for each quantity, by its name in `driving.COMFORT`.
+        junction: The part of the route in % that ends behind its first junction; None without one.
     """
 
     recording: str
@@ -112,6 +122,19 @@ class Score:
     driven: float
     start: float
     stop: float
+    scenarios: tuple[str, ...] = ()
+    efficiency: float | None = None
+    smoothness: float | None = None
+    within: Mapping[str, float] = field(default_factory=dict, repr=False)
+    junction: float | None = None
+
+    @property
+    def success(self) -> bool | None:
+        """Whether the route is completed without infractions, but for those of the minimum speed; None without a route."""
+        if not self.route:
+            return None
+        is_clean = all(infraction.kind == _UNPUNISHED for infraction in self.infractions)
+        return is_clean and self.status in (PERFECT, COMPLETED)
 
     @property
     def duration(self) -> float:
@@ -165,6 +188,7 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
     ]
     counted = [each for each in found if INFRACTIONS[each.kind].counts(options.formula)]
     penalty = penalty_of(counted, options.formula)
+    smooth = comfort(drive.time, drive.velocity, drive.yaw)
     return Score(
         source.location,
         route.id if route else "",
@@ -180,6 +204,11 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
         round(drive.length, 3),
         float(drive.time[0]),
         float(drive.time[-1]),
+        route.scenarios if route else (),
+        efficiency(drive, planned, background),
+        smooth and smooth.smoothness,
+        smooth.within if smooth else {},
+        planned.junction,
     )
 
 
@@ -210,7 +239,9 @@ def _planned(route: Route, town: LaneMap, path: Path) -> PlannedRoute:
         raise RecapError(f"{name}: {error} of {path}") from None
     points = at.position.copy()
     points[0, 2] += _DROP
-    return PlannedRoute(points, at.ahead)
+    junctions = np.flatnonzero(town.in_junction[at.lane])
+    behind = 100 * float(junctions[0] + 1 + _BEHIND_JUNCTION) / len(points) if len(junctions) else None
+    return PlannedRoute(points, at.ahead, behind)
 
 
 @lru_cache(2)

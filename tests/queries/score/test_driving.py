@@ -1,0 +1,203 @@
+"""The numbers of Bench2Drive, of drives made by hand."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from carla_recap.queries.score import ABILITIES, Infraction, Route, Score, abilities, bench2drive
+from carla_recap.queries.score.driving import COMFORT, comfort, comfort_values
+from tests.queries.score.drives import OTHER, ROUTE, Drives, at_speed, vehicle, westward
+
+
+@pytest.fixture
+def drives(tmp_path: Path) -> Drives:
+    return Drives(tmp_path / "drive.mcap")
+
+
+FRAMES = np.arange(0, 8, 0.05)  # s: four windows, whose last one lacks a sample at most
+
+
+def outside(time: Any, velocity: Any, yaw: Any) -> dict[str, float]:
+    """Return the windows in % in which each quantity is outside its bounds, without those in which it never is."""
+    found = comfort(time, velocity, yaw)
+    assert found is not None
+    assert found.smoothness <= min(found.within.values())
+    return {name: 100 - share for name, share in found.within.items() if share < 100}
+
+
+def straight(speed: Any) -> tuple[Any, Any, Any]:
+    return FRAMES, np.stack((speed, 0 * speed), axis=1), np.zeros(len(speed))
+
+
+def turning(speed: float, yaw: Any) -> tuple[Any, Any, Any]:
+    return FRAMES, speed * np.stack((np.cos(yaw), np.sin(yaw)), axis=1), yaw
+
+
+def test_a_constant_speed_is_smooth() -> None:
+    assert outside(*straight(np.full(len(FRAMES), 12.0))) == {}
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "is_outside"), [(2.3, False), (2.5, True), (-4.0, False), (-4.1, True)], ids=lambda value: str(value)
+)
+def test_accelerations_have_bounds(acceleration: float, is_outside: bool) -> None:
+    expected = {"longitudinal_acceleration": 100} if is_outside else {}
+    assert outside(*straight(40 + acceleration * FRAMES)) == expected
+
+
+def test_a_window_counts_as_a_whole() -> None:
+    """Braking with 5 m/s² from 2.5 to 3.5 s is in the second of four windows; it begins and ends with a jerk."""
+    found = outside(*straight(20 - 5 * np.clip(FRAMES - 2.5, 0, 1)))
+    assert found == pytest.approx({"longitudinal_acceleration": 25, "longitudinal_jerk": 25, "jerk": 25})
+
+
+def out(along: Any, aside: Any, turning: Any) -> set[str]:
+    """Return what is out of bounds in a window of samples of accelerations and yaw rates."""
+    values = comfort_values(*(np.broadcast_to(each, np.shape(along)) for each in (along, aside, turning)))
+    bounds = COMFORT.items()
+    return {name for name, (least, most) in bounds if not ((values[name] > least) & (values[name] < most)).all()}
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_slopes_have_bounds(sign: int) -> None:
+    """An even growth over ten samples, or six, with nothing else out of bounds."""
+    ten, six = sign * 0.1 * (np.arange(10) - 4.5), 0.1 * np.arange(6)
+    assert out(4.0 * ten, 3.0, 0.0) == set()
+    assert out(4.3 * ten, 3.0, 0.0) == {"longitudinal_jerk"}
+    assert out(0 * six, sign * 8.2 * six, 0.0) == set()
+    assert out(0 * six, sign * 8.5 * six, 0.0) == {"jerk"}
+    assert out(0 * ten, 0.0, 1.8 * ten) == set()
+    assert out(0 * ten, 0.0, 2.0 * ten) == {"yaw_acceleration"}
+
+
+def test_windows_are_complete() -> None:
+    values = comfort_values(np.arange(59.0), np.zeros(59), np.zeros(59))
+    assert values["longitudinal_acceleration"] == pytest.approx(np.arange(40.0).reshape(2, 20))
+
+
+@pytest.mark.parametrize(
+    ("speed", "radius", "expected"),
+    [
+        (8.0, 16.0, {}),  # 4 m/s² and 0.5 rad/s
+        (10.0, 16.0, {"lateral_acceleration": 100}),  # 6.25 m/s²
+        (4.0, 4.0, {"yaw_rate": 100}),  # 1 rad/s and 4 m/s²
+        (-4.0, 4.0, {"yaw_rate": 100}),
+    ],
+)
+def test_curves_have_bounds(speed: float, radius: float, expected: dict[str, float]) -> None:
+    found = outside(*turning(speed, speed / radius * FRAMES))
+    assert found == expected
+
+
+def test_headings_may_pass_180_degrees() -> None:
+    time, velocity, yaw = turning(8.0, 0.5 * FRAMES)
+    assert outside(time, velocity, np.remainder(yaw + np.pi, 2 * np.pi) - np.pi) == {}
+
+
+def test_what_says_nothing_about_comfort() -> None:
+    time, velocity, yaw = straight(np.full(len(FRAMES), 12.0))
+    assert comfort(time[:3], velocity[:3], yaw[:3]) is None  # 0.1 s
+    assert comfort(time[:5], velocity[:5], yaw[:5]) is not None
+    assert comfort(time[:0], velocity[:0], yaw[:0]) is None
+    assert comfort(time * 400, velocity, yaw) is None  # a frame in 20 s
+    assert comfort(time, np.full_like(velocity, np.nan), yaw) is None
+    velocity[40:44] = np.nan
+    assert outside(time, velocity, yaw) == {}
+
+
+def test_efficiency_is_the_speed_against_the_traffic(drives: Drives) -> None:
+    """The hero drives 10 m/s on the first half, and 6 m/s on the second; a vehicle of the traffic has 8 m/s beside it."""
+    speeds = at_speed(10, 50) + at_speed(6, 51)
+    traffic = {OTHER: (vehicle(OTHER, "background"), westward([8.0] * len(speeds), y=5.25))}
+    found = drives(westward(speeds), others=traffic)
+    assert found.efficiency == pytest.approx((10 * 125 + 11 * 75) / 21, abs=1.5)  # the last of twenty parts counts twice
+    assert found.smoothness is not None
+    assert found.smoothness < 100
+    parked = {OTHER: (vehicle(OTHER, "parked"), westward([8.0] * len(speeds), y=5.25))}
+    assert drives(westward(speeds), others=parked).efficiency is None
+    slow = {OTHER: (vehicle(OTHER, "background"), westward([0.5] * len(speeds), y=5.25))}
+    assert drives(westward(speeds), others=slow).efficiency is None  # above 1,000 %
+
+
+def test_a_route_with_a_slow_quarter_is_a_success(drives: Drives) -> None:
+    speeds = at_speed(6, 101)
+    traffic = {OTHER: (vehicle(OTHER, "background"), westward([8.0] * len(speeds), y=5.25))}
+    found = drives(westward(speeds), others=traffic)
+    assert found.status == "Completed"
+    assert {each.kind for each in found.infractions} == {"min_speed_infractions"}
+    assert found.success is True
+    assert drives(westward(at_speed(10, 50))).success is False
+    assert drives(westward(speeds), route=None).success is None
+    hit = {OTHER: (vehicle(OTHER, "parked"), [(200.0, 1.75, 0.0)] * len(speeds))}
+    assert drives(westward(speeds), others=hit, touches=[(60, OTHER)]).success is False
+
+
+def test_the_scenario_is_that_of_the_route(drives: Drives) -> None:
+    route = Route("1", "Brickfield", ROUTE.positions, ("Accident", "ControlLoss"))
+    assert drives(westward(at_speed(10, 101)), route=route).scenarios == ("Accident", "ControlLoss")
+
+
+def scored(scenario: str, *kinds: str, completion: float = 100.0, junction: float | None = None) -> Score:
+    infractions = tuple(Infraction(kind, 1.0, 0.0, 0.0, 0.0, None, "", 1.0, "") for kind in kinds)
+    status = "Failed" if completion < 100 else "Completed"
+    numbers = (completion, completion, 1.0, infractions, 100.0, 100.0, 0.0, 10.0)
+    return Score("a.mcap", "1", 0, "Town01", "2.0", status, *numbers, (scenario,), 120.0, 50.0, {}, junction)
+
+
+def test_abilities_are_those_of_the_first_scenario() -> None:
+    found = abilities([scored("Accident"), scored("Accident", "red_light"), scored("EnterActorFlow"), scored("Unknown")])
+    assert [(each.name, each.passed, each.routes) for each in found] == [
+        ("Overtaking", 1, 2),
+        ("Merging", 1, 1),
+        ("Emergency_Brake", 0, 0),
+        ("Give_Way", 0, 0),
+        ("Traffic_Signs", 1, 1),
+    ]
+    assert list(ABILITIES) == [each.name for each in found]
+
+
+@pytest.mark.parametrize(
+    ("kinds", "completion", "junction", "passed"),
+    [
+        (("collisions_vehicle",), 60.0, 40.0, 1),
+        (("collisions_vehicle",), 40.0, 40.0, 0),
+        (("collisions_vehicle",), 60.0, None, 0),
+        (("red_light",), 60.0, 40.0, 0),
+        (("stop_infraction",), 100.0, 40.0, 0),
+    ],
+)
+def test_signs_count_up_to_the_first_junction(
+    kinds: tuple[str, ...], completion: float, junction: float | None, passed: int
+) -> None:
+    found = abilities([scored("T_Junction", *kinds, completion=completion, junction=junction)])
+    assert [each for each in found if each.routes] == [("Traffic_Signs", passed, 1)]
+
+
+def test_the_junction_is_that_of_the_route(drives: Drives) -> None:
+    """The junction begins at x = 132.5, behind 23 points each metre, which Bench2Drive takes for passed 8 points later."""
+    route = Route("1", "Brickfield", np.array([(155.0, 1.75, 0.0), (80.0, 1.75, 0.0)]))
+    found = drives(westward(at_speed(10, 75), start=155.0), route=route)
+    assert found.junction == pytest.approx(100 * (23 + 8) / 76, abs=3)
+    assert drives(westward(at_speed(10, 101))).junction is None
+
+
+def test_numbers_of_many_are_means() -> None:
+    assert bench2drive([scored("Accident"), scored("Accident", "red_light")]) == {
+        "success_rate": 50.0,
+        "driving_efficiency": 120.0,
+        "driving_smoothness": 50.0,
+        "abilities": {"Overtaking": 50.0, "mean": 50.0},
+    }
+    nothing = {"success_rate": None, "driving_efficiency": None, "driving_smoothness": None, "abilities": {"mean": None}}
+    assert bench2drive([]) == nothing
+
+
+def test_the_documentation_has_the_bounds() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "scores.md").read_text("utf-8")
+    rows = re.findall(r"^\| `(\w+)`[^|]*\| [^|]+ \| (-[\d.]+) \| ([\d.]+) \|$", text, re.MULTILINE)
+    assert {name: (float(least), float(most)) for name, least, most in rows} == COMFORT
