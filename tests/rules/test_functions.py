@@ -15,8 +15,7 @@ from carla_recap.fleet.check import check_sources
 from carla_recap.fleet.sources import find_sources
 from carla_recap.rules.rule_sets import RulesError
 from tests.cli.command import run
-from tests.fleet.test_rules import SAMPLES
-from tests.samples import save
+from tests.samples import SAMPLES, save
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,8 +11,8 @@ from carla_recap import check, open_recording
 from carla_recap.queries.measures import MEASURES, MeasureSearch
 from carla_recap.queries.roads import roads_of
 from carla_recap.rules.rule_sets import parse_rules
-from tests.fleet.test_rules import SAMPLES
 from tests.rules.conftest import HERO, TICK, Judge, straight
+from tests.samples import SAMPLES
 
 if TYPE_CHECKING:
     from carla_recap import Verdict

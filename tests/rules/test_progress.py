@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 
-from carla_recap import open_recording
-from carla_recap.rules.rule_sets import check, make_rules
-from tests.fleet.test_rules import SAMPLES
+from carla_recap import ActorKind, RecapWarning, Spawn, attributes, create_recording, open_recording
+from carla_recap.rules.rule_sets import check, make_rules, parse_rules
 from tests.rules.conftest import HERO, Judge, straight
+from tests.samples import SAMPLES
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 DRIVE = straight(10, 12)
 
@@ -115,6 +120,33 @@ def test_a_place_is_reached_between_two_frames(judge: Judge) -> None:
     found = judge('reaches = { of = "hero", x = 52.5, y = -1.75, within = "30 cm" }', straight(50, 2))
     assert found.status == "pass"
     assert "at 1.05 s" in found.message
+
+
+@pytest.mark.parametrize("x", [14.77, 45.0, 89.3])
+def test_a_place_is_reached_between_frames_that_are_far_apart(tmp_path: Path, x: float) -> None:
+    """A car drives 90 m from one frame to the next, a second later."""
+    with open_recording(fast_drive(tmp_path, [0.0, 1.0, 2.0], 90.0)) as recording:
+        (verdict,) = check(
+            recording, parse_rules(f"[rules.it]\nreaches = {{ x = {x}, y = 0, within = '30 cm' }}", "rules.toml")
+        )
+    assert verdict.status == "pass"
+
+
+def test_steps_that_are_too_long_for_places_in_between_are_said(tmp_path: Path) -> None:
+    rules = parse_rules("[rules.it]\nreaches = { x = 14.77, y = 0, within = '30 cm' }", "rules.toml")
+    said = "hero moves 900 m from 0.00 to 10.00 s; of steps of more than 128 m, some places in between are not judged"
+    with open_recording(fast_drive(tmp_path, [0.0, 10.0, 20.0], 90.0)) as recording, pytest.warns(RecapWarning, match=said):
+        check(recording, rules)
+
+
+def fast_drive(folder: Path, times: list[float], speed: float) -> Path:
+    """Write a recording of the hero, which drives along x at a speed in m/s."""
+    hero = Spawn(1, ActorKind.VEHICLE, type_id="vehicle.a", attributes=attributes(role_name="hero"))
+    with create_recording(folder / "fast.mcap", map_name="Straight") as recorder:
+        for time in times:
+            transforms = {"id": [1], "x": [100 * speed * time], "y": [0.0], "z": [0.0]}
+            recorder.add_frame(time, transforms=transforms, **({} if time else {"spawned": [hero]}))
+    return folder / "fast.mcap"
 
 
 def test_a_jump_is_no_drive(judge: Judge) -> None:

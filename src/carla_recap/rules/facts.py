@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from carla_recap.errors import RecapError
+from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import HERO, ROAD_USERS, ActorLives
 from carla_recap.model.presence import RoadHeights
@@ -20,6 +21,7 @@ from carla_recap.queries.recorded_actors import actors, never_there
 from carla_recap.queries.roads import roads_of
 from carla_recap.rules.values import ANY, OBJECT
 from carla_recap.tables.trajectories import Trajectory, trajectories
+from carla_recap.util.text import number
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
@@ -38,7 +40,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _APART: Final = 0.5  # m between positions
-_MOST_BETWEEN: Final = 64  # positions from one frame to the next
+_MAX_STEP: Final = 128.0  # m from one frame to the next, in which there are positions in between: 100 m/s, 1 s apart
 
 
 class Offence(NamedTuple):
@@ -272,12 +274,23 @@ class Facts:
         if len(points) < 2:
             return Positions(trajectory.time, points, np.zeros(len(points)))
         steps = trajectory.steps
-        counts = np.clip(np.ceil(np.nan_to_num(steps) / _APART), 1, _MOST_BETWEEN).astype(np.int64)
+        self._warn_of_long_steps(life, trajectory.time, steps)
+        counts = np.clip(np.ceil(np.nan_to_num(steps) / _APART), 1, _MAX_STEP / _APART).astype(np.int64)
         row = np.repeat(np.arange(len(steps)), counts)
         share = (np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)) / counts[row]
         values = np.column_stack((trajectory.time, points, np.append(0.0, np.cumsum(np.nan_to_num(steps)))))
         dense = np.concatenate((values[row] + share[:, None] * (values[row + 1] - values[row]), values[-1:]))
         return Positions(dense[:, 0], dense[:, 1:4], dense[:, 4])
+
+    def _warn_of_long_steps(self, life: ActorLife, time: Floats, steps: Floats) -> None:
+        """Warn if places between two frames may be missed, which are too far apart."""
+        long = np.flatnonzero(steps > _MAX_STEP)
+        if len(long):
+            first = (
+                f"{life.name} moves {number(float(steps[long[0]]))} m from {time[long[0]]:.2f} to {time[long[0] + 1]:.2f} s"
+            )
+            text = f"{first}; of steps of more than {_MAX_STEP:g} m, some places in between are not judged"
+            warnings.warn(f"{self.recording.location}: {text}", RecapWarning, stacklevel=2)
 
     @property
     def _trajectories(self) -> Trajectories:
