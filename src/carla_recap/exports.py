@@ -261,11 +261,12 @@ def _map_for(
     write: Callable[..., Any], recording: Recording, path: Path | str | None, options: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Return the map of the town as an argument of a function: its roads, or its file."""
-    from carla_recap.replay.recorded_map import find_map_of, load_map_of
+    from carla_recap.queries.roads import find_map_of
+    from carla_recap.replay.recorded_map import load_map_of
     from carla_recap.roads import load_map
 
     if "opendrive" in inspect.signature(write).parameters:
-        return {"opendrive": find_map_of(recording, path)}
+        return {"opendrive": find_map_of(recording.reader, path)}
     start, duration = options.get("start", 0.0), options.get("duration", 0.0)
     return {"road_map": load_map_of(recording, path, load_map, lambda corridors: corridors, start, duration)}
 

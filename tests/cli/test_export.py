@@ -85,7 +85,7 @@ def test_a_camera_for_each_actor(tmp_path):
         (("out.mcap", "--cameras", "cameras"), "--cameras"),
         (("out.rrd", "--map", "missing.xodr"), "missing.xodr: No such file or directory"),
         (("out.rrd", "--map", "broken.xodr"), "broken.xodr: "),
-        (("out.rrd", "--map", "."), ".: no .xodr for the map 'Crossing'"),
+        (("out.rrd", "--map", "."), "crossing.log: no .xodr in . for the map 'Crossing'"),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(value),
 )

@@ -156,6 +156,6 @@ def town_of(recording: Recording, path: str | None, start: float = 0.0, duration
 
 def map_file_of(recording: Recording, path: str | None) -> Path | None:
     """Return the OpenDRIVE file of a recording's town; None if it is unknown; see `road_map_of`."""
-    from carla_recap.replay.recorded_map import find_map_of
+    from carla_recap.queries.roads import find_map_of
 
-    return find_map_of(recording, path)
+    return find_map_of(recording.reader, path)

@@ -34,7 +34,7 @@ def roads_of(
     """
     from carla_recap.roads import load_road_network
 
-    found = _map_file(source, road_map, needed=needed or road_map is not None)
+    found = find_map_of(source, road_map, needed=needed)
     return None if found is None else load_road_network(found, lane_types)
 
 
@@ -48,24 +48,32 @@ def map_file_of(source: Reader, road_map: str | None = None) -> Path:
     Raises:
         RecapError: The map is unknown, or the given folder does not have it.
     """
-    found = _map_file(source, road_map, needed=True)
+    found = find_map_of(source, road_map, needed=True)
     assert found is not None
     return found
 
 
-def _map_file(source: Reader, road_map: str | None, *, needed: bool) -> Path | None:
+def find_map_of(source: Reader, road_map: Path | str | None = None, *, needed: bool = False) -> Path | None:
+    """Return the OpenDRIVE file of a recording's map; None if it is unknown.
+
+    Args:
+        source: The recording, whose map name is looked for.
+        road_map: The map, or the folder to look in; None: the usual folders.
+        needed: Whether an unknown map is an error.
+
+    Raises:
+        RecapError: The map is needed and unknown, or the given folder does not have it.
+    """
     from carla_recap.roads import find_map
 
     name = source.header.map_name
     if road_map is not None and not Path(road_map).is_dir():
         return Path(road_map)
     found = find_map(name, road_map)
+    if found is None and road_map is not None:
+        raise RecapError(f"{source.location}: no .xodr in {road_map} for the map {name!r}")
     if found is None and needed:
-        if road_map is None:
-            raise RecapError(f"{source.location}: {_unknown(name)}, but its roads are needed; {WHERE_MAPS}")
-        raise RecapError(
-            f"{source.location}: there is no .xodr in {road_map} for the map {name!r}, but its roads are needed"
-        )
+        raise RecapError(f"{source.location}: {_unknown(name)}, but its roads are needed; {WHERE_MAPS}")
     return found
 
 

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import math
 import warnings
-from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.kinematics import place_in_metres
+from carla_recap.queries.roads import find_map_of
 from carla_recap.replay.player import Player
 from carla_recap.replay.pose import LOCATION, right_handed
 from carla_recap.roads.corridors import POSE, corridor_map, corridor_opendrive
-from carla_recap.roads.find import find_map, plain_name
+from carla_recap.roads.find import plain_name
 from carla_recap.tables.trajectories import actor_rows
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
@@ -33,25 +34,6 @@ LONGEST_DRIVEN: Final = 1800.0
 _LINES: Final = ("junctions", "centre_lines", "lane_borders", "crossings", "stop_lines")  # of a map
 _MARGIN: Final = 100.0  # m; the distance from a map at which an actor is still on it
 _AT_ONCE: Final = 10.0  # s in which a first pose is looked for
-
-
-def find_map_of(recording: Recording, path: Path | str | None) -> Path | None:
-    """Return the OpenDRIVE file of a recording's town; None if it is unknown.
-
-    Args:
-        recording: The recording; its map name is looked for.
-        path: The map, or the folder to look in; None: the usual folders.
-
-    Raises:
-        RecapError: The given folder has no such map.
-    """
-    name = recording.header.map_name
-    if path is not None and not Path(path).is_dir():
-        return Path(path)
-    found = find_map(name, path)
-    if found is None and path is not None:
-        raise RecapError(f"{path}: no .xodr for the map {name!r}")
-    return found
 
 
 def load_map_of(
@@ -80,7 +62,7 @@ def load_map_of(
     Raises:
         RecapError: The given folder has no such map, or the map is damaged.
     """
-    found = find_map_of(recording, path)
+    found = find_map_of(recording.reader, path)
     if found is None:
         try:
             begin = max(start if start >= 0 else recording.info.duration + start, 0.0)

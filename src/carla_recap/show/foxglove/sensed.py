@@ -22,9 +22,9 @@ from carla_recap.formats.base import Topic
 from carla_recap.formats.mcap.schema import LogClock
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.model.lives import HERO
+from carla_recap.queries.roads import find_map_of
 from carla_recap.recording import open_recording
 from carla_recap.replay import Player
-from carla_recap.replay.recorded_map import find_map_of
 from carla_recap.roads import load_map
 from carla_recap.scene.description import Uncut
 from carla_recap.sensors.messages import SensorMessages
@@ -124,7 +124,7 @@ def export_sensed(
         moments = sensed_frames(source, rig, replace(sensing, start=0.0, duration=0.0), progress, uncut)
         stack.enter_context(closing(moments))
         messages = SensorMessages(rig, source.header, video=video)
-        found = find_map_of(source, sensing.road_map)
+        found = find_map_of(source.reader, sensing.road_map)
         player = Player(source, follow=sensing.actor)
         scenes = RecordingMessages(source, player, None if found is None else load_map(found), uncut=uncut)
         known = source.reader.further_topics()
