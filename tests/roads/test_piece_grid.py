@@ -1,4 +1,4 @@
-"""The squares in which lanes are looked for: with a table of all squares, and without."""
+"""The squares in which lanes are looked for."""
 
 from __future__ import annotations
 
@@ -13,19 +13,6 @@ from carla_recap.roads import find_road_network, network
 from carla_recap.roads.surfaces import road_network_of
 from tests.roads.towns import lane, opendrive, road, section
 from tests.twins.lane_positions import lane_position
-
-
-def test_lanes_are_the_same_without_a_table_of_all_squares(monkeypatch):
-    rng = np.random.default_rng(1)
-    points = np.append(rng.uniform(-400, 400, (2_000, 2)), [[1e6, 1e6], [-1e6, -1e6], [1e6, 0]], axis=0)
-    points = np.column_stack((points, np.zeros(len(points))))
-    roads = find_road_network("Brickfield")
-    expected = replace(roads).lanes_at(points)
-    monkeypatch.setattr(network, "_MOST_CELLS", 0)
-    found = replace(roads).lanes_at(points)
-    assert (found.lane >= 0).any()
-    for name in ("lane", "offset", "outside"):
-        assert np.array_equal(getattr(found, name), getattr(expected, name), equal_nan=True)
 
 
 def assert_as_one_by_one(roads, points, headings):
@@ -60,4 +47,11 @@ def test_of_hundreds_of_lanes_around_a_point_the_nearest_counts():
         opendrive(*(road(n, x=east, y=north, length=1.2, sections=parked) for n, (east, north) in places))
     )
     points = np.array([(20.0, 55.0), (20.0, 43.0), (55.0, 20.0), (-9.0, 20.0), (20.0, -9.0)])
+    assert_as_one_by_one(roads, points, None)
+
+
+def test_the_squares_of_a_map_with_many_parts_are_larger(monkeypatch):
+    monkeypatch.setattr(network, "_MOST_ENTRIES", 4_000)
+    roads = replace(find_road_network("Brickfield"))
+    points = np.random.default_rng(1).uniform((0, 0), (330, 260), (60, 2))
     assert_as_one_by_one(roads, points, None)

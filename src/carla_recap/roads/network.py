@@ -8,7 +8,6 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -71,7 +70,6 @@ REACH: Final = 20.0
 _CELL: Final = 2.0  # m
 _MARGIN: Final = 0.5  # m around the cells of a piece within which it is found
 _MOST_ENTRIES: Final = 4_000_000
-_MOST_CELLS: Final = 4_000_000  # in a table; more are searched
 _MOST_PIECES: Final = 2_048  # of a cell; those of 10 m in CARLA's towns have up to 500 within reach
 _BLOCK: Final = 1 << 15  # points that are evaluated together
 _LEVELS: Final = 3.0  # m between roads above each other
@@ -204,7 +202,7 @@ _NEAR: Final = np.dtype(
 
 
 class _PieceGrid:
-    """The pieces of lanes by the squares of a grid, each in all squares near it; or in its own, if it were too many.
+    """The pieces of lanes by the squares of a grid, each in all squares near it.
 
     Args:
         roads: The roads.
@@ -221,17 +219,13 @@ class _PieceGrid:
         self._lane, self._limit = pieces["lane"].astype(np.int64), pieces["limit"]
         self._shapes = _Shapes(pieces)
         low, high = _bounds(pieces)
-        self._around, within = [(0, 0)], margin
         self._origin = low.min(axis=0, initial=0.0) - margin
         while True:
-            first = np.floor((low - within - self._origin) / cell).astype(np.int64)
-            counts = np.floor((high + within - self._origin) / cell).astype(np.int64) - first + 1
+            first = np.floor((low - margin - self._origin) / cell).astype(np.int64)
+            counts = np.floor((high + margin - self._origin) / cell).astype(np.int64) - first + 1
             if counts.prod(axis=1).sum() <= _MOST_ENTRIES:
                 break
-            if within > cell:  # large maps
-                self._around, within, cell = list(product((0, -1, 1), (0, -1, 1))), 0.0, margin
-            else:
-                cell *= 2
+            cell *= 2
         self._cell = cell
         self._rows = int((first + counts)[:, 1].max(initial=1))
         self._columns = int((first + counts)[:, 0].max(initial=1))
@@ -247,17 +241,13 @@ class _PieceGrid:
         cells += first[:, 1][piece] + number % rows
         order = np.argsort(2 * cells + ~self._is_driving[piece], kind="stable")
         self._pieces = piece[order]
-        self._cells, starts, amounts = np.unique(cells[order], return_index=True, return_counts=True)
+        filled, starts, amounts = np.unique(cells[order], return_index=True, return_counts=True)
+        self._cells = np.append(filled, np.iinfo(np.int64).max)  # the last one has no pieces
         if amounts.max(initial=0) > _MOST_PIECES:
             message = f"of {amounts.max():,} parts of lanes within {self._cell:g} m, {_MOST_PIECES:,} are looked at"
             warnings.warn(message, RecapWarning, stacklevel=2)
             amounts = np.minimum(amounts, _MOST_PIECES)
-        total = self._rows * self._columns
-        self._table = None
         self._starts, self._amounts = np.append(starts, 0), np.append(amounts, 0)
-        if total <= _MOST_CELLS:
-            self._table = np.full(total, len(self._cells), np.int32)
-            self._table[self._cells] = np.arange(len(self._cells))
 
     def find(self, points: Floats, headings: Floats | None) -> NDArray[np.void]:
         """Return the lanes at points; see `RoadNetwork.lanes_at`."""
@@ -272,14 +262,7 @@ class _PieceGrid:
         return found
 
     def _find(self, points: Floats, headings: Floats | None, found: NDArray[np.void]) -> None:
-        near = self._search(points, headings, self._around[0])
-        for step in self._around[1:]:
-            other = self._search(points, headings, step)
-            better = other["cost"] < near["cost"]
-            outside = np.fmin(near["outside"], other["outside"])
-            in_junction = near["in_junction"] | other["in_junction"]
-            near[better] = other[better]
-            near["outside"], near["in_junction"] = outside, in_junction
+        near = self._search(points, headings)
         known = np.flatnonzero((near["piece"] != NONE) & (near["beside"] <= self._margin))
         piece = near["piece"][known]
         found["lane"][known], found["limit"][known] = self._lane[piece], self._limit[piece]
@@ -288,9 +271,9 @@ class _PieceGrid:
         found["in_junction"] = near["in_junction"]
         found["outside"] = np.where(near["outside"] <= self._margin, near["outside"], np.inf)
 
-    def _search(self, points: Floats, headings: Floats | None, step: tuple[int, int]) -> NDArray[np.void]:
-        """Return the nearest pieces of the cells some steps from points."""
-        slots = self._slots(points, step)
+    def _search(self, points: Floats, headings: Floats | None) -> NDArray[np.void]:
+        """Return the nearest pieces of the cells of points."""
+        slots = self._slots(points)
         starts, amounts = self._starts[slots], self._amounts[slots]
         shapes = self._shapes
         best = np.full(len(points), np.inf)
@@ -320,19 +303,14 @@ class _PieceGrid:
         near["outside"][order], near["in_junction"][order] = outside, in_junction
         return near
 
-    def _slots(self, points: Floats, step: tuple[int, int]) -> Integers:
-        """Return the index of the cell some steps from each point among those that have pieces; the last one for none."""
-        none = len(self._cells)
-        grid = np.floor((points[:, :2] - self._origin) / self._cell) + step
+    def _slots(self, points: Floats) -> Integers:
+        """Return the index of the cell of each point among those that have pieces; the last one for none."""
+        grid = np.floor((points[:, :2] - self._origin) / self._cell)
         within = ((grid >= 0) & (grid < (self._columns, self._rows))).all(axis=1)
         grid = np.where(within[:, None], grid, 0).astype(np.int64)
         cells = grid[:, 0] * self._rows + grid[:, 1]
-        if self._table is not None:
-            slots = self._table[cells].astype(np.int64)
-        else:
-            slots = np.minimum(np.searchsorted(self._cells, cells), none - 1)
-            slots = np.where(self._cells[slots] == cells, slots, none)
-        return np.where(within, slots, none)
+        slots = np.searchsorted(self._cells, cells)
+        return np.where(within & (self._cells[slots] == cells), slots, len(self._cells) - 1)
 
 
 class _Shapes:
