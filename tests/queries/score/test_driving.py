@@ -108,6 +108,8 @@ def test_what_says_nothing_about_comfort() -> None:
     assert comfort(time, np.full_like(velocity, np.nan), yaw) is None
     velocity[40:44] = np.nan
     assert outside(time, velocity, yaw) == {}
+    time = np.append(time, [np.nan, np.inf])
+    assert outside(time, np.vstack((velocity, velocity[-2:])), np.append(yaw, [0, 0])) == {}
 
 
 def test_efficiency_is_the_speed_against_the_traffic(drives: Drives) -> None:
@@ -133,6 +135,7 @@ def test_a_route_with_a_slow_quarter_is_a_success(drives: Drives) -> None:
     assert found.success is True
     assert drives(westward(at_speed(10, 50))).success is False
     assert drives(westward(speeds), route=None).success is None
+    assert len({found, found}) == 1
     hit = {OTHER: (vehicle(OTHER, "parked"), [(200.0, 1.75, 0.0)] * len(speeds))}
     assert drives(westward(speeds), others=hit, touches=[(60, OTHER)]).success is False
 

@@ -71,13 +71,13 @@ def comfort(time: Floats, velocity: Floats, yaw: Floats) -> Comfort | None:
 
     Args:
         time: The times in s, ascending, (n,).
-        velocity: The velocities over the ground in m/s, (n, 2); rows that are no numbers do not count.
+        velocity: The velocities over the ground in m/s, (n, 2); rows whose time or velocity is no number do not count.
         yaw: The headings in radians, (n,).
 
     Returns:
         The comfort; None for less than 0.2 s, or a motion with less than a frame in 10 s.
     """
-    known = np.isfinite(velocity).all(axis=1)
+    known = np.isfinite(velocity).all(axis=1) & np.isfinite(time)
     time, velocity, yaw = time[known], velocity[known], yaw[known]
     samples = int((time[-1] - time[0]) / _STEP + 1e-6) + 1 if len(time) else 0  # the end counts in spite of rounding
     if not _MIN_SAMPLES <= samples <= _MAX_SAMPLES * len(time):

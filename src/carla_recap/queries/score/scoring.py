@@ -125,7 +125,7 @@ class Score:
     scenarios: tuple[str, ...] = ()
     efficiency: float | None = None
     smoothness: float | None = None
-    within: Mapping[str, float] = field(default_factory=dict, repr=False)
+    within: Mapping[str, float] = field(default_factory=dict, repr=False, hash=False)
     junction: float | None = None
 
     @property
