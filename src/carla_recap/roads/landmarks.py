@@ -92,9 +92,9 @@ def _beside_the_road(roads: TownRoads, found: list[tuple[Landmark, str]]) -> lis
         if not len(left):
             break
         turns[left] = at.heading[near]
-        outwards = np.array([-1.0 if lanes.lanes[lane].id < 0 else 1.0 for lane in at.lane[near].tolist()])
-        outwards *= np.array([-1.0 if lanes.lanes[lane].reverse else 1.0 for lane in at.lane[near].tolist()])
-        step = outwards * _STEP_ASIDE * at.width[near]
+        beside = [lanes.lanes[lane] for lane in at.lane[near].tolist()]
+        leftwards = np.array([1.0 if (lane.id > 0) != lane.reverse else -1.0 for lane in beside])
+        step = leftwards * _STEP_ASIDE * at.width[near]
         moved[left, 0] -= step * np.sin(turns[left])
         moved[left, 1] += step * np.cos(turns[left])
     return [

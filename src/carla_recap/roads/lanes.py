@@ -104,6 +104,9 @@ class TownRoads:
         content: The content of the OpenDRIVE file.
         most_lanes: The largest number of lanes.
 
+    Attributes:
+        roads: The roads by their ids, in CARLA's order.
+
     Raises:
         ValueError: It has more lanes.
     """
@@ -181,7 +184,7 @@ class TownRoads:
             reverse,
             _changes(road, lane, beside, float(stations[len(stations) // 2]) - section.start),
             tuple(_crossings(road, section, lane, beside)),
-            tuple(self._successors(road, section, lane)),
+            tuple(dict.fromkeys(self._successors(road, section, lane))),
             lane_limits(road, section, lane, self._signs[road.number], stations),
         )
 
@@ -198,16 +201,23 @@ class TownRoads:
         if beyond in self.roads:
             yield from self._entered(beyond, following)
         elif beyond is not None:
-            connecting = dict.fromkeys(self.content.connections.get(beyond, ()))
-            for way in (self.roads[number] for number in connecting if number in self.roads):
-                if way.predecessor == road.number:
-                    for other in way.sections[0].lanes:
-                        if other.predecessor == lane.id:
-                            yield from self._entered(way.number, other.id)
-                if way.successor == road.number:
-                    for other in way.sections[-1].lanes:
-                        if other.successor == lane.id:
-                            yield from self._entered(way.number, other.id)
+            for way in self._ways.get((beyond, road.number), ()):
+                first = way.sections[0].lanes if way.predecessor == road.number else ()
+                last = way.sections[-1].lanes if way.successor == road.number else ()
+                linked = [other.id for other in first if other.predecessor == lane.id]
+                for number in (*linked, *(other.id for other in last if other.successor == lane.id)):
+                    yield from self._entered(way.number, number)
+
+    @cached_property
+    def _ways(self) -> dict[tuple[int, int], list[Road]]:
+        """The roads through each junction, by the junction and by a road that they are linked with."""
+        found: dict[tuple[int, int], list[Road]] = {}
+        for junction, connecting in self.content.connections.items():
+            for way in (self.roads[number] for number in dict.fromkeys(connecting) if number in self.roads):
+                for end in {way.predecessor, way.successor}:
+                    if end is not None:
+                        found.setdefault((junction, end), []).append(way)
+        return found
 
     def _entered(self, road: int, lane: int) -> Iterator[Name]:
         """Yield a lane that begins where a road is entered."""
