@@ -205,7 +205,7 @@ class CrossingSearch:
         for found in self._found.values():
             for number, each in enumerate(found):
                 if number and each.begin - joined[-1].end <= ENCOUNTER:
-                    best = min(joined[-1], each, key=lambda crossing: crossing.time)
+                    best = min(joined[-1], each, key=lambda crossing: round((crossing.arrived - crossing.left) / STEP))
                     joined[-1] = replace(best, begin=joined[-1].begin, end=each.end)
                 else:
                     joined.append(each)

@@ -94,8 +94,9 @@ def criticality(
     for one, second, frames in table.touching:
         for row, met in ((one, second), (second, one)):
             if position[row] >= 0 and other in (None, table.ids[met]):
+                there = np.arange(frames.start, frames.stop)[~np.isnan(table.x[row, frames])]
                 for least in (gaps, times):
-                    least.value[position[row], frames], least.other[position[row], frames] = 0.0, met
+                    least.value[position[row], there], least.other[position[row], there] = 0.0, met
     speed = table.speed[subjects]
     leader = headways.other
     known = leader >= 0
