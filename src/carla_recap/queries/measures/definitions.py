@@ -7,17 +7,13 @@ from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
 
-from carla_recap.model.kinematics import slope
-from carla_recap.queries.measures.series import JERK_WINDOW, NO_OTHER, SPEED_WINDOW
 from carla_recap.tables import Columns
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from carla_recap.model.lives import ActorLife
-    from carla_recap.queries.measures.motion_table import MotionTable
-    from carla_recap.queries.measures.series import Criticality
-    from carla_recap.util.arrays import Floats, Ids, Indices
+    from carla_recap.util.arrays import Floats, Ids
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,33 +122,6 @@ class MeasureSeries(Columns):
     def units(self) -> Mapping[str, str]:
         """See `Tabular.units`."""
         return {"time": "s"} | {name: measure.unit for name, measure in MEASURES.items() if hasattr(self, name)}
-
-
-def series_of(table: MotionTable, rows: Indices, found: Criticality) -> MeasureSeries:
-    """Return the measures of some actors in a table; the arrays have the shape (actors, frames).
-
-    Args:
-        table: The table.
-        rows: The rows of the actors.
-        found: How critical their situation is.
-    """
-    speed = table.speed[rows]
-    acceleration = slope(table.time, speed, SPEED_WINDOW)
-    ids = np.append(table.ids, NO_OTHER).astype(np.int64)
-    return MeasureSeries(
-        time=np.broadcast_to(table.time, speed.shape),
-        speed=speed,
-        acceleration=acceleration,
-        jerk=slope(table.time, acceleration, JERK_WINDOW),
-        gap=found.gap,
-        nearest=ids[found.nearest],
-        time_to_collision=found.time_to_collision,
-        threat=ids[found.threat],
-        distance_headway=found.headway,
-        time_headway=found.time_headway,
-        required_deceleration=found.required_deceleration,
-        leader=ids[found.leader],
-    )
 
 
 @dataclass(frozen=True, kw_only=True)

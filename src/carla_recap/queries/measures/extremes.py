@@ -12,14 +12,14 @@ from carla_recap.model.contacts import Contacts
 from carla_recap.model.lives import TYPES as ACTOR_TYPES
 from carla_recap.model.lives import ActorLives
 from carla_recap.queries import Answer
-from carla_recap.queries.measures.definitions import MEASURES, Extreme, MeasureRow, MeasureValues, series_of
+from carla_recap.queries.measures.definitions import MEASURES, Extreme, MeasureRow, MeasureValues
 from carla_recap.queries.measures.encroachment import CrossingSearch
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
 from carla_recap.queries.measures.over_time import measured_actors
 from carla_recap.queries.measures.paths_ahead import SEEN
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
-from carla_recap.queries.measures.series import HORIZON, NO_OTHER, criticality
+from carla_recap.queries.measures.series import HORIZON, NO_OTHER, series_of
 from carla_recap.queries.roads import roads_of, warn_without_roads
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ class MeasureSearch:
         ids = table.ids[rows].tolist()
         kept = self._over_time.get("time_to_collision", ())
         known = [math.inf if id in kept else self._extremes[id].get("time_to_collision", _NONE).value for id in ids]
-        series = series_of(table, rows, criticality(table, rows, shortest=np.array(known)))
+        series = series_of(table, rows, shortest=np.array(known))
         for number, id in enumerate(ids):
             for start, stop in self._contacts.affected(id, _BEFORE_CONTACT):
                 affected = (table.time >= start) & (table.time <= stop)

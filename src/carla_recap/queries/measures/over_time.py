@@ -13,9 +13,9 @@ import numpy as np
 from carla_recap.errors import RecapError
 from carla_recap.model.contacts import Contacts
 from carla_recap.model.lives import HERO, ROAD_USERS, ActorLives, ActorName, find_actor
-from carla_recap.queries.measures.definitions import MeasureSeries, series_of
+from carla_recap.queries.measures.definitions import MeasureSeries
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
-from carla_recap.queries.measures.series import MARGIN, NO_OTHER, criticality
+from carla_recap.queries.measures.series import MARGIN, NO_OTHER, series_of
 from carla_recap.queries.recorded_actors import actors as recorded_actors
 
 if TYPE_CHECKING:
@@ -193,9 +193,9 @@ class SeriesCollector:
     def add(self, table: MotionTable) -> None:
         """Add a table."""
         rows = np.flatnonzero(table.ids == self.actor)
-        if self._other is not None and self._other not in table.ids:
+        if not len(rows) or self._other not in (None, *table.ids.tolist()):
             return
-        found = series_of(table, rows, criticality(table, rows, self._other)).columns()
+        found = series_of(table, rows, self._other).columns()
         for number, row in enumerate(rows.tolist()):
             present = np.flatnonzero(~np.isnan(table.x[row, table.core])) + table.first
             self._parts.append({name: values[number, present] for name, values in found.items()})

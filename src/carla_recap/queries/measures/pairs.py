@@ -153,26 +153,14 @@ def near_pairs(table: MotionTable, subjects: Booleans, reach: Floats | float) ->
                 yield PairFrames.of(table, frames, one[part], other[part])
 
 
-@dataclass(frozen=True, eq=False)
-class Following:
-    """Vehicles ahead on the same path; arrays of one length.
-
-    Attributes:
-        pairs: The followers and the vehicles ahead of them.
-        gap: The distance from bumper to bumper along the heading of the follower, in m.
-    """
-
-    pairs: PairFrames
-    gap: Floats
-
-
 _SAME_HEADING: Final = np.cos(np.deg2rad(45.0))
 
 
-def ahead(pairs: PairFrames) -> Following:
+def ahead(pairs: PairFrames) -> tuple[PairFrames, Floats]:
     """Return the pairs in which the second actor is a vehicle ahead of the first, in the corridor as wide as the first.
 
-    Its heading differs by 45 degrees at most.
+    Its heading differs by 45 degrees at most. The numbers are the distances from bumper to bumper along the heading of the
+    first one, in m.
     """
     table = pairs.table
     pairs = pairs.take(table.is_vehicle[pairs.other])
@@ -187,4 +175,4 @@ def ahead(pairs: PairFrames) -> Following:
     length, width = table.length[pairs.other] / 2, half_width[pairs.other]
     kept = (cos >= _SAME_HEADING) & (across < half_width[pairs.one] + sin * length + cos * width)
     gaps = along - table.length[pairs.one] / 2 - cos * length - sin * width
-    return Following(pairs.take(kept), np.maximum(gaps[kept], 0.0))
+    return pairs.take(kept), np.maximum(gaps[kept], 0.0)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.kinematics import slope
 from carla_recap.queries.measures.boxes import required_deceleration, time_headway
+from carla_recap.queries.measures.definitions import MeasureSeries
 from carla_recap.queries.measures.pairs import PairFrames, ahead, near_pairs
 from carla_recap.queries.measures.paths_ahead import on_collision_course
 
@@ -31,35 +32,10 @@ MARGIN: Final = 2.0
 """The time around a frame that the measures of an actor alone depend on, in s."""
 
 
-@dataclass(eq=False)
-class Criticality:
-    """How critical the situation of some actors is in each frame of a table; arrays of the shape (subjects, frames).
-
-    Attributes:
-        gap: The least gap to another actor in m; inf without one within 100 m.
-        nearest: The row in the table of the actor that is this near; -1 without one.
-        time_to_collision: The least time to collision in s; inf above 10 s.
-        threat: The row of the actor that this is the time to; -1 without one.
-        headway: The distance to the leader from bumper to bumper in m; inf without one.
-        time_headway: The same as a time in s.
-        required_deceleration: The deceleration to avoid the leader in m/s²; 0 without one.
-        leader: The row of the leader; -1 without one.
-    """
-
-    gap: Floats
-    nearest: Indices
-    time_to_collision: Floats
-    threat: Indices
-    headway: Floats
-    time_headway: Floats
-    required_deceleration: Floats
-    leader: Indices
-
-
-def criticality(
+def series_of(
     table: MotionTable, subjects: Indices, other: int | None = None, *, shortest: Floats | None = None
-) -> Criticality:
-    """Return how critical the situation of some actors of a table is, in each of its frames; margins have no values.
+) -> MeasureSeries:
+    """Return the measures of some actors in the frames of a table, (subjects, frames); margins have no values.
 
     Args:
         table: The motion.
@@ -79,8 +55,8 @@ def criticality(
         for each in (near, near.turned()):
             each = each.take(position[each.one] >= 0)
             _add_gaps(gaps, position[each.one], each)
-            following = ahead(each)
-            headways.add(position[following.pairs.one], following.pairs, following.gap)
+            following, distance = ahead(each)
+            headways.add(position[following.one], following, distance)
         pairs, seconds = pairs.colliding(HORIZON)
         if shortest is not None:
             shortest = np.minimum(shortest, times.value.min(axis=1, initial=np.inf))
@@ -97,22 +73,24 @@ def criticality(
                 there = np.arange(frames.start, frames.stop)[~np.isnan(table.x[row, frames])]
                 for least in (gaps, times):
                     least.value[position[row], there], least.other[position[row], there] = 0.0, met
-    speed = table.speed[subjects]
-    leader = headways.other
-    known = leader >= 0
-    frame = np.broadcast_to(np.arange(shape[1]), shape)
-    yaw = table.yaw[subjects]
+    speed, yaw, frame = table.speed[subjects], table.yaw[subjects], np.arange(shape[1])
+    leader, acceleration = headways.other, slope(table.time, speed, SPEED_WINDOW)
     along = np.cos(yaw) * table.vx[leader, frame] + np.sin(yaw) * table.vy[leader, frame]
-    deceleration = np.where(known, required_deceleration(headways.value, speed, np.where(known, along, 0.0)), 0.0)
-    return Criticality(
+    deceleration = required_deceleration(headways.value, speed, np.where(leader >= 0, along, 0.0))
+    ids = np.append(table.ids, NO_OTHER)
+    return MeasureSeries(
+        time=np.broadcast_to(table.time, speed.shape),
+        speed=speed,
+        acceleration=acceleration,
+        jerk=slope(table.time, acceleration, JERK_WINDOW),
         gap=gaps.value,
-        nearest=gaps.other,
+        nearest=ids[gaps.other],
         time_to_collision=times.value,
-        threat=times.other,
-        headway=headways.value,
+        threat=ids[times.other],
+        distance_headway=headways.value,
         time_headway=time_headway(headways.value, speed),
-        required_deceleration=deceleration,
-        leader=leader,
+        required_deceleration=np.where(leader >= 0, deceleration, 0.0),
+        leader=ids[leader],
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.kinematics import possible_step
 from carla_recap.queries.measures.motion_table import MotionCollector
-from carla_recap.queries.measures.series import MARGIN, NO_OTHER, criticality
+from carla_recap.queries.measures.series import MARGIN, NO_OTHER, series_of
 from carla_recap.queries.recorded_actors import actors as recorded_actors
 from carla_recap.replay.events import Destroyed
 from carla_recap.replay.player import Player
@@ -452,14 +452,14 @@ class _Measurer:
         subjects = np.flatnonzero(np.isin(table.ids, [each.id for each in self.measured]))
         if not len(frames) or not len(subjects):
             return
-        found = criticality(table, subjects)
+        found = series_of(table, subjects)
         frames += table.first
         for measured in self.measured:
             for position in np.flatnonzero(table.ids[subjects] == measured.id).tolist():
                 there = frames[found.leader[position, frames] != NO_OTHER]
                 of_those = samples[found.leader[position, frames] != NO_OTHER]
-                measured.headway[of_those] = found.headway[position, there]
-                measured.leader[of_those] = table.ids[found.leader[position, there]]
+                measured.headway[of_those] = found.distance_headway[position, there]
+                measured.leader[of_those] = found.leader[position, there]
 
     def _samples_in(self, moments: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the samples that are among some moments, ascending, and which of these they are of."""
