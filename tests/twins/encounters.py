@@ -171,7 +171,7 @@ class Twin:
         if a is None or b is None or not self.level(one, other, a, b):
             return math.inf
         seconds = self.touch(one, other, a, b)
-        if seconds > longest or any(self.thrown(row, self.time[frame]) for row in (one, other)):
+        if seconds > longest or (seconds > 0 and any(self.thrown(row, self.time[frame]) for row in (one, other))):
             return math.inf
         return seconds if seconds == 0 or self.meet(one, other, frame, seconds) else math.inf
 
@@ -260,8 +260,9 @@ class Twin:
             begin -= 1
         while self.joined(row, end):
             end += 1
-        if not self.time[begin] <= time <= self.time[end]:
+        if not self.time[begin] - 1e-6 <= time <= self.time[end] + 1e-6:
             return None
+        time = min(max(time, self.time[begin]), self.time[end])
         for now in range(begin, end):
             if self.time[now] <= time <= self.time[now + 1]:
                 a, b = self.poses[row][now], self.poses[row][now + 1]
@@ -303,7 +304,7 @@ class Twin:
         for ids, misses in by_ids.items():
             for miss in _joined(sorted(misses, key=lambda miss: miss.start)):
                 contacts = [each for each in self.contacts if set(each.ids) == set(ids)]
-                if not any(miss.start <= each.stop and each.start <= miss.stop + 3 for each in contacts):
+                if not any(miss.start <= each.stop + 5 and each.start <= miss.stop + 3 for each in contacts):
                     found.append(miss)
         return sorted(found, key=lambda miss: (miss.start, miss.id1, miss.id2))
 

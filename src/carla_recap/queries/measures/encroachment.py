@@ -113,8 +113,10 @@ def refined(first: Path, second: Path, arrival: float, lag: float) -> float:
     """
     fine = STEP * np.linspace(-1, 1, 2 * _FINE + 1)
     arrivals, leavings = arrival + fine, arrival - lag + fine
-    arrivals = arrivals[(arrivals >= second.time[0]) & (arrivals <= second.time[-1])]
-    leavings = leavings[(leavings >= first.time[0]) & (leavings <= first.time[-1])]
+    arrivals, leavings = (
+        times[(times >= path.time[0] - SAME_TIME) & (times <= path.time[-1] + SAME_TIME)]
+        for path, times in ((second, arrivals), (first, leavings))
+    )
     late, early = (each.ravel() for each in np.meshgrid(arrivals, leavings, indexing="ij"))
     hits = (late > early) & overlaps(second.at(late), first.at(early))
     return min(lag, float((late - early)[hits].min(initial=math.inf)))
@@ -222,7 +224,7 @@ def encounters(one: Indices, other: Indices, time: Floats) -> Iterator[Indices]:
         yield order[start:stop]
 
 
-class _Hits(NamedTuple):
+class _Arrivals(NamedTuple):
     """Moments at which actors are where others were; arrays of one length.
 
     Attributes:
@@ -235,9 +237,9 @@ class _Hits(NamedTuple):
     left: Indices
     arrived: Indices
 
-    def take(self, kept: Booleans | Indices | slice) -> _Hits:
+    def take(self, kept: Booleans | Indices | slice) -> _Arrivals:
         """Return some of them."""
-        return _Hits(*(column[kept] for column in self))
+        return _Arrivals(*(column[kept] for column in self))
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,12 +294,12 @@ class _Grid:
         x, y, z, yaw, speed = map(between, (table.x, table.y, table.z, table.heading, table.speed))
         return _Grid(table, step, slice(*core.tolist()), x, y, z, yaw, speed, table.thrown[:, frame])
 
-    def hits(self, subjects: Booleans, longest: float) -> _Hits:
+    def hits(self, subjects: Booleans, longest: float) -> _Arrivals:
         """Return where actors arrive in the core at most a time after others, on crossing paths; see `CrossingSearch`."""
         lags = math.ceil(longest / STEP - SAME_TIME) + 1  # a refined time may be shorter
         moves = (self.speed >= SLOWEST) & ~self.thrown
         x, y = np.where(moves, self.x, np.nan), np.where(moves, self.y, np.nan)
-        found = [_Hits(*np.zeros((4, 0), np.intp))]
+        found = [_Arrivals(*np.zeros((4, 0), np.intp))]
         for start in range(self.core.start, self.core.stop, _AT_ONCE):
             arrivals = slice(start, min(start + _AT_ONCE, self.core.stop))
             earliest = int(np.searchsorted(self.step, self.step[start] - lags))
@@ -310,9 +312,9 @@ class _Grid:
                     reach = (self.table.radius[first] + self.table.radius[second])[:, None, None]
                     near = (dx * dx + dy * dy <= reach * reach) & (lag > 0) & (lag <= lags)
                     pair, arrived, left = np.nonzero(near)
-                    hits = _Hits(first[pair], second[pair], left + leavings.start, arrived + arrivals.start)
+                    hits = _Arrivals(first[pair], second[pair], left + leavings.start, arrived + arrivals.start)
                     found.append(self._crossing(hits))
-        return _Hits(*map(np.concatenate, zip(*found, strict=True)))
+        return _Arrivals(*map(np.concatenate, zip(*found, strict=True)))
 
     def _near(
         self, x: Floats, y: Floats, arrivals: slice, leavings: slice, subjects: Booleans
@@ -335,7 +337,7 @@ class _Grid:
             for at in range(0, len(second), few):
                 yield second[at : at + few], first[at : at + few]
 
-    def _crossing(self, hits: _Hits) -> _Hits:
+    def _crossing(self, hits: _Arrivals) -> _Arrivals:
         """Return the hits in which boxes overlap, on one level, on crossing paths, of pairs that do not touch or follow."""
         first, second, left, arrived = hits
         kept = _cross(self.yaw[second, arrived] - self.yaw[first, left])
@@ -354,7 +356,7 @@ class _Grid:
         ]
         return hits.take(np.concatenate(apart))
 
-    def _follow(self, hits: _Hits, begin: Indices) -> Booleans:
+    def _follow(self, hits: _Arrivals, begin: Indices) -> Booleans:
         """Return whether arriving actors follow leaving ones, which had the same position and heading before."""
         first, second, _, arrived = hits
         moments = np.arange(begin.min(), arrived.max() + 1)
@@ -367,25 +369,23 @@ class _Grid:
         reach = (self.table.width[first] + self.table.width[second]) / 2
         return np.asarray((distance[rows, nearest] <= reach * reach) & (np.cos(turn) >= _ALONG))
 
-    def _touch(self, hits: _Hits, begin: Indices, end: Indices) -> Booleans:
+    def _touch(self, hits: _Arrivals, begin: Indices, end: Indices) -> Booleans:
         """Return whether pairs touch between two moments, in which case both are there at once."""
-        pairs, index = np.unique(np.stack((hits.first, hits.second)), axis=1, return_inverse=True)
         moments = np.arange(begin.min(), end.max())
-        first, second = pairs
-        dx, dy = (values[first[:, None], moments] - values[second[:, None], moments] for values in (self.x, self.y))
-        reach = (self.table.radius[first] + self.table.radius[second])[:, None]
-        touching = dx * dx + dy * dy <= reach * reach
-        pair, moment = np.nonzero(touching)
-        boxes = (self._boxes(each[pair], moments[moment]) for each in (first, second))
-        touching[pair, moment] = overlaps(*boxes)
+        during = (moments >= begin[:, None]) & (moments < end[:, None])
+        first, second = hits.first[:, None], hits.second[:, None]
+        dx, dy = (values[first, moments] - values[second, moments] for values in (self.x, self.y))
+        reach = self.table.radius[first] + self.table.radius[second]
+        row, column = np.nonzero((dx * dx + dy * dy <= reach * reach) & during)
+        boxes = (self._boxes(each[row], moments[column]) for each in (hits.first, hits.second))
+        touching = np.zeros(len(begin), np.bool_)
+        touching[row[overlaps(*boxes)]] = True
         for one, other, frames in self.table.touching:
-            together = ((first == one) & (second == other)) | ((first == other) & (second == one))
+            together = ((hits.first == one) & (hits.second == other)) | ((hits.first == other) & (hits.second == one))
             times = self.table.clock[frames]
-            during = (self.time[moments] >= times[0] - STEP) & (self.time[moments] <= times[-1] + STEP)
-            touching[np.ix_(together, during)] = True
-        count = np.pad(np.cumsum(touching, axis=1), ((0, 0), (1, 0)))  # of the moments before each one in which they touch
-        row = index.ravel()
-        return np.asarray(count[row, end - moments[0]] > count[row, begin - moments[0]])
+            contact = (self.time[moments] >= times[0] - STEP) & (self.time[moments] <= times[-1] + STEP)
+            touching |= together & (during & contact).any(axis=1)
+        return touching
 
     def _boxes(self, actor: Indices, moment: Indices) -> Boxes:
         table = self.table

@@ -41,6 +41,7 @@ REQUIRED_DECELERATION: Final = 0.0
 
 _CROSSING_SPEED: Final = 3.0  # m/s of a vehicle that arrives where another actor was
 _UNTIL_CONTACT: Final = 3.0  # s after an encounter; if the pair collides by then, it is a collision
+_AFTER_CONTACT: Final = 5.0  # s after a contact in which the pair has no near miss
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,9 +137,11 @@ class NearMissDetector:
         return sorted(found, key=lambda miss: (miss.start, miss.id1, miss.id2))
 
     def _collides(self, miss: NearMiss) -> bool:
-        """Return whether an encounter ends in a collision."""
+        """Return whether an encounter ends in a collision, or follows one."""
         contacts = self._contacts.of(miss.id1, miss.id2)
-        return any(miss.start <= each.stop and each.start <= miss.stop + _UNTIL_CONTACT for each in contacts)
+        return any(
+            each.start - _UNTIL_CONTACT <= miss.stop and miss.start <= each.stop + _AFTER_CONTACT for each in contacts
+        )
 
     def _add(self, table: MotionTable) -> None:
         if self._series is not None:

@@ -126,10 +126,7 @@ class PairFrames:
 def near_pairs(table: MotionTable, subjects: Booleans, reach: Floats | float) -> Iterator[PairFrames]:
     """Yield the pairs that may be near each other, in some frames of those that the table is for.
 
-    Args:
-        table: The motion.
-        subjects: Whether an actor is of interest, (actors,); one of a pair is.
-        reach: The distance in m from the centre of an actor within which the other's reach has to be, (actors,).
+    One of a pair is a subject. The distance of both is at most the sum of their reaches in m.
     """
     reach = np.broadcast_to(np.asarray(reach, np.float64), table.ids.shape)
     for start in range(table.first, table.last, FRAMES):

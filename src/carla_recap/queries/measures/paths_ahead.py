@@ -33,17 +33,13 @@ _BESIDE: Final = 0.3  # m between boxes that still meet
 def on_collision_course(pairs: PairFrames, times: Floats) -> Booleans:
     """Return whether times to collision count.
 
-    They do if neither actor may be thrown by a collision, and both touch, or pass at less than 0.3 m, if they keep their
-    speed on the paths that they take, at most 0.5 s later than along straight lines. So the other lane of a bend, and what
-    is parked beside it, is no obstacle, though a straight line leads there.
-
-    Args:
-        pairs: The pairs.
-        times: Their times to collision in s.
+    They do if the boxes touch; else if neither actor may be thrown by a collision, and both touch, or pass at less than
+    0.3 m, if they keep their speed on the paths that they take, at most 0.5 s later than along straight lines. So the other
+    lane of a bend, and what is parked beside it, is no obstacle, though a straight line leads there.
     """
     table, frame = pairs.table, pairs.frame
-    counts = ~(table.thrown[pairs.one, frame] | table.thrown[pairs.other, frame])
-    open_pairs = np.flatnonzero(counts & (times > 0))
+    counts = np.asarray(times == 0)
+    open_pairs = np.flatnonzero(~counts & ~table.thrown[pairs.one, frame] & ~table.thrown[pairs.other, frame])
     open_pairs = open_pairs[np.argsort(times[open_pairs], kind="stable")]  # those with as many steps together
     few = ELEMENTS // _STEPS
     for some in (open_pairs[start : start + few] for start in range(0, len(open_pairs), few)):
@@ -52,15 +48,7 @@ def on_collision_course(pairs: PairFrames, times: Floats) -> Booleans:
 
 
 def paths_meet(table: MotionTable, one: Indices, other: Indices, frame: Indices, times: Floats) -> Booleans:
-    """Return whether actors meet on their paths; see `on_collision_course`.
-
-    Args:
-        table: The motion.
-        one: The rows of the first actors.
-        other: Those of the second ones.
-        frame: The frames from which on they keep their speed.
-        times: The times to collision along straight lines, in s.
-    """
+    """Return whether actors that keep their speed from a frame on meet on their paths; see `on_collision_course`."""
     step = np.maximum(_STEP, (times + LATER) / _STEPS)[:, None]
     ahead = np.arange(math.ceil(float(((times + LATER) / step[:, 0]).max(initial=0.0))) + 1.0) * step
     stop = table.clock[frame] + times + SEEN
