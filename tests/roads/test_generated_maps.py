@@ -58,3 +58,16 @@ def test_signals_on_a_lane_are_moved_beside_the_road(rule: str, name: str, libra
     lanes = section(0, lane(2, 1.5, "shoulder") + lane(1), lane(-1) + lane(-2, kind="parking"))
     text = opendrive(road(sections=lanes, inside=f"<signals>{signals}</signals>"))
     assert all_differences(text.replace('junction="-1"', f'junction="-1"{rule}'), library) == []
+
+
+def test_signals_at_the_border_of_sections_are_for_the_lanes_beyond(library: CarlaLibrary) -> None:
+    lanes = section(0, lane(1), lane(-1)) + section(50, lane(2) + lane(1), lane(-1) + lane(-2)) + section(75, "", lane(-1))
+    signals = "".join(
+        f'<signal name="x" id="{number}" s="{station}" t="20" zOffset="0" hOffset="0" orientation="{orientation}" type="206"'
+        ' dynamic="no" country="" subtype="-1" value="30"/>'
+        for number, (station, orientation) in enumerate(
+            itertools.product((0, 49.9, 50, 74.9, 75, 100, 120), ("+", "-", "none"))
+        )
+    )
+    text = opendrive(road(sections=lanes, inside=f"<signals>{signals}</signals>"))
+    assert all_differences(text, library) == []

@@ -144,7 +144,8 @@ def _placed(road: Road, place: RoadSignal) -> float:
 
 def _one_side(road: Road, station: float, *, ahead: bool | None) -> Iterator[tuple[int, int]]:
     """Yield the lanes for which a signal applies that names none: as in CARLA, those on the left if it is for the road."""
-    lanes = [lane.id for section in road.sections if section.start <= station <= section.end for lane in section.lanes]
+    sections = [section for section in road.sections if section.start <= station]
+    lanes = [lane.id for lane in sections[-1].lanes] if sections else []
     if ahead is not False and max(lanes, default=0) > 0:
         yield 1, max(lanes)
     if ahead is not True and min(lanes, default=0) < 0:
