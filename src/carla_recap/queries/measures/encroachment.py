@@ -118,7 +118,7 @@ def refined(first: Path, second: Path, arrival: float, lag: float) -> float:
         for path, times in ((second, arrivals), (first, leavings))
     )
     late, early = (each.ravel() for each in np.meshgrid(arrivals, leavings, indexing="ij"))
-    hits = (late > early) & overlaps(second.at(late), first.at(early))
+    hits = (late - early > SAME_TIME) & overlaps(second.at(late), first.at(early))
     return min(lag, float((late - early)[hits].min(initial=math.inf)))
 
 
