@@ -75,7 +75,7 @@ class Twin:
 
     def gap(self, one: int, other: int, a: Pose, b: Pose) -> float:
         """Return the least distance of a corner of one box to the other box; 0 if they overlap."""
-        if self.touch(one, other, a, b) == 0:
+        if self.overlap(one, other, a, b):
             return 0.0
         return min(
             _corners_to(a, self.sizes[one], b, self.sizes[other]), _corners_to(b, self.sizes[other], a, self.sizes[one])
@@ -277,7 +277,7 @@ class Twin:
         for late in range(-10, 11):
             for early in range(-10, 11):
                 arrival, leaving = arrived * STEP + late * STEP / 10, (arrived - lag) * STEP + early * STEP / 10
-                if not leaving < arrival or arrival - leaving >= least:
+                if not 1e-6 < arrival - leaving < least:
                     continue
                 a, b = self.at(first, leaving, (arrived - lag) * STEP), self.at(second, arrival, arrived * STEP)
                 if a is not None and b is not None and self.overlap(first, second, a, b):
