@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.kinematics import FIRMEST_BRAKING, LONGEST_STEP, neighbours, possible_step, runs, slope
+from carla_recap.model.motion import FIRMEST_BRAKING, LONGEST_STEP, neighbours, runs, slope, steps_joined
 from carla_recap.model.records import CM, ActorKind
 from carla_recap.model.segment import SegmentBuffer, segments
 
@@ -214,9 +214,7 @@ class BrakingDetector:
         if recorded.any():
             speed = np.where(recorded, np.hypot(*velocities), np.nan).take(there).astype(np.float64)
         seconds = np.diff(time)
-        distance = np.sqrt((np.diff(metres) ** 2).sum(axis=0))
-        possible = possible_step(seconds, np.fmax(speed[1:], speed[:-1]), least=0.0)
-        joined = (np.diff(vehicle) == 0) & (seconds > 0) & (seconds <= LONGEST_STEP) & (distance <= possible)
+        joined = steps_joined(time, metres, speed, vehicle)
         before, after = neighbours(joined)
         steps, between = metres[:2].take(after, axis=1) - metres[:2].take(before, axis=1), time[after] - time[before]
         # The slope of a line through speeds is a mean of the slopes between neighbours, one of which is as steep.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.model.kinematics import LONGEST_STEP, TOP_SPEED
+from carla_recap.model.motion import LONGEST_STEP, TOP_SPEED
 from carla_recap.model.records import CM, UE4
 
 if TYPE_CHECKING:
@@ -278,9 +278,9 @@ def _position(frame: Frame, id: int) -> Vector:
 def _velocity(id: int, frame: Frame | None, earlier: Frame | None) -> Vector:
     if frame is None:
         return UNKNOWN
-    recorded = _row(frame, "velocities", id)
-    if recorded is not None:
-        return _vector(recorded)
+    recorded = _vector(_row(frame, "velocities", id))
+    if all(map(math.isfinite, recorded)):
+        return recorded
     seconds = frame.elapsed - earlier.elapsed if earlier is not None else 0.0
     if earlier is None or not 0 < seconds <= LONGEST_STEP:
         return UNKNOWN

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, Generic, Literal, TypeVar
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.kinematics import place_in_metres
+from carla_recap.model.motion import place_in_metres
 from carla_recap.model.records import CM, NO_ACTOR, ActorKind, Spawn
 from carla_recap.util.text import first_of, readable
 

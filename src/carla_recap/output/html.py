@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.kinematics import possible_step
 from carla_recap.model.lives import ROAD_USERS, heroes_of
+from carla_recap.model.motion import possible_step
 from carla_recap.model.records import CM
 from carla_recap.output.text import text
 from carla_recap.queries.incidents import IncidentOptions, incidents

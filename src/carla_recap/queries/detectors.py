@@ -11,8 +11,8 @@ from carla_recap.errors import RecapError
 from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, BrakingDetector
 from carla_recap.model.braking import TYPES as BRAKING_TYPES
 from carla_recap.model.contacts import MOTION, UNKNOWN, Contact, Impact
-from carla_recap.model.kinematics import place_in_metres
 from carla_recap.model.lives import ROAD_USERS, ranked
+from carla_recap.model.motion import place_in_metres
 from carla_recap.model.presence import RoadHeights
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.kinematics import possible_step
+from carla_recap.model.motion import possible_step
 from carla_recap.model.records import CM
 from carla_recap.tables.trajectories import portions, rows_by_actor
 

@@ -111,7 +111,5 @@ def _hero(source: Reader, life: ActorLife) -> HeroSummary | None:
     if not len(path):
         return None
     steps, speed = path.steps, path.speed
-    beside_jump = ~(np.append(True, ~np.isnan(steps)) & np.append(~np.isnan(steps), True))
-    speeds = speed[np.isfinite(speed) & (path.velocity_recorded | ~beside_jump)]
-    distance, top_speed = np.nansum(steps).item(), speeds.max(initial=0.0).item()
+    distance, top_speed = np.nansum(steps).item(), speed[np.isfinite(speed)].max(initial=0.0).item()
     return HeroSummary(life.id, life.type_id, (path.time[-1] - path.time[0]).item(), distance, top_speed)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.kinematics import possible_step
 from carla_recap.model.lives import HERO, ROAD_USERS, ActorName, find_actor, heroes_of
+from carla_recap.model.motion import possible_step
 from carla_recap.model.records import CM
 from carla_recap.queries.recorded_actors import actors
 from carla_recap.replay.pose import LOCATION

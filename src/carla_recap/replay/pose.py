@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
-from carla_recap.model.kinematics import JUMP, possible_step
+from carla_recap.model.motion import JUMP, possible_step
 from carla_recap.model.records import CM
 from carla_recap.replay.selection import NO_IDS, Selection, array, find, latest, numbers
 

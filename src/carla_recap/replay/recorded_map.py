@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 import numpy as np
 
 from carla_recap.errors import RecapError, RecapWarning
-from carla_recap.model.kinematics import place_in_metres
+from carla_recap.model.motion import place_in_metres
 from carla_recap.queries.roads import find_map_of
 from carla_recap.replay.player import Player
 from carla_recap.replay.pose import LOCATION, right_handed

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.kinematics import possible_step
+from carla_recap.model.motion import possible_step
 from carla_recap.roads.drawing import RoadMap
 from carla_recap.roads.polylines import stations
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.kinematics import LONGEST_STEP, runs
 from carla_recap.model.lives import ROAD_USERS
+from carla_recap.model.motion import LONGEST_STEP, runs
 from carla_recap.queries.measures import MEASURES
 from carla_recap.queries.measures.series import NO_OTHER
 from carla_recap.rules.facts import Finding, Needs, Offence

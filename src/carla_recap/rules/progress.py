@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.kinematics import LONGEST_STEP, runs
 from carla_recap.model.lives import HERO
+from carla_recap.model.motion import LONGEST_STEP, runs
 from carla_recap.rules.facts import Finding, Needs, Offence
 from carla_recap.rules.scope import WHOLE
 from carla_recap.rules.values import ANY, ROLE, tolerated

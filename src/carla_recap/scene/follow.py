@@ -13,7 +13,7 @@ import numpy as np
 
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.kinematics import TOP_SPEED, possible_step
+from carla_recap.model.motion import TOP_SPEED, possible_step
 from carla_recap.model.records import CM
 from carla_recap.replay import Player, calm_headings, level, right_handed
 from carla_recap.replay.follow import LiveChoice

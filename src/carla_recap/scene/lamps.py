@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.kinematics import FIRMEST_BRAKING
+from carla_recap.model.motion import FIRMEST_BRAKING
 from carla_recap.model.records import CM
 from carla_recap.replay.events import Spawned
 from carla_recap.replay.selection import NO_IDS, find

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.kinematics import LONGEST_STEP, possible_step
+from carla_recap.model.motion import LONGEST_STEP, possible_step
 from carla_recap.replay.pose import LOCATION, right_handed, right_handed_velocities, rotations
 from carla_recap.replay.selection import find, numbers
 from carla_recap.tables.trajectories import actor_rows

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, get_args
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.kinematics import neighbours, possible_step
+from carla_recap.model.motion import possible_step, steps_joined, velocities
 from carla_recap.model.records import CM
 from carla_recap.tables import Columns, Tabular
 from carla_recap.tables.display import Preview, first_and_last
@@ -44,7 +44,7 @@ class Trajectory(Columns):
         time: Elapsed seconds.
         x, y, z: Position in m.
         roll, pitch, yaw: Rotation about x, y, z in degrees; right-handed, a positive yaw turns left.
-        vx, vy, vz: Velocity along the world's axes in m/s.
+        vx, vy, vz: Velocity along the world's axes in m/s; NaN where it is unknown (`model/motion.py` has the rule).
         velocity_recorded: Whether the velocity was recorded; otherwise it is derived from the positions.
     """
 
@@ -127,7 +127,7 @@ class Trajectories(dict[int, Trajectory], Tabular):
             "frames": [len(trajectory) for trajectory in some],
             "from": [trajectory.time[0] for trajectory in some],
             "to": [trajectory.time[-1] for trajectory in some],
-            "top speed": [trajectory.speed.max() for trajectory in some],
+            "top speed": [np.fmax.reduce(trajectory.speed) for trajectory in some],
         }
         return Preview(type(self).__name__, columns, {"from": "s", "to": "s", "top speed": "m/s"}, len(self))
 
@@ -188,48 +188,38 @@ def trajectories(reader: Reader, actors: Collection[int] | None = None, *, axes:
     if axes not in get_args(Axes):
         raise RecapError(f"axes must be one of {', '.join(get_args(Axes))}, not {axes!r}")
     rows = actor_rows(reader, ("transforms", "velocities"), actors)
-    poses, velocities = rows["transforms"], rows["velocities"]
+    poses, recorded = rows["transforms"], rows["velocities"]
     flip = -1.0 if axes == "right-handed" else 1.0
     found = Trajectories()
     for id in list(poses):
-        with np.errstate(invalid="ignore"):  # a signaling NaN
-            found[id] = _trajectory(id, poses.pop(id), velocities.pop(id, None), flip)
+        with np.errstate(invalid="ignore", over="ignore"):  # signalling NaN, and numbers of damaged files
+            found[id] = _trajectory(id, poses.pop(id), recorded.pop(id, None), flip)
     return found
 
 
-def _trajectory(id: int, poses: ActorRows, velocities: ActorRows | None, flip: float) -> Trajectory:
+def _trajectory(id: int, poses: ActorRows, recorded: ActorRows | None, flip: float) -> Trajectory:
     records, time = poses.records, poses.time
-    position = {axis: records[axis].astype(np.float64) * CM for axis in "xyz"}
-    velocity = {axis: _slope(position[axis], time) for axis in "xyz"}
-    recorded = np.zeros(len(time), np.bool_)
-    if velocities is not None:
-        where = np.minimum(np.searchsorted(velocities.frame, poses.frame), len(velocities.frame) - 1)
-        recorded = velocities.frame[where] == poses.frame
-        for axis in "xyz":
-            velocity[axis][recorded] = velocities.records[axis][where[recorded]]
-    for values in (position["y"], velocity["y"]):
-        values *= flip
+    place = np.stack([records[axis].astype(np.float64) for axis in "xyz"]) * CM
+    velocity = np.full(place.shape, np.nan)
+    if recorded is not None:
+        where = np.minimum(np.searchsorted(recorded.frame, poses.frame), len(recorded.frame) - 1)
+        own = recorded.frame[where] == poses.frame
+        velocity[:, own] = [recorded.records[axis][where[own]] for axis in "xyz"]
+    known = np.isfinite(velocity).all(axis=0)
+    joined = steps_joined(time, place, np.sqrt((velocity**2).sum(axis=0)))
+    velocity = velocities(time, place, velocity, joined)
+    for values in (place, velocity):
+        values[1] *= flip
     return Trajectory(
         id=id,
         time=time,
-        **position,
+        **dict(zip("xyz", place, strict=True)),
         roll=records["roll"].astype(np.float64),
         pitch=flip * records["pitch"].astype(np.float64),
         yaw=flip * records["yaw"].astype(np.float64),
-        vx=velocity["x"],
-        vy=velocity["y"],
-        vz=velocity["z"],
-        velocity_recorded=recorded,
+        **dict(zip(("vx", "vy", "vz"), velocity, strict=True)),
+        velocity_recorded=known,
     )
-
-
-def _slope(values: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the change per second between the neighbours of each sample; 0 if no time passes between them."""
-    if len(values) < 2:
-        return np.zeros(len(values))
-    before, after = neighbours(np.ones(len(values) - 1, np.bool_))
-    span = times[after] - times[before]
-    return np.divide(values[after] - values[before], span, out=np.zeros(len(values)), where=span > 0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -95,7 +95,7 @@ def test_a_hero_that_stands_for_three_minutes_is_blocked(drives: Drives) -> None
     assert (found.status, kinds(found)) == ("Failed - Agent got blocked", ["vehicle_blocked"])
     assert found.infractions[0].time == pytest.approx(3.0 + 180.0, abs=0.6)
     assert found.infractions[0].x == pytest.approx(START - 30.0, abs=0.5)
-    assert kinds(drives(westward([*arrives, *[0.0] * 358, 0.2, *[0.0] * 10], tick=tick), tick=tick)) == []
+    assert kinds(drives(westward([*arrives, *[0.0] * 357, 0.2, 0.2, *[0.0] * 10], tick=tick), tick=tick)) == []
 
 
 def test_a_hero_that_is_slower_than_a_tenth_of_the_limit_runs_out_of_time(drives: Drives) -> None:

@@ -13,9 +13,9 @@ from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.fleet.index.tables import CHILDREN
 from carla_recap.formats import open_reader
 from carla_recap.model.frame import SAME_TIME, Frame
-from carla_recap.model.kinematics import place_in_metres
 from carla_recap.model.lives import ROAD_USERS
 from carla_recap.model.lives import TYPES as ACTOR_TYPES
+from carla_recap.model.motion import place_in_metres
 from carla_recap.model.stationary import MIN_DISTANCE, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 from carla_recap.queries.collisions import collisions

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.kinematics import LONGEST_STEP
+from carla_recap.model.motion import LONGEST_STEP
 from carla_recap.queries.measures.boxes import Boxes, overlaps
 from carla_recap.queries.measures.pairs import ELEMENTS, bounds
 

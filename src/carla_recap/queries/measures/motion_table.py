@@ -11,8 +11,8 @@ import numpy as np
 
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.kinematics import LONGEST_STEP, place_in_metres, possible_step
 from carla_recap.model.lives import ROAD_USERS
+from carla_recap.model.motion import LONGEST_STEP, place_in_metres, steps_joined, velocities
 from carla_recap.model.presence import FAR, RoadHeights
 from carla_recap.model.segment import SegmentBuffer, segments
 
@@ -318,20 +318,16 @@ def _motion(time: Floats, pose: Floats, velocity: Floats, away: Booleans) -> tup
     absent = away | ~((np.abs(x) < FAR) & (np.abs(y) < FAR) & (np.abs(z) < FAR) & np.isfinite(yaw))
     unknown = ~(np.hypot(vx, vy) < _FASTEST)
     vx[unknown] = vy[unknown] = np.nan
-    if len(time) > 1:
-        seconds = np.diff(time)
-        dx, dy = np.diff(x), np.diff(y)
-        distance = np.hypot(dx, dy)
-        speed = np.hypot(vx, vy)
-        speed = np.fmax(speed[:, 1:], speed[:, :-1])
-        ordered = (seconds > 0) & (seconds <= LONGEST_STEP)
-        jumps = (distance > possible_step(seconds, speed, least=0.0)) & ordered
-        if jumps.any():
-            absent |= _around(jumps, time)
-        if unknown.any():
-            joined = ordered & ~jumps & ~absent[:, 1:] & ~absent[:, :-1]
-            for values, steps in ((vx, dx), (vy, dy)):
-                values[unknown] = _slopes(np.where(joined, steps, 0.0), np.where(joined, seconds, 0.0))[unknown]
+    actor, frame = np.nonzero(~absent)  # from here on, the frames of one actor after the other
+    places, recorded = np.stack((x, y, z))[:, actor, frame], np.stack((vx, vy))[:, actor, frame]
+    joined = steps_joined(time[frame], places, np.hypot(*recorded), actor)
+    vx[actor, frame], vy[actor, frame] = velocities(time[frame], places[:2], recorded, joined)
+    seconds = np.diff(time[frame])
+    jumps = np.zeros((len(x), max(len(time) - 1, 0)), np.bool_)
+    torn = ~joined & (np.diff(actor) == 0) & (np.diff(frame) == 1) & (seconds > 0) & (seconds <= LONGEST_STEP)
+    jumps[actor[:-1][torn], frame[:-1][torn]] = True
+    if jumps.any():
+        absent |= _around(jumps, time)
     for values in (x, y, z, yaw, vx, vy):
         values[absent] = np.nan
     return x, y, z, yaw, vx, vy
@@ -345,10 +341,3 @@ def _around(jumps: Booleans, time: Floats) -> Booleans:
     first = np.minimum(np.searchsorted(clock, clock - _AROUND_JUMP), np.maximum(frames - 1, 0))
     last = np.maximum(np.searchsorted(clock, clock + _AROUND_JUMP, side="right") - 1, np.minimum(frames + 1, len(time) - 1))
     return np.asarray(count[:, last] > count[:, first])
-
-
-def _slopes(steps: Floats, seconds: Floats) -> Floats:
-    """Return the slope between the neighbours of each frame; NaN without one that it is joined with."""
-    padding = ((0, 0), (1, 1))
-    steps, seconds = np.pad(steps, padding), np.pad(seconds, padding)
-    return np.asarray((steps[:, 1:] + steps[:, :-1]) / (seconds[:, 1:] + seconds[:, :-1]))

@@ -14,7 +14,7 @@ import numpy as np
 
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.kinematics import place_in_metres, possible_step, runs
+from carla_recap.model.motion import place_in_metres, runs, steps_joined
 from carla_recap.model.presence import RoadHeights
 from carla_recap.queries.measures.definitions import Extreme, MeasureValues
 from carla_recap.queries.measures.series import NO_OTHER
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from carla_recap.roads.network import LanePositions, RoadNetwork
     from carla_recap.util.arrays import Booleans, Floats
 
-TYPES: Final = ("transforms", "light_states")
+TYPES: Final = ("transforms", "velocities", "light_states")
 """The record types that are read."""
 
 STOPPED: Final = 0.5
@@ -136,7 +136,7 @@ class RoadSearch:
 
     @np.errstate(invalid="ignore")  # of signalling NaN
     def add(self, batch: Batch) -> None:
-        """Process the next frames; they have at least their transforms and states of lights."""
+        """Process the next frames; they have at least their transforms, velocities and states of lights."""
         if batch.preamble or not len(self._vehicles):
             return
         self._lights.add(batch)
@@ -154,6 +154,7 @@ class RoadSearch:
         samples["time"] = batch.elapsed[rows][frame]
         samples["x"], samples["y"], samples["z"] = place_in_metres(*(chosen[axis].astype(np.float64) for axis in "xyz"))
         samples["yaw"] = np.radians(-chosen["yaw"].astype(np.float64))
+        samples["speed"] = self._recorded_speeds(batch.records("velocities")[rows])[frame, samples["vehicle"]]
         finite = np.all([np.isfinite(samples[name]) for name in ("x", "y", "z", "yaw")], axis=0)
         self._samples.append(samples[finite & ~self._heights.away_in(taken)[frame, record]])
         self._count += len(samples)
@@ -165,6 +166,15 @@ class RoadSearch:
         self._evaluate()
         events = [*self._at_lines(), *self._left_road(), *self._wrong_way(), *self._speeding()]
         return sorted(events, key=lambda event: (event.start, event.kind, event.id))
+
+    def _recorded_speeds(self, velocities: NDArray[np.void]) -> Floats:
+        """Return the recorded speeds of all vehicles in frames, (frames, vehicles); NaN where there is none."""
+        speeds = np.full((len(velocities), len(self._vehicles)), np.nan)
+        column = np.minimum(np.searchsorted(self._vehicles, velocities["id"]), len(self._vehicles) - 1)
+        frame, record = np.nonzero(self._vehicles[column] == velocities["id"])
+        vx, vy = (velocities[axis][frame, record].astype(np.float64) for axis in "xy")
+        speeds[frame, column[frame, record]] = np.hypot(vx, vy)
+        return np.where(np.isfinite(speeds), speeds, np.nan)
 
     def _sampled(self, elapsed: Floats) -> list[int]:
         """Return the rows of a batch that are samples."""
@@ -361,8 +371,8 @@ def _box(actor: ActorLife) -> tuple[float, float]:
     return (box.x, box.extent_x) if box.extent_x < _LONGEST_HALF else _CAR
 
 
-_SAMPLE: Final = np.dtype([("vehicle", "i8"), *((name, "f8") for name in ("time", "x", "y", "z", "yaw"))])
-"""The index of a vehicle, and its pose in right-handed axes, in m and radians."""
+_SAMPLE: Final = np.dtype([("vehicle", "i8"), *((name, "f8") for name in ("time", "x", "y", "z", "yaw", "speed"))])
+"""The index of a vehicle, its pose in right-handed axes, in m and radians, and its recorded speed in m/s, or NaN."""
 
 
 class _Motion:
@@ -374,7 +384,8 @@ class _Motion:
 
     Attributes:
         continues: Whether each sample follows the one before it, of the same vehicle and without a jump.
-        seconds, dx, dy, distance, speed: The time and the way from the one before; NaN where it does not continue.
+        seconds, dx, dy, distance: The time and the way from the one before; NaN where it does not continue.
+        speed: The recorded speed in m/s, else that from the one before; NaN where that is unknown.
     """
 
     def __init__(self, samples: NDArray[np.void], is_new: Booleans) -> None:
@@ -384,12 +395,14 @@ class _Motion:
         self.is_last = np.append(~same[1:], True)
         seconds, dx, dy = (np.diff(samples[name], prepend=np.nan) for name in ("time", "x", "y"))
         distance = np.hypot(dx, dy)
-        self.continues = same & (seconds > 0) & (seconds <= _LONGEST)
-        self.continues &= distance <= possible_step(seconds)
+        places = np.stack([samples[axis] for axis in "xyz"])
+        joined = steps_joined(self.time, places, samples["speed"], self.vehicle, longest=_LONGEST)
+        self.continues = np.append(False, joined)[: len(samples)]
         self.seconds, self.dx, self.dy, self.distance = (
             np.where(self.continues, values, np.nan) for values in (seconds, dx, dy, distance)
         )
-        self.speed = self.distance / self.seconds
+        recorded = samples["speed"]
+        self.speed = np.where(np.isfinite(recorded), recorded, self.distance / self.seconds)
 
     def lanes(self, network: RoadNetwork) -> LanePositions:
         """Return the lanes of all samples."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.kinematics import slope
+from carla_recap.model.motion import slope
 from carla_recap.queries.measures.boxes import required_deceleration, time_headway
 from carla_recap.queries.measures.definitions import MeasureSeries
 from carla_recap.queries.measures.pairs import PairFrames, ahead, near_pairs

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.kinematics import place_in_metres
+from carla_recap.model.motion import place_in_metres
 from carla_recap.model.records import ActorKind
 from carla_recap.roads import network as roads
 

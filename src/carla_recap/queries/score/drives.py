@@ -91,12 +91,8 @@ class Drive:
 
 
 def ground_speed(path: Trajectory) -> Floats:
-    """Return the speed over the ground: the recorded one, else that from the frame before to each frame."""
-    with np.errstate(all="ignore"):
-        seconds = np.diff(path.time, prepend=np.nan)
-        moved = np.hypot(np.diff(path.x, prepend=np.nan), np.diff(path.y, prepend=np.nan))
-        speed = np.where(path.velocity_recorded, np.hypot(path.vx, path.vy), moved / seconds)
-    return np.where(np.isfinite(speed), speed, 0.0)
+    """Return the speed over the ground; 0 where it is unknown."""
+    return np.nan_to_num(np.hypot(path.vx, path.vy), posinf=0.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from typing import Any, Final, get_type_hints
 
 import numpy as np
 
-from carla_recap.model.kinematics import GRAVITY
+from carla_recap.model.motion import GRAVITY
 from carla_recap.server.actor_records import DestroyedActor
 from carla_recap.server.calls.actors import expect
 from carla_recap.server.controllers import AckermannControl, AckermannSettings

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.kinematics import GRAVITY
+from carla_recap.model.motion import GRAVITY
 from carla_recap.server import actor_records
 from carla_recap.server.calls.actors import expect
 from carla_recap.server.host import Client

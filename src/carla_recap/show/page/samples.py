@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.kinematics import possible_step
+from carla_recap.model.motion import possible_step
 from carla_recap.queries.measures.motion_table import MotionCollector
 from carla_recap.queries.measures.series import MARGIN, NO_OTHER, series_of
 from carla_recap.queries.recorded_actors import actors as recorded_actors

@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.model.blueprints import blueprint_rows
-from carla_recap.model.kinematics import GRAVITY
+from carla_recap.model.motion import GRAVITY
 from carla_recap.model.records import ActorKind
 from carla_recap.sensors.kinds import SENSOR_ATTRIBUTES
 from carla_recap.sim.errors import SpawnError

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.errors import MissingExtra
-from carla_recap.model.kinematics import GRAVITY
+from carla_recap.model.motion import GRAVITY
 from carla_recap.sim.columns import StructOfArrays, column
 from carla_recap.util.arrays import Floats
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.kinematics import GRAVITY
+from carla_recap.model.motion import GRAVITY
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Vector
 from carla_recap.sim.validation import expect_numbers

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.kinematics import GRAVITY
+from carla_recap.model.motion import GRAVITY
 from carla_recap.sim.columns import column
 from carla_recap.sim.physics.moving_bodies import MovingBodies
 from carla_recap.sim.physics.physics_control import GEARS, SPEEDS, columns

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.kinematics import LONGEST_STEP, possible_step
 from carla_recap.model.lives import is_object
+from carla_recap.model.motion import LONGEST_STEP, possible_step
 from carla_recap.replay.pose import wrap
 from carla_recap.replay.selection import find
 from carla_recap.sim.actors.actor import Collision

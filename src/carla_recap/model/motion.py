@@ -1,4 +1,10 @@
-"""How actors move: what a jump is, and speeds and accelerations where none are recorded."""
+"""How actors move: one rule for velocities, accelerations and rates, recorded or not, and what a jump is.
+
+The velocity of an actor at a frame is the recorded one, if that is finite. Else it is the central difference of its places:
+between its frame before and its frame behind, each of which counts if it is of the same actor, at most 1 s away, and no jump
+lies between; next to a jump or at an end, one of them counts. Without any, the velocity is unknown: NaN. Other rates, such
+as an acceleration of velocities, are the differences between the same frames.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +18,7 @@ from carla_recap.model.records import CM
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from carla_recap.util.arrays import Booleans, Floats, Indices
+    from carla_recap.util.arrays import Booleans, Floats, Indices, Integers
 
 
 Value = TypeVar("Value", float, "Floats")
@@ -49,6 +55,60 @@ def possible_step(seconds: Floats | float, speed: Floats | float = np.nan, *, le
     """
     seconds, speed = np.asarray(seconds), np.asarray(speed)
     return np.where(np.isnan(speed), np.maximum(TOP_SPEED * seconds, least), np.maximum(_SLACK * speed * seconds, JUMP))
+
+
+def steps_joined(
+    time: Floats,
+    places: Floats,
+    speed: Floats | float = np.nan,
+    actor: Integers | None = None,
+    *,
+    longest: float = LONGEST_STEP,
+) -> Booleans:
+    """Return whether motion follows from each place of an actor and its next one, (n - 1,).
+
+    It does if the next one is later, by 1 s at most, and not reached by a jump; no place that is not finite is joined.
+
+    Args:
+        time: Elapsed seconds, (n,).
+        places: The places in m, (axes, n).
+        speed: The recorded speeds in m/s, (n,); NaN where none is.
+        actor: A number of the actor at each place, if there are several, one after the other, (n,).
+        longest: The longest time from a place to the next one, in s.
+    """
+    speed = np.broadcast_to(speed, time.shape)
+    with np.errstate(all="ignore"):
+        seconds, distance = np.diff(time), np.sqrt((np.diff(places) ** 2).sum(axis=0))
+        joined = (seconds > 0) & (seconds <= longest)
+        joined &= distance <= possible_step(seconds, np.fmax(speed[1:], speed[:-1]), least=0.0)
+    return joined if actor is None else joined & (np.diff(actor) == 0)
+
+
+def rates(time: Floats, values: Floats, joined: Booleans) -> Floats:
+    """Return the changes of values per second between the neighbours of each frame, (..., n); NaN without a neighbour.
+
+    Args:
+        time: Elapsed seconds, (n,).
+        values: The values, (..., n).
+        joined: Whether each frame and the next one belong together, (n - 1,).
+    """
+    before, after = neighbours(joined)
+    with np.errstate(all="ignore"):
+        seconds = np.where(after > before, time[after] - time[before], np.nan)
+        return np.asarray((values[..., after] - values[..., before]) / seconds)
+
+
+def velocities(time: Floats, places: Floats, recorded: Floats, joined: Booleans) -> Floats:
+    """Return the velocities in m/s, (axes, n): the recorded ones where these are finite, else by the places; or NaN.
+
+    Args:
+        time: Elapsed seconds, (n,).
+        places: The places in m, (axes, n).
+        recorded: The recorded velocities in m/s, (axes, n); NaN where none is.
+        joined: See `steps_joined`.
+    """
+    known = np.isfinite(recorded).all(axis=0)
+    return recorded if known.all() else np.where(known, recorded, rates(time, places, joined))
 
 
 def neighbours(joined: Booleans) -> tuple[Indices, Indices]:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carla_recap.model.kinematics import neighbours, place_in_metres, possible_step, runs, slope
+from carla_recap.model.motion import neighbours, place_in_metres, possible_step, runs, slope
 
 
 @pytest.mark.parametrize(
