@@ -2,8 +2,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
-from carla_recap.model.motion import neighbours, place_in_metres, possible_step, runs, slope
+from carla_recap.model.motion import neighbours, place_in_metres, possible_step, rates, runs, slope, steps_joined, velocities
+from tests.twins import motion as twin
+
+NAN = np.nan
+SECONDS = st.sampled_from([-0.05, 0.0, 0.001, 0.01, 0.05, 0.3, 0.999, 1.0, 1.001, 5.0])
+METRES = st.sampled_from([0.0, 0.1, 1.0, 4.9, 5.1, 14.9, 99.0, 101.0, 1e5, NAN])
+SPEED = st.sampled_from([NAN, NAN, 0.0, 1.0, 33.0, 150.0, np.inf])
 
 
 @pytest.mark.parametrize(
@@ -71,3 +79,30 @@ def test_places_in_metres() -> None:
         [-0.5, 0.5],
         [0.01, 0.02],
     ]
+
+
+@given(st.lists(st.tuples(SECONDS, METRES, METRES, SPEED), max_size=12))
+@example([])
+@example([(0.05, 1.0, 0.0, NAN)])
+def test_velocities_are_those_of_a_loop(steps: list[tuple[float, ...]]) -> None:
+    rows = np.array(steps).reshape(-1, 4)
+    time, places = np.cumsum(rows[:, 0]), np.cumsum(np.nan_to_num(rows[:, 1:3]), axis=0).T
+    places[np.isnan(rows[:, 1:3].T)] = NAN
+    recorded = np.stack((rows[:, 3], np.where(np.isnan(rows[:, 3]), NAN, 0.0)))
+    joined = steps_joined(time, places, np.sqrt((recorded**2).sum(axis=0)))
+    found = velocities(time, places, recorded, joined)
+    expected = twin.velocities(time.tolist(), places.T.tolist(), recorded.T.tolist())
+    np.testing.assert_allclose(found.T, np.array(expected).reshape(-1, 2), rtol=1e-9)
+
+
+def test_a_jump_has_no_velocity() -> None:
+    time, x = np.arange(6) * 0.05, np.array([0.0, 1.0, 2.0, 102.0, 104.0, 106.0])
+    joined = steps_joined(time, x[None])
+    assert joined.tolist() == [True, True, False, True, True]
+    assert rates(time, x, joined) == pytest.approx([20, 20, 20, 40, 40, 40])
+    assert np.isnan(rates(time, x, np.zeros(5, np.bool_))).all()
+
+
+def test_places_of_different_actors_are_not_joined() -> None:
+    time, x, actor = np.array([0.0, 0.1, 0.2, 0.3]), np.array([[0.0, 1.0, 2.0, 3.0]]), np.array([1, 1, 2, 2])
+    assert steps_joined(time, x, actor=actor).tolist() == [True, False, True]
