@@ -44,3 +44,47 @@ def test_a_jump_is_no_speed(tmp_path: Path, suffix: str, recorded: bool, monkeyp
         limits = recording.incidents(kinds=["speeding"])
         assert [row.value for row in limits] == pytest.approx([speed - 50 / 3.6] * len(limits))
         assert limits
+
+
+def recorded_car(path: Path, frames: dict[float, dict[str, float]]) -> Path:
+    """A recording of a car by time: its x in m, and maybe its velocity in m/s; none where it is absent."""
+    car = Spawn(1, ActorKind.VEHICLE, type_id="vehicle.tesla.model3", attributes=attributes(role_name="hero"))
+    with create_recording(path, map_name="Nowhere") as recorder:
+        for time, motion in frames.items():
+            more = {"spawned": [car]} if time == 0 else {}
+            more |= {"transforms": {"id": [1], "x": [100 * motion["x"]]}} if motion else {}
+            more |= {"velocities": {"id": [1], "x": [motion["vx"]]}} if "vx" in motion else {}
+            recorder.add_frame(time, **more)
+    return path
+
+
+def speeds(path: Path) -> tuple[list[float], list[float]]:
+    """The speeds of the trajectory of the car, and those of its measures over time."""
+    with open_recording(path) as recording:
+        return recording.trajectory(1).speed.tolist(), recording.time_series(1).speed.tolist()
+
+
+def test_there_is_no_speed_across_an_absence(tmp_path: Path) -> None:
+    """It drives at 20 m/s, and is absent for three frames, after which it is 15 m farther on."""
+    frames = {frame * TICK: {"x": frame * 1.0} for frame in range(10)}
+    frames |= {frame * TICK: {} for frame in range(10, 13)}
+    frames |= {frame * TICK: {"x": 12.0 + frame} for frame in range(13, 20)}
+    for found in speeds(recorded_car(tmp_path / "absent.mcap", frames)):
+        assert found == pytest.approx([20.0] * len(found))
+
+
+def test_an_infinite_velocity_explains_no_jump(tmp_path: Path) -> None:
+    frames = {frame * TICK: {"x": frame * 1.0 + 100 * (frame >= 10), "vx": 20.0} for frame in range(20)}
+    frames[10 * TICK]["vx"] = np.inf
+    trajectory, _ = speeds(recorded_car(tmp_path / "infinite.mcap", frames))
+    assert trajectory == pytest.approx([20.0] * 20)
+
+
+@pytest.mark.filterwarnings("ignore:.*is unknown; rules of the road")
+def test_a_speed_that_nothing_says_is_unknown(tmp_path: Path) -> None:
+    path = recorded_car(tmp_path / "slow.mcap", {frame * 2.0: {"x": frame * 20.0} for frame in range(5)})
+    with open_recording(path) as recording:
+        hero = recording.summary.hero
+        assert hero is not None
+        assert np.isnan(recording.trajectory(1).speed).all()
+        assert np.isnan(hero.top_speed)

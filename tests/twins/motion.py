@@ -16,7 +16,7 @@ def belongs(times: Sequence[float], places: Sequence[Vector], recorded: Sequence
     seconds = times[first + 1] - times[first]
     metres = math.sqrt(sum((b - a) ** 2 for a, b in zip(places[first], places[first + 1], strict=True)))
     speeds = [math.sqrt(sum(each**2 for each in recorded[row])) for row in (first, first + 1)]
-    known = [speed for speed in speeds if not math.isnan(speed)]
+    known = [speed for speed in speeds if math.isfinite(speed)]
     farthest = max(3 * max(known) * seconds, 5.0) if known else 100.0 * seconds
     return 0 < seconds <= 1.0 and metres <= farthest
 

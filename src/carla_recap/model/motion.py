@@ -76,7 +76,7 @@ def steps_joined(
         actor: A number of the actor at each place, if there are several, one after the other, (n,).
         longest: The longest time from a place to the next one, in s.
     """
-    speed = np.broadcast_to(speed, time.shape)
+    speed = np.where(np.isfinite(speed), speed, np.nan) * np.ones(len(time))
     with np.errstate(all="ignore"):
         seconds, distance = np.diff(time), np.sqrt((np.diff(places) ** 2).sum(axis=0))
         joined = (seconds > 0) & (seconds <= longest)

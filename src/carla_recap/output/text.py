@@ -135,7 +135,8 @@ def _overview(answer: Summaries) -> Iterator[str]:
         yield f"Actors: {_counted(row.actors)}\n"
         if row.hero is not None:
             hero = row.hero
-            way = f"{hero.distance:.0f} m in {hero.time:.1f} s, at {hero.top_speed * KMH:.0f} km/h at most"
+            speed = "an unknown speed" if math.isnan(hero.top_speed) else f"{hero.top_speed * KMH:.0f} km/h at most"
+            way = f"{hero.distance:.0f} m in {hero.time:.1f} s, at {speed}"
             yield f"Hero: {hero.type_id} ({hero.id}), {way}\n"
         yield f"Incidents: {incident_counts(row.incidents)}\n"
         if row.sensors:

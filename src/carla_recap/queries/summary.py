@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
@@ -31,7 +32,7 @@ class HeroSummary:
         type_id: Its blueprint.
         time: The time between its first and its last pose, in s.
         distance: The distance that it covers, in m; jumps do not count.
-        top_speed: Its greatest speed, in m/s.
+        top_speed: Its greatest speed, in m/s; NaN if none is known.
     """
 
     id: int
@@ -111,5 +112,5 @@ def _hero(source: Reader, life: ActorLife) -> HeroSummary | None:
     if not len(path):
         return None
     steps, speed = path.steps, path.speed
-    distance, top_speed = np.nansum(steps).item(), speed[np.isfinite(speed)].max(initial=0.0).item()
+    distance, top_speed = np.nansum(steps).item(), np.fmax.reduce(speed, initial=math.nan).item()
     return HeroSummary(life.id, life.type_id, (path.time[-1] - path.time[0]).item(), distance, top_speed)

@@ -206,7 +206,7 @@ def _trajectory(id: int, poses: ActorRows, recorded: ActorRows | None, flip: flo
         own = recorded.frame[where] == poses.frame
         velocity[:, own] = [recorded.records[axis][where[own]] for axis in "xyz"]
     known = np.isfinite(velocity).all(axis=0)
-    joined = steps_joined(time, place, np.sqrt((velocity**2).sum(axis=0)))
+    joined = steps_joined(time, place, np.sqrt((velocity**2).sum(axis=0))) & (np.diff(poses.frame) == 1)
     velocity = velocities(time, place, velocity, joined)
     for values in (place, velocity):
         values[1] *= flip

@@ -320,11 +320,12 @@ def _motion(time: Floats, pose: Floats, velocity: Floats, away: Booleans) -> tup
     vx[unknown] = vy[unknown] = np.nan
     actor, frame = np.nonzero(~absent)  # from here on, the frames of one actor after the other
     places, recorded = np.stack((x, y, z))[:, actor, frame], np.stack((vx, vy))[:, actor, frame]
-    joined = steps_joined(time[frame], places, np.hypot(*recorded), actor)
+    follows = (np.diff(actor) == 0) & (np.diff(frame) == 1)
+    joined = follows & steps_joined(time[frame], places[:2], np.hypot(*recorded))
     vx[actor, frame], vy[actor, frame] = velocities(time[frame], places[:2], recorded, joined)
     seconds = np.diff(time[frame])
     jumps = np.zeros((len(x), max(len(time) - 1, 0)), np.bool_)
-    torn = ~joined & (np.diff(actor) == 0) & (np.diff(frame) == 1) & (seconds > 0) & (seconds <= LONGEST_STEP)
+    torn = follows & ~joined & (seconds > 0) & (seconds <= LONGEST_STEP)
     jumps[actor[:-1][torn], frame[:-1][torn]] = True
     if jumps.any():
         absent |= _around(jumps, time)

@@ -395,7 +395,7 @@ class _Motion:
         self.is_last = np.append(~same[1:], True)
         seconds, dx, dy = (np.diff(samples[name], prepend=np.nan) for name in ("time", "x", "y"))
         distance = np.hypot(dx, dy)
-        places = np.stack([samples[axis] for axis in "xyz"])
+        places = np.stack((samples["x"], samples["y"]))
         joined = steps_joined(self.time, places, samples["speed"], self.vehicle, longest=_LONGEST)
         self.continues = np.append(False, joined)[: len(samples)]
         self.seconds, self.dx, self.dy, self.distance = (

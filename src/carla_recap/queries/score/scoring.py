@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final, TypedDict
 
 import numpy as np
 
-from carla_recap.errors import RecapError
+from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.contacts import Contacts
 from carla_recap.model.lives import HERO, ActorLives, ActorName, find_actor
 from carla_recap.model.lives import TYPES as ACTOR_TYPES
@@ -157,7 +158,8 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
     Raises:
         RecapError: The map is unknown, there is no such vehicle, or the route does not fit the map.
         FormatError: The file contradicts its format.
-        RecapWarning: The way between two places of the route is many times as long as the straight line.
+        RecapWarning: The way between two places of the route is many times as long as the straight line, or the speed of the
+            actor is unknown in several frames.
     """
     options = options or ScoreOptions()
     path = map_file_of(source, options.road_map)
@@ -171,6 +173,10 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
     others = {life.id for life in actors if life.role_name == criteria.BACKGROUND or criteria.is_emergency(life)}
     paths = trajectories(source, {hero.id, *others})
     whole = _drive(source, Drive.of(hero, paths.pop(hero.id)) if hero.id in paths else None, options)
+    unknown = int(np.count_nonzero(np.isnan(whole.velocity).any(axis=1)))
+    if unknown > 1:
+        text = f"the speed of actor {hero.id} is unknown in {unknown} of {len(whole)} frames, and counts as 0"
+        warnings.warn(f"{source.location}: {text}", RecapWarning, stacklevel=2)
     planned = PlannedRoute.of_drive(whole) if route is None else _planned(route, town, path)
     end = criteria.ending(whole, planned, network) if route else criteria.ending_of_drive(whole)
     drive = whole.part(0, end.frame)
