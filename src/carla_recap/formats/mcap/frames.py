@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections import defaultdict, deque
+from collections import defaultdict
 from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -109,7 +109,9 @@ class MessagePacket(Packet):
 
     def __init__(self, source: ChannelMessages, index: int) -> None:
         assert source.type is not None
-        super().__init__(source.type.id, source.type, origin=(source.location, None))
+        self.id, self.type = source.type.id, source.type
+        self._payload = self._records = self._part = None
+        self._origin = source.location, None
         self._source = source
         self._index = index
 
@@ -273,13 +275,14 @@ class FrameAssembler:
         for row in range(runs[0].number):
             found: list[Found] = []
             for run in runs:
-                for slot in run.slots:
-                    source = sources.get(slot[0])
+                start = run.start + row * run.stride
+                for channel, offset, size in run.slots:
+                    source = sources.get(channel)
                     if source is None:
-                        type = self._channels.types.get(slot[0])
-                        source = sources[slot[0]] = ChannelMessages(slot[0], type, self._location)
+                        type = self._channels.types.get(channel)
+                        source = sources[channel] = ChannelMessages(channel, type, self._location)
                     found.append((source, len(source.messages)))
-                    source.messages.append(run.message(row, slot))
+                    source.messages.append(run.data[start + offset : start + offset + size])
             yield runs[0].sequence + row, found
 
     def _too_much(self, chunk: ChunkIndex) -> FormatError:
@@ -314,21 +317,20 @@ class FrameAssembler:
 
     def _frame(self, index: int, found: list[Found]) -> Frame:
         """Return the frame of some messages."""
-        waiting: defaultdict[int, deque[Found]] = defaultdict(deque)
-        for each in found:
-            waiting[each[0].channel].append(each)
-        own, read = waiting[self._channels.frames], self._selection
-        if not own or read.sparse:
+        waiting: dict[int, list[Found]] = {}  # by channel, the first one last
+        for each in reversed(found):
+            waiting.setdefault(each[0].channel, []).append(each)
+        own, read = waiting.get(self._channels.frames), self._selection
+        if own is None or read.sparse:
             return self._frame_of_messages(index, found)
-        message = parsed(self._location, "frame", FRAME_MESSAGE, _data(own[0]))
-        plan = self._plan(message)
+        message = parsed(self._location, "frame", FRAME_MESSAGE, _data(own[-1]))
+        plan, raw = self._plan(message), self._channels.raw
         packets: list[Packet] = []
         for step in plan.steps:
             if isinstance(step, Packet):
                 packets.append(step)
-            elif waiting[step]:
-                raw = step == self._channels.raw
-                packets.append(self._raw_packet(waiting[step]) if raw else MessagePacket(*waiting[step].popleft()))
+            elif messages := waiting.get(step):
+                packets.append(self._raw_packet(messages) if step == raw else MessagePacket(*messages.pop()))
         elapsed = message.elapsed
         if len(packets) < len(plan.steps) and not (elapsed < read.start or elapsed >= read.stop < math.inf):
             self._warn(message.frame)
@@ -367,13 +369,13 @@ class FrameAssembler:
             return self._channels.of(type.topic)
         return self._channels.raw
 
-    def _raw_packet(self, waiting: deque[Found]) -> Packet:
+    def _raw_packet(self, waiting: list[Found]) -> Packet:
         """Return a packet of raw pieces, and take these out of those that wait."""
-        message = parsed(self._location, "raw_packet", RAW_MESSAGE, _data(waiting.popleft()))
+        message = parsed(self._location, "raw_packet", RAW_MESSAGE, _data(waiting.pop()))
         pieces = [message.data]
         missing = message.size - len(message.data)
         while missing > 0 and waiting:
-            pieces.append(parsed(self._location, "raw_packet", RAW_MESSAGE, _data(waiting.popleft())).data)
+            pieces.append(parsed(self._location, "raw_packet", RAW_MESSAGE, _data(waiting.pop())).data)
             missing -= len(pieces[-1])
         if not FRAME_START < message.id <= 0xFF:
             raise FormatError(self._location, None, f"expected a raw packet of an id from 1 to 255, found {message.id}")
@@ -387,6 +389,9 @@ def _of_same_frames(runs: list[MessageRun]) -> Iterator[list[MessageRun]]:
     ends = sorted({end for run in runs for end in (run.sequence, run.sequence + run.number)})
     pieces: defaultdict[int, list[MessageRun]] = defaultdict(list)
     for run in runs:
+        if run.number == 1:
+            pieces[run.sequence].append(run)
+            continue
         first, last = bisect_left(ends, run.sequence), bisect_left(ends, run.sequence + run.number)
         for start, stop in pairwise(ends[first : last + 1]):
             pieces[start].append(run.part(start - run.sequence, stop - run.sequence))
