@@ -136,4 +136,4 @@ def test_roads_are_of_the_time_that_is_asked_for(tmp_path: Path):
 
 def test_roads_have_few_points_where_they_are_straight(roads):
     (road,) = roads(straight(length=600.0))
-    assert len(road.pieces) < 70
+    assert len(road.curves) < 70

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from carla_recap.errors import RecapError
 from carla_recap.roads import load_map
 from carla_recap.roads.surfaces import road_network_of
 from tests.roads.towns import crossing, lane, opendrive, painted_stop, road, section, stop_sign
@@ -149,6 +150,15 @@ def test_a_crossing_is_closed(draw):
     assert sorted(np.round(polygon[:4, :2]).tolist()) == [[48, -4], [48, 4], [52, -4], [52, 4]]
 
 
-def test_a_lane_with_nan_is_left_out(draw):
-    town = draw(road(1), road(2, x="nan"), road(3, y=50, sections=section(0, right=lane(-1, "inf"))))
-    assert len(town.centre_lines) == 2
+@pytest.mark.parametrize(
+    ("place", "bad"),
+    [
+        ("road '2': geometry: x", road(2, x="nan")),
+        ("road '2': road: length", road(2, length="inf")),
+        ("road '2': width: a", road(2, sections=section(0, right=lane(-1, "1e300")))),
+    ],
+)
+def test_a_number_that_is_none_is_named_with_its_place(draw, place, bad):
+    with pytest.raises(RecapError, match=place) as caught:
+        draw(road(1), bad)
+    assert "\n" not in str(caught.value)

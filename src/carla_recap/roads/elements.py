@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 from xml.etree.ElementTree import Element, SubElement
@@ -54,6 +55,7 @@ OPENDRIVE: Final = DocumentShape(
 )
 """Maps in OpenDRIVE."""
 
+_BEFORE_DECLARATION: Final = re.compile(r"(?>\s+|<!--.*?-->)++(?=<\?xml\s)", re.DOTALL)
 _CHUNK: Final = 1 << 16  # characters that are parsed at once
 _MOST_OF_TAG: Final = 100  # attributes
 _MOST_NAMES: Final = 10_000  # of elements and attributes, of a file; CARLA's towns have about 150
@@ -73,7 +75,9 @@ def read_elements(text: str | Iterable[str], shape: DocumentShape = OPENDRIVE) -
     """
     reader = _Reader(shape)
     parts = (text,) if isinstance(text, str) else text
-    for part in parts:
+    for number, part in enumerate(parts):
+        if number == 0 and (before := _BEFORE_DECLARATION.match(part)):  # CARLA's library reads that, too
+            part = part[before.end() :]
         for start in range(0, len(part), _CHUNK):
             yield from reader.feed(part[start : start + _CHUNK])
     yield from reader.feed("", is_last=True)

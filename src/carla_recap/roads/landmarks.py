@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.roads.curves import single
 from carla_recap.roads.lanes import DRIVING, aside, rounded, turned
-from carla_recap.roads.opendrive import SPEED_LIMIT, RoadSignal, defined_signals, single
+from carla_recap.roads.opendrive import SPEED_LIMIT, RoadSignal, defined_signals
 from carla_recap.roads.waypoints import NONE, LaneMap
 
 if TYPE_CHECKING:

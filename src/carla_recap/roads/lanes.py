@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.roads.curves import single
 from carla_recap.roads.opendrive import (
     in_carlas_order,
     lanes_length,
     limit_lanes,
-    single,
 )
 from carla_recap.roads.speed_limits import lane_limits, limit_signs
 
@@ -175,7 +175,7 @@ class TownRoads:
             section.number,
             lane.id,
             lane.kind,
-            int(road.junction) if road.in_junction else NO_JUNCTION,
+            road.junction_number if road.in_junction else NO_JUNCTION,
             stations,
             centre,
             centre + to_border,

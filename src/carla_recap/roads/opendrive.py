@@ -1,33 +1,31 @@
 """The reader of OpenDRIVE files: roads as curves with lanes, markings, objects and signals; junctions; controllers.
 
 Units are m and radians; axes are right-handed: x forward, y left, z up. As in CARLA, roads are level from side to side.
-Invalid records are left out; a file that is too large is refused.
+Attributes are read as by CARLA's library: a number is what a text begins with. A file that is too large is refused, as is a
+number that no road has; a road without a course or without lanes is left out.
 """
 
 from __future__ import annotations
 
 import re
-from collections import defaultdict
-from contextlib import suppress
+from collections import Counter, defaultdict
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import isfinite, nan
+from math import inf, nan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.roads.curves import PARAMETERS, Curve, Profile, double
 from carla_recap.roads.elements import read_elements
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from xml.etree.ElementTree import Element
 
-    from numpy.typing import ArrayLike, NDArray
-
+    from carla_recap.roads.curves import Rounding
     from carla_recap.util.arrays import Floats
-
-    Coefficients = tuple[float, float, float, float]
-    Rounding = Callable[[ArrayLike], Floats]
 
 OUTSIDE: Final = "-1"
 """The junction of a road that is in none."""
@@ -41,24 +39,22 @@ STOP: Final = "206"
 YIELD: Final = "205"
 SPEED_LIMIT: Final = "274"
 
-# CARLA's small towns have about 100 roads. Its large maps are 10 km by 10 km: a road of Town12 has the number 10,915.
-_MOST_ROADS: Final = 16_000  # of a file
-_MOST_SECTIONS: Final = 20_000  # of a file
-_MOST_OF_SIDE: Final = 40  # lanes
-_MOST_LANES: Final = 80_000  # of a file
+# CARLA's small towns have about 100 roads, and 20 km of lanes. Its large maps are 10 km by 10 km: a road of Town12 has the
+# number 10,915.
+_MAX_OF_FILE: Final = {"roads": 16_000, "sections of lanes": 20_000, "lanes": 80_000, "m of lanes": 4_000_000}
+_MAX_LANES_OF_SIDE: Final = 40
+_MAX_LANES_OF_JUNCTION: Final = 500  # CARLA's have up to 60
 _HIGHEST: Final = 1_000  # number of a lane
-_MOST_RECORDS: Final = 20_000  # of one kind, of a road
+_MAX_RECORDS: Final = 20_000  # of one kind, of a road or junction
 _MOST_CORNERS: Final = 100
-_LIMIT_OBJECT: Final = re.compile(r"[Ss]peed_(?:STATIC_)?(\d+(?:\.\d+)?)")
-_MOST_IN_JUNCTION: Final = 500  # lanes; CARLA's junctions have up to 60
-_MOST_CONNECTIONS: Final = 20_000  # of a junction
-_LONGEST: Final = 40_000.0  # m of a road
-_LONGEST_LANES: Final = 4_000_000.0  # m of all lanes; those of each of CARLA's small towns are about 20 km
+_MIN_LENGTH: Final = 0.01  # m of a road
+_MAX_LENGTH: Final = 40_000.0  # m of a road
+_MIN_SECTION: Final = 1e-3  # m
 _WIDEST: Final = 50.0  # m of a lane
 _FARTHEST: Final = 1e6  # m from the origin
 _FARTHEST_ASIDE: Final = 1_000.0  # m that a term of a width or of an offset of lanes may add
-_STEEPEST: Final = 10.0  # m that a term of a height or of a curve may add for each m along it
-_MOST_TURNS: Final = 100.0  # radians of a curve
+_STEEPEST: Final = 10.0  # m that a term of a height may add for each m along it
+_MAX_NUMBER: Final = 1e9
 _UNITS: Final = {"m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704}
 _SLOWEST: Final = 0.5  # m/s: what is slower is no limit
 _FASTEST: Final = 1e9  # m/s
@@ -69,42 +65,9 @@ _AHEAD: Final = {"+": True, "-": False}
 _ENDS: Final = ("predecessor", "successor")
 _DENSE_TOLERANCE: Final = 0.02  # m
 _STEPS: Final = (0.5, 12.0)  # m; the least and the largest between points
-_SPIRAL_STEP: Final = 0.5  # m
-_MOST_SPIRAL_STEPS: Final = 4_000
-
-
-class Profile:
-    """A piecewise cubic function of the distance along a road.
-
-    Args:
-        records: The start of each piece, and its coefficients a, b, c, d.
-    """
-
-    def __init__(self, records: Iterable[tuple[float, Coefficients]]) -> None:
-        ordered = sorted(records, key=lambda record: record[0])[:_MOST_RECORDS]
-        self.starts = np.array([start for start, _ in ordered])
-        self._coefficients = np.array([coefficients for _, coefficients in ordered]).reshape(-1, 4)
-
-    def __call__(self, stations: Floats) -> Floats:
-        """Return the values at stations; 0 where there is no record."""
-        a, b, c, d, along = self._pieces(stations)
-        values: Floats = a + along * (b + along * (c + along * d))
-        return values
-
-    def slope(self, stations: Floats) -> Floats:
-        """Return the derivatives at stations."""
-        _, b, c, d, along = self._pieces(stations)
-        slopes: Floats = b + along * (2 * c + along * 3 * d)
-        return slopes
-
-    def _pieces(self, stations: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        """Return the coefficients at stations, and the distances from the starts of their pieces."""
-        if not len(self.starts):
-            return (*np.zeros((4, 1)), np.zeros(len(stations)))
-        if len(self.starts) == 1:
-            return (*self._coefficients[0], stations - self.starts[0])
-        index = np.maximum(np.searchsorted(self.starts, stations, "right") - 1, 0)
-        return (*self._coefficients[index].T, stations - self.starts[index])
+_LIMIT_OBJECT: Final = re.compile(r"[Ss]peed_(?:STATIC_)?(\d+(?:\.\d+)?)")
+_NUMBER: Final = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+_WHOLE_NUMBER: Final = re.compile(r"\s*([+-]?\d{1,10})", re.ASCII)
 
 
 class Marking(NamedTuple):
@@ -176,14 +139,11 @@ class RoadSection:
     def borders(self, stations: Floats) -> Floats:
         """Return how far to the left of the central line each border is: (lanes + 1, n), from the left."""
         along = stations - self.start
-        widths = np.zeros((len(self.lanes) + 2, len(along)))
-        for row, lane in enumerate((*self.left, *self.right), 1):
-            widths[row + (row > len(self.left))] = lane.width(along)
-        np.minimum(np.maximum(widths, 0.0, out=widths), _WIDEST, out=widths)
-        left = widths[: len(self.left) + 1].cumsum(axis=0)
-        right = widths[len(self.left) + 1 :].cumsum(axis=0)
-        offsets: Floats = np.concatenate((left[::-1], -right[1:]))
-        return offsets
+        left, right = (
+            np.cumsum([np.zeros(len(along)), *(np.clip(lane.width(along), 0.0, _WIDEST) for lane in lanes)], axis=0)
+            for lanes in (self.left, self.right)
+        )
+        return np.concatenate((left[::-1], -right[1:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,97 +219,6 @@ class RoadSignal:
 
 
 @dataclass(frozen=True, eq=False)
-class _Piece:
-    """A part of the reference line."""
-
-    start: float
-    x: float
-    y: float
-    heading: float
-    length: float
-    kind: str
-    parameters: tuple[float, ...]
-
-    def at(self, along: Floats, rounded: Rounding) -> tuple[Floats, Floats, Floats]:
-        """Return x, y and heading at distances from the start of the piece, with rounded terms."""
-        return _SHAPES[self.kind](self, np.clip(along, 0.0, self.length), rounded)
-
-
-def single(values: ArrayLike) -> Floats:
-    """Return values in single precision, as CARLA's."""
-    rounded: Floats = np.asarray(values, np.float32)
-    return rounded
-
-
-def double(values: ArrayLike) -> Floats:
-    """Return values in double precision."""
-    return np.asarray(values, np.float64)
-
-
-def _line(piece: _Piece, along: Floats, rounded: Rounding) -> tuple[Floats, Floats, Floats]:
-    x = rounded(piece.x) + rounded(along * np.cos(piece.heading))
-    y = rounded(piece.y) + rounded(along * np.sin(piece.heading))
-    return x, y, np.full(len(along), piece.heading)
-
-
-def _arc(piece: _Piece, along: Floats, rounded: Rounding) -> tuple[Floats, Floats, Floats]:
-    (curvature,) = piece.parameters
-    if abs(curvature) < 1e-9:
-        return _line(piece, along, rounded)
-    radius, start, heading = 1 / curvature, piece.heading + np.pi / 2, piece.heading + along * curvature
-    stop = heading + np.pi / 2
-    x = rounded(piece.x) + rounded(radius * np.cos(start)) - rounded(radius * np.cos(stop))
-    y = rounded(piece.y) + rounded(radius * np.sin(start)) - rounded(radius * np.sin(stop))
-    return x, y, heading
-
-
-def _by_local(piece: _Piece, along: Floats, rounded: Rounding) -> tuple[Floats, Floats, Floats]:
-    u, v, turn = _LOCAL[piece.kind](along, piece.length, *piece.parameters)
-    cos, sin = np.cos(piece.heading), np.sin(piece.heading)
-    x, y = rounded(piece.x) + rounded(u * cos - v * sin), rounded(piece.y) + rounded(u * sin + v * cos)
-    return x, y, piece.heading + turn
-
-
-def _spiral(along: Floats, length: float, first: float, last: float) -> tuple[Floats, Floats, Floats]:
-    steps = int(min(max(length / _SPIRAL_STEP, 8), _MOST_SPIRAL_STEPS))
-    grid = np.linspace(0.0, length, 2 * steps + 1)
-    change = (last - first) / max(length, 1e-9)
-    turns = grid * (first + grid * change / 2)
-    sums = []
-    for values in (np.cos(turns), np.sin(turns)):  # by Simpson's rule
-        areas = (values[:-2:2] + 4 * values[1::2] + values[2::2]) * (length / steps / 6)
-        sums.append(np.interp(along, grid[::2], np.concatenate(([0.0], np.cumsum(areas)))))
-    return sums[0], sums[1], along * (first + along * change / 2)
-
-
-def _poly3(along: Floats, length: float, a: float, b: float, c: float, d: float) -> tuple[Floats, Floats, Floats]:
-    u = np.linspace(0.0, length, 513)
-    v = a + u * (b + u * (c + u * d))
-    far = np.concatenate(([0.0], np.cumsum(np.hypot(np.diff(u), np.diff(v)))))
-    u = np.interp(along, far, u)
-    return u, a + u * (b + u * (c + u * d)), np.arctan(b + u * (2 * c + u * 3 * d))
-
-
-def _parametric(along: Floats, length: float, normalized: float, *factors: float) -> tuple[Floats, Floats, Floats]:
-    p = along / max(length, 1e-9) if normalized else along
-    (u0, u1, u2, u3), (v0, v1, v2, v3) = factors[:4], factors[4:]
-    turn = np.arctan2(v1 + p * (2 * v2 + p * 3 * v3), u1 + p * (2 * u2 + p * 3 * u3))
-    return u0 + p * (u1 + p * (u2 + p * u3)), v0 + p * (v1 + p * (v2 + p * v3)), turn
-
-
-_LOCAL: Final[dict[str, Callable[..., tuple[Floats, Floats, Floats]]]] = {
-    "spiral": _spiral,
-    "poly3": _poly3,
-    "paramPoly3": _parametric,
-}
-_SHAPES: Final[dict[str, Callable[[_Piece, Floats, Rounding], tuple[Floats, Floats, Floats]]]] = {
-    "line": _line,
-    "arc": _arc,
-    **dict.fromkeys(_LOCAL, _by_local),
-}
-
-
-@dataclass(frozen=True, eq=False)
 class Road:
     """A road.
 
@@ -377,21 +246,22 @@ class Road:
     sections: tuple[RoadSection, ...]
     objects: tuple[RoadObject, ...]
     signals: tuple[RoadSignal, ...]
-    pieces: tuple[_Piece, ...]
+    curves: tuple[Curve, ...]
     links: tuple[bool, bool]
     limits: tuple[tuple[float, float], ...]
     predecessor: int | None
     successor: int | None
     keeps_left: bool
 
-    @cached_property
-    def _starts(self) -> Floats:
-        return np.array([piece.start for piece in self.pieces])
-
     @property
     def number(self) -> int:
         """The id as a number, as CARLA has it."""
-        return _integer(self.id)
+        return road_number(self.id)
+
+    @property
+    def junction_number(self) -> int:
+        """The id of the junction as a number, as CARLA has it."""
+        return whole_number(self.junction)
 
     @property
     def in_junction(self) -> bool:
@@ -408,20 +278,19 @@ class Road:
             return ((-_HIGHEST, _HIGHEST),)
         return ((1, _HIGHEST),) if ahead == self.keeps_left else ((-_HIGHEST, -1),)
 
+    @cached_property
+    def _starts(self) -> Floats:
+        return np.array([curve.start for curve in self.curves])
+
     def reference(self, stations: Floats, rounded: Rounding = double) -> tuple[Floats, Floats]:
         """Return the points of the reference line at stations, (n, 3), and its headings, (n,); with rounded coordinates."""
-        points = np.empty((len(stations), 3))
-        headings = np.empty(len(stations))
-        if len(self.pieces) == 1:
-            groups: list[tuple[int, slice | NDArray[np.int64]]] = [(0, slice(None))]
-        else:
-            index = np.maximum(np.searchsorted(self._starts, stations, "right") - 1, 0)
-            order = np.argsort(index, kind="stable")
-            cuts = np.flatnonzero(np.diff(index[order])) + 1
-            groups = [(int(index[rows[0]]), rows) for rows in np.split(order, cuts) if len(rows)]
-        for number, rows in groups:
-            piece = self.pieces[number]
-            points[rows, 0], points[rows, 1], headings[rows] = piece.at(stations[rows] - piece.start, rounded)
+        points, headings = np.empty((len(stations), 3)), np.empty(len(stations))
+        index = np.maximum(np.searchsorted(self._starts, stations, "right") - 1, 0)
+        order = np.argsort(index, kind="stable")
+        for rows in np.split(order, np.flatnonzero(np.diff(index[order])) + 1):
+            if len(rows):
+                curve = self.curves[index[rows[0]]]
+                points[rows, 0], points[rows, 1], headings[rows] = curve.at(stations[rows] - curve.start, rounded)
         points[:, 2] = rounded(self.elevation(stations))
         return points, headings
 
@@ -446,7 +315,7 @@ class Road:
 
     def breaks(self) -> list[float]:
         """Return the stations at which curvature, height or widths change abruptly."""
-        found = [0.0, self.length, *(piece.start for piece in self.pieces)]
+        found = [0.0, self.length, *self._starts.tolist()]
         found += [*self.elevation.starts.tolist(), *self.lane_offset.starts.tolist()]
         for section in self.sections:
             found += [section.start, section.end]
@@ -586,73 +455,68 @@ def read_opendrive(text: str | Iterable[str]) -> OpenDrive:
         text: The text of the file, or its parts.
 
     Raises:
-        ValueError: It is no OpenDRIVE file, or it is too large.
+        ValueError: It is no OpenDRIVE file, or it is too large, or a number in it is none that a road can have.
     """
     found = OpenDrive()
     controllers: list[tuple[float, str, list[str]]] = []
-    totals = _Totals()
+    counts = Counter[str]()
     for element in read_elements(text):
-        if element.tag == "road":
-            with suppress(_InvalidError):
+        with _naming(element):
+            if element.tag == "road":
                 road = _road(element)
-                totals.add(road)
-                found.roads.append(road)
-        elif element.tag == "junction":
-            id = _integer(element.get("id"))
-            ways = found.connections.setdefault(id, [])
-            by_id: dict[int, list[Element]] = {}
-            for connection in element.findall("connection")[:_MOST_CONNECTIONS]:
-                by_id.setdefault(_integer(connection.get("id")), []).append(connection)
-            for connection in (each for number in in_carlas_order(by_id) for each in by_id[number]):
-                ways.append(_integer(connection.get("connectingRoad")))
-            for priority in element.findall("priority"):
-                found.priorities[id].add((_integer(priority.get("high")), _integer(priority.get("low"))))
-        else:
-            signals = [control.get("signalId", "") for control in element.findall("control")]
-            controllers.append((_number(element, "sequence", 0.0), element.get("id", ""), list(dict.fromkeys(signals))))
+                if road is not None:
+                    _count(counts, road)
+                    found.roads.append(road)
+            elif element.tag == "junction":
+                _add_junction(found, element)
+            else:
+                signals = [control.get("signalId", "") for control in element.findall("control")]
+                controllers.append((_number(element, "sequence"), element.get("id", ""), list(dict.fromkeys(signals))))
     for _, name, signals in sorted(controllers, key=lambda controller: controller[0]):
         found.controllers[name] = signals
     return found
 
 
-class _Totals:
-    """What the roads of a file have together."""
+@contextmanager
+def _naming(element: Element) -> Iterator[None]:
+    """Name an element in the errors about its content."""
+    try:
+        yield
+    except _ContentError as error:
+        raise ValueError(f"{element.tag} {element.get('id', '')[:40]!r}: {error}") from None
 
-    def __init__(self) -> None:
-        self._roads = self._sections = self._lanes = 0
-        self._length = 0.0
-        self._in_junction = defaultdict[str, int](int)
 
-    def add(self, road: Road) -> None:
-        """Count a road.
+class _ContentError(Exception):
+    """An element has content that no map has."""
 
-        Raises:
-            ValueError: They have more than any town.
-        """
-        lanes = sum(len(section.lanes) for section in road.sections)
-        self._roads += 1
-        self._sections += len(road.sections)
-        self._lanes += lanes
-        self._length += lanes_length((road,))
-        for name, value, most in (
-            ("roads", self._roads, _MOST_ROADS),
-            ("sections of lanes", self._sections, _MOST_SECTIONS),
-            ("lanes", self._lanes, _MOST_LANES),
-        ):
-            if value > most:
-                raise ValueError(f"at most {most:,} {name}, and it has more")
-        if self._length > _LONGEST_LANES:
-            raise ValueError(
-                f"at most {_LONGEST_LANES / 1000:,.0f} km of lanes, and its first {self._roads:,} roads have "
-                f"{self._length / 1000:,.0f} km"
-            )
-        if road.in_junction:
-            self._in_junction[road.junction] += lanes
-            if self._in_junction[road.junction] > _MOST_IN_JUNCTION:
-                raise ValueError(
-                    f"at most {_MOST_IN_JUNCTION} lanes in a junction, and {road.junction[:40]!r} has at least "
-                    f"{self._in_junction[road.junction]}"
-                )
+
+def _add_junction(found: OpenDrive, element: Element) -> None:
+    id = whole_number(element.get("id"))
+    by_id: dict[int, list[int]] = {}
+    for connection in _all(element, "connection"):
+        by_id.setdefault(whole_number(connection.get("id")), []).append(road_number(connection.get("connectingRoad")))
+    found.connections.setdefault(id, []).extend(road for number in in_carlas_order(by_id) for road in by_id[number])
+    for priority in _all(element, "priority"):
+        found.priorities[id].add((road_number(priority.get("high")), road_number(priority.get("low"))))
+
+
+def _count(counts: Counter[str], road: Road) -> None:
+    """Add a road to the counts of a file.
+
+    Raises:
+        ValueError: There is more than in any town.
+    """
+    lanes = sum(len(section.lanes) for section in road.sections)
+    counts.update({"roads": 1, "sections of lanes": len(road.sections), "lanes": lanes})
+    counts["m of lanes"] += round(lanes_length((road,)))
+    most = dict(_MAX_OF_FILE)
+    if road.in_junction:
+        of_junction = f"lanes in a junction such as {road.junction[:40]!r}"
+        counts[of_junction] += lanes
+        most[of_junction] = _MAX_LANES_OF_JUNCTION
+    for name, number in most.items():
+        if counts[name] > number:
+            raise ValueError(f"at most {number:,} {name}, and it has {counts[name]:,} and more")
 
 
 def limit_lanes(roads: Iterable[Road], most: int) -> None:
@@ -671,112 +535,94 @@ def lanes_length(roads: Iterable[Road]) -> float:
     return sum((section.end - section.start) * len(section.lanes) for road in roads for section in road.sections)
 
 
-class _InvalidError(Exception):
-    """A road has no course that can be driven, and is left out."""
-
-
-def _road(element: Element) -> Road:
-    length = _number(element, "length", -1.0)
-    if length > _LONGEST:
-        raise ValueError(f"roads of at most {_LONGEST / 1000:.0f} km, and one is {length / 1000:,.0f} km long")
-    pieces = tuple(sorted(filter(None, map(_piece, element.findall("planView/geometry"))), key=lambda piece: piece.start))
-    sections = _sections(element.findall("lanes/laneSection")[: _MOST_SECTIONS + 1], length)
-    if not length > 0.01 or not pieces or not sections:
-        raise _InvalidError
+def _road(element: Element) -> Road | None:
+    """Return a road; None if it has no course or no lanes."""
+    length = _number(element, "length")
+    if length > _MAX_LENGTH:
+        raise _ContentError(f"roads of at most {_MAX_LENGTH / 1000:.0f} km, and one is {length / 1000:,.0f} km long")
+    curves = sorted(filter(None, map(_curve, _all(element, "planView/geometry"))), key=lambda curve: curve.start)
+    sections = _sections(element, length)
+    if not length > _MIN_LENGTH or not curves or not sections:
+        return None
+    before, after = (element.find(f"link/{end}") for end in _ENDS)
     return Road(
         element.get("id", ""),
         element.get("junction", OUTSIDE),
         length,
-        _profile(element.findall("elevationProfile/elevation"), "s", length, _FARTHEST, _STEEPEST),
-        _profile(element.findall("lanes/laneOffset"), "s", length, _FARTHEST_ASIDE),
+        _profile(element, "elevationProfile/elevation", "s", length, _FARTHEST, _STEEPEST),
+        _profile(element, "lanes/laneOffset", "s", length, _FARTHEST_ASIDE),
         sections,
-        tuple(_object(found) for found in element.findall("objects/object")[:_MOST_RECORDS]),
-        tuple(_signal(found) for found in element.findall("signals/*")[:_MOST_RECORDS]),
-        pieces[:_MOST_RECORDS],
-        tuple(any(link.get("elementType") == "junction" for link in element.findall(f"link/{end}")) for end in _ENDS),  # type: ignore[arg-type]
-        tuple(_limits(element.findall("type")[:_MOST_RECORDS], "s", "speed")),
-        _beyond(element, "predecessor"),
-        _beyond(element, "successor"),
+        tuple(map(_object, _all(element, "objects/object"))),
+        tuple(map(_signal, _all(element, "signals/*"))),
+        tuple(curves),
+        (_is_junction(before), _is_junction(after)),
+        _limits(element, "type", "s", "speed"),
+        None if before is None else road_number(before.get("elementId")),
+        None if after is None else road_number(after.get("elementId")),
         element.get("rule") == _LEFT_HAND,
     )
 
 
-def _beyond(element: Element, end: str) -> int | None:
-    link = element.find(f"link/{end}")
-    return None if link is None else _integer(link.get("elementId"))
+def _is_junction(link: Element | None) -> bool:
+    return link is not None and link.get("elementType") == "junction"
 
 
-def _piece(element: Element) -> _Piece | None:
-    values = [_number(element, name, np.nan) for name in ("s", "x", "y", "hdg", "length")]
-    shape = next(iter(element), None)
-    if shape is None or not all(map(isfinite, values)) or max(map(abs, values)) > _FARTHEST or values[-1] < 0:
+def _curve(element: Element) -> Curve | None:
+    """Return a part of a reference line; None if its kind is unknown, or it has no length."""
+    shape = next((child for child in element if child.tag in PARAMETERS), None)
+    if shape is None:
         return None
-    names = {
-        "line": (),
-        "arc": ("curvature",),
-        "spiral": ("curvStart", "curvEnd"),
-        "poly3": ("a", "b", "c", "d"),
-        "paramPoly3": ("aU", "bU", "cU", "dU", "aV", "bV", "cV", "dV"),
-    }.get(shape.tag)
-    if names is None:
+    place = _numbers(element, start="s", x="x", y="y", heading="hdg", length="length")
+    if max(map(abs, place.values())) > _FARTHEST:
+        raise _ContentError(f"geometry: expected numbers of at most {_FARTHEST:,.0f}, found {tuple(place.values())}")
+    if place["length"] <= 0:
         return None
-    parameters = tuple(_number(shape, name, 0.0) for name in names)
-    start, x, y, heading, length = values
-    if not _is_drivable(shape.tag, parameters, length, of_share=shape.get("pRange") != "arcLength"):
-        return None
-    if shape.tag == "paramPoly3":
-        parameters = (float(shape.get("pRange") != "arcLength"), *parameters)
-    return _Piece(start, x, y, heading, length, shape.tag, parameters)
+    end = 1.0 if shape.tag == "paramPoly3" and shape.get("pRange") != "arcLength" else place["length"]
+    parameters = tuple(_number(shape, name) for name in PARAMETERS[shape.tag])
+    curve = Curve(**place, kind=shape.tag, parameters=parameters, end=end)
+    if not curve.is_drivable():
+        raise _ContentError(f"{shape.tag}: expected a curve that a road has, found {parameters}")
+    return curve
 
 
-def _is_drivable(shape: str, parameters: Sequence[float], length: float, *, of_share: bool) -> bool:
-    """Return whether a curve turns and bends no more than a road."""
-    if shape in ("arc", "spiral"):
-        return max(map(abs, parameters)) * length <= _MOST_TURNS
-    reach = 1.0 if shape == "paramPoly3" and of_share else length
-    return all(abs(value) * reach ** (n % 4) <= _STEEPEST * length + _STEEPEST for n, value in enumerate(parameters))
-
-
-def _sections(elements: Sequence[Element], length: float) -> tuple[RoadSection, ...]:
-    starts = [min(max(_number(element, "s", 0.0), 0.0), length) for element in elements]
+def _sections(element: Element, length: float) -> tuple[RoadSection, ...]:
+    elements = _all(element, "lanes/laneSection")
+    starts = [min(max(_number(each, "s"), 0.0), length) for each in elements]
     order = sorted(range(len(elements)), key=starts.__getitem__)
     sections = []
     for index, number in enumerate(order):
-        end = starts[order[index + 1]] if index + 1 < len(order) else length
-        if end - starts[number] < 1e-3:
-            continue
-        element = elements[number]
-        left = sorted(_lanes(element, "left", end - starts[number]), key=lambda lane: lane.id)
-        right = sorted(_lanes(element, "right", end - starts[number]), key=lambda lane: -lane.id)
-        centre = next(iter(_lanes(element, "center", end - starts[number])), None)
-        sections.append(RoadSection(index, starts[number], end, tuple(left), tuple(right), centre))
+        start, end = starts[number], starts[order[index + 1]] if index + 1 < len(order) else length
+        if end - start >= _MIN_SECTION:
+            left, centre, right = (_lanes(elements[number], side, end - start) for side in ("left", "center", "right"))
+            left.sort(key=lambda lane: lane.id)
+            right.sort(key=lambda lane: -lane.id)
+            sections.append(RoadSection(index, start, end, tuple(left), tuple(right), next(iter(centre), None)))
     return tuple(sections)
 
 
 def _lanes(element: Element, side: str, length: float) -> list[RoadLane]:
-    lanes = []
-    for found in element.findall(f"{side}/lane")[:_MOST_OF_SIDE]:
-        marks = [
-            Marking(
-                max(_number(mark, "sOffset", 0.0), 0.0),
-                mark.get("type", "none").lower(),
-                mark.get("color", "standard").lower(),
-                min(max(_number(mark, "width", 0.25 if mark.get("weight") == "bold" else 0.12), 0.05), 0.6),
-                mark.get("laneChange", "both").lower(),
-            )
-            for mark in found.findall("roadMark")[:_MOST_RECORDS]
-        ]
-        lanes.append(
-            RoadLane(
-                int(_number(found, "id", 0.0)),
-                found.get("type", "none").lower(),
-                _profile(found.findall("width"), "sOffset", length, _FARTHEST_ASIDE),
-                tuple(_changes(sorted(marks, key=lambda mark: mark.start))),
-                tuple(_limits(found.findall("speed")[:_MOST_RECORDS], "sOffset", ".")),
-                *(_integer(None if (link := found.find(f"link/{end}")) is None else link.get("id")) for end in _ENDS),
-            )
+    return [
+        RoadLane(
+            whole_number(lane.get("id")),
+            lane.get("type", "none").lower(),
+            _profile(lane, "width", "sOffset", length, _FARTHEST_ASIDE),
+            tuple(_changes(sorted(map(_marking, _all(lane, "roadMark")), key=lambda mark: mark.start))),
+            _limits(lane, "speed", "sOffset", "."),
+            *(whole_number(None if (link := lane.find(f"link/{end}")) is None else link.get("id")) for end in _ENDS),
         )
-    return lanes
+        for lane in _all(element, f"{side}/lane", _MAX_LANES_OF_SIDE)
+    ]
+
+
+def _marking(element: Element) -> Marking:
+    width = _number(element, "width", 0.25 if element.get("weight") == "bold" else 0.12)
+    return Marking(
+        max(_number(element, "sOffset"), 0.0),
+        element.get("type", "none").lower(),
+        element.get("color", "standard").lower(),
+        min(max(width, 0.05), 0.6),
+        element.get("laneChange", "both").lower(),
+    )
 
 
 def _changes(markings: Iterable[Marking]) -> Iterator[Marking]:
@@ -797,45 +643,38 @@ def _object(element: Element) -> RoadObject:
         id=element.get("id", ""),
         kind=element.get("type", "").lower(),
         name=element.get("name", ""),
-        station=_number(element, "s", 0.0),
-        offset=_number(element, "t", 0.0),
-        height=_number(element, "zOffset", 0.0),
-        heading=_number(element, "hdg", 0.0),
-        width=_number(element, "width", 0.0),
-        length=_number(element, "length", 0.0),
-        outline=np.array([(_number(c, "u", 0.0), _number(c, "v", 0.0)) for c in corners], np.float64).reshape(-1, 2),
-        road_corners=np.array([(_number(c, "s", 0.0), _number(c, "t", 0.0)) for c in on_road], np.float64).reshape(-1, 2),
+        outline=np.array([(_number(c, "u"), _number(c, "v")) for c in corners], np.float64).reshape(-1, 2),
+        road_corners=np.array([(_number(c, "s"), _number(c, "t")) for c in on_road], np.float64).reshape(-1, 2),
         ahead=_AHEAD.get(element.get("orientation", "")),
+        **_numbers(element, station="s", offset="t", height="zOffset", heading="hdg", width="width", length="length"),
     )
 
 
 def _signal(element: Element) -> RoadSignal:
-    ranges = [
-        sorted((_integer(validity.get("fromLane")), _integer(validity.get("toLane"))))
-        for validity in element.findall("validity")[:_MOST_CORNERS]
-    ]
+    lanes = (
+        (whole_number(validity.get("fromLane")), whole_number(validity.get("toLane")))
+        for validity in _all(element, "validity")
+    )
     return RoadSignal(
         id=element.get("id", ""),
         kind=element.get("type", ""),
-        value=_number(element, "value", 0.0),
-        station=_number(element, "s", 0.0),
-        offset=_number(element, "t", 0.0),
-        height=_number(element, "zOffset", 0.0),
-        heading=_number(element, "hOffset", 0.0),
         ahead=_AHEAD.get(element.get("orientation", "")),
-        lanes=tuple((first, last) for first, last in ranges),
+        lanes=tuple((min(pair), max(pair)) for pair in lanes),
         unit=element.get("unit", ""),
         name=element.get("name", ""),
         is_reference=element.tag == "signalReference",
+        **_numbers(element, value="value", station="s", offset="t", height="zOffset", heading="hOffset"),
     )
 
 
-def _limits(elements: Iterable[Element], start: str, speed: str) -> Iterator[tuple[float, float]]:
-    """Yield where speed limits begin, and the limits in m/s, in order; NaN for none."""
-    for element in sorted(elements, key=lambda element: _number(element, start, 0.0)):
-        found = element.find(speed)
+def _limits(element: Element, path: str, start: str, speed: str) -> tuple[tuple[float, float], ...]:
+    """Return where speed limits begin, and the limits in m/s, in order; NaN for none."""
+    limits = []
+    for each in _all(element, path):
+        found = each.find(speed)
         limit = None if found is None else in_metres_per_second(found.get("max"), found.get("unit"))
-        yield _number(element, start, 0.0), nan if limit is None else limit
+        limits.append((_number(each, start), nan if limit is None else limit))
+    return tuple(sorted(limits, key=lambda limit: limit[0]))
 
 
 def in_metres_per_second(value: str | float | None, unit: str | None) -> float | None:
@@ -852,45 +691,64 @@ def in_metres_per_second(value: str | float | None, unit: str | None) -> float |
     return limit if _SLOWEST <= limit < _FASTEST else None
 
 
-def _profile(elements: Iterable[Element], start: str, end: float, most: float, steepest: float = np.inf) -> Profile:
-    """Return the function of some records up to an end.
+def _profile(element: Element, path: str, start: str, end: float, most: float, steepest: float = inf) -> Profile:
+    """Return the function that some records of an element are.
 
     Args:
-        elements: The records.
+        element: The element.
+        path: Where the records are.
         start: The attribute that says where a record begins.
         end: The end of the last one.
         most: The largest absolute value of a term.
         steepest: The largest absolute value of a term, but of the first one, for each m of the record and one more.
-
-    Raises:
-        _InvalidError: A coefficient is no number, or too large.
     """
-    records: list[tuple[float, Coefficients]] = []
-    for element in elements:
-        a, b, c, d = (_number(element, name, nan) if name in element.attrib else 0.0 for name in "abcd")
-        records.append((_number(element, start, 0.0), (a, b, c, d)))
+    records = []
+    for each in _all(element, path):
+        a, b, c, d = (_number(each, name) for name in "abcd")
+        records.append((_number(each, start), (a, b, c, d)))
     records.sort(key=lambda record: record[0])
-    ends = [*(record[0] for record in records[1:]), end]
+    ends = [*(first for first, _ in records[1:]), end]
     for (first, (a, b, c, d)), last in zip(records, ends, strict=False):
         length = max(last - first, 0.0)
         bend = max(abs(b) * length, abs(c) * length**2, abs(d) * length**3)
-        if not (max(abs(a), bend) <= most and bend <= steepest * (length + 1)):
-            raise _InvalidError
+        if max(abs(a), bend) > most or bend > steepest * (length + 1):
+            raise _ContentError(f"{path.rpartition('/')[2]}: expected what a road has, found a={a}, b={b}, c={c}, d={d}")
     return Profile(records)
 
 
-def _integer(text: str | None) -> int:
-    """Return a number of a road or lane; 0 where it is none."""
-    try:
-        value = int(text or "")
-    except ValueError:
-        return 0
-    return value if abs(value) < 1 << 31 else 0
+def _all(element: Element, path: str, most: int = _MAX_RECORDS) -> list[Element]:
+    found = element.findall(path)
+    if len(found) > most:
+        raise _ContentError(f"expected at most {most:,} elements {path}, found {len(found):,}")
+    return found
 
 
-def _number(element: Element, name: str, default: float) -> float:
-    try:
-        value = float(element.get(name, ""))
-    except ValueError:
+def _numbers(element: Element, **names: str) -> dict[str, float]:
+    """Return the values of attributes, each by the name that it has here."""
+    return {field: _number(element, name) for field, name in names.items()}
+
+
+def _number(element: Element, name: str, default: float = 0.0) -> float:
+    """Return the value of an attribute: as in CARLA, the number that it begins with, or 0 if there is none."""
+    text = element.get(name)
+    if text is None:
         return default
-    return value if abs(value) < 1e9 else default
+    try:
+        value = float(text)
+    except ValueError:
+        begin = _NUMBER.match(text)
+        value = float(begin[0]) if begin else 0.0
+    if not abs(value) < _MAX_NUMBER:
+        raise _ContentError(f"{element.tag}: {name}: expected a number below {_MAX_NUMBER:,.0f}, found {text[:40]!r}")
+    return value
+
+
+def whole_number(text: str | None, least: int = -(1 << 31), greatest: int = (1 << 31) - 1) -> int:
+    """Return an id as CARLA has it: the whole number that a text begins with, within limits; 0 if there is none."""
+    begin = _WHOLE_NUMBER.match(text or "")
+    return min(max(int(begin[1]), least), greatest) if begin else 0
+
+
+def road_number(text: str | None) -> int:
+    """Return the id of a road as CARLA has it; see `whole_number`."""
+    return whole_number(text, 0, (1 << 32) - 1)

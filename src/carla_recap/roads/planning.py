@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.errors import RecapWarning
-from carla_recap.roads.opendrive import single
+from carla_recap.roads.curves import single
 from carla_recap.roads.polylines import stations
 from carla_recap.roads.waypoints import NONE, Waypoints
 
