@@ -102,7 +102,11 @@ def _clip(given: dict[str, Any], source: str, destination: str, force: bool) -> 
     help="The name that a column has in the file, such as x=east; may be repeated.",
 )
 @click.option("--time-unit", type=click.Choice(["s", "ms", "us", "ns"]), help="Else s; of a column total_nanos, ns.")
-@click.option("--length-unit", type=click.Choice(["m", "cm"]), default="m", show_default=True)
+@click.option("--length-unit", type=click.Choice(["m", "cm", "ft"]), default="m", show_default=True)
+@click.option("--rate", type=float, metavar="HZ", help="The frames of a second, if times are numbers of frames.")
+@click.option(
+    "--corners", is_flag=True, help="x and y are a corner of a box, width and height its extents along them (highD)."
+)
 @click.option("--angle-unit", type=click.Choice(["deg", "rad"]), default="deg", show_default=True)
 @click.option(
     "--axes",

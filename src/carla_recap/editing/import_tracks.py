@@ -22,6 +22,7 @@ from carla_recap.model.blueprints import blueprint_like
 from carla_recap.model.layout import MAX_COUNT
 from carla_recap.model.lives import HERO
 from carla_recap.model.records import CM, NO_ACTOR, UE4, ActorKind, Spawn, attributes
+from carla_recap.util.files import IS_LFS_POINTER, LFS_POINTER
 from carla_recap.util.text import first_of
 
 if TYPE_CHECKING:
@@ -36,18 +37,18 @@ if TYPE_CHECKING:
 
 
 TimeUnit = Literal["s", "ms", "us", "ns"]
-LengthUnit = Literal["m", "cm"]
+LengthUnit = Literal["m", "cm", "ft"]
 AngleUnit = Literal["deg", "rad"]
 TrackAxes = Literal["right-handed", "carla"]
 
 ALIASES: Final[Mapping[str, tuple[str, ...]]] = {
     "time": ("time", "t", "timestamp", "elapsed", "total_nanos"),
-    "id": ("id", "idx", "track_id", "trackid", "actor_id", "agent_id", "object_id"),
+    "id": ("id", "idx", "track_id", "trackid", "actor_id", "agent_id", "object_id", "vehicle_id"),
     "kind": ("kind", "class", "type", "agent_type", "object_type"),
     "type_id": ("type_id", "blueprint"),
     "role_name": ("role_name",),
-    "x": ("x", "pos_x", "xcenter", "x_center"),
-    "y": ("y", "pos_y", "ycenter", "y_center"),
+    "x": ("x", "pos_x", "xcenter", "x_center", "local_x"),
+    "y": ("y", "pos_y", "ycenter", "y_center", "local_y"),
     "z": ("z", "pos_z"),
     "roll": ("roll",),
     "pitch": ("pitch",),
@@ -55,8 +56,8 @@ ALIASES: Final[Mapping[str, tuple[str, ...]]] = {
     "vx": ("vx", "vel_x", "xvelocity", "v_x"),
     "vy": ("vy", "vel_y", "yvelocity", "v_y"),
     "vz": ("vz", "vel_z", "v_z"),
-    "length": ("length",),
-    "width": ("width",),
+    "length": ("length", "v_length"),
+    "width": ("width", "v_width"),
     "height": ("height",),
     "box_x": ("box_x",),
     "box_y": ("box_y",),
@@ -64,6 +65,8 @@ ALIASES: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """The columns, and the names by which each is found; upper and lower case are the same."""
 REQUIRED: Final = ("time", "id", "x", "y")
+FRAMES: Final = ("frame", "frame_id")
+"""The names of a column of frames, which are times if their rate is known."""
 KINDS: Final[Mapping[str, str]] = {
     **{name: name for name in ("vehicle", "car", "van", "truck", "bus", "motorcycle", "bicycle", "walker")},
     "truck_bus": "truck",
@@ -80,6 +83,7 @@ _POSE: Final = ("x", "y", "z", "roll", "pitch", "yaw")
 _BOX: Final = ("length", "width", "height", "box_x", "box_y", "box_z")
 _ACTOR_KINDS: Final = {"vehicle": ActorKind.VEHICLE, "walker": ActorKind.WALKER}
 _PER_SECOND: Final[Mapping[str, float]] = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+_PER_CENTIMETRE: Final[Mapping[str, float]] = {"m": CM, "cm": 1.0, "ft": 1 / 30.48}
 _PROP: Final = "static.prop.box01"
 _DAY: Final = 86_400.0  # s; a recording whose times begin later, or before 0, begins at 0
 _LATEST: Final = 1e11  # s since 1970; later times are no dates
@@ -100,17 +104,20 @@ class _Units:
     length: LengthUnit
     angle: AngleUnit
     axes: TrackAxes
+    rate: float | None
 
     def divisor(self, column: str, heading: str) -> float:
         """Return the number that a column is divided by to get CARLA's units and left-handed axes."""
         sign = -1.0 if self.axes == "right-handed" and column in ("y", "vy", "pitch", "yaw", "box_y") else 1.0
+        if column == "time" and self.rate is not None:
+            return self.rate
         if column == "time":
             return _PER_SECOND[self.time or ("ns" if heading == "total_nanos" else "s")]
         if column in ("roll", "pitch", "yaw"):
             return sign * (1.0 if self.angle == "deg" else math.radians(1))
         if column in ("vx", "vy", "vz"):
-            return sign * (1.0 if self.length == "m" else 1 / CM)
-        return sign * (CM if self.length == "m" else 1.0)
+            return sign * _PER_CENTIMETRE[self.length] / CM
+        return sign * _PER_CENTIMETRE[self.length]
 
 
 @dataclass
@@ -142,6 +149,8 @@ def import_tracks(
     angle_unit: AngleUnit = "deg",
     axes: TrackAxes = "right-handed",
     hero: str | None = None,
+    rate: float | None = None,
+    corners: bool = False,
     force: bool = False,
 ) -> Extent:
     """Write a recording of the tracks in a CSV file.
@@ -164,6 +173,9 @@ def import_tracks(
         angle_unit: The unit of angles.
         axes: "right-handed": x forward, y left, a positive yaw turns left; or "carla".
         hero: The id of the object with the role name hero.
+        rate: The frames of a second, if the times are numbers of frames, such as those of a column `frame`.
+        corners: Whether x and y are the corner of a box with the least values, and the columns width and height are its
+            extents along x and y, as in highD.
         force: Overwrite an existing file.
 
     Returns:
@@ -173,8 +185,10 @@ def import_tracks(
         RecapError: The file is no such table, or the recording cannot be written.
 
     Warns:
-        RecapWarning: Rows are left out.
+        RecapWarning: Rows are left out, or frames are taken as times.
     """
+    if rate is not None and not 0 < rate < math.inf:
+        raise RecapError(f"rate: expected a number of frames per second above 0, found {rate!r}")
     for name, value, known in (
         ("time_unit", time_unit or "s", TimeUnit),
         ("length_unit", length_unit, LengthUnit),
@@ -186,7 +200,11 @@ def import_tracks(
     check_new(destination, force=force)
     check_destination(source, destination, force=force)
     path = Path(source)
-    table = _read(path, columns or {}, _Units(time_unit, length_unit, angle_unit, axes))
+    units = _Units(time_unit, length_unit, angle_unit, axes, rate)
+    columns = dict(columns or {})
+    if rate is None and columns.get("time", "").lower() in FRAMES:
+        warnings.warn(f"{path}: frames are taken as times; a rate says how many a second has", RecapWarning, stacklevel=2)
+    table = _read(path, columns, units, corners=corners)
     if table.left_out:
         rows = "row" if table.left_out == 1 else "rows"
         warnings.warn(f"{path}: {table.left_out} {rows} without a time or a position left out", RecapWarning, stacklevel=2)
@@ -239,8 +257,8 @@ class _Rows:
             yield line
 
 
-def _read(path: Path, given: Mapping[str, str], units: _Units) -> _Table:
-    """Return the rows of a file."""
+def _read(path: Path, given: Mapping[str, str], units: _Units, *, corners: bool) -> _Table:
+    """Return the rows of a file; see `import_tracks`."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):
             raise RecapError(f"{path}: is no regular file; a CSV file was expected")
@@ -249,9 +267,20 @@ def _read(path: Path, given: Mapping[str, str], units: _Units) -> _Table:
             header = next(iter(rows), None)
             if header is None:
                 raise RecapError(f"{path}: is empty; a CSV file with a row of names at its top was expected")
-            positions = _positions(path, header, given)
+            if header[0].startswith(LFS_POINTER.decode()):
+                raise RecapError(f"{path}: {IS_LFS_POINTER}")
+            positions = _positions(path, header, given, with_rate=units.rate is not None)
+            if corners:
+                if "width" not in positions or "height" not in positions:
+                    raise RecapError(f"{path}: expected columns width and height for boxes by their corners")
+                positions["length"], positions["width"] = positions["width"], positions.pop("height")
             divisors = {name: units.divisor(name, header[at].strip().lower()) for name, at in positions.items()}
-            return _parse(path, rows, positions, divisors, len(header))
+            table = _parse(path, rows, positions, divisors, len(header))
+            if corners:
+                length, width = (np.nan_to_num(table.numbers[name]) for name in ("length", "width"))
+                table.numbers["x"] += length / 2
+                table.numbers["y"] += width / 2 * math.copysign(1.0, divisors["y"])
+            return table
     except OSError as error:
         raise RecapError(f"{path}: {error.strerror}") from None
     except UnicodeDecodeError:
@@ -273,14 +302,15 @@ def _first_wrong_byte(path: Path) -> int:
     return offset - len(decoder.getstate()[0])
 
 
-def _positions(path: Path, header: list[str], given: Mapping[str, str]) -> dict[str, int]:
+def _positions(path: Path, header: list[str], given: Mapping[str, str], *, with_rate: bool) -> dict[str, int]:
     unknown = [name for name in given if name not in ALIASES]
     if unknown:
         raise RecapError(f"there is no column {unknown[0]!r}; there are {', '.join(ALIASES)}")
     headings = [name.strip().lower() for name in header]
     by_name = {name: index for index, name in enumerate(headings)}
     positions = {}
-    for column, aliases in ALIASES.items():
+    for column, known in ALIASES.items():
+        aliases = (*FRAMES, *known) if column == "time" and with_rate else known
         wanted = (given[column].lower(),) if column in given else aliases
         match = next((alias for alias in wanted if alias in by_name), None)
         if match is not None and headings.count(match) > 1:
@@ -290,7 +320,8 @@ def _positions(path: Path, header: list[str], given: Mapping[str, str]) -> dict[
         elif column in given or column in REQUIRED:
             expected = given.get(column) or " or ".join(aliases[:3])
             shown = ", ".join(header[:12]) + (", …" if len(header) > 12 else "")
-            raise RecapError(f"{path}: no column {expected} for {column}; it has {shown:.300}")
+            hint = "; with a rate, its frames are times" if column == "time" and set(FRAMES) & set(headings) else ""
+            raise RecapError(f"{path}: no column {expected} for {column}; it has {shown:.300}{hint}")
     return positions
 
 

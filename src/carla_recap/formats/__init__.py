@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from carla_recap.errors import NotARecording, RecapError, RecapWarning
 from carla_recap.formats.sources import is_remote, path_of, unsigned
+from carla_recap.util.files import IS_LFS_POINTER, LFS_POINTER
 from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
@@ -109,6 +110,8 @@ def _open(location: Path | str) -> Reader:
     if is_log(start):
         log_info(__name__, "opens %s (CARLA's log)", location)
         return LogReader(location)
+    if start.startswith(LFS_POINTER):
+        raise NotARecording(location, IS_LFS_POINTER)
     if not start:
         raise NotARecording(location, "is empty; a CARLA log or an MCAP recording was expected")
     raise NotARecording(location, "is not a recording (neither CARLA's log nor MCAP)")

@@ -8,7 +8,7 @@ from hashlib import sha256
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import FormatError, RecapError
-from carla_recap.util.files import reason_of
+from carla_recap.util.files import IS_LFS_POINTER, LFS_POINTER, reason_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -63,6 +63,8 @@ def _parts(path: Path, what: str = "map") -> Iterator[bytes]:
             while part := file.read(_PART):
                 if file.tell() > _LARGEST:
                     raise RecapError(f"{path}: is larger than {_LARGEST >> 20} MB, which no {what} is")
+                if part.startswith(LFS_POINTER):
+                    raise RecapError(f"{path}: {IS_LFS_POINTER}")
                 yield part
     except (OSError, ValueError) as error:
         raise RecapError(f"{path}: {reason_of(error)}") from None

@@ -44,6 +44,7 @@ _POSE: Final[Mapping[str, SensorAttribute]] = {
     **dict.fromkeys(_ANGLES, SensorAttribute("0.0", float, -360.0, 360.0, "degrees")),
 }
 _PLACED: Final = ("camera", "lidar", "semantic_lidar", "radar")  # kinds whose place matters so much that it must be given
+_MAP: Final = "sensor.opendrive_map"
 _ALIASES: Final[Mapping[str, str]] = {"width": "image_size_x", "height": "image_size_y"}
 _READING_FREQUENCY: Final = "reading_frequency"  # Hz: the Leaderboard's name for 1 / sensor_tick of what is no actor
 _FREQUENCY: Final = SensorAttribute("20.0", float, 0.001, 1000.0, "Hz")
@@ -266,11 +267,10 @@ def _rig(sensors: object, name: str, *, leaderboard: bool) -> SensorRig:
             raise RecapError(
                 f"{name}: sensor {position}: id: {reader.id!r}; another one than that of sensor {first} was expected"
             )
-        spec = reader.spec(leaderboard=leaderboard)
-        if spec.kind == "map":
-            warnings.warn(RecapWarning(f"{name}: sensor {spec.id!r}: {spec.type} is left out"), stacklevel=3)
+        if reader.is_map:  # whatever else it says
+            warnings.warn(RecapWarning(f"{name}: sensor {reader.id!r}: {_MAP} is left out"), stacklevel=3)
         else:
-            found.append(spec)
+            found.append(reader.spec(leaderboard=leaderboard))
     if not found:
         raise RecapError(f"{name}: has no sensors; a list of sensors was expected")
     return SensorRig(tuple(found), name)
@@ -301,6 +301,7 @@ class _SensorReader:
             near = get_close_matches(type[:_SHOWN], SENSOR_TYPES, n=1, cutoff=0.5)
             self.refuse("type", near[0] if near else f"one of {', '.join(SENSOR_TYPES)}")
         self._type: SensorType = SENSOR_TYPES[type]
+        self.is_map = type == _MAP
 
     def spec(self, *, leaderboard: bool) -> SensorSpec:
         """Return the sensor."""

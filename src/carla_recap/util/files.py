@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 
     BytesLike = bytes | bytearray | memoryview
 
+LFS_POINTER: Final = b"version https://git-lfs.github.com/spec/"
+"""What the small file begins with that Git has in place of a large one."""
+IS_LFS_POINTER: Final = "is a pointer of Git LFS, not the file itself, which `git lfs pull` fetches"
+"""What errors say of such a file."""
 _SYNC_SECONDS: Final = 1.0
 """The least time between two syncs, in s of the clock, so that a fast simulation does not keep the disk busy."""
 _BUFFER_SIZE: Final = 1 << 20  # bytes
