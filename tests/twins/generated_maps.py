@@ -28,7 +28,7 @@ def cubic(tag: str, start: str, s: float, a: float, b: float = 0.0, c: float = 0
 @st.composite
 def shapes(draw: Draw, length: float) -> tuple[str, tuple[float, float, float]]:
     """A curve, and x, y and direction of its end as seen from its begin; the ends of spirals are not exact."""
-    kind = draw(st.sampled_from(("line", "arc", "spiral", "poly3")))
+    kind = draw(st.sampled_from(("line", "arc", "spiral", "poly3", "paramPoly3", "of share", "of length")))
     if kind == "line":
         return "<line/>", (length, 0.0, 0.0)
     if kind == "arc":
@@ -43,11 +43,11 @@ def shapes(draw: Draw, length: float) -> tuple[str, tuple[float, float, float]]:
     side, turn = c * length**2 + d * length**3, atan2(2 * c * length + 3 * d * length**2, 1.0)
     if kind == "poly3":
         return f'<poly3 a="0" b="0" c="{c}" d="{d}"/>', (length, side, turn)
-    reach = 1.0 if kind == "paramPoly3" else length
+    reach = 1.0 if kind == "of share" else length
     scale = length / reach
     values = f'aU="0" bU="{scale}" cU="0" dU="0" aV="0" bV="0" cV="{c * scale**2}" dV="{d * scale**3}"'
-    span = "normalized" if kind == "paramPoly3" else "arcLength"
-    return f'<paramPoly3 pRange="{span}" {values}/>', (length, side, turn)
+    span = {"of share": ' pRange="normalized"', "of length": ' pRange="arcLength"'}.get(kind, "")
+    return f"<paramPoly3{span} {values}/>", (length, side, turn)
 
 
 @st.composite
@@ -106,8 +106,9 @@ def signals(draw: Draw, id: int, length: float, ids: list[int]) -> str:
     if draw(st.booleans()):
         pair = draw(st.sampled_from(ids)), draw(st.sampled_from(ids))
         valid = f'<validity fromLane="{min(pair)}" toLane="{max(pair)}"/>'
+    name = f"{draw(st.sampled_from(('', 'no. ')))}{id}"
     return (
-        f'<signal name="s{id}" id="{id}" {place} hOffset="{draw(number(-1, 1))}" orientation="{orientation}" dynamic="no"'
+        f'<signal name="s{id}" id="{name}" {place} hOffset="{draw(number(-1, 1))}" orientation="{orientation}" dynamic="no"'
         f' country="OpenDRIVE" type="{kind}" subtype="-1" value="{value}" unit="km/h" height="1" width="1" text=""'
         f' pitch="0" roll="0">{valid}</signal>'
     )
