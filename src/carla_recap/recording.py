@@ -12,7 +12,7 @@ import numpy as np
 
 from carla_recap.errors import Closed, RecapError
 from carla_recap.formats import open_reader
-from carla_recap.model.lives import ActorLife, ActorName, find_actor, heroes_of
+from carla_recap.model.lives import ROAD_USERS, ActorLife, ActorName, find_actor, heroes_of
 from carla_recap.queries.recorded_actors import RecordedActors, actors
 from carla_recap.tables import Rows, Tabular
 from carla_recap.tables.records import RecordTable, record_table
@@ -279,7 +279,7 @@ class Recording:
         ids = None
         if kind is not None:
             kinds = sorted({actor.kind for actor in self.actors.values()})
-            if kind not in kinds:
+            if kind not in (*ROAD_USERS, *kinds):
                 raise RecapError(f"{self.location}: no actors of kind {kind!r}; there are {', '.join(kinds) or 'none'}")
             ids = {actor.id for actor in self.actors.values() if actor.kind == kind}
         return trajectories(self.reader, ids, axes=axes)

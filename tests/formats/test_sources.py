@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import pytest
 
-from carla_recap import RecapError, open_recording
-from carla_recap.formats.sources import TimeFragment, is_remote, path_of, split_time, unsigned
+from carla_recap import FormatError, RecapError, open_recording
+from carla_recap.formats.sources import LocalSource, TimeFragment, is_remote, path_of, split_time, unsigned
 from tests.samples import save
 
 
@@ -72,3 +73,16 @@ def test_a_file_of_such_a_name_is_a_file(tmp_path, small):
 def test_errors_show_the_location_as_given():
     with pytest.raises(RecapError, match=r"^\./missing//a\.log: No such file"):
         open_recording("./missing//a.log")
+
+
+def test_reads_that_come_short_are_not_the_end(tmp_path):
+    class Short(io.FileIO):
+        def read(self, size=-1):
+            return super().read(min(size, 3) if size > 0 else size)
+
+    path = tmp_path / "a.bin"
+    path.write_bytes(bytes(range(100)))
+    with Short(path) as file:
+        assert LocalSource(path, file).read(10, 50, "the middle") == bytes(range(10, 60))
+        with pytest.raises(FormatError):
+            LocalSource(path, file).read(90, 11, "what is not there")

@@ -112,3 +112,14 @@ def test_a_metric_gives_the_same_figures_as_with_scenario_runners_manager(tmp_pa
     assert ours["frames"] == theirs["frames"]
     # The text that the manager parses has six digits.
     assert ours["distance"] == pytest.approx(theirs["distance"], abs=1e-3)
+
+
+def test_a_run_leaves_modules_as_they_were(tmp_path: Path) -> None:
+    import random
+
+    (tmp_path / "random.py").write_text(METRIC, "utf-8")
+    path = list(sys.path)
+    with MetricsLog(CROSSING) as log:
+        run_metric(tmp_path / "random.py", log)
+    assert sys.path == path
+    assert sys.modules["random"] is random

@@ -7,7 +7,7 @@ import pytest
 
 from carla_recap import RecordError
 from carla_recap.model.layout import Framing
-from carla_recap.model.records import ORDER, UE4, UE5, ActorKind, Attribute, Group, Spawn
+from carla_recap.model.records import ORDER, UE4, UE5, ActorKind, Attribute, Group, Spawn, attributes
 
 # Packet id → bytes of a record in UE4 and in UE5 builds, as CARLA's format has them.
 SIZES = {
@@ -182,3 +182,9 @@ def test_objects_are_taken_as_they_are():
     for wrong in (5, [5], [{"id": 1}]):
         with pytest.raises(RecordError, match="spawned"):
             spawns.records(wrong)
+
+
+def test_attributes_of_values_of_numpy() -> None:
+    assert attributes(lanes=np.int64(2), open=np.True_) == [Attribute(1, "lanes", "2"), Attribute(0, "open", "true")]
+    with pytest.raises(RecordError, match=r"'x': .*NoneType"):
+        attributes(x=None)  # type: ignore[arg-type]

@@ -61,3 +61,8 @@ def test_the_folder_comes_from_the_environment(folder, monkeypatch):
 
 def test_a_missing_folder_has_no_maps(tmp_path):
     assert find_map("Town01", tmp_path / "none") is None
+
+
+def test_the_case_of_a_name_does_not_matter(tmp_path: Path) -> None:
+    (tmp_path / "Town01.xodr").write_text("", "utf-8")
+    assert find_map("Carla/Maps/town01_opt", tmp_path) == tmp_path / "Town01.xodr"

@@ -452,3 +452,10 @@ def test_a_batch_takes_names_and_slices_of_frames_in_a_row(key: object) -> None:
         assert len(batch[1:4]) == len(batch[1:4:1]) == 3
         with pytest.raises(TypeError, match="the name of a record type, or a slice of frames in a row, was expected"):
             batch[key]  # type: ignore[call-overload]
+
+
+def test_without_vehicles_there_are_no_trajectories_of_vehicles(tmp_path: Path) -> None:
+    with create_recording(tmp_path / "empty.log", map_name="T") as recorder:
+        recorder.add_frame(0.0)
+    with open_recording(tmp_path / "empty.log") as recording:
+        assert len(recording.trajectories("vehicle")) == 0

@@ -115,6 +115,8 @@ class LocalSource:
             with self._lock:  # the next chunk may be read by another thread
                 self._file.seek(offset)
                 data = self._file.read(size)
+                while len(data) < size and (more := self._file.read(size - len(data))):  # network mounts read short
+                    data += more
                 self.bytes_read += len(data)
         except OSError as error:
             raise RecapError(f"{self.location}: {error.strerror}") from None

@@ -71,7 +71,11 @@ class MetricsLog:
         self._light_times: defaultdict[int, list[tuple[int, tuple[float, float, float]]]] = defaultdict(list)
         self._scene_lights: defaultdict[int, list[tuple[int, Any]]] = defaultdict(list)
         self._rows: dict[str, dict[int, ActorRows]] = {}
-        self._read_events()
+        try:
+            self._read_events()
+        except BaseException:
+            self.close()
+            raise
 
     def __enter__(self) -> Self:
         return self

@@ -6,6 +6,7 @@ import inspect
 import json
 import subprocess
 import sys
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,6 +17,8 @@ from carla_recap.errors import FormatError, RecapError
 from carla_recap.roads.drawing import load_map
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from carla_recap.metrics.log import MetricsLog
 
 _BASE: Final = "srunner.metrics.examples.basic_metric"
@@ -61,7 +64,22 @@ def run_metric(
     """
     given = None if criteria is None else _criteria(Path(criteria))
     town_map = None if opendrive is None else _town_map(Path(opendrive))
-    return _metric_class(Path(metric))(town_map, log, given)
+    with _importing(Path(metric)):
+        return _metric_class(Path(metric))(town_map, log, given)
+
+
+@contextmanager
+def _importing(path: Path) -> Iterator[None]:
+    """Import modules from the folder of a file first, the file's own anew; afterwards all is as before."""
+    folder, before = str(path.parent.absolute()), sys.modules.pop(path.stem, None)
+    sys.path.insert(0, folder)
+    try:
+        yield
+    finally:
+        sys.path.remove(folder)
+        sys.modules.pop(path.stem, None)
+        if before is not None:
+            sys.modules[path.stem] = before
 
 
 def _criteria(path: Path) -> dict[str, Any]:
@@ -99,8 +117,6 @@ def _metric_class(path: Path) -> Any:
             f"{path}: {'no Python file' if path.exists() else 'no such file'}; a metric's .py file was expected"
         )
     _provide_scenario_runner()
-    sys.path.insert(0, str(path.parent.absolute()))
-    sys.modules.pop(path.stem, None)
     module = import_module(path.stem)
     for _, member in inspect.getmembers(module, inspect.isclass):
         if any(base.__name__ == BasicMetric.__name__ for base in member.__mro__[1:]):

@@ -65,16 +65,19 @@ class Attribute:
 
 
 def attributes(**values: str | bool | int | float) -> list[Attribute]:
-    """Return attributes of Python values: `attributes(role_name="hero", number_of_wheels=4)`."""
-    return [Attribute(_type_code(value), key, _as_text(value)) for key, value in values.items()]
+    """Return attributes of Python values, or numpy's: `attributes(role_name="hero", number_of_wheels=4)`.
+
+    Raises:
+        RecordError: A value is neither text, nor a truth value, nor a number.
+    """
+    return [_attribute(key, value.item() if isinstance(value, np.generic) else value) for key, value in values.items()]
 
 
-def _type_code(value: str | bool | int | float) -> int:
-    return next(code for code, kind in enumerate((bool, int, float, str)) if isinstance(value, kind))
-
-
-def _as_text(value: str | bool | int | float) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)
+def _attribute(key: str, value: str | bool | int | float) -> Attribute:
+    for code, kind in enumerate((bool, int, float, str)):
+        if isinstance(value, kind):
+            return Attribute(code, key, str(value).lower() if kind is bool else str(value))
+    raise RecordError(f"attribute {key!r}: expected text, a truth value or a number, found {type(value).__name__}")
 
 
 @dataclass(slots=True)

@@ -27,8 +27,8 @@ def find_map(map_name: str, folder: Path | str | None = None) -> Path | None:
             package is found in any case.
     """
     maps = find_maps(folder)
-    name = plain_name(map_name)
-    found = maps.get(name) or maps.get(name.removesuffix(_LAYERED))
+    name, by_key = plain_name(map_name), {map_key(name): path for name, path in sorted(maps.items(), reverse=True)}
+    found = maps.get(name) or maps.get(name.removesuffix(_LAYERED)) or by_key.get(map_key(name))
     if found is None:
         log_info(__name__, "the map %r is not in %s", map_name, described_folder(folder))
     else:

@@ -97,6 +97,8 @@ class AtomicFile:
             return
         try:
             self._finish()
+            self._file.flush()
+            _write_to_disk(self._file.fileno())  # else a crash of the machine may leave an empty file under the name
             self._file.close()
             self._move()
         except BaseException as error:
