@@ -4,12 +4,11 @@ import math
 import sys
 import threading
 from collections import deque
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from carla_recap.errors import RecapError
@@ -17,12 +16,13 @@ from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn
 from carla_recap.output.text import text
 from carla_recap.queries.blocked import BlockedRow, blocked
+from carla_recap.queries.incidents import IncidentOptions, incidents
 from tests.cli.command import CROSSING
 from tests.samples import reading
+from tests.twins.stationary import stationary
 from tests.waiting import time_limit
 
 if TYPE_CHECKING:
-    from carla_recap.formats.base import Reader
     from tests.queries.conftest import Make
 
 
@@ -50,16 +50,16 @@ def test_the_distance_is_from_where_it_last_moved_to(make: Make, compat: bool) -
     assert [row.duration for row in rest] == [2, 2]
 
 
-@pytest.mark.parametrize(("compat", "duration"), [(False, 1.0), (True, 0.0)])
-def test_the_last_frame(make: Make, compat: bool, duration: float) -> None:
+@pytest.mark.parametrize(("compat", "expected"), [(False, (0.5, 0.5, 5.0)), (True, (0.0, 0.0, 0.0))])
+def test_the_last_frame(make: Make, compat: bool, expected: tuple[float, float, float]) -> None:
     reader = make(at((1, 5)), at((1, 5)), at((1, 5)))
     (row,) = blocked(reader, 0, 10, compat=compat)
-    assert (row.start, row.duration, row.x) == (0.0, duration, 0.0)
+    assert (row.start, row.duration, row.x) == expected
 
 
 def test_no_frame_subtracts(make: Make) -> None:
     reader = make(at((1, 5)), at((1, 5)), at((1, 5)), durations=[2.0, -5.0, 1.0])
-    assert [row.duration for row in blocked(reader, 0)] == [3.0]
+    assert [row.duration for row in blocked(reader, 0)] == [1.0]
     assert [row.duration for row in blocked(reader, -9, compat=True)] == [-2.0]
 
 
@@ -67,11 +67,11 @@ def test_a_destroyed_actor_has_stood_until_then(make: Make) -> None:
     spawned = {"spawned": [spawn(1), spawn(2, "walker.b"), spawn(3, "static.c")]}
     standing = at((1, 1), (2, 2), (3, 3))
     reader = make([spawned, standing], standing, [{"destroyed": [(1,)]}, at((2, 2), (3, 3))], {})
-    rows = blocked(reader, 1)
+    rows = blocked(reader, 0.5)
     assert [(row.id, row.type_id, row.duration) for row in rows] == [
-        (2, "walker.b", 1.5),
-        (3, "static.c", 1.5),
-        (1, "vehicle.a", 1.0),
+        (2, "walker.b", 1.0),
+        (3, "static.c", 1.0),
+        (1, "vehicle.a", 0.5),
     ]
     # CARLA forgets the actor that was spawned last, and never says of a forgotten one that it stood.
     rows = blocked(reader, 0.5, compat=True)
@@ -89,8 +89,8 @@ def test_a_destroyed_actor_that_moved_is_not_told_of(make: Make) -> None:
 
 def test_a_spawn_begins_anew(make: Make) -> None:
     reader = make(at((1, 1)), at((1, 1)), [{"spawned": [spawn(1)]}, at((1, 1))], at((1, 1)), {})
-    (row,) = blocked(reader, 0.5)
-    assert (row.start, row.duration, row.type_id) == (1.0, 1.0, "vehicle.a")
+    rows = blocked(reader, 0.5)
+    assert [(row.start, row.duration, row.type_id) for row in rows] == [(0.5, 0.5, ""), (1.5, 0.5, "vehicle.a")]
 
 
 @pytest.mark.parametrize(("drive", "stand"), [(19, 66), (56, 62), (3, 30)])
@@ -124,11 +124,9 @@ def test_ties(make: Make) -> None:
     )
     right = [(row.start, row.duration, row.id) for row in blocked(reader, 0.5)]
     assert right == [
-        (0.0, 1.0, 5),
-        (1.0, 1.0, 4),
-        (0.0, 0.5, 1),
-        (0.0, 0.5, 9),
+        (0.5, 0.5, 5),
         (1.5, 0.5, 1),
+        (1.5, 0.5, 4),
         (1.5, 0.5, 5),
         (1.5, 0.5, 9),
     ]
@@ -156,7 +154,7 @@ def test_carla_goes_through_a_hash_table(make: Make, spawned: tuple[int, ...], o
 
 def test_without_a_spawn_carla_forgets_actor_0(make: Make) -> None:
     both = at((0, 1), (5, 1))
-    reader = make(both, [{"destroyed": [(9,)]}, at((5, 1))], {})
+    reader = make(both, both, [{"destroyed": [(9,)]}, at((5, 1))], {})
     assert [row.id for row in blocked(reader, 0.5, compat=True)] == [5]
     assert [row.id for row in blocked(reader, 0.5)] == [5, 0]
 
@@ -186,9 +184,9 @@ def test_an_actor_that_is_listed_thousands_of_times(make: Make) -> None:
 
 @pytest.mark.parametrize("compat", [False, True])
 def test_the_footer_keeps_its_decimals(make: Make, compat: bool) -> None:
-    printed = "".join(text(blocked(make(at((1, 1)), {}), 0.5, compat=compat)))
+    printed = "".join(text(blocked(make(at((1, 1)), at((1, 1)), {}, durations=[0.5, 0.75, 1.0]), 0.5, compat=compat)))
     assert len(printed.splitlines()) == 9
-    assert printed.endswith("\n\nFrames: 2\nDuration: 0.5 seconds\n")
+    assert printed.endswith("\n\nFrames: 3\nDuration: 1.25 seconds\n")
 
 
 def test_double_precision(make: Make) -> None:
@@ -199,105 +197,49 @@ def test_double_precision(make: Make) -> None:
     assert blocked(make(*far), 0.5) != []
 
 
-# --- against the definition, word for word ---------------------------------------------------------------
-
-
-@dataclass
-class Actor:
-    type_id: str = ""
-    place: list[Any] = field(default_factory=lambda: [np.float32(0)] * 3)
-    start: float = 0.0
-    duration: float = 0.0
-
-
-def by_definition(
-    reader: Reader, min_time: float, min_distance: float, *, compat: bool
-) -> list[tuple[float, float, int, str]]:
-    actors: dict[int, Actor] = {}
-    rows: list[tuple[float, float, int, str]] = []
-    newest = -1
-
-    def report(id: int, actor: Actor) -> None:
-        if actor.duration >= min_time:
-            rows.append((actor.start, actor.duration, id, actor.type_id))
-
-    for frame in reader.frames():
-        length = frame.duration if compat else max(frame.duration, 0.0)
-        for packet in frame.packets:
-            name = packet.type.name if packet.type else ""
-            if name == "spawned":
-                for spawned in packet.records:
-                    actors[spawned.id] = Actor(spawned.type_id)
-                    newest = spawned.id
-            elif name == "destroyed":
-                for (id,) in packet.records.tolist():
-                    gone = actors.pop(newest if compat else id, None)
-                    if gone and not compat:
-                        report(id, gone)
-            elif name == "transforms":
-                latest = {int(record["id"]): record for record in packet.records}
-                for record in packet.records if compat else latest.values():
-                    id = int(record["id"])
-                    actor = actors.setdefault(id, Actor())
-                    place = [record[axis] for axis in "xyz"]
-                    dx, dy, dz = (new - old for new, old in zip(place, actor.place, strict=True))
-                    fallen = abs(record["pitch"]) > 60 or abs(record["roll"]) > 60
-                    lies = not compat and actor.type_id.startswith("walker.") and fallen
-                    if float(np.sqrt(dx * dx + dy * dy + dz * dz)) < min_distance and not lies:
-                        if actor.duration == 0:
-                            actor.start = frame.elapsed
-                        actor.duration += length
-                    else:
-                        report(id, actor)
-                        actor.duration = 0.0
-                        actor.place = place
-    left = list(actors.items())
-    for id, actor in reversed(left) if compat else left:
-        report(id, actor)
-    return sorted(rows, key=lambda row: -row[1] if compat else (-row[1], row[0], row[2]))
+# --- against the twin --------------------------------------------------------------------------------------
 
 
 ids = st.integers(1, 5)
-lengths = st.sampled_from([0.0, 3.0, 5.0, 9.999999, 10.0, 10.000001, 20.0, 26.0, 1e30, math.nan, math.inf])
-place = st.tuples(ids, lengths, lengths, st.just(0.0), st.just(0), st.just(0), st.just(0))
+lengths = st.one_of(
+    st.sampled_from([0.0, 3.0, 5.0, 9.999999, 10.0, 10.000001, 20.0, 26.0, 4000.0, 1e30, math.nan, math.inf]),
+    st.floats(-1e6, 1e6, width=32),
+)
+angles = st.sampled_from([0, 0, 0, 90, -61])
+place = st.tuples(ids, lengths, lengths, st.just(0.0), angles, st.just(0), angles)
 packets = st.one_of(
     st.builds(lambda rows: {"transforms": rows}, st.lists(place, min_size=1, max_size=6)),
     st.builds(lambda rows: {"transforms": rows}, st.lists(place, min_size=1, max_size=6)),
     st.builds(lambda rows: {"transforms": rows}, st.permutations([(id, 3, 0, 0, 0, 0, 0) for id in range(1, 6)])),
     st.builds(
-        lambda chosen: {"spawned": [spawn(id, f"x{id}") for id in chosen]},
+        lambda chosen: {"spawned": [spawn(id, f"x{id}" if id % 2 else "walker.a") for id in chosen]},
         st.lists(ids, min_size=1, max_size=2),
     ),
     st.builds(lambda chosen: {"destroyed": [(id,) for id in chosen]}, st.lists(ids, min_size=1, max_size=2)),
 )
 frames = st.lists(st.lists(packets, max_size=4), min_size=1, max_size=12)
-lasting = st.sampled_from([0.5, 0.5, 0.1, 1.0, 0.0, -1.0, 30.0])
+stays = st.integers(1, 30).map(lambda count: [[{"transforms": [(id, 3, 0, 0, 0, 0, 0) for id in range(1, 6)]}]] * count)
+lasting = st.one_of(st.sampled_from([0.5, 0.1, 1.0, 0.0, -1.0, 30.0, 400.0, math.nan]), st.floats(0, 500))
+times = st.one_of(st.sampled_from([0.0, 0.1, 0.5, 1.0, 30.0]), st.floats(0, 1000))
+distances = st.one_of(st.sampled_from([0.0, 0.3, 5.0, 10.0, 5000.0, 1e30, math.inf]), st.floats(0, 1e6))
 
 
 @pytest.mark.parametrize("compat", [False, True])
-@settings(max_examples=30)
 @given(
-    frames=frames,
+    frames=st.lists(st.one_of(frames, stays), max_size=3).map(lambda found: [frame for some in found for frame in some]),
     data=st.data(),
-    min_time=st.sampled_from([0.5, 0.1, 1.0, 0.0, -0.5]),
-    min_distance=st.sampled_from([10.0, 0.3, 5.0, 0.0, 1e30, math.inf]),
+    min_time=times,
+    min_distance=distances,
 )
-def test_by_definition(
-    make: Make,
-    monkeypatch: pytest.MonkeyPatch,
-    compat: bool,
-    frames: Any,
-    data: st.DataObject,
-    min_time: float,
-    min_distance: float,
+def test_as_the_twin_has_it(
+    make: Make, compat: bool, frames: Any, data: st.DataObject, min_time: float, min_distance: float
 ) -> None:
-    min_time = min_time if compat else max(min_time, 0.0)
     durations = data.draw(st.lists(lasting, min_size=len(frames), max_size=len(frames)))
     reader = make(*frames, durations=durations)
     rows = blocked(reader, min_time, min_distance, compat=compat)
     with np.errstate(all="ignore"):
-        wanted = by_definition(reader, min_time, min_distance, compat=compat)
-    assert [(row.start, row.duration, row.id, row.type_id) for row in rows] == wanted
+        wanted = stationary(reader, min_time, min_distance, compat=compat)
+    assert repr([(row.start, row.duration, row.id, row.type_id, (row.x, row.y, row.z)) for row in rows]) == repr(wanted)
 
 
 def test_a_walker_that_lies_on_the_ground_is_not_blocked(make: Make) -> None:
@@ -308,16 +250,43 @@ def test_a_walker_that_lies_on_the_ground_is_not_blocked(make: Make) -> None:
     frames = [spawned, *[lying()] * 2, *[lying(1, 2)] * 3]
     durations = [1.0] * len(frames)
     rows = [(row.id, row.start, row.duration) for row in blocked(make(*frames, durations=durations), 2)]
-    assert rows == [(2, 0.0, 6.0), (3, 0.0, 6.0), (1, 0.0, 3.0)]
+    assert rows == [(2, 1.0, 5.0), (3, 1.0, 5.0), (1, 1.0, 2.0)]
     assert [row.duration for row in blocked(make(*frames, durations=durations), 2, compat=True)] == [6.0] * 3
 
 
-@pytest.mark.parametrize("min_time", [-1.0, float("nan")])
-def test_a_time_below_0_is_for_carlas_answer_alone(make: Make, min_time: float) -> None:
+@pytest.mark.parametrize("limit", [-1.0, math.nan])
+def test_limits_below_0_are_for_carlas_answer_alone(make: Make, limit: float) -> None:
     reader = make({"transforms": [(1, 0, 0, 0, 0, 0, 0)]}, {})
-    with pytest.raises(RecapError, match="must be 0 s or more"):
-        blocked(reader, min_time)
-    blocked(reader, min_time, compat=True)
+    with pytest.raises(RecapError, match="min_time: expected 0 s or more, found"):
+        blocked(reader, limit)
+    with pytest.raises(RecapError, match="min_distance: expected 0 cm or more, found"):
+        blocked(reader, 1, limit)
+    with pytest.raises(RecapError, match="min_time: expected 0 s or more, found"):
+        IncidentOptions(min_time=limit)
+    blocked(reader, limit, compat=True)
+
+
+def test_the_origin_of_the_world_is_no_position_of_an_actor(make: Make) -> None:
+    far = {"spawned": [spawn(1)], **at((1, 4000))}
+    reader = make(far, at((1, 4000)), at((1, 4000)), {})
+    assert blocked(reader, 0.1, 5000) == [BlockedRow(0.5, 1.0, 1, "vehicle.a", 4000.0, 0.0, 0.0)]
+    (row,) = blocked(reader, 0.1, 5000, compat=True)
+    assert (row.start, row.duration, row.x) == (0.0, 1.5, 0.0)
+
+
+def test_an_actor_that_moves_has_no_stops_of_0_s(make: Make) -> None:
+    reader = make(at((1, 100)), at((1, 200)), at((1, 300)), {})
+    assert blocked(reader, 0) == []
+    assert [row.duration for row in blocked(reader, 0, compat=True)] == [0.0] * 4
+
+
+@pytest.mark.parametrize("with_digest", [True, False])
+def test_incidents_of_a_part_have_the_stops_that_overlap_it(make: Make, with_digest: bool) -> None:
+    frames = [{"spawned": [spawn(1)], **at((1, 100))}, *[at((1, 100))] * 199, at((1, 900)), at((1, 1800))]
+    limits = {"kinds": ["blocked"], "min_distance": 10 if with_digest else 11}
+    for start, stop, count in ((50, 60, 1), (0, 1, 1), (99, 1000, 1), (102, 1000, 0), (-math.inf, 0.2, 0)):
+        found = incidents(make(*frames), IncidentOptions(start=start, stop=stop, **limits))
+        assert [(row.start, row.stop) for row in found] == [(0.5, 100.0)] * count
 
 
 def test_a_thread_that_holds_frames_of_others_changes_nothing() -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from carla_recap.errors import RecapError
 from carla_recap.model.lives import HashOrder, PresentActors
 from carla_recap.model.segment import last_of_each, segments
 from carla_recap.util.text import readable
@@ -20,8 +21,7 @@ if TYPE_CHECKING:
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame, Packet
     from carla_recap.model.records import Table
-    from carla_recap.util.arrays import Booleans, Floats, Ids, Indices
-
+    from carla_recap.util.arrays import Booleans, Floats, Indices
 
 MIN_TIME: Final = 30.0  # s
 MIN_DISTANCE: Final = 10.0  # cm
@@ -31,9 +31,7 @@ TYPES: Final = ("spawned", "destroyed", TRANSFORMS)
 
 _WALKER: Final = "walker."
 _LYING: Final = 60.0  # degrees of pitch or roll from which on a walker lies on the ground
-_FRAMES: Final = 256  # that are processed together, at most
-_RECORDS: Final = 1 << 15  # that are processed together, at most, where there are several frames
-_SLOTS: Final = 64  # for actors, at first
+_SHORTEST: Final = math.ulp(0.0)  # s, the shortest interval, but for CARLA
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,38 +57,47 @@ class BlockedRow:
     z: float
 
 
+def check_limits(min_time: float, min_distance: float) -> None:
+    """Refuse limits of stationary intervals that are below 0 or NaN.
+
+    Raises:
+        RecapError: One of them is.
+    """
+    for name, value, unit in (("min_time", min_time, "s"), ("min_distance", min_distance, "cm")):
+        if not value >= 0:
+            raise RecapError(f"{name}: expected 0 {unit} or more, found {value:g} {unit}")
+
+
 class StationaryTracker:
     """Finds the stationary intervals of all actors in the frames of a recording.
 
-    An actor is stationary while it stays within a distance of its anchor, the position that it last moved to. A walker
-    that lies on the ground is not stationary.
-
-    Every actor has a slot in an array: its anchor, the start and the duration of its current interval (0 if it has none),
-    and whether it can lie on the ground. The slots of the actors of a segment are taken out, carried through its frames, and
-    put back.
+    An actor is stationary while it stays within a distance of its anchor, the position that it last moved to, at first that
+    of its first transform. A walker that lies on the ground is not stationary.
 
     Args:
         table: The record types of the recording.
         min_time: The shortest interval to report, in seconds.
         min_distance: The distance from the anchor at which an actor has moved, in cm.
-        compat: Whether to reproduce the mistakes of CARLA 0.9.16.
+        compat: Whether to reproduce the mistakes of CARLA 0.9.16, where the first anchor is the origin of the world, and
+            an interval of 0 s is one, too.
     """
 
     def __init__(
         self, table: Table, min_time: float = MIN_TIME, min_distance: float = MIN_DISTANCE, *, compat: bool = False
     ) -> None:
         real = table.named(TRANSFORMS).dtype["x"]
-        self._min_time = min_time
-        self._limit = _squared_limit(min_distance, real)
+        self._min_time = min_time if compat else max(min_time, _SHORTEST)
+        limit: Any = real.type(min_distance)
+        # CARLA compares lengths of the recording's precision with a double.
+        self._limit = limit if limit.item() >= min_distance else np.nextafter(limit, real.type(math.inf))
         self._compat = compat
         self._slots = PresentActors[int](compat=compat)
         self._order = HashOrder() if compat else None
-        self._states = np.zeros(_SLOTS, [("anchor", real, 3), ("start", "f8"), ("duration", "f8"), ("walks", "?")])
         self._actors: list[tuple[int, str]] = []  # the id and the blueprint of the actor in each slot
         self._free: list[int] = []  # slots
+        # By slot: the anchor, the start and the duration of the interval (0 if there is none), whether it can lie.
+        self._states = np.zeros(0, [("anchor", real, 3), ("start", "f8"), ("duration", "f8"), ("walks", "?")])
         self._intervals: list[BlockedRow] = []
-        self._listed = b""  # the ids of the latest segment, unless actors have come or gone since
-        self._found = np.empty(0, np.intp)  # the slots of these
 
     def batch(self, batch: Batch) -> None:
         """Process the frames of a batch.
@@ -100,10 +107,9 @@ class StationaryTracker:
         """
         columns = [column for column in batch.columns if column.type is not None and column.type.name in TYPES]
         filled = [column for column in columns if len(column.packet(0).records)] if len(batch) > 1 else columns
-        moving = [column.records for column in filled if column.type is not None and column.type.name == TRANSFORMS]
-        if len(batch) > 1 and len(moving) == len(filled) < 2:
-            for records in moving:
-                self._transforms(batch.elapsed, batch.duration, records)
+        if len(batch) > 1 and [column.type.name for column in filled if column.type] in ([], [TRANSFORMS]):
+            for column in filled:
+                self._transforms(batch.elapsed, batch.duration, column.records)
         else:
             for frame in batch:
                 self.frame(frame)
@@ -150,12 +156,10 @@ class StationaryTracker:
             slot = self._free.pop() if self._free else len(self._actors)
         if slot == len(self._actors):
             self._actors.append((id, type_id))
-            if slot == len(self._states):
-                self._states = np.concatenate((self._states, np.zeros_like(self._states)))
+            self._states = np.concatenate((self._states, np.zeros(1, self._states.dtype)))
         self._actors[slot] = id, type_id
-        self._states[slot] = 0
-        self._states["walks"][slot] = type_id.startswith(_WALKER) and not self._compat
-        self._listed = b""
+        walks = type_id.startswith(_WALKER) and not self._compat
+        self._states[slot] = (0.0 if self._compat else math.nan, 0.0, 0.0, walks)
         if self._order is not None:
             self._order.add(id)
         return slot
@@ -164,7 +168,6 @@ class StationaryTracker:
         slot = self._slots.destroy(id)
         if slot is None:
             return
-        self._listed = b""
         self._free.append(slot)
         if self._order is not None:
             self._order.remove(self._actors[slot][0])
@@ -176,16 +179,12 @@ class StationaryTracker:
         anchor, start, duration, _ = self._states[slot].item()
         return BlockedRow(start, duration, *self._actors[slot], *map(float, anchor))
 
-    def _slots_of(self, ids: Ids) -> Indices:
-        """Return the slots of actors; one whose spawn is not recorded begins with its first transform."""
-        listed = ids.tobytes()
-        if listed != self._listed:
-            slots = self._slots.actors
-            for id in ids.tolist():
-                if id not in slots:
-                    slots[id] = self._add(id, "")
-            self._listed, self._found = listed, np.array([slots[id] for id in ids.tolist()], np.intp)
-        return self._found
+    def _slot_of(self, id: int) -> int:
+        """Return the slot of an actor; one whose spawn is not recorded begins with its first transform."""
+        slots = self._slots.actors
+        if id not in slots:
+            slots[id] = self._add(id, "")
+        return slots[id]
 
     def _transforms(self, elapsed: Floats, duration: Floats, records: NDArray[np.void]) -> None:
         """Process the transforms of consecutive frames.
@@ -199,144 +198,63 @@ class StationaryTracker:
             return
         lengths = duration if self._compat else np.fmax(duration, 0.0)
         for segment in segments(records):
-            slots = self._slots_of(segment.ids)
+            slots = np.array([self._slot_of(id) for id in segment.ids.tolist()], np.intp)
             times = elapsed[segment.frames], lengths[segment.frames]
-            if len(set(slots.tolist())) == len(slots):
-                self._intervals += (row for *_, row in self._follow(*times, segment.records, slots))
-            elif self._compat:
-                for begin, length, listed in zip(*times, segment.records, strict=True):
-                    self._repeated(begin, length, listed, slots)
-            else:  # the last record of each actor counts
+            if len(np.unique(slots)) == len(slots):
+                self._follow(*times, segment.records, slots)
+            elif not self._compat:  # the last record of each actor counts
                 last = np.sort(last_of_each(segment.ids))
-                self._intervals += (row for *_, row in self._follow(*times, segment.records[:, last], slots[last]))
-
-    def _repeated(self, elapsed: float, length: float, records: NDArray[np.void], slots: Indices) -> None:
-        """Process a frame that lists actors several times, as CARLA does: each record is another frame for its actor.
-
-        Actors that are listed equally often are processed together: of the ids 7 8 7 9, first 8 9, then 7 and 7.
-        """
-        order = np.argsort(slots, kind="stable")
-        _, first, counts = np.unique(slots[order], return_index=True, return_counts=True)
-        found = []
-        for count in np.unique(counts).tolist():
-            places = order[first[counts == count] + np.arange(count)[:, None]]  # (count, actors)
-            times = np.full(count, elapsed), np.full(count, length)
-            ended = self._follow(*times, records[places], slots[places[0]])
-            found += [(int(places[row, column]), interval) for row, column, interval in ended]
-        self._intervals += (interval for _, interval in sorted(found, key=lambda row: row[0]))
+                self._follow(*times, segment.records[:, last], slots[last])
+            else:  # as in CARLA, each record is another frame for its actor
+                for begin, length, listed in zip(*times, segment.records, strict=True):
+                    for place, slot in zip(listed, slots, strict=True):
+                        self._follow(begin[None], length[None], place.reshape(1, 1), slot[None])
 
     @np.errstate(all="ignore")
-    def _follow(
-        self, elapsed: Floats, lengths: Floats, records: NDArray[np.void], slots: Indices
-    ) -> list[tuple[int, int, BlockedRow]]:
-        """Carry the state of different actors through frames that list them.
+    def _follow(self, elapsed: Floats, lengths: Floats, records: NDArray[np.void], slots: Indices) -> None:
+        """Carry the state of different actors through frames that list them, in CARLA's order of arithmetic.
+
+        An actor at 9, 18 and 20 cm, whose anchor is 0, moves in the second of these frames, 18 cm from its anchor: the
+        anchors become 0, 18 and 18 cm. An actor at no number moves, too.
 
         Args:
             elapsed: The beginning of each frame, in seconds.
             lengths: The length of each frame, in seconds.
             records: The transforms, (frames, actors).
             slots: The slots of the actors.
-
-        Returns:
-            The intervals that end, in order, each with its frame and the position of the actor.
         """
-        if len(records) == 1:
-            return self._follow_one(elapsed.item(), lengths.item(), records, slots)
-        found = []
-        most = max(1, min(_FRAMES, _RECORDS // len(slots)))
-        if len(records) > most:
-            for first in range(0, len(records), most):
-                rows = slice(first, first + most)
-                ended = self._follow(elapsed[rows], lengths[rows], records[rows], slots)
-                found += [(first + row, column, interval) for row, column, interval in ended]
-            return found
         states = self._states[slots]
         # Before the first frame, and behind each; at first, the anchors are the positions in the frames.
-        anchors = np.empty((len(records) + 1, 3, len(slots)), self._limit.dtype)
+        places = np.stack([records[axis] for axis in "xyz"], axis=1)
+        anchors = np.concatenate((states["anchor"].T[None], places))
         durations = np.zeros((len(records) + 1, len(slots)))
-        anchors[0], durations[0] = states["anchor"].T, states["duration"]
-        for axis, name in enumerate("xyz"):
-            anchors[1:, axis] = records[name]
-        moves = ~_carry(anchors, durations, lengths.tolist(), self._limits(records, states["walks"]))
-        begins = ~moves & (durations[:-1] == 0.0)
-        for row, column in np.argwhere(moves & (durations[:-1] >= self._min_time)).tolist():
+        durations[0] = states["duration"]
+        stays = self._standing(records, states["walks"])
+        steps = np.empty_like(anchors[0])
+        x, y, z = steps
+        for before, after, until, duration, length, near in zip(
+            anchors[:-1], anchors[1:], durations[:-1], durations[1:], lengths.tolist(), stays, strict=True
+        ):
+            np.subtract(after, before, steps)
+            np.multiply(steps, steps, steps)
+            np.add(x, y, x)
+            np.add(x, z, x)
+            np.less(np.sqrt(x, x), self._limit, near, where=near)
+            np.copyto(after, before, where=near)
+            np.add(until, length, duration, where=near)
+        begins = stays & (durations[:-1] == 0.0)
+        for row, column in np.argwhere(~stays & (durations[:-1] >= self._min_time)).tolist():
             begun = np.flatnonzero(begins[:row, column])
             start = elapsed.item(begun[-1]) if len(begun) else states["start"].item(column)
             actor, anchor = self._actors[slots[column]], anchors[row, :, column].tolist()
-            found.append((row, column, BlockedRow(start, durations.item(row, column), *actor, *anchor)))
+            self._intervals.append(BlockedRow(start, durations.item(row, column), *actor, *anchor))
         latest = len(records) - 1 - begins[::-1].argmax(axis=0)
         states["start"] = np.where(begins.any(axis=0), elapsed[latest], states["start"])
         states["anchor"], states["duration"] = anchors[-1].T, durations[-1]
         self._states[slots] = states
-        return found
 
-    def _follow_one(
-        self, elapsed: float, length: float, records: NDArray[np.void], slots: Indices
-    ) -> list[tuple[int, int, BlockedRow]]:
-        """Carry the state of different actors through one frame, as `_follow` does, in a third of its time."""
-        states = self._states[slots]
-        places = np.array([records[name][0] for name in "xyz"], self._limit.dtype)
-        duration = states["duration"]
-        squares = np.square(places - states["anchor"].T)
-        stays = squares[0] + squares[1] + squares[2] < self._limits(records, states["walks"])[0]
-        ended = np.flatnonzero(~stays & (duration >= self._min_time)).tolist()
-        found = [(0, column, self._interval(slots.item(column))) for column in ended]
-        states["start"][stays & (duration == 0.0)] = elapsed
-        states["anchor"][~stays] = places.T[~stays]
-        states["duration"] = np.where(stays, duration + length, 0.0)
-        self._states[slots] = states
-        return found
-
-    def _limits(self, records: NDArray[np.void], walks: Booleans) -> NDArray[Any]:
-        """Return the squared distances at which actors have moved, (frames, actors): 0 for walkers on the ground."""
-        limits = np.full(records.shape, self._limit)
-        for name in ("pitch", "roll") if walks.any() else ():
-            lying = np.abs(records[name]) > _LYING
-            if lying.any():
-                limits[lying & walks] = 0.0
-        return limits
-
-
-def _carry(anchors: NDArray[Any], durations: Floats, lengths: list[float], limits: NDArray[Any]) -> Booleans:
-    """Compute anchors and durations frame by frame, in CARLA's order of arithmetic, and return which actors do not move.
-
-    An actor at 9, 18 and 20 cm, whose anchor is 0, moves in the second of these frames, 18 cm from its anchor:
-    the anchors become 0, 18 and 18 cm. An actor at no number moves, too.
-
-    Args:
-        anchors: The anchors before the first frame, and the positions in the frames, (1 + frames, 3, actors).
-        durations: The durations before the first frame, and zeros, (1 + frames, actors).
-        lengths: The length of each frame, in seconds.
-        limits: The squared distances at which actors have moved, (frames, actors).
-    """
-    stays = np.empty(limits.shape, np.bool_)
-    squares = np.empty_like(anchors[0])
-    x, y, z = squares
-    subtract, multiply, add, less, copyto = np.subtract, np.multiply, np.add, np.less, np.copyto
-    before, until = anchors[0], durations[0]
-    for anchor, duration, length, limit, near in zip(anchors[1:], durations[1:], lengths, limits, stays, strict=True):
-        subtract(anchor, before, squares)
-        multiply(squares, squares, squares)
-        add(x, y, x)
-        add(x, z, x)
-        less(x, limit, near)
-        copyto(anchor, before, where=near)
-        add(until, length, duration, where=near)
-        before, until = anchor, duration
-    return stays
-
-
-@np.errstate(all="ignore")
-def _squared_limit(distance: float, real: np.dtype[Any]) -> np.floating[Any]:
-    """Return the smallest square whose root is not below a distance.
-
-    To compare squares with it gives exactly the results of comparing their roots with the distance, in the precision of the
-    recording's lengths, which is that of CARLA's arithmetic.
-    """
-    zero, infinity = real.type(0.0), real.type(math.inf)
-    square = np.square(real.type(max(distance, 0.0)))
-    while square > zero and np.sqrt(np.nextafter(square, zero)).item() >= distance:
-        square = np.nextafter(square, zero)
-    while square < infinity and np.sqrt(square).item() < distance:
-        square = np.nextafter(square, infinity)
-    return square  # type: ignore[no-any-return]
+    def _standing(self, records: NDArray[np.void], walks: Booleans) -> Booleans:
+        """Return which actors are no walkers that lie on the ground, (frames, actors)."""
+        if not walks.any():
+            return np.ones(records.shape, np.bool_)
+        return ~(walks & ((np.abs(records["pitch"]) > _LYING) | (np.abs(records["roll"]) > _LYING)))

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, ClassVar
 
-from carla_recap.errors import RecapError
-from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, TYPES, BlockedRow, StationaryTracker
+from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, TYPES, BlockedRow, StationaryTracker, check_limits
 from carla_recap.queries import Answer
 
 if TYPE_CHECKING:
@@ -28,22 +27,23 @@ def blocked(
 ) -> Blocked:
     """Return the intervals in which actors did not move.
 
-    An actor does not move while it stays within a distance of the position that it last moved to. Every actor with recorded
-    transforms counts: vehicles, walkers, props, the spectator; but no walker that was hit and lies on the ground (with
-    `compat`, it does). On MCAP, the answer for the default distance is read from the events alone.
+    An actor does not move while it stays within a distance of the position that it last moved to; at first, that of its
+    first transform (with `compat`, the origin of the world). Every actor with recorded transforms counts: vehicles, walkers,
+    props, the spectator; but no walker that was hit and lies on the ground (with `compat`, it does). On MCAP, the answer for
+    the default distance is read from the events alone.
 
     Args:
         source: The recording.
-        min_time: The shortest interval to report, in seconds.
+        min_time: The shortest interval to report, in seconds; one of 0 s is reported with `compat` alone.
         min_distance: The distance at which an actor has moved, in cm.
         compat: Whether to reproduce the mistakes of CARLA 0.9.16.
 
     Raises:
-        RecapError: The shortest interval is below 0 or NaN, which only `compat` accepts.
+        RecapError: A limit is below 0 or NaN, which only `compat` accepts.
         FormatError: The file contradicts its format.
     """
-    if not compat and not min_time >= 0:
-        raise RecapError(f"the shortest stop must be 0 s or more, not {min_time:g} s")
+    if not compat:
+        check_limits(min_time, min_distance)
     rows = None if compat else source.stationary_intervals(min_time, min_distance)
     if rows is None:
         tracker = StationaryTracker(source.header.table, min_time, min_distance, compat=compat)

@@ -14,9 +14,9 @@ from carla_recap.model.contacts import MOTION, UNKNOWN, Contact, Impact
 from carla_recap.model.lives import ROAD_USERS, ranked
 from carla_recap.model.motion import place_in_metres
 from carla_recap.model.presence import RoadHeights
-from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, StationaryTracker
+from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, StationaryTracker, check_limits
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
-from carla_recap.queries.blocked import longest_first
+from carla_recap.queries.blocked import blocked, longest_first
 from carla_recap.queries.contacts import LOOK_UPS, ImpactSearch, impacts, is_known, joined, read_spans
 from carla_recap.queries.measures.definitions import DURATION, MEASURES, RELATIVE_SPEED
 from carla_recap.queries.measures.near_misses import (
@@ -31,7 +31,7 @@ from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator, Sequence
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
@@ -101,13 +101,13 @@ class IncidentOptions:
         time_to_collision: The greatest time to collision of a near miss, in s; 60 at most.
         post_encroachment_time: The greatest post-encroachment time of a near miss, in s; 60 at most.
         required_deceleration: The least deceleration that a near miss by its time to collision requires, in m/s²; 0: any.
-        start: The elapsed seconds from which on to look for incidents.
-        stop: The elapsed seconds until which to look for them. Long stops in MCAP files may begin and end outside.
+        start: The elapsed seconds from which on to look for incidents. Collisions and long stops may begin before.
+        stop: The elapsed seconds until which to look for them. Long stops may end after.
         actor: The actor that has to take part in them; None: any.
 
     Raises:
-        RecapError: The deceleration is not above 0, a time of near misses is below 0 or above 60 s, or the deceleration that
-            they require is below 0.
+        RecapError: A limit of long stops is below 0 or NaN, the deceleration is not above 0, a time of near misses is below
+            0 or above 60 s, or the deceleration that they require is below 0.
     """
 
     kinds: Collection[str] | Literal["all"] | None = None
@@ -124,6 +124,7 @@ class IncidentOptions:
     actor: ActorName | None = None
 
     def __post_init__(self) -> None:
+        check_limits(self.min_time, self.min_distance)
         if not self.deceleration > 0:
             raise RecapError(f"a deceleration of {self.deceleration:g} m/s² is no braking; it must be above 0")
         for name in ("time_to_collision", "post_encroachment_time"):
@@ -269,8 +270,10 @@ class LongStopIncidents:
         source, limits = search.source, (search.options.min_time, search.options.min_distance)
         self._search = search
         self._heights = RoadHeights(list(search.actors))
-        self._listed = source.stationary_intervals(*limits)
-        self._tracker = None if self._listed is not None else StationaryTracker(source.header.table, *limits)
+        self._listed: Sequence[BlockedRow] | None = source.stationary_intervals(*limits)
+        if self._listed is None and not search.options.is_whole:  # of a part, stops may begin before and end behind it
+            self._listed = blocked(source, *limits)
+        self._tracker = StationaryTracker(source.header.table, *limits) if self._listed is None else None
         self.types: Collection[str] = STATIONARY_TYPES if self._tracker else ()
 
     def add(self, batch: Batch) -> None:
@@ -281,7 +284,7 @@ class LongStopIncidents:
     def finish(self) -> Iterator[Incident]:
         """See `Detector.finish`."""
         rows = self._tracker.finish() if self._tracker else self._listed or ()
-        yield from map(self._incident, (row for row in longest_first(rows) if self._counts(row)))
+        yield from map(self._incident, filter(self._counts, longest_first(rows)))
 
     def _counts(self, row: BlockedRow) -> bool:
         """Return whether a row is of a road user that is there, by where others have been spawned."""

@@ -585,7 +585,7 @@ def test_stretches_that_another_program_left_out_are_missed(standing, tmp_path):
     Forge(kept).write(standing)
     assert stood(standing) is None
     with reading(standing) as reader:
-        assert [row.duration for row in blocked(reader, 1)] == [9.0]
+        assert [row.duration for row in blocked(reader, 1)] == [8.0]
 
 
 def test_odd_packets_are_not_summed_up(tmp_path, standing):

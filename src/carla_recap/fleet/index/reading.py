@@ -16,8 +16,8 @@ from carla_recap.model.frame import SAME_TIME, Frame
 from carla_recap.model.lives import ROAD_USERS
 from carla_recap.model.lives import TYPES as ACTOR_TYPES
 from carla_recap.model.motion import place_in_metres
-from carla_recap.model.stationary import MIN_DISTANCE, StationaryTracker
-from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
+from carla_recap.model.stationary import MIN_DISTANCE
+from carla_recap.queries.blocked import blocked
 from carla_recap.queries.collisions import collisions
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import kinds_without_roads
@@ -185,10 +185,7 @@ class _ReadOnce:
         listed = self._reader.stationary_intervals(SHORTEST_STOP, MIN_DISTANCE)
         if listed is not None:
             return listed
-        tracker = StationaryTracker(self._reader.header.table, SHORTEST_STOP, MIN_DISTANCE)
-        for batch in self._reader.batches(STATIONARY_TYPES):
-            tracker.batch(batch)
-        return tracker.finish()
+        return list(blocked(self._reader, SHORTEST_STOP, MIN_DISTANCE))
 
     def frames(self, types: Collection[str] | None = None, **options: Any) -> Iterator[Frame]:
         """See `Reader.frames`."""

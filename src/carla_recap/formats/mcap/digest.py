@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.formats.mcap.codec import encode
-from carla_recap.formats.mcap.schema import BRAKING, CONTACTS, STATIONARY
+from carla_recap.formats.mcap.schema import BRAKING, CONTACTS, STATIONARY, STATIONARY_RULE
 from carla_recap.model.batch import Batch
 from carla_recap.model.braking import HARD, BrakingDetector
 from carla_recap.model.braking import TYPES as BRAKING_TYPES
@@ -108,10 +108,10 @@ class Digest:
 
     def metadata(self) -> dict[str, str]:
         """Return what the extent's metadata say of the digest."""
-        stationary = f"{INTERVAL_TIME:g} {MIN_DISTANCE:g} {self._interval_count}" if self._stationary else ""
+        intervals = f"{INTERVAL_TIME:g} {MIN_DISTANCE:g} {self._interval_count} {STATIONARY_RULE}"
         braking = f"{HARD:g} {self._braking_count}" if self._detector else ""
         contacts = f"{self._impact_count}" if self._impacts else ""
-        values = {STATIONARY.name: stationary, BRAKING.name: braking, CONTACTS.name: contacts}
+        values = {STATIONARY.name: intervals if self._stationary else "", BRAKING.name: braking, CONTACTS.name: contacts}
         return {name: value for name, value in values.items() if value}
 
     def _take_intervals(self) -> Iterator[Message]:

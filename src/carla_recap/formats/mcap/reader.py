@@ -30,6 +30,7 @@ from carla_recap.formats.mcap.schema import (
     PARAMETERS_METADATA,
     RECORD,
     STATIONARY,
+    STATIONARY_RULE,
     TAIL_MESSAGE,
     TAIL_TOPIC,
     ChannelSpec,
@@ -177,8 +178,9 @@ class McapReader(Reader):
 
     def stationary_intervals(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
         """Return the stationary intervals, read from the events; see `Reader.stationary_intervals`."""
-        least, distance, count = self._digest_of(STATIONARY, 3)
-        rows = self._listed(STATIONARY, count) if min_time >= least and min_distance == distance else None
+        least, distance, count, rule = self._digest_of(STATIONARY, 4)
+        is_same = min_time >= least and min_distance == distance and rule == STATIONARY_RULE
+        rows = self._listed(STATIONARY, count) if is_same else None
         if rows is None:
             return None
         from carla_recap.model.stationary import BlockedRow

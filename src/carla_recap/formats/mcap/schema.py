@@ -82,7 +82,10 @@ STATIONARY: Final = _digest_type(
     "stretches",
     Layout({"id": "u4", "type_id": TEXT, "start": "f8", "duration": "f8", **_PLACE}, Interval),
 )
-"""Stationary intervals; the metadata have the least s, the cm, and the number."""
+"""Stationary intervals; the metadata have the least s, the cm, the number, and `STATIONARY_RULE`."""
+STATIONARY_RULE: Final = 2
+"""The rule of stationary intervals: an actor is first stationary at its first transform; by the first rule, whose files have
+no such number, at the origin of the world."""
 BRAKING: Final = _digest_type(
     "braking",
     "/vehicles/braking",
