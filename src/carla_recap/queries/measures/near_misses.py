@@ -164,7 +164,7 @@ class NearMissDetector:
         ones, others, frames, times, speeds = map(np.concatenate, zip(*found, strict=True))
         for rows in encounters(np.minimum(ones, others), np.maximum(ones, others), table.time[frames]):
             best = rows[times[rows].argmin()]
-            one, other, frame = int(ones[best]), int(others[best]), int(frames[best])
+            (one, other), frame = sorted((int(ones[best]), int(others[best]))), int(frames[best])
             if table.speed[other, frame] > table.speed[one, frame]:
                 one, other = other, one
             room = 2 * times[rows]
