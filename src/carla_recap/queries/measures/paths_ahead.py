@@ -84,8 +84,10 @@ def _path_ahead(
         wanted = covered[frame[rows]][:, None] + distance[rows]
         known = np.minimum(wanted, covered[end][:, None])
         present = np.flatnonzero(~np.isnan(table.x[each]))
+        ended = wanted >= covered[end][:, None]  # also where it stands there, and turns
         x[rows], y[rows], yaw[rows] = (
-            np.interp(known, covered[present], values[each, present]) for values in (table.x, table.y, table.heading)
+            np.where(ended, values[each, end][:, None], np.interp(known, covered[present], values[each, present]))
+            for values in (table.x, table.y, table.heading)
         )
         before = np.searchsorted(covered, covered[end] - _BEND, side="right") - 1
         before = np.maximum(before, np.searchsorted(table.clock, table.clock[end] - BEND_TIME))
