@@ -58,6 +58,7 @@ READABLE = (
     "no_frames",
     "physics_0910",
     "times",
+    "town05-two-cars",
 )
 CUT = {"cut_in_add_string": 48, "cut_in_position": 53}
 NOT_READABLE = ("magic_bad", "not_a_log", "zero_bytes")

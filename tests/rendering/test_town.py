@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -266,7 +267,8 @@ def test_a_traffic_light_has_its_foot_on_the_ground_and_faces_the_cars():
 )
 def test_hostile_maps_end_soon(roads: list[str]):
     start = time.process_time()
-    built(*roads)
+    with suppress(ValueError):  # numbers of no road
+        built(*roads)
     assert time.process_time() - start < 20
 
 

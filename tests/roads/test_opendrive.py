@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from carla_recap.roads.curves import Profile
+from carla_recap.roads.landmarks import find_landmarks
 from carla_recap.roads.lanes import TownRoads
 from carla_recap.roads.opendrive import (
     borders_at,
@@ -294,7 +295,7 @@ def refusal(text: str) -> str:
     try:
         with np.errstate(all="ignore"):
             roads = TownRoads(read_opendrive(text))
-            assert (roads.lanes, roads.landmarks, roads.crossings) is not None
+            assert (roads.lanes, find_landmarks(roads), roads.crossings) is not None
     except ValueError as error:
         return str(error)
     return ""

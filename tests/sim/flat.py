@@ -39,6 +39,7 @@ def lane(index: int = 0, y: float = 0.0, junction: int | None = None) -> Lane:
         right=None,
         junction=junction,
         turn="straight",
+        reverse=False,
     )
 
 

@@ -43,7 +43,7 @@ def lane(
     places = np.concatenate((np.array((start,)), start + np.cumsum(steps, axis=0)))
     points = np.column_stack((places, np.zeros(len(fine))))[::40]
     limits = np.full(len(s), LIMIT)
-    return Lane(index, 1, 0, -1, points, s, heading[::40], 3.5, limits, successors, (), left, right, junction, turn)
+    return Lane(index, 1, 0, -1, False, points, s, heading[::40], 3.5, limits, successors, (), left, right, junction, turn)
 
 
 def ring(*pieces: tuple[float, float], start: tuple[float, float] = (0.0, 0.0)) -> list[Lane]:
