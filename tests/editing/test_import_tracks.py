@@ -268,7 +268,7 @@ def test_what_is_not_finite_is_unknown(table):
         ({"columns": {"east": "x"}}, "no column 'east'"),
         ({"columns": {"x": "east"}}, "no column east for x"),
         ({"hero": "9"}, "no object 9; ids are "),
-        ({"length_unit": "ft"}, "length_unit must be one of m, cm"),
+        ({"length_unit": "yd"}, "length_unit must be one of m, cm"),
     ],
 )
 def test_wrong_options_are_errors(table, options, message):
