@@ -195,5 +195,5 @@ def test_a_search_finds_the_crash_of_the_sample(tmp_path):
         "campaign", f"{SAMPLES / 'campaign.py'}:pedestrian", *options, "--out", tmp_path, "--pages", "0", "--workers", "2"
     )
     assert done.returncode == 0, done.stderr
-    assert ": collisions 1 at " in done.stdout.decode().splitlines()[0]
+    assert ": crashed at 37 km/h, collisions 1 at " in done.stdout.decode().splitlines()[0]
     assert len(list(tmp_path.glob("*.mcap"))) == 8

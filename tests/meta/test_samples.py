@@ -99,7 +99,7 @@ def test_after_the_crash_both_cars_stay_where_they_are_and_the_walker_is_not_blo
         + A_MINUTE
     )
     assert rows("blocked", "crash", "id", "start", "duration") == [
-        (1, 0.0, 59.95),
+        (1, 0.05, 59.9),
         (41, 15.65, 44.3),
         (42, 16.1, 43.85),
     ]

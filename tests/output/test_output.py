@@ -114,16 +114,17 @@ def test_table_of_a_contact_that_is_interrupted(make: Make) -> None:
 
 
 def test_table_of_blocked(make: Make) -> None:
-    reader = make({"transforms": [(3, 5, 0, 0, 0, 0, 0)]}, {})
+    standing = {"transforms": [(3, 5, 0, 0, 0, 0, 0)]}
+    reader = make(standing, standing, {})
     lines = [" ".join(line.split()) for line in printed(blocked(reader, 0.1)).splitlines()]
-    assert "0.00 0.50 3 unknown 0, 0, 0" in lines
-    assert lines[-1] == "1 row; 2 frames, 0.5 seconds"
+    assert "0.50 0.50 3 unknown 5, 0, 0" in lines
+    assert lines[-1] == "1 row; 3 frames, 1 seconds"
 
 
 def test_blocked_vehicles_come_before_walkers_and_others(make: Make) -> None:
     cast = [spawn(1, "spectator"), spawn(2, "static.prop.mesh"), spawn(3, "walker.a"), spawn(4, "vehicle.a")]
     poses = [(actor.id, actor.id, 0, 0, 0, 0, 0) for actor in cast]
-    answer = blocked(make({"spawned": cast, "transforms": poses}, {}), 0.1)
+    answer = blocked(make({"spawned": cast, "transforms": poses}, {"transforms": poses}, {}), 0.1)
     assert [cells[2] for cells in table_output.cells(answer)] == ["4", "3", "1", "2"]
     assert [row.id for row in answer] == [1, 2, 3, 4]
 
