@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from carla_recap import MissingExtra, RecapError, export, open_recording
 from carla_recap.cli import cli
 from carla_recap.exports import FORMATS, ExportFormat, find_format
+from carla_recap.util.files import AtomicFile
 from tests.samples import ROOT
 from tests.waiting import PATIENCE
 
@@ -54,6 +55,24 @@ def test_a_recording_is_exported(request: pytest.FixtureRequest, tmp_path: Path,
         assert destination.stat().st_size > 0
     else:
         assert sorted(done.files) == sorted(path for path in destination.rglob("*") if path.is_file())
+
+
+@pytest.mark.parametrize("form", [form for form in FORMATS.values() if form.suffix], ids=lambda form: form.name)
+@pytest.mark.filterwarnings("ignore:.*the map Crossing is not found")
+def test_a_file_made_meanwhile_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: ExportFormat) -> None:
+    if form.extra:
+        pytest.importorskip(PACKAGES[form.extra], reason=f"the extra {form.extra} is not installed")
+    path, move = tmp_path / f"out{form.suffix}", AtomicFile._move
+
+    def moved(file: AtomicFile) -> None:
+        path.write_bytes(b"mine")
+        move(file)
+
+    monkeypatch.setattr(AtomicFile, "_move", moved)
+    part: dict[str, Any] = {"start": 20, "duration": 1} if "start" in form.options else {}
+    with open_recording(CROSSING) as recording, pytest.raises(RecapError, match=r"cannot be written: File exists$"):
+        export(recording, path, to=form.name, **part)
+    assert path.read_bytes() == b"mine"
 
 
 @every_format

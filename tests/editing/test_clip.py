@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -240,6 +241,20 @@ def test_a_clip_of_an_empty_recording_is_an_error(tmp_path: Path) -> None:
     write(tmp_path / "empty.log", Header("Town01", 0), [])
     with pytest.raises(RecapError, match="has no frames"):
         clip(tmp_path / "empty.log", tmp_path / "clip.log", start=0.0)
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_file_made_meanwhile_is_overwritten_by_force_alone(small: Path, tmp_path: Path, force: bool) -> None:
+    path = tmp_path / "clip.mcap"
+
+    def progress(batches, _reader):
+        save(path, b"mine")
+        yield from batches
+
+    with nullcontext() if force else pytest.raises(RecapError, match=r"clip\.mcap: cannot be written: File exists$"):
+        clip(small, path, start=0.0, force=force, progress=progress)
+    assert (path.read_bytes() == b"mine") is not force
+    assert names_in(tmp_path) == ["clip.mcap", "small.log"]
 
 
 def test_nothing_is_overwritten(small: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from carla_recap import FormatError, MissingExtra, NotARecording, RecapWarning, RecordError, Spawn
+from carla_recap.formats.mcap.schema import DIGEST
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4, UE5
 from tests.samples import listed, transform
@@ -124,6 +125,11 @@ def test_records_cannot_be_changed_by_mistake():
 def test_errors_travel_between_processes(error):
     again = pickle.loads(pickle.dumps(error))
     assert (type(again), str(again), vars(again)) == (type(error), str(error), vars(error))
+
+
+@pytest.mark.parametrize("type", [*UE4, *UE5, *DIGEST], ids=lambda type: type.name + "_wide" * type.wide)
+def test_record_types_are_the_same_in_other_processes(type):
+    assert pickle.loads(pickle.dumps(type)) is type
 
 
 def test_arrays_of_a_frame_are_structured(frame):

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import textwrap
+from errno import EPERM
 from typing import TYPE_CHECKING
 
 import pytest
@@ -33,6 +34,36 @@ def test_a_file_that_fails_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(TypeError), WholeFile(tmp_path / "a.bin") as file:
         file.write([b"12"])
     assert names_in(tmp_path) == []
+
+
+@pytest.mark.parametrize("has_links", [True, False], ids=["links", "no links"])
+def test_a_file_made_meanwhile_is_kept_without_force(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_links: bool
+) -> None:
+    link = os.link
+
+    def linked(source: Path, target: Path) -> None:  # another program is a moment earlier
+        target.write_bytes(b"mine")
+        if not has_links:
+            raise OSError(EPERM, os.strerror(EPERM))
+        link(source, target)
+
+    monkeypatch.setattr(os, "link", linked)
+    with (
+        pytest.raises(RecapError, match=r"a\.bin: cannot be written: File exists$"),
+        WholeFile(path := tmp_path / "a.bin", force=False),
+    ):
+        pass
+    assert path.read_bytes() == b"mine"
+    assert names_in(tmp_path) == ["a.bin"]
+
+
+def test_a_file_appears_on_a_file_system_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "link", lambda *_: (tmp_path / "none").stat())
+    with WholeFile(tmp_path / "a.bin", force=False) as file:
+        file.write(b"12")
+    assert (tmp_path / "a.bin").read_bytes() == b"12"
+    assert names_in(tmp_path) == ["a.bin"]
 
 
 def test_what_is_written_to_a_live_file_is_in_the_partial_file(tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def clip(
         window = Player(reader, start=start, duration=duration)
         cutter = ClipCutter(reader)
         first = cutter.first_frame(window.start)
-        return cutter.write(destination, first, window.stop if duration else math.inf, progress)
+        return cutter.write(destination, first, window.stop if duration else math.inf, force=force, progress=progress)
     finally:
         reader.close()
 
@@ -115,12 +115,14 @@ class ClipCutter:
             raise RecapError(f"{self._reader.location}: the recording has no frames")
         return found
 
-    def write(self, destination: Path | str, first: Frame, stop: float, progress: Progress | None = None) -> Extent:
-        """Write the clip from a frame to a time, in elapsed seconds of the source, and return its extent."""
+    def write(
+        self, destination: Path | str, first: Frame, stop: float, *, force: bool = False, progress: Progress | None = None
+    ) -> Extent:
+        """Write the clip from a frame to a time, in elapsed seconds of the source, and return its extent; see `clip`."""
         start = origin(first)
         batches: Iterable[Batch] = _renumbered(self._batches(first, stop), start)
         extent = Extent()
-        with create_writer(destination, _moved(self._reader.header, start)) as writer:
+        with create_writer(destination, _moved(self._reader.header, start), force=force) as writer:
             copy = TopicCopy(self._reader, writer, start=_start(first), stop=_end(stop), origin=start)
             for batch in progress(batches, self._reader) if progress else batches:
                 writer.write_batch(batch)

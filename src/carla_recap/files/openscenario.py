@@ -91,7 +91,7 @@ def export_openscenario(
     for (key, path), name in zip(paths.items(), names, strict=True):
         _add_actor(scenario, name, actors[key], path)
     indent(scenario)
-    with WholeFile(destination) as file:
+    with WholeFile(destination, force=force) as file:
         file.write(b'<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(scenario) + b"\n")
     return Played(frames, player.stop - player.start)
 

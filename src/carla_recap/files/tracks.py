@@ -72,7 +72,7 @@ def export_csv(
     player = Player(source, start=start, duration=duration)
     frames, first, last = 0, player.start, player.start
     poses = left_out = 0
-    with WholeFile(destination) as file:
+    with WholeFile(destination, force=force) as file:
         file.write((",".join(COLUMNS) + "\n").encode())
         for batch in player.batches(progress):
             text, rows = StringIO(), list(_rows(batch))

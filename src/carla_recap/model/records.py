@@ -267,7 +267,7 @@ class RecordType(PacketType):
     always: bool = False
     additional: bool = False
 
-    def __reduce__(self) -> tuple[Callable[[int, bool], RecordType], tuple[int, bool]]:
+    def __reduce__(self) -> tuple[Callable[..., RecordType], tuple[Any, ...]]:
         """Other processes have the same table."""
         return _of_table, (self.id, self.wide)
 

@@ -76,7 +76,7 @@ def export_rerun(
     cameras_of = [] if cameras is None else filmed(player)
     with (
         nullcontext(Path()) if cameras is None else new_folder(cameras) as folder,
-        WholeFile(destination) as file,
+        WholeFile(destination, force=force) as file,
     ):
         with piped(blueprint(player, view=view), file.write) as stream:
             played = write(stream, player, road_map=road_map, incidents=incidents, progress=progress, cameras=cameras_of)

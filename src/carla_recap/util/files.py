@@ -136,9 +136,8 @@ class AtomicFile:
             os.link(self._partial, self.path)  # which fails where a rename would replace a file
         except FileExistsError:
             raise
-        except OSError:  # a file system without links
-            if os.path.lexists(self.path):
-                raise FileExistsError(EEXIST, os.strerror(EEXIST)) from None
+        except OSError:  # a file system without links: an empty file takes the name first
+            os.close(os.open(self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
             self._partial.replace(self.path)
         else:
             self._partial.unlink()

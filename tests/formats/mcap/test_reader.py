@@ -29,7 +29,7 @@ from carla_recap import (
 from carla_recap.formats.mcap import frames as frames_module
 from carla_recap.formats.mcap.index import CHUNK_LIMIT
 from carla_recap.model.frame import Frame, Header, Packet
-from carla_recap.model.records import NO_ACTOR, Spawn
+from carla_recap.model.records import NO_ACTOR, UE4, Spawn, WheelSet
 from carla_recap.queries.blocked import blocked
 from tests import strategies
 from tests.formats.mcap import forge
@@ -541,6 +541,32 @@ def test_an_unknown_type_is_an_error(small_mcap):
 
 
 # --- stretches, summed up by the writer --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frames", [1, 40], ids=["a frame", "frames that are alike"])
+@pytest.mark.parametrize("name", ["transforms", "wheels", "spawned"])
+def test_bytes_that_contradict_their_layout_are_an_error_of_their_frame(tmp_path, name, frames):
+    """A message may have anything in `raw`, which stands for its records; it is kept as it is."""
+    path, raw = tmp_path / "a.mcap", b"\5\0\1"
+    wheels = [WheelSet(7, [(0, 0.5, 1.5)])]
+    with create_recording(path, map_name="Town01") as recorder:
+        for frame in range(frames):
+            recorder.add_frame(frame / 20, spawned=[Spawn(7)], transforms=[(7, *6 * (0.0,))], wheels=wheels)
+    topic = UE4.named(name).topic
+    forge.edited(path, lambda where, _, data: data + b"\x22\3" + raw if where == topic else data)
+    with open_recording(path) as recording:
+        for number, frame in enumerate(recording, 1):
+            (packet,) = [packet for packet in frame.packets if packet.type.name == name]
+            with pytest.raises(
+                FormatError, match=rf"a\.mcap: {topic} of frame {number}: {name}: .* need \d+ bytes, the packet has 3$"
+            ):
+                frame[name]
+            assert bytes(packet.payload) == raw
+        if name == "transforms":
+            with pytest.raises(FormatError, match=f"{topic} of frame 1: "):
+                recording.trajectory(7)
+    with pytest.raises(FormatError, match=f"{topic} of frame 1: "):
+        convert(path, tmp_path / "b.mcap", force=True)
 
 
 def test_stationary_intervals_are_read_from_the_events(tmp_path):

@@ -75,7 +75,7 @@ def export_osi(
     host = player.followed if follow is not None else next(iter(heroes), None)
     name = readable(reader.header.map_name)
     truths = GroundTruths(host, name if content is not None else "")
-    with _TraceWriter(destination, reader.header, reader.path.name) as writer:
+    with _TraceWriter(destination, reader.header, reader.path.name, force=force) as writer:
         if content is not None:
             writer.write_map(name, content)
         for batch in player.batches(progress):
@@ -91,17 +91,18 @@ class _TraceWriter(ChunkedFile):
         path: The destination.
         header: The header of the recording.
         name: The name of the recording.
+        force: See `AtomicFile`.
 
     Attributes:
         played: The number of messages, and the seconds that they span.
     """
 
-    def __init__(self, path: Path | str, header: Header, name: str) -> None:
+    def __init__(self, path: Path | str, header: Header, name: str, *, force: bool) -> None:
         protobuf = version("protobuf")
         osi = ".".join(map(str, VERSION))
         metadata = {"net.asam.osi.trace.channel.osi_version": osi, "net.asam.osi.trace.channel.protobuf_version": protobuf}
         topics = [Topic(topic, message, partial(schema, message), metadata) for topic, message in _TOPICS.items()]
-        super().__init__(path, topics, level=_LEVEL)
+        super().__init__(path, topics, level=_LEVEL, force=force)
         self._chunk = ChunkBuilder()
         self._sequence = 0
         self._start: int | None = None

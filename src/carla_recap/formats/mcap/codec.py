@@ -33,6 +33,7 @@ from carla_recap.model.layout import (
     Framing,
     Items,
     Numbers,
+    PayloadError,
     compiled,
     locate,
     unpack,
@@ -490,7 +491,10 @@ def decode_records(type: RecordType, messages: Sequence[Buffer]) -> list[Any]:
     together = records_codec(type).decode(messages) if type.fixed else None
     if together is not None:
         return [row for index in range(len(messages)) for row in together.records(index).tolist()]
-    found = (decode_objects(type, message) or unpack(type, decode(type, message))[0] for message in messages)
+    try:
+        found = [decode_objects(type, message) or unpack(type, decode(type, message))[0] for message in messages]
+    except PayloadError as error:
+        raise WireError(str(error)) from None
     return [row for records in found for row in (records.tolist() if isinstance(records, np.ndarray) else records)]
 
 
@@ -500,9 +504,10 @@ def _row(data: Buffer) -> NDArray[np.uint8]:
 
 def _keep(type: RecordType, payload: bytes) -> None:
     """Keep the structure of a packet, if messages can have it."""
-    template, exact = _template(type, payload)
-    if exact:
-        _templates[type] = template
+    with suppress(PayloadError):  # there may be anything in a field `raw`
+        template, exact = _template(type, payload)
+        if exact:
+            _templates[type] = template
 
 
 def _encode_any(type: RecordType, payload: Buffer) -> bytes:

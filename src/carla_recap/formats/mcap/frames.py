@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from carla_recap.formats.mcap.runs import MessageRun
     from carla_recap.formats.mcap.schema import ChannelSpec
     from carla_recap.model.batch import Column
-    from carla_recap.model.layout import Buffer, Records
+    from carla_recap.model.layout import Buffer, PayloadError, Records
     from carla_recap.model.records import RecordType, Table
 
 MESSAGES_LIMIT: Final = 500_000
@@ -157,7 +157,11 @@ class MessagePacket(Packet):
                 self._records = codec.decode_objects(self.type, self._source.messages[self._index])
         return super().records
 
-    def _broken(self, error: codec.WireError) -> FormatError:
+    def error(self, error: PayloadError) -> FormatError:
+        """Return the error of a payload, kept in the message as it is, that contradicts its layout."""
+        return self._broken(error)
+
+    def _broken(self, error: ValueError) -> FormatError:
         head = codec.read_head(self._source.messages[self._index])
         name = self.type.topic if self.type else ""
         where = f"{name} of frame {head[0]}" if head else name

@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 import zlib
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from carla_recap.model.layout import TEXT, Layout
 from carla_recap.model.records import Group, RecordType
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from carla_recap.model.records import Table
@@ -68,8 +70,20 @@ class Interval(NamedTuple):
     z: float
 
 
-def _digest_type(name: str, topic: str, message: str, items: str, layout: Layout) -> RecordType:
-    return RecordType(id=-1, name=name, topic=topic, message=message, items=items, layout=layout, group=Group.EVENTS)
+class DigestType(RecordType):
+    """A part of the digest, which is no packet, and in no table."""
+
+    def __reduce__(self) -> tuple[Callable[..., RecordType], tuple[Any, ...]]:
+        """Other processes have the same digest."""
+        return _named_part, (self.name,)
+
+
+def _named_part(name: str) -> RecordType:
+    return next(type for type in DIGEST if type.name == name)
+
+
+def _digest_type(name: str, topic: str, message: str, items: str, layout: Layout) -> DigestType:
+    return DigestType(id=-1, name=name, topic=topic, message=message, items=items, layout=layout, group=Group.EVENTS)
 
 
 _PLACE: Final = dict.fromkeys("xyz", "f8")

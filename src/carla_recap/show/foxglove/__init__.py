@@ -83,7 +83,7 @@ def export_foxglove(
     further, clock = passed_topics(reader), LogClock(reader.header)
     names = [topic.name for topic in further]
     passed = reader.further_messages(names, player.start, player.stop + 2 * SAME_TIME) if names else iter(())
-    with FoxgloveFile(destination, _description(reader, player), further) as file:
+    with FoxgloveFile(destination, _description(reader, player), further, force=force) as file:
         for part in messages.scenes(progress):
             file.write(part)
         for topic, elapsed, data in passed:

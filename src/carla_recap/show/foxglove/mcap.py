@@ -30,14 +30,17 @@ class FoxgloveFile(ChunkedFile):
         path: The destination.
         description: The metadata.
         further: The topics of other messages, such as those of sensors.
+        force: See `AtomicFile`.
 
     Raises:
         RecapError: The file cannot be written.
     """
 
-    def __init__(self, path: Path | str, description: dict[str, str], further: Sequence[Topic] = ()) -> None:
+    def __init__(
+        self, path: Path | str, description: dict[str, str], further: Sequence[Topic] = (), *, force: bool = True
+    ) -> None:
         topics = [*TOPICS, *further]
-        super().__init__(path, topics, level=_COMPRESSION_LEVEL)
+        super().__init__(path, topics, level=_COMPRESSION_LEVEL, force=force)
         self._channel_of = {topic.name: channel for channel, topic in enumerate(topics, 1)}
         self._chunk = ChunkBuilder()
         self._further_chunk = ChunkBuilder()

@@ -257,7 +257,7 @@ def write_report(
         names = [{i: data_address(one, "image/jpeg") for i, one in each.pictures.items()} for each in reported]
         data["data/reports.js"] = _summaries(reported, names, shown)
         content = single_page(viewer_folder() / "page", data).encode()
-        with WholeFile(path) as file:
+        with WholeFile(path, force=force) as file:
             file.write(content)
         size = len(content)
     else:

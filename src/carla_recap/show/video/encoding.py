@@ -104,7 +104,7 @@ def check_size(size: Size) -> None:
         raise RecapError(f"{width} x {height}: the sides of a picture are from {SMALLEST} to {LARGEST} pixels")
 
 
-def create_video(path: Path, size: Size, rate: float, samples: Sequence[Picture] = ()) -> VideoFile:
+def create_video(path: Path, size: Size, rate: float, samples: Sequence[Picture] = (), *, force: bool = True) -> VideoFile:
     """Create a video; its suffix determines the format.
 
     Args:
@@ -112,11 +112,13 @@ def create_video(path: Path, size: Size, rate: float, samples: Sequence[Picture]
         size: The width and the height, in pixels.
         rate: The frames per second.
         samples: Pictures of the video, from which a GIF gets its palette; by default, from the first one.
+        force: See `AtomicFile`.
 
     Raises:
         RecapError: The destination cannot be written to.
     """
-    return _Gif(path, rate, samples) if path.suffix.lower() == ".gif" else _Mp4(path, size, rate)
+    is_gif = path.suffix.lower() == ".gif"
+    return _Gif(path, rate, samples, force=force) if is_gif else _Mp4(path, size, rate, force=force)
 
 
 def check_packages(suffix: str) -> None:
@@ -135,8 +137,8 @@ def check_packages(suffix: str) -> None:
 class _Mp4(AtomicFile):
     """An MP4 with H.264, its index at the front, so that it plays while it is still loaded."""
 
-    def __init__(self, path: Path, size: Size, rate: float) -> None:
-        super().__init__(path)
+    def __init__(self, path: Path, size: Size, rate: float, *, force: bool) -> None:
+        super().__init__(path, force=force)
         self._size = size
         self._rate = Fraction(rate).limit_denominator(_DENOMINATOR)
         self._begin(self._open)
@@ -181,8 +183,8 @@ class _Mp4(AtomicFile):
 class _Gif(AtomicFile):
     """A GIF that repeats, with one palette for all frames."""
 
-    def __init__(self, path: Path, rate: float, samples: Sequence[Picture]) -> None:
-        super().__init__(path)
+    def __init__(self, path: Path, rate: float, samples: Sequence[Picture], *, force: bool) -> None:
+        super().__init__(path, force=force)
         self._rate = rate
         self._palette: Any = _palette(samples) if samples else None
         self._frames: list[Any] = []

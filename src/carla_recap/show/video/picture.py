@@ -83,7 +83,7 @@ def snapshot(
         raise RecapError(f"{path}: a picture is written as .png")
     check_destination(source.reader.location, path, force=force)
     data = picture(source, at=at, follow=follow, view=view, town=town, size=size, overlay=overlay, incidents=incidents)
-    with WholeFile(path) as file:
+    with WholeFile(path, force=force) as file:
         file.write(data)
 
 

@@ -141,7 +141,7 @@ def export_video(
             progress=progress,
         )
         pictures = camera_pictures(scenes, grid, film(rate, speed, frames), frames)
-        with closing(pictures), create_video(path, size, rate) as file:
+        with closing(pictures), create_video(path, size, rate, force=force) as file:
             for picture in pictures:
                 file.add(picture)
         return VideoInfo(frames, frames / rate, size, path.stat().st_size)
@@ -150,7 +150,7 @@ def export_video(
         main = film(rate, speed, frames)
         drawing = opened.result()
         samples = list(_pictures(film(_SAMPLES / length, 1.0, _SAMPLES), drawing)) if is_gif and length else []
-        with create_video(path, size, rate, samples) as file:
+        with create_video(path, size, rate, samples, force=force) as file:
             for picture in _pictures(main, drawing, progress):
                 file.add(picture)
     return VideoInfo(frames, frames / rate, size, path.stat().st_size)
