@@ -231,6 +231,22 @@ def test_on_a_terminal_incidents_say_which_kinds_they_are():
     assert on_terminal("incidents", CROSSING, "--kinds", "collision")[2] == b""
 
 
+def test_a_contact_without_a_collision_record_is_said_where_there_are_no_incidents(tmp_path):
+    path, two = tmp_path / "run.log", [Spawn(id, 1, type_id="vehicle.audi.tt") for id in (1, 2)]
+    with create_recording(path, map_name="nowhere") as recorder:
+        for number in range(40):  # the first drives at 10 m/s into the second, 20 m ahead
+            poses = [(1, min(1000.0 + 50 * number, 2800.0), 0, 0, 0, 0, 0), (2, 3000, 0, 0, 0, 0, 0)]
+            boxes = [(id, 0, 0, 0, 200, 100, 80) for id in (1, 2)]
+            first = {"spawned": two, "bounding_boxes": boxes} if not number else {}
+            recorder.add_frame(number / 20, transforms=poses, **first)
+        recorder.add_frame(2.0, transforms=poses)
+    done = run("incidents", path)
+    assert (done.returncode, len(done.stdout.splitlines())) == (0, 8)
+    assert the_line(done.stderr) == f"warning: {path}: 1 contact without a collision record, see --kinds near-miss"
+    (row,) = json.loads(answer("incidents", path, "--kinds", "near-miss", "--json"))["rows"]
+    assert (row["kind"], row["value"], row["actors"]) == ("near miss", 0.0, [1, 2])
+
+
 @pytest.mark.parametrize("form", ["--text", "--json", "--compat"])
 def test_options_choose_the_form_on_a_terminal(form):
     code, shown, errors = on_terminal("collisions", CROSSING, form)

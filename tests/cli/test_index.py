@@ -169,7 +169,10 @@ def test_names_of_recordings_cannot_control_the_terminal(index):
 @pytest.mark.parametrize(
     ("query", "message"),
     {
-        "select nothing from recordings": "Binder Error",
+        "select nothing from recordings": "; at character 8: 'nothing'",
+        "select 'ä', map\nfrom\trecordings\nwhere 'ä' = nothing": "; at line 3, character 13: 'nothing'",
+        "select 1 fro recordings group": "; at character 14: 'recordings'",
+        "select 1 from nowhere": "; at character 15: 'nowhere'",
         "select 1; drop view actors": "one query was expected, which begins with select, with, ",
         "explain select 1": "table, pivot, unpivot, describe, show or summarize",
         "select * from read_text('/etc/passwd')": "Permission Error",

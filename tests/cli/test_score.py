@@ -53,6 +53,8 @@ def test_an_infraction_that_counts_twice_is_one_line() -> None:
     lines = list(_lines(replace(found, infractions=(first, second, second))))
     assert [line.endswith(", counted twice\n") for line in lines[3:5]] == [False, True]
     assert lines[5].startswith("to see the first")
+    on_the_way = replace(found, status="Failed", completion=41.236)
+    assert next(_lines(on_the_way)) == "route 1 of Brickfield: Failed - Recording ends at 41.24 % of the route\n"
 
 
 def test_many_recordings_are_a_table_with_the_mean() -> None:

@@ -61,6 +61,21 @@ def test_places_that_are_not_finite_do_not_count(recorded):
         assert recording.summary.hero.distance == pytest.approx(20)
 
 
+@pytest.mark.parametrize(
+    ("types", "words"),
+    [
+        (["static.prop.mesh"] * 3 + ["static.prop.bin"], "4 others (3 static.prop.mesh)"),
+        (["static.prop.mesh", "static.prop.mesh", "static.prop.bin", "static.prop.box"], "4 others"),
+        (["static.prop.mesh"], "1 other"),
+    ],
+)
+def test_others_that_are_mostly_of_one_blueprint_say_so(recorded, types, words):
+    others = [Spawn(100 + number, ActorKind.OTHER, type_id=name) for number, name in enumerate(types)]
+    with recorded([0, 10], others=others) as recording, pytest.warns(RecapWarning):
+        shown = "".join(text(summary(recording.reader, options=IncidentOptions(kinds="all"))))
+    assert f"Actors: 1 vehicle, {words}\n" in shown
+
+
 def test_without_a_hero_there_is_none(tmp_path):
     with create_recording(tmp_path / "run.log", map_name="nowhere") as recorder:
         recorder.add_frame(0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Literal
@@ -11,12 +12,14 @@ import click
 
 from carla_recap.cli import options
 from carla_recap.cli.many import QueryRequest, is_one
-from carla_recap.cli.output import note
+from carla_recap.cli.output import counted, note
 from carla_recap.cli.parameter_types import FOLLOW, MEASURED, TIME
+from carla_recap.errors import RecapWarning
 
 if TYPE_CHECKING:
+    from carla_recap.formats.base import Reader
     from carla_recap.model.lives import ActorName
-    from carla_recap.queries.incidents import IncidentOptions
+    from carla_recap.queries.incidents import IncidentOptions, Incidents
 
 _EPILOG = "Each SOURCE is a recording, a folder, a glob in quotes, or a URL; - is a list of them on stdin, one in a line."
 
@@ -115,11 +118,21 @@ def incidents(request: QueryRequest, wanted: IncidentOptions) -> None:
     known, broken rules of the road, as --kinds all does. The duration of a collision is that of the contact: 0 if one frame
     has it.
     """
-    from carla_recap.queries.incidents import incidents as query
-
     if wanted.kinds is None and request.form is None and sys.stdout.isatty():
         note("collisions, hard braking and long stops; --kinds all also finds near misses and broken rules")
-    request.answer(partial(query, options=wanted))
+    request.answer(partial(_incidents, options=wanted))
+
+
+def _incidents(source: Reader, options: IncidentOptions) -> Incidents:
+    """Return incidents; if there are none of the default kinds, warn of contacts that are not recorded as collisions."""
+    from carla_recap.queries.incidents import incidents as query
+    from carla_recap.queries.incidents import unrecorded_contacts
+
+    found = query(source, options)
+    if options.kinds is None and not found and (count := unrecorded_contacts(source, options)):
+        text = f"{counted(count, 'contact')} without a collision record, see --kinds near-miss"
+        warnings.warn(f"{source.location}: {text}", RecapWarning, stacklevel=2)
+    return found
 
 
 @click.command(epilog=_EPILOG)

@@ -176,7 +176,7 @@ def _lines(score: Score) -> Iterator[str]:
     if score.route:
         name, of_route = f"route {score.route}", f", along a route of {score.route_length:.0f} m"
         product = f"{score.score:.2f} = {score.completion:.2f} % x {score.penalty:.4f}"
-    yield f"{visible(name)} of {visible(score.town)}: {score.status}\n"
+    yield f"{visible(name)} of {visible(score.town)}: {score.outcome}\n"
     yield f"score {product}, by the formula of Leaderboard {score.formula}\n"
     yield f"{score.driven:.0f} m driven in {score.duration:.1f} s{of_route}; Bench2Drive: {_driving(score)}\n"
     for each, same in groupby(score.infractions):
@@ -221,7 +221,7 @@ def _print_table(scores: Sequence[Score], form: str | None) -> None:
             f"{each.completion:.2f}" if each.route else "",
             f"{each.penalty:.3f}",
             f"{each.duration:.1f}",
-            each.status,
+            each.outcome,
             _counts(each),
             "" if each.success is None else "yes" if each.success else "no",
             _percent(each.efficiency),

@@ -132,7 +132,7 @@ def _actors(answer: RecordedActors) -> Iterator[str]:
 
 def _overview(answer: Summaries) -> Iterator[str]:
     for row in answer:
-        yield f"Actors: {_counted(row.actors)}\n"
+        yield f"Actors: {_counted(row.actors, answer.others)}\n"
         if row.hero is not None:
             hero = row.hero
             speed = "an unknown speed" if math.isnan(hero.top_speed) else f"{hero.top_speed * KMH:.0f} km/h at most"
@@ -155,9 +155,13 @@ def _summaries(answer: Summaries) -> Iterator[str]:
         )
 
 
-def _counted(actors: Mapping[str, int]) -> str:
-    """Return the numbers of actors by kind in words."""
-    return ", ".join(f"{count} {kind.replace('_', ' ')}{'s' * (count != 1)}" for kind, count in actors.items()) or "none"
+def _counted(actors: Mapping[str, int], others: Mapping[str, int]) -> str:
+    """Return the numbers of actors by kind in words; of others, that of the blueprint that most of them have, too."""
+    words = {kind: f"{count} {kind.replace('_', ' ')}{'s' * (count != 1)}" for kind, count in actors.items()}
+    name, most = next(iter(others.items()), ("", 0))
+    if most > 1 and 2 * most > actors["other"]:
+        words["other"] += f" ({most} {visible(name)})"
+    return ", ".join(words.values()) or "none"
 
 
 def incident_counts(incidents: Mapping[str, int]) -> str:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from carla_recap.model.batch import Batch
     from carla_recap.queries.measures.over_time import SeriesCollector
 
-__all__ = ["Incident", "IncidentOptions", "IncidentSearch", "Incidents", "incidents", "with_roads"]
+__all__ = ["Incident", "IncidentOptions", "IncidentSearch", "Incidents", "incidents", "unrecorded_contacts", "with_roads"]
 
 
 class Incidents(Answer[Incident]):
@@ -50,6 +50,20 @@ def incidents(source: Reader, options: IncidentOptions | None = None) -> Inciden
     search = IncidentSearch(source, options)
     search.read()
     return search.finish()
+
+
+def unrecorded_contacts(source: Reader, options: IncidentOptions | None = None) -> int:
+    """Return the number of contacts of two actors without a collision record: of near misses whose time to collision is 0.
+
+    Args:
+        source: The recording.
+        options: Of which actor and time.
+
+    Raises:
+        FormatError: The file contradicts its format.
+    """
+    wanted = replace(options or IncidentOptions(), kinds=("near miss",), time_to_collision=0.0, post_encroachment_time=0.0)
+    return sum(each.measure == "time_to_collision" for each in incidents(source, wanted))
 
 
 def with_roads(source: Reader, options: IncidentOptions) -> IncidentOptions:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -19,6 +20,8 @@ from carla_recap.tables.trajectories import trajectories
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from carla_recap.formats.base import Reader
     from carla_recap.model.lives import ActorLife
 
@@ -66,10 +69,15 @@ class RecordingSummary:
 
 
 class Summaries(Answer[RecordingSummary]):
-    """The summary of a recording, as the only row."""
+    """The summary of a recording, as the only row.
+
+    Attributes:
+        others: The number of actors of the kind `other` by blueprint, the most frequent first.
+    """
 
     row_type = RecordingSummary
     row_units: ClassVar = {"duration": "s"}
+    others: Mapping[str, int] = MappingProxyType({})
 
 
 def summary(source: Reader, options: IncidentOptions | None = None) -> Summaries:
@@ -100,7 +108,9 @@ def summary(source: Reader, options: IncidentOptions | None = None) -> Summaries
         {kind: found[kind] for kind in KINDS if found[kind]},
         {sensor.id: sensor.type for sensor in sensors(source)},
     )
-    return Summaries([row], source, compat=False)
+    found_summary = Summaries([row], source, compat=False)
+    found_summary.others = dict(Counter(life.type_id for life in lives if life.kind == "other").most_common())
+    return found_summary
 
 
 def _hero(source: Reader, life: ActorLife) -> HeroSummary | None:

@@ -53,6 +53,7 @@ def test_a_drive_to_the_end_of_the_route_is_perfect(tmp_path: Path, suffix: str)
 def test_the_completion_is_the_share_of_the_route_that_is_driven(drives: Drives) -> None:
     found = drives(westward(at_speed(10.0, 40.0)))
     assert (found.status, kinds(found)) == ("Failed", [])
+    assert found.outcome == f"Failed - Recording ends at {found.completion:.2f} % of the route"
     assert found.completion == pytest.approx(40.0, abs=1.5)
     assert found.score == found.completion
 
@@ -67,7 +68,7 @@ def test_a_hero_far_from_the_route_has_left_it(drives: Drives) -> None:
     straight = westward(at_speed(10.0, 40.0))
     away: list[Pose] = [(215.0, Y + 0.5 * step, 90.0) for step in range(1, 100)]
     found = drives(straight + away)
-    assert (found.status, kinds(found)[-1]) == ("Failed - Agent deviated from the route", "route_dev")
+    assert (found.outcome, kinds(found)[-1]) == ("Failed - Agent deviated from the route", "route_dev")
     last = found.infractions[-1]
     assert last.y - Y == pytest.approx(30.0, abs=1.0)
     assert last.time == found.stop

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from contextlib import contextmanager
+from json import loads
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Event, Thread
@@ -36,7 +37,7 @@ _CONFIG: Final[dict[str, Any]] = {
     "autoinstall_known_extensions": "false",
     "autoload_known_extensions": "false",
 }
-_CONFINED: Final = ("set enable_external_access=false", "set lock_configuration=true")
+_CONFINED: Final = ("set enable_external_access=false", "set errors_as_json=true", "set lock_configuration=true")
 _NO_INDEX: Final = "is no index of recordings, which 'carla-recap index' makes"
 _QUERIES: Final = "select, with, from, values, table, pivot, unpivot, describe, show or summarize"
 _NO_DATABASE: Final = "not a valid DuckDB database file"  # in an error of DuckDB, which has no class of its own
@@ -110,7 +111,7 @@ class RecordingIndex:
             query.encode()
         except UnicodeEncodeError:
             raise RecapError(f"{_shown(query)}: is not UTF-8; a query in SQL was expected") from None
-        with self._opened(_READING) as database:
+        with self._opened(_READING, query) as database:
             for setting in _CONFINED:
                 database.execute(setting)
             kinds = [statement.type for statement in database.extract_statements(query)]
@@ -166,7 +167,7 @@ class RecordingIndex:
             database.execute("checkpoint")
 
     @contextmanager
-    def _opened(self, mode: str) -> Iterator[duckdb.DuckDBPyConnection]:
+    def _opened(self, mode: str, query: str = "") -> Iterator[duckdb.DuckDBPyConnection]:
         """Yield a database in memory to which the file is attached, when no other process hinders that any more."""
         import duckdb
 
@@ -182,10 +183,10 @@ class RecordingIndex:
         except Exception as error:  # after a signal, the query may still use the database
             database.close()
             if isinstance(error, duckdb.Error):
-                raise self._failure(error) from None
+                raise self._failure(error, query) from None
             raise
 
-    def _failure(self, error: duckdb.Error) -> RecapError:
+    def _failure(self, error: duckdb.Error, query: str) -> RecapError:
         """Return DuckDB's error in one line; of a damaged file, DuckDB's class does not always say so."""
         import duckdb
 
@@ -196,7 +197,7 @@ class RecordingIndex:
         damaged = (duckdb.IOException, duckdb.FatalException, duckdb.InternalException, duckdb.SerializationException)
         if isinstance(error, damaged) or type(error) is duckdb.Error:
             return RecapError(f"{self.path}: {_one_line(error)}; if the index is damaged, {_remedy(self.path)}")
-        return RecapError(_one_line(error))
+        return RecapError(_one_line(error, query))
 
 
 def open_index(path: Path | str) -> RecordingIndex:
@@ -264,13 +265,20 @@ def _attach(database: duckdb.DuckDBPyConnection, path: Path, mode: str) -> bool:
 
 def _answer(database: duckdb.DuckDBPyConnection, query: str) -> pa.Table:
     """Return the answer to a query, which a signal ends: DuckDB itself heeds none."""
+    import duckdb
+
     found: list[pa.Table] = []
     failed: list[BaseException] = []
     done = Event()
 
     def work() -> None:
         try:
-            found.append(database.sql(query).to_arrow_table())
+            try:
+                relation = database.sql(query)
+            except duckdb.Error:
+                database.execute(query)  # which raises the error with its position
+                raise
+            found.append(relation.to_arrow_table())
         except BaseException as error:
             failed.append(error)
         done.set()
@@ -332,7 +340,16 @@ def _shown(query: str) -> str:
     return repr(line if len(line) <= 60 else f"{line[:57]}...")
 
 
-def _one_line(error: Exception) -> str:
-    """Return DuckDB's error without the quotation of the query, in one line."""
-    lines = [line.strip() for line in str(error).partition("\n\nLINE ")[0].splitlines()]
+def _one_line(error: Exception, query: str = "") -> str:
+    """Return DuckDB's error in one line, with the words of the query that it is about, and their place from 1."""
+    kind, _, text = str(error).partition(": ")
+    about = loads(text) if text.startswith('{"exception') else {"exception_message": text}
+    lines = [line.strip() for line in f"{kind}: {about['exception_message']}".splitlines()]
+    if "position" in about:
+        start, length = loads(about.get("location", f"[{about['position']},0]"))  # bytes
+        content = query.encode()
+        before, words = (part.decode(errors="replace") for part in (content[:start], content[start : start + length]))
+        number, column = before.count("\n") + 1, len(before) - before.rfind("\n")
+        line = f"line {number}, " if "\n" in query.strip() else ""
+        lines.append(f"at {line}character {column}" + (f": {_shown(words)}" if words else ""))
     return "; ".join(line for line in lines if line)

@@ -92,7 +92,7 @@ class Score:
         repetition: The number of the repetition of the route, by the name of the recording.
         town: The name of the map.
         formula: The version of the Leaderboard whose formula counts.
-        status: `Perfect`, `Completed`, or `Failed` with the reason, if it is known; `Driven` without a route.
+        status: `Perfect`, `Completed`, or `Failed` with the reason, if the Leaderboard has one; `Driven` without a route.
         score: The driving score: the completion times the penalty, 0 to 100.
         completion: The completed part of the route in %; 100 without a route, where it means nothing.
         penalty: The factor by which infractions reduce the score, 0 to 1.
@@ -136,6 +136,11 @@ class Score:
             return None
         is_clean = all(infraction.kind == _UNPUNISHED for infraction in self.infractions)
         return is_clean and self.status in (PERFECT, COMPLETED)
+
+    @property
+    def outcome(self) -> str:
+        """The status, with the reason where the Leaderboard has none: that the recording ends on the route."""
+        return f"{FAILED} - Recording ends at {self.completion:.2f} % of the route" if self.status == FAILED else self.status
 
     @property
     def duration(self) -> float:
