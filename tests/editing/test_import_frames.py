@@ -8,7 +8,6 @@ import pytest
 from carla_recap.editing.import_tracks import import_tracks
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.recording import open_recording
-from carla_recap.roads import load_map
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,15 +51,6 @@ def test_frames_without_a_rate_are_named(tmp_path: Path) -> None:
         import_tracks(table(tmp_path, IND), tmp_path / "ind.mcap")
     with pytest.warns(RecapWarning, match="frames are taken as times"):
         import_tracks(table(tmp_path, IND), tmp_path / "ind.mcap", columns={"time": "frame"})
-
-
-def test_a_pointer_of_git_lfs_is_named(tmp_path: Path) -> None:
-    pointer = f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 12345\n"
-    openers = (open_recording, load_map, lambda path: import_tracks(path, tmp_path / "out.mcap"))
-    for opener, name in zip(openers, ("run.mcap", "Town.xodr", "tracks.csv"), strict=True):
-        (tmp_path / name).write_text(pointer)
-        with pytest.raises(RecapError, match="is a pointer of Git LFS"):
-            opener(tmp_path / name)
 
 
 @pytest.mark.parametrize("rate", [0.0, -25.0, float("nan"), float("inf")])

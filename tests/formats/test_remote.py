@@ -326,7 +326,12 @@ def test_a_recording_that_changes_meanwhile(folder, tmp_path, etags):
 
 @pytest.mark.parametrize(
     ("data", "message"),
-    [(b"", "is empty"), (b"no recording", "is not a recording"), (b"\x89MCAP0\r\n" + bytes(100), "has no valid end")],
+    [
+        (b"", "is empty"),
+        (b"no recording", "is not a recording"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "is a pointer of Git LFS"),
+        (b"\x89MCAP0\r\n" + bytes(100), "has no valid end"),
+    ],
 )
 def test_what_is_no_recording(tmp_path, data, message):
     save(tmp_path / "x.mcap", data)

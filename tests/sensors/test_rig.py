@@ -25,6 +25,10 @@ LIDAR = {"type": "sensor.lidar.ray_cast", "id": "top", "x": 0.0, "y": 0.0, "z": 
 RADAR = {"type": "sensor.other.radar", "id": "radar", "x": 2.0, "y": 0.0, "z": 1.0}
 
 
+def without_place(members: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in members.items() if key not in ("x", "y", "z")}
+
+
 def sensor(kind: str, id: str, **members: Any) -> dict[str, Any]:
     return {"type": kind, "id": id, "x": 0.0, "y": 0.0, "z": 0.0, **members}
 
@@ -88,6 +92,82 @@ def test_a_speedometer_has_a_reading_frequency() -> None:
     speedometer = {"type": "sensor.speedometer", "id": "speed", "reading_frequency": 20}
     assert SensorRig.of([speedometer])["speed"].attributes == {"sensor_tick": 0.05}
     assert SensorRig.of([speedometer], leaderboard=True)["speed"].attributes == {"sensor_tick": 0.0}
+
+
+OBJECTS = {
+    "objects": [
+        {"type": "sensor.pseudo.markers", "id": "markers"},
+        {"type": "vehicle.audi.tt", "id": "other", "sensors": [{"type": "sensor.other.imu", "id": "imu"}]},
+        {
+            "type": "vehicle.tesla.model3",
+            "id": "ego_vehicle",
+            "spawn_point": {"x": 1.0, "y": 2.0, "z": 0.0, "roll": 0.0, "pitch": 0.0, "yaw": 0.0},
+            "sensors": [
+                {
+                    "type": "sensor.camera.rgb",
+                    "id": "left",
+                    "spawn_point": {"x": 1.0, "y": 0.5, "z": 2.0, "roll": 5.0, "pitch": 20.0, "yaw": 90.0},
+                    "image_size_x": 400,
+                    "fov": "100.0",
+                },
+                {
+                    "type": "sensor.lidar.ray_cast",
+                    "id": "top",
+                    "spawn_point": {"x": 1.0, "y": 0.0, "z": 2.0, "yaw": 90.0},
+                    "attached_objects": [
+                        {
+                            "type": "sensor.other.radar",
+                            "id": "radar",
+                            "spawn_point": {"x": 1.0, "y": 0.5, "z": 0.5, "yaw": 10.0},
+                        },
+                        {"type": "actor.pseudo.control", "id": "control"},
+                    ],
+                },
+                {"type": "sensor.other.gnss", "id": "gnss"},
+                {"type": "sensor.other.collision", "id": "collision", "spawn_point": {"x": 0.0, "y": 0.0, "z": 0.0}},
+                {"type": "sensor.pseudo.tf", "id": "tf"},
+            ],
+        },
+    ]
+}
+
+
+def test_the_objects_of_ros_bridge_are_a_rig_in_carlas_axes(tmp_path: Path) -> None:
+    (tmp_path / "objects.json").write_text(json.dumps(OBJECTS), "utf-8")
+    with pytest.warns(
+        RecapWarning, match="5 left out, which a rig cannot have: markers, other, collision, tf, control"
+    ) as caught:
+        rig = SensorRig.load(tmp_path / "objects.json")
+    assert len(caught) == 1
+    poses = {each.id: (each.x, each.y, each.z, each.roll, each.pitch, each.yaw) for each in rig}
+    assert poses == {
+        "left": pytest.approx((1.0, -0.5, 2.0, 5.0, -20.0, -90.0)),
+        "top": pytest.approx((1.0, 0.0, 2.0, 0.0, 0.0, -90.0)),
+        "gnss": pytest.approx((0.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+        "radar": pytest.approx((0.5, -1.0, 2.5, 0.0, 0.0, -100.0)),  # 1 m before the lidar, which looks to the left
+    }
+    assert (rig["left"].attributes["image_size_x"], rig["left"].number("fov")) == (400, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("objects", "message"),
+    [
+        (5, "objects: expected a list of objects"),
+        ([], "expected a vehicle with sensors and the id ego_vehicle, found none"),
+        ([{"type": "vehicle.a.b", "id": name, "sensors": []} for name in "ab"], "the id ego_vehicle, found 2"),
+        ([{"type": "vehicle.a.b", "sensors": [{"id": "a", "type": "sensor.camera.rbg"}]}], "sensor.camera.rgb was expected"),
+        (
+            [{"type": "vehicle.a.b", "sensors": [{**without_place(LIDAR), "spawn_point": {"x": "1"}}]}],
+            "'top': x: \"1\"; a number",
+        ),
+        ([{"type": "vehicle.a.b", "sensors": [{**without_place(LIDAR), "spawn_point": {"w": 1}}]}], "'top': w: is no key"),
+        ([{"type": "vehicle.a.b", "sensors": [{**LIDAR, "spawn_point": 1}]}], "'top': spawn_point: expected an object"),
+    ],
+)
+def test_objects_that_are_no_rig_are_refused(objects: Any, message: str) -> None:
+    with pytest.raises(RecapError) as raised:
+        SensorRig.of({"objects": objects})  # type: ignore[arg-type]
+    assert message in str(raised.value)
 
 
 def without(members: dict[str, Any], key: str) -> dict[str, Any]:

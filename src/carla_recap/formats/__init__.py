@@ -110,11 +110,15 @@ def _open(location: Path | str) -> Reader:
     if is_log(start):
         log_info(__name__, "opens %s (CARLA's log)", location)
         return LogReader(location)
+    raise _not_a_recording(location, start)
+
+
+def _not_a_recording(location: Path | str, start: bytes) -> NotARecording:
     if start.startswith(LFS_POINTER):
-        raise NotARecording(location, IS_LFS_POINTER)
+        return NotARecording(location, IS_LFS_POINTER)
     if not start:
-        raise NotARecording(location, "is empty; a CARLA log or an MCAP recording was expected")
-    raise NotARecording(location, "is not a recording (neither CARLA's log nor MCAP)")
+        return NotARecording(location, "is empty; a CARLA log or an MCAP recording was expected")
+    return NotARecording(location, "is not a recording (neither CARLA's log nor MCAP)")
 
 
 def _open_remote(url: str) -> Reader:
@@ -131,7 +135,7 @@ def _open_remote(url: str) -> Reader:
         from carla_recap.formats.carla_log import LogReader, is_log
 
         if not is_log(start):
-            raise NotARecording(url, "is not a recording (neither CARLA's log nor MCAP)")
+            raise _not_a_recording(url, start)
         reader = LogReader(url, file=copied(source))
     except BaseException:
         source.close()

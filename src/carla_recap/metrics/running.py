@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import FormatError, RecapError
 from carla_recap.roads.drawing import load_map
+from carla_recap.util.files import read_document
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -25,6 +26,7 @@ _BASE: Final = "srunner.metrics.examples.basic_metric"
 _TRIAL: Final = "import carla, sys; carla.Map('', sys.stdin.read())"
 _PATIENCE: Final = 60.0  # s, for CARLA's library to read a map
 _LOG: Final = "srunner.metrics.tools.metrics_log"
+_LARGEST_CRITERIA: Final = 64 << 20  # bytes
 
 
 class BasicMetric:
@@ -84,9 +86,7 @@ def _importing(path: Path) -> Iterator[None]:
 
 def _criteria(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text("utf-8"))
-    except OSError as error:
-        raise RecapError(f"{path}: {error.strerror}") from None
+        found = json.loads(read_document(path, _LARGEST_CRITERIA, "a JSON file of criteria"))
     except (ValueError, RecursionError) as error:
         raise RecapError(f"{path}: is no JSON file ({error})") from None
     if not isinstance(found, dict):

@@ -14,7 +14,6 @@ import re
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
@@ -27,11 +26,12 @@ from carla_recap.rules.places import NamedPlace
 from carla_recap.rules.reading import Reading, hint, shown
 from carla_recap.rules.table import CONDITIONS
 from carla_recap.tables.trajectories import Axes
-from carla_recap.util.files import reason_of
+from carla_recap.util.files import read_document, reason_of
 from carla_recap.util.text import single_line, visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
+    from pathlib import Path
 
     from carla_recap.recording import Recording
     from carla_recap.rules.facts import Condition
@@ -131,18 +131,7 @@ def load_rules(path: Path | str) -> RuleSet:
         RulesError: The file is wrong, or a baseline is not there.
         RecapError: It cannot be read.
     """
-    try:
-        with Path(path).open("rb") as file:
-            content = file.read(_LARGEST + 1)
-    except (OSError, ValueError) as error:
-        raise RecapError(f"{path}: cannot be read: {reason_of(error)}") from None
-    if len(content) > _LARGEST:
-        raise RecapError(f"{path}: is larger than {_LARGEST >> 10} kB; a file of rules was expected")
-    try:
-        rules = parse_rules(content.decode("utf-8-sig"), path)
-    except UnicodeDecodeError as error:
-        raise RecapError(f"{path}: byte {error.start}: UTF-8 was expected") from None
-    return rules
+    return parse_rules(read_document(path, _LARGEST, "a file of rules"), path)
 
 
 def parse_rules(text: str, path: Path | str) -> RuleSet:

@@ -71,6 +71,15 @@ class SensorAttribute:
         """The default as a value of the type."""
         return self.text == "true" if self.type is bool else self.type(self.text)
 
+    def parse(self, text: str) -> Value:
+        """Return the value that a text means, as attributes of CARLA's actors are; the text itself if it is none."""
+        try:
+            if self.type is bool:
+                return {"true": True, "1": True, "false": False, "0": False}.get(text.lower(), text)
+            return self.type(text)
+        except ValueError:
+            return text
+
 
 Attributes = dict[str, SensorAttribute]
 

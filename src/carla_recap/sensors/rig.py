@@ -15,17 +15,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from numbers import Real
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.sensors.kinds import LEADERBOARD_CHOICES, SENSOR_TYPES, SensorAttribute
-from carla_recap.util.files import reason_of
+from carla_recap.sensors.ros_objects import sensors_of_objects
+from carla_recap.util.files import read_document
 from carla_recap.util.text import first_of, visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
+    from pathlib import Path
 
     from carla_recap.sensors.kinds import Kind, SensorType, Value
 
@@ -115,7 +116,7 @@ class SensorSpec:
             RecapError: The type or an attribute is none that a rig can have; the message names sensor and key.
         """
         known = SENSOR_TYPES[type].attributes if type in SENSOR_TYPES else {}
-        values = {key: _value_of(texts[key], row) for key, row in known.items() if key in texts}
+        values = {key: row.parse(texts[key]) for key, row in known.items() if key in texts}
         place = dict.fromkeys(_PLACE, 0.0)
         (spec,) = _rig([{"id": id, "type": type, **place, **values}], "the server", leaderboard=False)
         x, y, z, roll, pitch, yaw = map(float, pose)
@@ -141,7 +142,10 @@ class SensorRig:
 
     @classmethod
     def load(cls, path: Path | str, *, leaderboard: bool = False) -> SensorRig:
-        """Return the rig of a JSON file: a list of objects, as `of` takes them.
+        """Return the rig of a JSON file: a list of objects, as `of` takes them, or ROS bridge's objects.
+
+        Of the latter, an object with the member `objects`, it is the sensors of the ego vehicle, whose poses there are in
+        ROS's axes: y to the left, positive pitch down, positive yaw to the left.
 
         Args:
             path: The file; of 1 MB at most.
@@ -149,20 +153,12 @@ class SensorRig:
 
         Raises:
             RecapError: The file cannot be read, or is no rig; the message names the sensor and the key.
+
+        Warns:
+            RecapWarning: Sensors that a rig cannot have are left out.
         """
         try:
-            if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
-                raise RecapError(f"{path}: is not a regular file; a rig was expected")
-            with Path(path).open("rb") as file:
-                content = file.read(_LARGEST_FILE + 1)
-        except (OSError, ValueError) as error:
-            raise RecapError(f"{path}: cannot be read: {reason_of(error)}") from None
-        if len(content) > _LARGEST_FILE:
-            raise RecapError(f"{path}: is larger than 1 MB; a rig was expected")
-        try:
-            sensors = json.loads(content.decode("utf-8-sig"), object_pairs_hook=_Members)
-        except UnicodeDecodeError as error:
-            raise RecapError(f"{path}: byte {error.start}: UTF-8 was expected") from None
+            sensors = json.loads(read_document(path, _LARGEST_FILE, "a rig"), object_pairs_hook=_Members)
         except json.JSONDecodeError as error:
             raise RecapError(f"{path}: line {error.lineno}: {error.msg}; JSON was expected") from None
         except RecursionError:
@@ -232,14 +228,7 @@ def as_rig(rig: SensorRig | Path | str) -> SensorRig:
 
 
 class _Members(dict[str, Any]):
-    """An object of a JSON file.
-
-    Args:
-        pairs: The keys and values, in their order.
-
-    Attributes:
-        repeated: A key that the object has twice; empty if there is none.
-    """
+    """An object of a JSON file; `repeated` is a key that it has twice, or empty."""
 
     def __init__(self, pairs: Iterable[tuple[str, Any]]) -> None:
         pairs = list(pairs)
@@ -248,13 +237,9 @@ class _Members(dict[str, Any]):
 
 
 def _rig(sensors: object, name: str, *, leaderboard: bool) -> SensorRig:
-    """Return the rig of dicts.
-
-    Args:
-        sensors: The dicts, which may be anything.
-        name: What they are called in errors.
-        leaderboard: See `SensorRig.of`.
-    """
+    """Return the rig of dicts, which may be anything; the name is what they are called in errors."""
+    if isinstance(sensors, Mapping) and "objects" in sensors:
+        sensors = sensors_of_objects(sensors["objects"], name)
     if not isinstance(sensors, Sequence) or isinstance(sensors, (str, bytes)):
         raise RecapError(f"{name}: {_shown(sensors)}; a list of sensors was expected")
     if len(sensors) > MOST_SENSORS:
@@ -277,13 +262,7 @@ def _rig(sensors: object, name: str, *, leaderboard: bool) -> SensorRig:
 
 
 class _SensorReader:
-    """Reads a sensor of a rig.
-
-    Args:
-        members: What the list has, which may be anything.
-        place: What the sensor is called in errors until its id is known.
-        name: What the rig is called in errors.
-    """
+    """Reads a sensor of a rig, which may be anything; it is called by its place in errors until its id is known."""
 
     def __init__(self, members: object, place: str, name: str) -> None:
         self._place = place
@@ -367,16 +346,6 @@ class _SensorReader:
         if not is_valid:
             self.refuse(key, attribute.values)
         return attribute.type(value)
-
-
-def _value_of(text: str, attribute: SensorAttribute) -> Value:
-    """Return an attribute of an actor as a value; the text itself if it is none of the type."""
-    try:
-        if attribute.type is bool:
-            return {"true": True, "1": True, "false": False, "0": False}.get(text.lower(), text)
-        return attribute.type(text)
-    except ValueError:
-        return text
 
 
 def _key(key: object) -> str:

@@ -224,6 +224,35 @@ def check_path(destination: Path | str) -> None:
         raise RecapError(f"{destination}: is a URL; a path was expected, since only files of this machine are written")
 
 
+def read_document(path: Path | str, largest: int, expected: str) -> str:
+    """Return the text of a small file, in UTF-8.
+
+    Args:
+        path: The file.
+        largest: The greatest number of bytes that it may have.
+        expected: What it should be, such as "a rig", for errors.
+
+    Raises:
+        RecapError: It cannot be read, or is no such text.
+    """
+    try:
+        if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
+            raise RecapError(f"{path}: is not a regular file; {expected} was expected")
+        with Path(path).open("rb") as file:
+            content = file.read(largest + 1)
+    except (OSError, ValueError) as error:
+        raise RecapError(f"{path}: cannot be read: {reason_of(error)}") from None
+    if content.startswith(LFS_POINTER):
+        raise RecapError(f"{path}: {IS_LFS_POINTER}")
+    if len(content) > largest:
+        size = f"{largest >> 20} MB" if largest >> 20 else f"{largest >> 10} kB"
+        raise RecapError(f"{path}: is larger than {size}; {expected} was expected")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RecapError(f"{path}: byte {error.start}: UTF-8 was expected") from None
+
+
 def reason_of(error: OSError | ValueError) -> str:
     """Return why a file or folder cannot be used, from the error about its path."""
     return str(getattr(error, "strerror", None) or error)
