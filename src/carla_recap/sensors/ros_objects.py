@@ -102,4 +102,5 @@ def _sensor(members: Mapping[str, Any], place: str) -> tuple[dict[str, Any], Flo
 def _attached(parent: Floats, pose: Floats) -> Floats:
     """Return a pose on the vehicle that is given in the axes of a sensor there."""
     scale = np.array([CM, CM, CM, 1.0, 1.0, 1.0])
-    return attach(parent / scale, pose / scale) * scale
+    attached: Floats = attach(parent / scale, pose / scale) * scale
+    return attached
