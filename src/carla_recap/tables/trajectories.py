@@ -259,7 +259,7 @@ def actor_rows(
     Raises:
         FormatError: The file contradicts its format.
     """
-    wanted = None if actors is None else np.array(list(actors), np.uint32)
+    wanted = None if actors is None else np.array([id for id in actors if 0 <= id < 1 << 32], np.uint32)
     pieces: dict[str, dict[int, list[ActorRows]]] = {name: {} for name in names}
     for batches in portions(reader.batches(tuple(names), start=start, stop=stop)):
         for name in names:

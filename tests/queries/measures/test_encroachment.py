@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import Spawn
 from carla_recap.queries.measures import post_encroachment_time
-from carla_recap.queries.measures.encroachment import Crossing, CrossingSearch, Path
+from carla_recap.queries.measures.encroachment import CrossingSearch, Encounter, Path
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector, MotionTable
 from carla_recap.queries.recorded_actors import actors
 from tests.queries.measures.conftest import Mover
@@ -98,7 +98,7 @@ def crossings(reader: Reader, longest: float) -> set[tuple[int, int, float, floa
     for table in [*tables, *collector.finish()]:
         search.add(table, np.ones(len(table.ids), np.bool_))
     return {
-        (each.first.id, each.second.id, *(round(time, 6) for time in (each.left, each.arrived, each.time)))
+        (each.id2, each.id1, *(round(time, 6) for time in (each.start, each.stop, each.post_encroachment_time)))
         for each in search.finish()
     }
 
@@ -111,7 +111,7 @@ def test_the_number_of_frames_at_once_changes_nothing(drive: Drive, monkeypatch:
     found = []
     for frames, moments in ((1024, 16), (1024, 1000), (100, 16), (37, 5)):
         monkeypatch.setattr("carla_recap.queries.measures.motion_table._FRAMES", frames)
-        monkeypatch.setattr("carla_recap.queries.measures.encroachment._AT_ONCE", moments)
+        monkeypatch.setattr("carla_recap.queries.measures.encroachment._BLOCK", moments)
         found.append(crossings(reader, longest))
     assert found[0]
     assert all(each == found[0] for each in found)
@@ -147,7 +147,7 @@ def crossing(time: np.ndarray, **changed: Any) -> MotionTable:
     return replace(table, **changed)
 
 
-def found_in(table: MotionTable, longest: float = 3.0) -> list[Crossing]:
+def found_in(table: MotionTable, longest: float = 3.0) -> list[Encounter]:
     """Return the crossings in all frames."""
     search = CrossingSearch(longest)
     search.add(table, np.array([True, True]))
@@ -159,11 +159,11 @@ TIME = np.arange(0, 14, 0.05)
 
 def test_a_crossing_has_both_actors_and_times() -> None:
     (found,) = found_in(crossing(TIME))
-    assert (found.first.id, found.second.id) == (1, 2)
-    assert found.time == pytest.approx(1.4, abs=0.011)
-    assert found.arrived - found.left == pytest.approx(1.4, abs=0.11)
+    assert (found.id2, found.id1) == (1, 2)
+    assert found.post_encroachment_time == pytest.approx(1.4, abs=0.011)
+    assert found.stop - found.start == pytest.approx(1.4, abs=0.11)
     assert found.speed == pytest.approx(10)
-    assert found.begin <= found.arrived <= found.end
+    assert found.time == found.stop
 
 
 @pytest.mark.parametrize(("longest", "some"), [(1.39, False), (1.41, True)])
@@ -174,14 +174,14 @@ def test_a_time_above_the_longest_is_none(longest: float, some: bool) -> None:
 @pytest.mark.parametrize("rate", [2, 3, 5, 10, 20, 30, 100])
 def test_the_frame_rate_changes_nothing(rate: int) -> None:
     (found,) = found_in(crossing(np.arange(0, 14, 1 / rate)))
-    assert found.time == pytest.approx(1.4, abs=0.011)
+    assert found.post_encroachment_time == pytest.approx(1.4, abs=0.011)
 
 
 @pytest.mark.parametrize("start", [1e6, 1e8, -5.0])
 def test_a_recording_may_start_at_any_time(start: float) -> None:
     table = crossing(TIME)
     (found,) = found_in(replace(table, time=TIME + start))
-    assert found.time == pytest.approx(1.4, abs=0.011)
+    assert found.post_encroachment_time == pytest.approx(1.4, abs=0.011)
 
 
 @pytest.mark.parametrize(("dz", "some"), [(2.0, True), (-2.0, True), (2.001, False), (-2.001, False)])

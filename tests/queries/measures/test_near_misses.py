@@ -19,13 +19,13 @@ from tests.queries.measures.conftest import Mover, straight
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
-    from carla_recap.queries.measures.near_misses import NearMiss
+    from carla_recap.queries.measures.encroachment import Encounter
     from tests.queries.measures.conftest import Drive
 
 SAMPLES = Path(__file__).parents[3] / "samples"
 
 
-def near_misses(reader: Reader, ids: frozenset[int] | None = None, **thresholds: float) -> list[NearMiss]:
+def near_misses(reader: Reader, ids: frozenset[int] | None = None, **thresholds: float) -> list[Encounter]:
     collector, contacts = ActorLives(), Contacts()
     for frame in reader.frames(("spawned", "destroyed", "parented", "bounding_boxes", "collisions"), sparse=True):
         contacts.add(frame)

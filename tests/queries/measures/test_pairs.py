@@ -77,8 +77,8 @@ def test_paths_cross_if_boxes_reach_the_same_level(dz, meet):
     found = search.finish()
     assert (len(found) > 0) == meet
     if meet:
-        assert [(each.first.id, each.second.id) for each in found] == [(1, 2)]
-        assert found[0].time == pytest.approx(0.4, abs=0.03)
+        assert [(each.id2, each.id1) for each in found] == [(1, 2)]
+        assert found[0].post_encroachment_time == pytest.approx(0.4, abs=0.03)
 
 
 @pytest.mark.parametrize(("distance", "are_near"), [(20.0, True), (20.1, False)])

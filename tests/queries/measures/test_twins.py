@@ -8,20 +8,18 @@ from contextlib import closing
 from typing import TYPE_CHECKING
 from unittest.mock import patch
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from carla_recap.formats import open_reader
-from carla_recap.model.records import Spawn, attributes
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.measures import measures, time_series
 from carla_recap.queries.measures import motion_table as tables
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
 from carla_recap.queries.measures.near_misses import NearMissDetector
-from tests.queries.conftest import write
 from tests.queries.measures.events import events_of
+from tests.queries.measures.traffic import traffic
 from tests.twins.encounters import Twin
 
 if TYPE_CHECKING:
@@ -31,64 +29,6 @@ if TYPE_CHECKING:
 
 EXAMPLES = int(os.environ.get("TWIN_EXAMPLES", "25"))
 LIMITS = st.one_of(st.sampled_from([0.0, 1.0, 1.5, 3.0]), st.floats(-1, 1.7781).map(lambda power: min(10**power, 60.0)))
-
-
-def traffic(path: Path, seed: int) -> Path:
-    """Record random traffic: actors that turn, brake, vanish, jump, come back under their id, and hit each other."""
-    random = np.random.default_rng(seed)
-    rate = float(random.choice([2, 5, 10, 20, 30, 100]))
-    frames = int(random.integers(1, 60))
-    actors = int(random.integers(1, 9)) if frames < 25 else int(random.integers(1, 5))
-    durations = np.full(frames, 1 / rate) if random.random() < 0.6 else random.uniform(0.2, 1.8, frames) / rate
-    if random.random() < 0.2:
-        durations[int(random.integers(frames))] = 2.5
-    time = np.append(0.0, np.cumsum(durations[:-1]))
-    span, packets = float(time[-1]), [{"transforms": [], "velocities": []} for _ in range(frames)]
-    spawned, boxes = [], []
-    for id in range(1, actors + 1):
-        is_walker = id > 1 and random.random() < 0.25
-        speed, turn = random.uniform(0, 3 if is_walker else 18), random.choice([0, random.normal(0, 0.4)])
-        yaw = random.uniform(-math.pi, math.pi)
-        meeting = random.uniform(0, max(span, 2))  # it is near the origin then
-        braking = random.choice([0, random.uniform(0, 8)])
-        here, where = [], random.normal(0, 3, 2)
-        fine = np.linspace(0, max(span, 0.1), 400)
-        fast = np.maximum(speed - braking * np.maximum(fine - meeting + 1, 0), 0)
-        heading = yaw + turn * (fine - meeting)
-        steps = np.gradient(fine)
-        x, y = np.cumsum(fast * np.cos(heading) * steps), np.cumsum(fast * np.sin(heading) * steps)
-        x, y = (values - np.interp(meeting, fine, values) + offset for values, offset in zip((x, y), where, strict=True))
-        jump = random.uniform(0, span) if random.random() < 0.1 else math.inf
-        absent = sorted(random.uniform(0, span, 2)) if random.random() < 0.2 else (math.inf, math.inf)
-        has_velocity, z = random.random() < 0.7, random.choice([0, 0, 0, 0, 6]) * 100.0
-        for frame, now in enumerate(time.tolist()):
-            if absent[0] <= now <= absent[1]:
-                continue
-            px, py = (np.interp(now, fine, values) + (60 if now > jump else 0) for values in (x, y))
-            angle = float(np.interp(now, fine, heading))
-            v = float(np.interp(now, fine, fast))
-            packets[frame]["transforms"].append((id, px * 100, -py * 100, z, 0.0, 0.0, -math.degrees(angle)))
-            if has_velocity:
-                velocity = (id, v * math.cos(angle), -v * math.sin(angle), 0.0, 0.0, 0.0, 0.0)
-                packets[frame]["velocities"].append(velocity)
-            here.append(frame)
-        names = {"role_name": "hero"} if id == 1 else {}
-        type_id = "walker.pedestrian.0001" if is_walker else str(random.choice(["vehicle.audi.tt", "vehicle.bh.crossbike"]))
-        spawn = Spawn(id, 2 if is_walker else 1, type_id=type_id, attributes=attributes(**names))
-        spawned.append(spawn)
-        if random.random() < 0.5:
-            boxes.append((id, random.normal(0, 20), 0.0, 75.0, *random.uniform(20, 300, 2), 75.0))
-        if random.random() < 0.15 and frames > 2:
-            again = int(random.integers(1, frames))
-            packets[again]["destroyed"] = [*packets[again].get("destroyed", []), (id,)]
-            packets[again]["spawned"] = [*packets[again].get("spawned", []), spawn]
-    packets[0] = {"spawned": spawned, "bounding_boxes": boxes, **packets[0]}
-    if actors > 1 and random.random() < 0.3:
-        pair = random.choice(actors, 2, replace=False) + 1
-        begin = int(random.integers(frames))
-        for frame in range(begin, min(begin + int(random.integers(1, 4)), frames)):
-            packets[frame]["collisions"] = [(0, int(pair[0]), int(pair[1]), 0, 0)]
-    return write(path, packets, durations=[*durations[:-1].tolist(), -1.0])
 
 
 def twin_of(reader: Reader) -> Twin:

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.lives import ActorLife
 from carla_recap.model.motion import LONGEST_STEP
+from carla_recap.model.records import Spawn
 from carla_recap.queries.measures.boxes import Boxes, overlaps
+from carla_recap.queries.measures.motion_table import MotionTable
 from carla_recap.queries.measures.pairs import ELEMENTS, bounds
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from carla_recap.model.lives import ActorLife
-    from carla_recap.queries.measures.motion_table import MotionTable
+    from numpy.typing import NDArray
+
     from carla_recap.util.arrays import Booleans, Floats, Indices, Integers
 
 
@@ -38,7 +41,7 @@ ENCOUNTER: Final = 3.0
 """The time in s; critical moments of a pair with less time between them are one encounter."""
 
 _FINE: Final = 10  # moments per step when the time is refined
-_AT_ONCE: Final = 16  # moments that are compared with as many others at once
+_BLOCK: Final = 16  # moments of which each actor has one bounding box
 _LATEST: Final = 1e9  # s; times above it are none
 _ALONG: Final = math.cos(math.radians(CROSSING))
 _ACROSS: Final = math.sin(math.radians(CROSSING))
@@ -71,35 +74,45 @@ def post_encroachment_time(one: Path, other: Path, longest: float = 3.0) -> floa
     """Return the least time between one box leaving a spot and the other arriving there, in s.
 
     It is inf if their paths do not share a spot within the longest time, if both are there at once, or if they do not cross:
-    following on one path does not count. Where paths cross at once, this is the definition of Allen, Shin and Cooper (1978):
-    the entry of the second into the shared area less the exit of the first.
+    following on one path does not count, as in `measures`. Where paths cross at once, this is the definition of Allen, Shin
+    and Cooper (1978): the entry of the second into the shared area less the exit of the first.
 
     Args:
         one: The path of a box.
         other: That of the other one.
         longest: The longest time that is looked for, in s.
     """
-    start, stop = max(one.time[0], other.time[0]), min(one.time[-1], other.time[-1])
-    found = math.inf
-    if start <= stop:
-        both = np.linspace(start, stop, max(math.ceil((stop - start) / STEP), 1) + 1)
-        if overlaps(one.at(both), other.at(both)).any():
-            return math.inf
-    for first, second in ((one, other), (other, one)):
-        begin, end = max(second.time[0], first.time[0]), min(second.time[-1], first.time[-1] + longest)
-        if end < begin:
-            continue
-        arrivals = np.linspace(begin, end, max(math.ceil((end - begin) / STEP), 1) + 1)
-        lags = np.arange(1, math.ceil(longest / STEP) + 1) * STEP
-        arrival, lag = (each.ravel() for each in np.meshgrid(arrivals, lags, indexing="ij"))
-        known = (arrival - lag >= first.time[0]) & (arrival - lag <= first.time[-1])
-        arrival, lag = arrival[known], lag[known]
-        a, b = second.at(arrival), first.at(arrival - lag)
-        hits = np.flatnonzero(_cross(np.asarray(a.yaw) - np.asarray(b.yaw)) & overlaps(a, b))
-        if len(hits):
-            best = hits[lag[hits].argmin()]
-            found = min(found, refined(first, second, float(arrival[best]), float(lag[best])))
-    return found
+    time = np.arange(min(one.time[0], other.time[0]), max(one.time[-1], other.time[-1]) + STEP, STEP)
+    time = np.union1d(time, (one.time[-1], other.time[-1]))
+    columns = ((one.x, other.x), (one.y, other.y), (np.unwrap(one.yaw), np.unwrap(other.yaw)))
+    x, y, yaw = (
+        np.stack([np.interp(time, path.time, each, np.nan, np.nan) for path, each in zip((one, other), both, strict=True)])
+        for both in columns
+    )
+    lives = tuple(ActorLife(id, "", "vehicle", "", 0.0, spawn=Spawn(id)) for id in (1, 2))
+    length, width = np.array([(path.length, path.width) for path in (one, other)]).T
+    moving, none = np.full(x.shape, SLOWEST), np.zeros_like(x)
+    table = MotionTable(
+        0,
+        len(time),
+        time,
+        np.array([1, 2]),
+        lives,
+        np.ones(2, np.bool_),
+        x,
+        y,
+        none,
+        yaw,
+        moving,
+        none,
+        length,
+        width,
+        np.ones(2),
+        np.zeros((2, 3)),
+    )
+    search = CrossingSearch(longest)
+    search.add(table, table.is_vehicle)
+    return min((each.post_encroachment_time for each in search.finish()), default=math.inf)
 
 
 def refined(first: Path, second: Path, arrival: float, lag: float) -> float:
@@ -128,29 +141,44 @@ def _cross(turn: Floats) -> Booleans:
 
 
 @dataclass(frozen=True, slots=True)
-class Crossing:
-    """An actor that arrives where another one was, on a path that crosses its own.
+class Encounter:
+    """Two actors nearly meet.
 
     Attributes:
-        first: The actor that was there first.
-        second: The actor that arrives.
-        left: When the first one is still there, in elapsed seconds.
-        arrived: When the second one is there, in elapsed seconds.
-        time: The time between leaving and arriving in s.
-        speed: The speed of the second one then, in m/s.
-        location: Its location, in m.
-        begin, end: The first and the last time at which it arrives where the first one was, in elapsed seconds.
+        id1: The actor that approaches, or that arrives second where paths cross.
+        id2: The other actor.
+        start: The beginning of the critical time, in elapsed seconds; where paths cross, the other actor is there then.
+        stop: Its end; where paths cross, the first actor is there then.
+        time: The most critical moment.
+        time_to_collision: The least time to collision in s; inf unless it is critical.
+        required_deceleration: The greatest deceleration that a collision takes to be avoided, in m/s²; 0 unless the time to
+            collision is critical.
+        post_encroachment_time: The time between leaving and arriving in s; inf unless it is critical.
+        speed: The speed of the first actor at the most critical moment, in m/s.
+        x, y, z: The location of the first actor at that moment, in m, right-handed.
     """
 
-    first: ActorLife
-    second: ActorLife
-    left: float
-    arrived: float
+    id1: int
+    id2: int
+    start: float
+    stop: float
     time: float
+    time_to_collision: float
+    required_deceleration: float
+    post_encroachment_time: float
     speed: float
-    location: tuple[float, float, float]
+    x: float
+    y: float
+    z: float
+
+
+class _Crossing(NamedTuple):
+    """A crossing in a table: from the first to the last time of arrivals, with the one that is soonest after leaving."""
+
     begin: float
     end: float
+    steps: int
+    encounter: Encounter
 
 
 class CrossingSearch:
@@ -164,7 +192,7 @@ class CrossingSearch:
 
     def __init__(self, longest: float, *, least_speed: float = SLOWEST, only_vehicles: bool = False) -> None:
         self._longest, self._least_speed, self._only_vehicles = longest, least_speed, only_vehicles
-        self._found: dict[tuple[int, float, int, float], list[Crossing]] = defaultdict(list)
+        self._found: dict[tuple[int, float, int, float], list[_Crossing]] = defaultdict(list)
 
     @property
     def before(self) -> float:
@@ -184,34 +212,27 @@ class CrossingSearch:
             best = rows[np.lexsort((hits.arrived[rows], lag[rows]))[0]]
             first, second = int(hits.first[best]), int(hits.second[best])
             left, arrived = (float(grid.time[each[best]]) for each in (hits.left, hits.arrived))
-            paths = _path_of(table, first, left), _path_of(table, second, arrived)
-            time = refined(*paths, arrived, arrived - left)
+            time = refined(_path_of(table, first, left), _path_of(table, second, arrived), arrived, arrived - left)
             frame = int(np.clip(np.searchsorted(table.clock, arrived - SAME_TIME), 0, len(table.time) - 1))
-            crossing = Crossing(
-                first=table.actors[first],
-                second=table.actors[second],
-                left=left,
-                arrived=arrived,
-                time=time,
-                speed=float(grid.speed[second, hits.arrived[best]]),
-                location=table.location(second, frame),
-                begin=float(grid.time[hits.arrived[rows].min()]),
-                end=float(grid.time[hits.arrived[rows].max()]),
+            one, other = table.actors[second], table.actors[first]
+            speed, place = float(grid.speed[second, hits.arrived[best]]), table.location(second, frame)
+            encounter = Encounter(one.id, other.id, left, arrived, arrived, math.inf, 0.0, time, speed, *place)
+            begin, end = grid.time[[hits.arrived[rows].min(), hits.arrived[rows].max()]].tolist()
+            self._found[one.id, one.spawned_at, other.id, other.spawned_at].append(
+                _Crossing(begin, end, int(lag[best]), encounter)
             )
-            one, other = crossing.first, crossing.second
-            self._found[one.id, one.spawned_at, other.id, other.spawned_at].append(crossing)
 
-    def finish(self) -> list[Crossing]:
+    def finish(self) -> list[Encounter]:
         """Return what was found; what goes on from table to table is one crossing."""
-        joined: list[Crossing] = []
+        joined: list[_Crossing] = []
         for found in self._found.values():
             for number, each in enumerate(found):
                 if number and each.begin - joined[-1].end <= ENCOUNTER:
-                    best = min(joined[-1], each, key=lambda crossing: round((crossing.arrived - crossing.left) / STEP))
-                    joined[-1] = replace(best, begin=joined[-1].begin, end=each.end)
+                    best = min(joined[-1], each, key=lambda crossing: crossing.steps)
+                    joined[-1] = best._replace(begin=joined[-1].begin, end=each.end)
                 else:
                     joined.append(each)
-        return [each for each in joined if each.time <= self._longest]
+        return [each.encounter for each in joined if each.encounter.post_encroachment_time <= self._longest]
 
 
 def encounters(one: Indices, other: Indices, time: Floats) -> Iterator[Indices]:
@@ -297,95 +318,92 @@ class _Grid:
     def hits(self, subjects: Booleans, longest: float) -> _Arrivals:
         """Return where actors arrive in the core at most a time after others, on crossing paths; see `CrossingSearch`."""
         lags = math.ceil(longest / STEP - SAME_TIME) + 1  # a refined time may be shorter
+        margin = -len(self.step) % _BLOCK
+        step = np.pad(self.step, (0, margin), mode="edge") if margin else self.step
         moves = (self.speed >= SLOWEST) & ~self.thrown
-        x, y = np.where(moves, self.x, np.nan), np.where(moves, self.y, np.nan)
+        x, y = (
+            np.pad(np.where(moves, values, np.nan), ((0, 0), (0, margin)), constant_values=np.nan)
+            for values in (self.x, self.y)
+        )
         found = [_Arrivals(*np.zeros((4, 0), np.intp))]
-        for start in range(self.core.start, self.core.stop, _AT_ONCE):
-            arrivals = slice(start, min(start + _AT_ONCE, self.core.stop))
-            earliest = int(np.searchsorted(self.step, self.step[start] - lags))
-            for stop in range(arrivals.stop, earliest, -_AT_ONCE):
-                leavings = slice(max(stop - _AT_ONCE, earliest), stop)
-                lag = self.step[arrivals, None] - self.step[leavings]
-                for second, first in self._near(x, y, arrivals, leavings, subjects):
-                    dx = x[second, arrivals][:, :, None] - x[first, leavings][:, None, :]
-                    dy = y[second, arrivals][:, :, None] - y[first, leavings][:, None, :]
-                    reach = (self.table.radius[first] + self.table.radius[second])[:, None, None]
-                    near = (dx * dx + dy * dy <= reach * reach) & (lag > 0) & (lag <= lags)
-                    pair, arrived, left = np.nonzero(near)
-                    hits = _Arrivals(first[pair], second[pair], left + leavings.start, arrived + arrivals.start)
-                    found.append(self._crossing(hits))
+        pairs = np.concatenate([np.zeros((4, 0), np.intp), *self._near(x, y, step, lags, subjects)], axis=1)
+        within, few = np.arange(_BLOCK), max(1, ELEMENTS // _BLOCK**2)
+        for start in range(0, pairs.shape[1], few):
+            second, first, late, early = pairs[:, start : start + few, None]
+            arrived, left = late * _BLOCK + within, early * _BLOCK + within
+            lag = step[arrived][:, :, None] - step[left][:, None, :]
+            dx = x[second, arrived][:, :, None] - x[first, left][:, None, :]
+            dy = y[second, arrived][:, :, None] - y[first, left][:, None, :]
+            reach = (self.table.radius[first] + self.table.radius[second])[:, :, None]
+            near = (dx * dx + dy * dy <= reach * reach) & (lag > 0) & (lag <= lags)
+            near &= ((arrived >= self.core.start) & (arrived < self.core.stop))[:, :, None]
+            row, at, then = np.nonzero(near)
+            found.append(self._crossing(_Arrivals(first[row, 0], second[row, 0], left[row, then], arrived[row, at])))
         return _Arrivals(*map(np.concatenate, zip(*found, strict=True)))
 
-    def _near(
-        self, x: Floats, y: Floats, arrivals: slice, leavings: slice, subjects: Booleans
-    ) -> Iterator[tuple[Indices, Indices]]:
-        """Yield the actors that may be in some moments where others are in some others, and these."""
-        radius = self.table.radius
-        (left, right), (bottom, top) = (bounds(values[:, arrivals], radius) for values in (x, y))
-        (west, east), (south, north) = (bounds(values[:, leavings], radius) for values in (x, y))
-        seconds, firsts = np.flatnonzero(left <= right), np.flatnonzero(west <= east)
-        size = max(1, ELEMENTS // max(len(firsts), 1))
-        for begin in range(0, len(seconds), size):
-            some = seconds[begin : begin + size, None]
-            near = (left[some] <= east[firsts]) & (west[firsts] <= right[some])
-            near &= (bottom[some] <= north[firsts]) & (south[firsts] <= top[some])
-            row, column = np.nonzero(near)
-            second, first = some[row, 0], firsts[column]
-            kept = (subjects[second] | subjects[first]) & self.table.free(second, first)
-            second, first = second[kept], first[kept]
-            few = max(1, ELEMENTS // _AT_ONCE**2)
-            for at in range(0, len(second), few):
-                yield second[at : at + few], first[at : at + few]
+    def _near(self, x: Floats, y: Floats, step: Integers, lags: int, subjects: Booleans) -> Iterator[NDArray[np.intp]]:
+        """Yield the actors that may be in a block of moments where others are in a block before, and both blocks, (4, n)."""
+        radius = self.table.radius[:, None]
+        (west, east), (south, north) = (bounds(values.reshape(len(x), -1, _BLOCK), radius) for values in (x, y))
+        for late in range(self.core.start // _BLOCK, math.ceil(self.core.stop / _BLOCK)):
+            seconds = np.flatnonzero(west[:, late] <= east[:, late])
+            earliest = int(np.searchsorted(step, step[max(late * _BLOCK, self.core.start)] - lags))
+            for early in range(earliest // _BLOCK, late + 1):
+                firsts = np.flatnonzero(west[:, early] <= east[:, early])
+                near = np.ones((len(seconds), len(firsts)), np.bool_)
+                for least, greatest in ((west, east), (south, north)):
+                    near &= least[seconds, None, late] <= greatest[firsts, early]
+                    near &= least[firsts, early] <= greatest[seconds, None, late]
+                row, column = np.nonzero(near)
+                second, first = seconds[row], firsts[column]
+                kept = (subjects[second] | subjects[first]) & self.table.free(second, first)
+                blocks = np.full((2, np.count_nonzero(kept)), [[late], [early]])
+                yield np.stack((second[kept], first[kept], *blocks))
 
     def _crossing(self, hits: _Arrivals) -> _Arrivals:
         """Return the hits in which boxes overlap, on one level, on crossing paths, of pairs that do not touch or follow."""
         first, second, left, arrived = hits
-        kept = _cross(self.yaw[second, arrived] - self.yaw[first, left])
         height = (self.table.height[first] + self.table.height[second]) / 2
-        kept &= np.abs(self.z[second, arrived] - self.z[first, left]) <= height
-        hits = hits.take(kept)
+        kept = np.abs(np.sin(self.yaw[second, arrived] - self.yaw[first, left])) >= _ACROSS
+        hits = hits.take(kept & (np.abs(self.z[second, arrived] - self.z[first, left]) <= height))
         hits = hits.take(overlaps(self._boxes(hits.first, hits.left), self._boxes(hits.second, hits.arrived)))
         if not len(hits.first):
             return hits
         begin = np.searchsorted(self.step, self.step[hits.left] - round(AROUND / STEP))
         end = np.searchsorted(self.step, self.step[hits.arrived] + round(AROUND / STEP), side="right")
-        few = max(1, ELEMENTS // int((end - begin).max()))
-        apart = [
-            ~self._follow(hits.take(part), begin[part]) & ~self._touch(hits.take(part), begin[part], end[part])
-            for part in (slice(start, start + few) for start in range(0, len(begin), few))
-        ]
-        return hits.take(np.concatenate(apart))
+        pairs, pair = np.unique(np.stack((hits.first, hits.second)), axis=1, return_inverse=True)
+        touching = np.pad(np.cumsum(self._touching(*pairs), axis=1), ((0, 0), (1, 0)))
+        apart = np.flatnonzero(touching[pair, end] == touching[pair, begin])
+        hits, begin = hits.take(apart), begin[apart]
+        few = max(1, ELEMENTS // int((hits.arrived - begin).max(initial=0) + 1))
+        parts = (slice(start, start + few) for start in range(0, len(begin), few))
+        follow = [np.zeros(0, np.bool_), *(self._follow(hits.take(part), begin[part]) for part in parts)]
+        return hits.take(~np.concatenate(follow))
 
     def _follow(self, hits: _Arrivals, begin: Indices) -> Booleans:
         """Return whether arriving actors follow leaving ones, which had the same position and heading before."""
-        first, second, _, arrived = hits
-        moments = np.arange(begin.min(), arrived.max() + 1)
-        dx = self.x[first[:, None], moments] - self.x[second, arrived][:, None]
-        dy = self.y[first[:, None], moments] - self.y[second, arrived][:, None]
+        first, second, _, arrived = (column[:, None] for column in hits)
+        moments = np.minimum(begin[:, None] + np.arange((arrived[:, 0] - begin).max() + 1), arrived)
+        dx = self.x[first, moments] - self.x[second, arrived]
+        dy = self.y[first, moments] - self.y[second, arrived]
         distance = np.nan_to_num(dx * dx + dy * dy, nan=math.inf)
-        distance[(moments < begin[:, None]) | (moments > arrived[:, None])] = math.inf
-        nearest, rows = distance.argmin(axis=1), np.arange(len(first))
-        turn = self.yaw[first, moments[nearest]] - self.yaw[second, arrived]
-        reach = (self.table.width[first] + self.table.width[second]) / 2
+        nearest, rows = distance.argmin(axis=1), np.arange(len(begin))
+        turn = self.yaw[hits.first, moments[rows, nearest]] - self.yaw[hits.second, hits.arrived]
+        reach = (self.table.width[hits.first] + self.table.width[hits.second]) / 2
         return np.asarray((distance[rows, nearest] <= reach * reach) & (np.cos(turn) >= _ALONG))
 
-    def _touch(self, hits: _Arrivals, begin: Indices, end: Indices) -> Booleans:
-        """Return whether pairs touch between two moments, in which case both are there at once."""
-        moments = np.arange(begin.min(), end.max())
-        during = (moments >= begin[:, None]) & (moments < end[:, None])
-        first, second = hits.first[:, None], hits.second[:, None]
-        dx, dy = (values[first, moments] - values[second, moments] for values in (self.x, self.y))
-        reach = self.table.radius[first] + self.table.radius[second]
-        row, column = np.nonzero((dx * dx + dy * dy <= reach * reach) & during)
-        boxes = (self._boxes(each[row], moments[column]) for each in (hits.first, hits.second))
-        touching = np.zeros(len(begin), np.bool_)
-        touching[row[overlaps(*boxes)]] = True
+    def _touching(self, first: Indices, second: Indices) -> Booleans:
+        """Return at which moments pairs touch, (pairs, moments)."""
+        dx, dy = (values[first] - values[second] for values in (self.x, self.y))
+        reach = (self.table.radius[first] + self.table.radius[second])[:, None]
+        found = np.asarray(dx * dx + dy * dy <= reach * reach)
+        row, moment = np.nonzero(found)
+        found[row, moment] = overlaps(*(self._boxes(each[row], moment) for each in (first, second)))
         for one, other, frames in self.table.touching:
-            together = ((hits.first == one) & (hits.second == other)) | ((hits.first == other) & (hits.second == one))
+            together = ((first == one) & (second == other)) | ((first == other) & (second == one))
             times = self.table.clock[frames]
-            contact = (self.time[moments] >= times[0] - STEP) & (self.time[moments] <= times[-1] + STEP)
-            touching |= together & (during & contact).any(axis=1)
-        return touching
+            found |= together[:, None] & (self.time >= times[0] - STEP) & (self.time <= times[-1] + STEP)
+        return found
 
     def _boxes(self, actor: Indices, moment: Indices) -> Boxes:
         table = self.table

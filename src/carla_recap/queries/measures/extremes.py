@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 POST_ENCROACHMENT_TIME: Final = 3.0
 """The longest post-encroachment time that is measured, in s."""
 
-_PET: Final = "post_encroachment_time"
 _NONE: Final = Extreme(math.inf, math.nan)
 _BEFORE_CONTACT: Final = 0.4  # s before a contact in which its effect on the motion begins, since motions are means
 
@@ -160,12 +159,12 @@ class MeasureSearch:
         """Return the measures."""
         for table in self._motion.finish():
             self._measure(table)
-        for crossing in sorted(self._crossings.finish(), key=lambda crossing: (crossing.time, crossing.arrived)):
-            for subject, met in ((crossing.first, crossing.second), (crossing.second, crossing.first)):
-                if subject.id in self._subjects:
-                    self._extremes[subject.id].setdefault(_PET, Extreme(crossing.time, crossing.arrived, met))
-                    values = np.array([crossing.arrived]), np.array([crossing.time]), np.array([met.id], np.int64)
-                    self._parts[_PET, subject.id].append(MeasureValues(*values))
+        pet = MEASURES["post_encroachment_time"]
+        for each in self._crossings.finish():
+            for subject, met in ((each.id2, each.id1), (each.id1, each.id2)):
+                if subject in self._subjects:
+                    values = np.array([each.time]), np.array([each.post_encroachment_time]), np.array([met], np.int64)
+                    self._note(subject, pet, MeasureValues(*values))
         if self._roads is not None:
             self._roads.finish()
             for id in self._subjects:

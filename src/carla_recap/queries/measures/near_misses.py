@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.queries.measures.encroachment import ENCOUNTER, CrossingSearch, encounters
+from carla_recap.queries.measures.encroachment import ENCOUNTER, CrossingSearch, Encounter, encounters
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
 from carla_recap.queries.measures.pairs import near_pairs
 from carla_recap.queries.measures.paths_ahead import BEND_TIME, SEEN, on_collision_course
@@ -22,13 +22,12 @@ if TYPE_CHECKING:
     from carla_recap.model.batch import Batch
     from carla_recap.model.contacts import Contacts
     from carla_recap.model.lives import ActorLives
-    from carla_recap.queries.measures.encroachment import Crossing
     from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.queries.measures.over_time import SeriesCollector
     from carla_recap.util.arrays import Booleans
 
 
-__all__ = ["TYPES", "NearMiss", "NearMissDetector"]
+__all__ = ["TYPES", "NearMissDetector"]
 
 TIME_TO_COLLISION: Final = 1.5
 """The greatest time to collision of a near miss, in s."""
@@ -42,38 +41,6 @@ REQUIRED_DECELERATION: Final = 0.0
 _CROSSING_SPEED: Final = 3.0  # m/s of a vehicle that arrives where another actor was
 _UNTIL_CONTACT: Final = 3.0  # s after an encounter; if the pair collides by then, it is a collision
 _AFTER_CONTACT: Final = 5.0  # s after a contact in which the pair has no near miss
-
-
-@dataclass(frozen=True, slots=True)
-class NearMiss:
-    """An encounter of two actors that nearly ends in a collision.
-
-    Attributes:
-        id1: The actor that approaches, or that arrives second where paths cross.
-        id2: The other actor.
-        start: The beginning of the critical time, in elapsed seconds.
-        stop: Its end.
-        time: The most critical moment.
-        time_to_collision: The least time to collision in s; inf unless it is critical.
-        required_deceleration: The greatest deceleration that a collision takes to be avoided, in m/s²; 0 unless the time to
-            collision is critical.
-        post_encroachment_time: The post-encroachment time in s; inf unless it is critical.
-        speed: The speed of the first actor at the most critical moment, in m/s.
-        x, y, z: The location of the first actor at that moment, in m, right-handed.
-    """
-
-    id1: int
-    id2: int
-    start: float
-    stop: float
-    time: float
-    time_to_collision: float
-    required_deceleration: float
-    post_encroachment_time: float
-    speed: float
-    x: float
-    y: float
-    z: float
 
 
 class NearMissDetector:
@@ -105,7 +72,7 @@ class NearMissDetector:
         self._crossings = CrossingSearch(post_encroachment_time, least_speed=_CROSSING_SPEED, only_vehicles=True)
         before, after = max(self._crossings.before, BEND_TIME), max(time_to_collision + SEEN, ENCOUNTER)
         self._motion = MotionCollector(actors, contacts, before=before, after=after)
-        self._approaches: dict[tuple[int, float, int, float], list[NearMiss]] = defaultdict(list)
+        self._approaches: dict[tuple[int, float, int, float], list[Encounter]] = defaultdict(list)
 
     def batch(self, batch: Batch) -> None:
         """Process the frames of a batch, which have at least their transforms and velocities.
@@ -116,17 +83,16 @@ class NearMissDetector:
         for table in self._motion.add(batch):
             self._add(table)
 
-    def finish(self) -> list[NearMiss]:
+    def finish(self) -> list[Encounter]:
         """Return the near misses in all frames, by start."""
         for table in self._motion.finish():
             self._add(table)
-        critical: dict[tuple[int, int], list[NearMiss]] = defaultdict(list)
+        critical: dict[tuple[int, int], list[Encounter]] = defaultdict(list)
         for approaches in self._approaches.values():
             for miss in _joined(approaches):
                 if miss.required_deceleration >= self._deceleration:
                     critical[min(miss.id1, miss.id2), max(miss.id1, miss.id2)].append(miss)
-        for crossing in self._crossings.finish():
-            miss = _miss_of(crossing)
+        for miss in self._crossings.finish():
             critical[min(miss.id1, miss.id2), max(miss.id1, miss.id2)].append(miss)
         found = [
             each
@@ -136,7 +102,7 @@ class NearMissDetector:
         ]
         return sorted(found, key=lambda miss: (miss.start, miss.id1, miss.id2))
 
-    def _collides(self, miss: NearMiss) -> bool:
+    def _collides(self, miss: Encounter) -> bool:
         """Return whether an encounter ends in a collision, or follows one."""
         contacts = self._contacts.of(miss.id1, miss.id2)
         return any(
@@ -169,7 +135,7 @@ class NearMissDetector:
                 one, other = other, one
             room = 2 * times[rows]
             braking = np.divide(speeds[rows], room, out=np.where(speeds[rows] > 0, np.inf, 0.0), where=room > 0)
-            miss = NearMiss(
+            miss = Encounter(
                 int(table.ids[one]),
                 int(table.ids[other]),
                 float(table.time[frames[rows[0]]]),
@@ -185,24 +151,9 @@ class NearMissDetector:
             self._approaches[*pair[0], *pair[1]].append(miss)
 
 
-def _miss_of(crossing: Crossing) -> NearMiss:
-    return NearMiss(
-        crossing.second.id,
-        crossing.first.id,
-        crossing.left,
-        crossing.arrived,
-        crossing.arrived,
-        math.inf,
-        0.0,
-        crossing.time,
-        crossing.speed,
-        *crossing.location,
-    )
-
-
-def _joined(critical: list[NearMiss]) -> list[NearMiss]:
+def _joined(critical: list[Encounter]) -> list[Encounter]:
     """Return one near miss for each encounter of a pair, of its critical times, which are in order."""
-    found: list[NearMiss] = []
+    found: list[Encounter] = []
     for miss in critical:
         if found and miss.start - found[-1].stop <= ENCOUNTER:
             found[-1] = _as_one(found[-1], miss)
@@ -211,7 +162,7 @@ def _joined(critical: list[NearMiss]) -> list[NearMiss]:
     return found
 
 
-def _as_one(one: NearMiss, other: NearMiss) -> NearMiss:
+def _as_one(one: Encounter, other: Encounter) -> Encounter:
     """Return two critical times of a pair as one, with what is most critical; of crossings, the most critical one."""
     if one.time_to_collision == other.time_to_collision == math.inf:
         return min(one, other, key=lambda miss: miss.post_encroachment_time)

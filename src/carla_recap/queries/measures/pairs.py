@@ -26,10 +26,9 @@ _COLUMNS: Final = ("one", "other", "frame", "dx", "dy", "vx", "vy", "distance")
 
 
 def bounds(values: Floats, reach: Floats) -> tuple[Floats, Floats]:
-    """Return the least and the greatest value of each row, less and more its reach; inf and -inf of a row of NaN."""
-    absent = np.isnan(values)
-    least = np.where(absent, np.inf, values).min(axis=1, initial=np.inf)
-    greatest = np.where(absent, -np.inf, values).max(axis=1, initial=-np.inf)
+    """Return the least and the greatest value along the last axis, less and more a reach; inf and -inf of NaN alone."""
+    least = np.fmin.reduce(values, axis=-1, initial=np.inf)
+    greatest = np.fmax.reduce(values, axis=-1, initial=-np.inf)
     return least - reach, greatest + reach
 
 

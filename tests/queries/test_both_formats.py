@@ -1,0 +1,189 @@
+"""Every query with every option gives the same rows, texts, errors and warnings of a log and of its conversion to MCAP."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import warnings
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from carla_recap import FormatError, RecapError, convert, open_recording
+from carla_recap.model.records import UE4
+from carla_recap.output import differences, json, text
+from carla_recap.queries.info import info
+from carla_recap.queries.kinds import KINDS
+from carla_recap.queries.measures import measures_over_time
+from carla_recap.queries.recorded_actors import actors
+from carla_recap.roads.surfaces import build_network
+from carla_recap.tables import Rows, Tabular
+from tests.queries.measures.traffic import LIGHT, traffic
+from tests.roads.straight_road import STRAIGHT_ROAD
+from tests.samples import warnings_ignored, write
+from tests.strategies import recordings
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from carla_recap import Recording
+
+EXAMPLES: Final = int(os.environ.get("TWIN_EXAMPLES", "30"))
+
+PHASES: Final = [phase for phase in Phase if phase not in (Phase.explain,)]
+
+TIMES = st.one_of(st.floats(-1, 8), st.sampled_from([0.0, 0.5, math.inf, -math.inf, math.nan]), st.floats())
+LIMITS = st.one_of(
+    st.floats(0, 12), st.floats(0, 5000), st.sampled_from([0.0, 6.0, 10.0, 30.0, 60.0, math.nan]), st.floats()
+)
+IDS = st.one_of(st.integers(0, 10), st.sampled_from([LIGHT, 2**32 - 1, -1, 2**40, "hero", "nobody"]))
+LETTERS = st.sampled_from("hvwtoax")
+KIND_NAMES = st.sampled_from([*KINDS, *(kind.option for kind in KINDS.values()), "all", "parking"])
+
+
+def options(**ranges: st.SearchStrategy[Any]) -> st.SearchStrategy[dict[str, Any]]:
+    """Return some of the options, each over its whole range."""
+    return st.fixed_dictionaries({}, optional=ranges)
+
+
+SPAN: Final = {"start": TIMES, "stop": TIMES}
+SUBJECTS = st.one_of(st.sampled_from(["hero", "all", "none"]), st.lists(IDS, max_size=3))
+QUERIES: Final[Mapping[str, tuple[Callable[..., Any], st.SearchStrategy[dict[str, Any]]]]] = {
+    "info": (lambda recording, **given: info(recording.reader, **given), options(all=st.booleans(), compat=st.booleans())),
+    "overview": (lambda recording: (recording.info, recording.summary, recording.sensors, recording.heroes), options()),
+    "actors": (lambda recording: (recording.actors, actors(recording.reader)), options()),
+    "frames": (lambda recording, **given: recording.frames(**given), options(**SPAN)),
+    "frame_at": (lambda recording, elapsed: recording.frame_at(elapsed), st.fixed_dictionaries({"elapsed": TIMES})),
+    "batches": (
+        lambda recording, **given: [frame for batch in recording.batches(**given) for frame in batch],
+        options(
+            types=st.lists(st.sampled_from([*(type.name for type in UE4 if type.id > 1), "weather"]), max_size=3), **SPAN
+        ),
+    ),
+    "table": (
+        lambda recording, name: recording.table(name),
+        st.fixed_dictionaries({"name": st.sampled_from([*(type.name for type in UE4), "none"])}),
+    ),
+    "trajectory": (
+        lambda recording, actor_id, axes: recording.trajectory(actor_id, axes=axes),
+        st.fixed_dictionaries({"actor_id": IDS, "axes": st.sampled_from(["right-handed", "carla", "left"])}),
+    ),
+    "trajectories": (
+        lambda recording, **given: recording.trajectories(**given),
+        options(
+            kind=st.sampled_from(["vehicle", "walker", "other", "plane"]), axes=st.sampled_from(["right-handed", "carla"])
+        ),
+    ),
+    "controls": (lambda recording, actor_id: recording.controls(actor_id), st.fixed_dictionaries({"actor_id": IDS})),
+    "light_states": (lambda recording, actor_id: recording.light_states(actor_id), st.fixed_dictionaries({"actor_id": IDS})),
+    "sensor_messages": (
+        lambda recording, **given: recording.sensor_messages(**given),
+        st.fixed_dictionaries({"id": st.text(max_size=3)}, optional=SPAN),
+    ),
+    "collisions": (
+        lambda recording, **given: recording.collisions(**given),
+        options(type1=LETTERS, type2=LETTERS, compat=st.booleans()),
+    ),
+    "blocked": (
+        lambda recording, **given: recording.blocked(**given),
+        options(min_time=LIMITS, min_distance=LIMITS, compat=st.booleans()),
+    ),
+    "incidents": (
+        lambda recording, **given: recording.incidents(**given),
+        options(
+            kinds=st.one_of(st.none(), KIND_NAMES, st.lists(KIND_NAMES, max_size=3)),
+            roads=st.builds(lambda: build_network(STRAIGHT_ROAD, "Straight")),
+            min_time=LIMITS,
+            min_distance=LIMITS,
+            deceleration=LIMITS,
+            time_to_collision=LIMITS,
+            post_encroachment_time=LIMITS,
+            required_deceleration=LIMITS,
+            actor=IDS,
+            **SPAN,
+        ),
+    ),
+    "diff": (
+        lambda recording, other, **given: recording.diff(other, **given),
+        options(tolerance=LIMITS, time_tolerance=LIMITS, events=st.booleans()),
+    ),
+    "measures": (
+        lambda recording, **given: recording.measures(**given),
+        options(actors=SUBJECTS, roads=st.builds(lambda: build_network(STRAIGHT_ROAD, "Straight")), **SPAN),
+    ),
+    "time_series": (
+        lambda recording, **given: recording.time_series(**given),
+        st.fixed_dictionaries({"actor_id": IDS}, optional={"other_id": IDS, **SPAN}),
+    ),
+    "measures_over_time": (
+        lambda recording, **given: measures_over_time(recording.reader, **given),
+        options(actors=SUBJECTS, pair=st.tuples(IDS, IDS)),
+    ),
+}
+
+
+def plain(value: Any) -> Any:
+    """Return the rows, the columns and the texts of an answer, as what is equal if the answers are; NaN is equal to NaN."""
+    if isinstance(value, tuple) and not hasattr(value, "_fields"):
+        return [plain(each) for each in value]
+    found = []
+    name = type(value).__name__
+    if name == "Differences":
+        found += [*differences.text(value), *differences.json(value)]
+    elif hasattr(value, "header") and hasattr(value, "extent"):
+        found += [*text.text(value), *json.json(value)]
+    if isinstance(value, Tabular):
+        for column, values in value.columns().items():
+            found += [column, (values.dtype, values.tolist()) if isinstance(values, np.ndarray) else repr(values)]
+    if isinstance(value, Mapping):
+        found += [(key, repr(each)) for key, each in value.items()]
+    elif isinstance(value, Rows | Iterator) or hasattr(value, "row_type"):
+        found += map(repr, value)
+    return found or repr(value)
+
+
+def answer(query: Callable[..., Any], recording: Recording, given: dict[str, Any]) -> Any:
+    """Return the answer to a query and its warnings, or its error, without the location of the file and offsets in it."""
+
+    def nowhere(value: object) -> str:
+        return re.sub(r": byte \d+:", ":", str(value).replace(recording.location, ""))
+
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        try:
+            found = nowhere(plain(query(recording, **given)))
+        except FormatError:
+            found = "a contradiction"
+        except RecapError as error:
+            found = type(error), nowhere(error)
+    return found, sorted({nowhere(each.message) for each in warned})
+
+
+@pytest.mark.parametrize("name", QUERIES)
+@settings(max_examples=EXAMPLES, phases=PHASES)
+@given(data=st.data())
+def test_answers_are_equal(name: str, data: st.DataObject, tmp_path: Path) -> None:
+    query, ranges = QUERIES[name]
+    log, mcap = tmp_path / "a.log", tmp_path / "a.mcap"
+    if data.draw(st.booleans()):
+        traffic(log, data.draw(st.integers(0, 2**32 - 1)))
+    else:
+        write(log, *data.draw(recordings()))
+    with warnings_ignored():
+        convert(log, mcap, force=True)
+    given_options = data.draw(ranges)
+    with open_recording(log) as a, open_recording(mcap) as b:
+        if name == "diff":
+            other = traffic(tmp_path / "b.log", data.draw(st.integers(0, 2**32 - 1)))
+            with open_recording(other) as c:
+                given_options["other"] = c
+                first, second = (answer(query, recording, given_options) for recording in (a, b))
+        else:
+            first, second = (answer(query, recording, given_options) for recording in (a, b))
+    assert first == second
