@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.incidents import Incidents
     from carla_recap.queries.measures import Measures
     from carla_recap.queries.measures.definitions import MeasureSeries
-    from carla_recap.queries.measures.over_time import Subjects
+    from carla_recap.queries.measures.series import Subjects
     from carla_recap.queries.sensors import RecordedSensors
     from carla_recap.queries.summary import RecordingSummary
     from carla_recap.roads.network import RoadNetwork

@@ -23,7 +23,7 @@ from carla_recap.queries.collisions import CollisionRow, Collisions
 from carla_recap.queries.incidents import Incident
 from carla_recap.queries.info import InfoRow
 from carla_recap.queries.measures.definitions import MeasureRow
-from carla_recap.queries.measures.over_time import MeasureMoment
+from carla_recap.queries.measures.series import MeasureMoment
 from carla_recap.queries.recorded_actors import RecordedActors
 from carla_recap.queries.summary import RecordingSummary
 from carla_recap.util.text import number, readable, visible

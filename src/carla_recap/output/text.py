@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.incidents import Incidents
     from carla_recap.queries.info import Info
     from carla_recap.queries.measures import Measures
-    from carla_recap.queries.measures.over_time import MeasuresOverTime
+    from carla_recap.queries.measures.series import MeasuresOverTime
     from carla_recap.queries.recorded_actors import RecordedActors
     from carla_recap.queries.summary import Summaries
 

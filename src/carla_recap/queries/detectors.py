@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from carla_recap.model.lives import ActorLives, ActorName
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.measures.definitions import Measure
-    from carla_recap.queries.measures.over_time import SeriesCollector
+    from carla_recap.queries.measures.series import SeriesCollector
     from carla_recap.roads.network import RoadNetwork
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
-from carla_recap.model.contacts import Contacts
-from carla_recap.model.lives import TYPES as ACTOR_TYPES
-from carla_recap.model.lives import ActorLives, find_actor
+from carla_recap.model.lives import find_actor
 from carla_recap.queries import Answer
 from carla_recap.queries.detectors import Incident, IncidentOptions, Search
 from carla_recap.queries.kinds import KINDS, kinds_named, kinds_without_roads
+from carla_recap.queries.recorded_actors import lives_and_contacts
 from carla_recap.queries.roads import roads_of, warn_without_roads
 
 if TYPE_CHECKING:
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
-    from carla_recap.queries.measures.over_time import SeriesCollector
+    from carla_recap.queries.measures.series import SeriesCollector
 
 __all__ = ["Incident", "IncidentOptions", "IncidentSearch", "Incidents", "incidents", "unrecorded_contacts", "with_roads"]
 
@@ -108,11 +107,7 @@ class IncidentSearch:
         options = with_roads(source, options or IncidentOptions())
         self._source, self._options = source, options
         self._kinds = kinds_named(options.kinds)
-        actors, contacts = ActorLives(), Contacts()
-        for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=options.stop):
-            contacts.add(frame)
-            for packet in frame.packets:
-                actors.add(packet, frame.elapsed)
+        actors, contacts = lives_and_contacts(source, stop=options.stop)
         self._actor = None if options.actor is None else find_actor(source.location, actors, options.actor).id
         search = Search(
             source=source, options=options, actors=actors, contacts=contacts, roads=options.roads, near=near, series=series

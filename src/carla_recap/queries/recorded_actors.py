@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from carla_recap.model.contacts import Contacts
 from carla_recap.model.lives import ROAD_USERS, TYPES, ActorLife, ActorLives
 from carla_recap.model.presence import RoadHeights
 from carla_recap.queries import Answer
@@ -58,3 +60,17 @@ def never_there(source: Reader, lives: Collection[ActorLife]) -> set[int]:
         listed.update(np.unique(ids).tolist())
         unseen.difference_update(np.unique(ids[~away]).tolist())
     return unseen & listed
+
+
+def lives_and_contacts(source: Reader, *, stop: float = math.inf) -> tuple[ActorLives, Contacts]:
+    """Return the actors of a recording and their contacts until a time in elapsed seconds, read in one pass.
+
+    Raises:
+        FormatError: The file contradicts its format.
+    """
+    lives, contacts = ActorLives(), Contacts()
+    for frame in source.frames((*TYPES, "collisions"), sparse=True, stop=stop):
+        contacts.add(frame)
+        for packet in frame.packets:
+            lives.add(packet, frame.elapsed)
+    return lives, contacts

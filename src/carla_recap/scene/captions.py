@@ -20,7 +20,7 @@ from carla_recap.model.batch import within
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.incidents import IncidentOptions, IncidentSearch, incidents, with_roads
 from carla_recap.queries.kinds import KINDS, kinds_named, kinds_without_roads
-from carla_recap.queries.measures.over_time import SeriesCollector
+from carla_recap.queries.measures.series import SeriesCollector
 from carla_recap.queries.roads import roads_of
 from carla_recap.scene import style
 

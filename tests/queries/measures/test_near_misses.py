@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from carla_recap.formats import open_reader
-from carla_recap.model.contacts import Contacts
-from carla_recap.model.lives import ActorLives
 from carla_recap.queries.measures import measures
 from carla_recap.queries.measures.motion_table import MotionTable
 from carla_recap.queries.measures.near_misses import TYPES, NearMissDetector
 from carla_recap.queries.measures.paths_ahead import paths_meet
+from carla_recap.queries.recorded_actors import lives_and_contacts
 from tests.queries.measures.conftest import Mover, straight
 
 if TYPE_CHECKING:
@@ -26,12 +25,7 @@ SAMPLES = Path(__file__).parents[3] / "samples"
 
 
 def near_misses(reader: Reader, ids: frozenset[int] | None = None, **thresholds: float) -> list[Encounter]:
-    collector, contacts = ActorLives(), Contacts()
-    for frame in reader.frames(("spawned", "destroyed", "parented", "bounding_boxes", "collisions"), sparse=True):
-        contacts.add(frame)
-        for packet in frame.packets:
-            collector.add(packet, frame.elapsed)
-    detector = NearMissDetector(collector, contacts, ids, **thresholds)
+    detector = NearMissDetector(*lives_and_contacts(reader), ids, **thresholds)
     for batch in reader.batches(TYPES):
         detector.batch(batch)
     return detector.finish()

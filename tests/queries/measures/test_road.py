@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -13,8 +14,10 @@ from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn, attributes
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.measures.road import TYPES, RoadEvent, RoadSearch
+from carla_recap.queries.measures.stop_lines import StopLines
 from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.queries.recorded_actors import actors
+from carla_recap.roads.network import LIGHT as LIGHT_KIND
 from carla_recap.roads.surfaces import build_network, find_road_network, load_road_network
 from carla_recap.sim import VehicleControl, World
 from carla_recap.sim.scenarios import spawn_on_lane
@@ -120,6 +123,13 @@ def test_crossing_the_line_on_red_is_found_with_its_time(drives: Drives) -> None
     assert event.start == pytest.approx(5 - TICK - LENGTH / 2 / 10, abs=0.02)
     assert event.stop == pytest.approx(5 - TICK, abs=0.02)
     assert event.text == f"runs a red light at 36 km/h (light {LIGHT})"
+
+
+def test_any_number_of_lines_lie_side_by_side(roads: RoadNetwork) -> None:
+    (light,) = np.flatnonzero(roads.signals["kind"][roads.stop_lines["signal"]] == LIGHT_KIND)
+    lines = StopLines(replace(roads, stop_lines=np.repeat(roads.stop_lines[light : light + 1], 40)))
+    steps, crossed, _ = lines.crossed(np.array([[99.0, -1.75, 0]]), np.array([[101.0, -1.75, 0]]), np.zeros(1))
+    assert (steps.tolist(), sorted(crossed.tolist())) == ([0] * 40, list(range(40)))
 
 
 @pytest.mark.parametrize("state", [YELLOW, GREEN, 3, 4])

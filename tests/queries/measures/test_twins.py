@@ -18,7 +18,7 @@ from carla_recap.queries.measures import measures, time_series
 from carla_recap.queries.measures import motion_table as tables
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
 from carla_recap.queries.measures.near_misses import NearMissDetector
-from tests.queries.measures.events import events_of
+from carla_recap.queries.recorded_actors import lives_and_contacts
 from tests.queries.measures.traffic import traffic
 from tests.twins.encounters import Twin
 
@@ -32,7 +32,7 @@ LIMITS = st.one_of(st.sampled_from([0.0, 1.0, 1.5, 3.0]), st.floats(-1, 1.7781).
 
 
 def twin_of(reader: Reader) -> Twin:
-    lives, contacts = events_of(reader)
+    lives, contacts = lives_and_contacts(reader)
     with patch.object(tables, "_FRAMES", 1 << 20), patch.object(tables, "_VALUES", 1 << 30):
         collector = MotionCollector(lives, contacts)
         found = [table for batch in reader.batches(TYPES) for table in collector.add(batch)]
@@ -48,7 +48,7 @@ def test_near_misses(tmp_path: Path, seed: int, longest: float, soonest: float, 
     with closing(open_reader(traffic(tmp_path / "traffic.mcap", seed))) as reader, patch.object(tables, "_FRAMES", frames):
         expected = twin_of(reader).near_misses(longest, soonest, deceleration)
         detector = NearMissDetector(
-            *events_of(reader),
+            *lives_and_contacts(reader),
             time_to_collision=longest,
             post_encroachment_time=soonest,
             required_deceleration=deceleration,
@@ -114,7 +114,7 @@ def test_measures(tmp_path: Path, seed: int, frames: int) -> None:
 def test_near_misses_are_those_of_the_measure(tmp_path: Path, seed: int, limit: float) -> None:
     """Where the hero hits nothing, it has a near miss by time to collision exactly if the measure is as short."""
     with closing(open_reader(traffic(tmp_path / "traffic.mcap", seed))) as reader:
-        _, contacts = events_of(reader)
+        _, contacts = lives_and_contacts(reader)
         found = incidents(reader, IncidentOptions(kinds=["near miss"], time_to_collision=limit))
         least = min((row.value for row in measures(reader, "hero") if row.measure == "time_to_collision"), default=math.inf)
     if not any(1 in contact.ids for contact in contacts):

@@ -299,7 +299,10 @@ def test_a_route_of_the_other_direction_is_not_completed(drives: Drives) -> None
 def test_without_a_route_a_hero_that_stands_has_driven_until_it_is_blocked(drives: Drives) -> None:
     stands = westward([1.0, *[0.0] * 40])
     assert drives(stands, route=None).status == "Driven"
-    with pytest.warns(RecapWarning, match="the speed of actor 7 is unknown in 41 of 41 frames, and counts as 0"):
+    with (
+        pytest.warns(RecapWarning, match="the speed of actor 7 is unknown in 41 of 41 frames, and counts as 0"),
+        pytest.warns(RecapWarning, match="40 frames last longer than 5 s, the first at 0.00 s; of each, 5 s count"),
+    ):
         found = drives(stands, route=None, tick=10.0)
     assert (found.status, kinds(found)) == ("Failed - Agent got blocked", ["vehicle_blocked"])
 

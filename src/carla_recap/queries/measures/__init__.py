@@ -13,7 +13,7 @@ from carla_recap.queries.measures.boxes import (
 from carla_recap.queries.measures.definitions import MEASURES, SHORT_NAMES, Measure, MeasureRow, MeasureSeries, MeasureValues
 from carla_recap.queries.measures.encroachment import Path, post_encroachment_time
 from carla_recap.queries.measures.extremes import Measures, MeasureSearch, measures, measures_on_roads
-from carla_recap.queries.measures.over_time import MeasuresOverTime, measures_over_time, time_series
+from carla_recap.queries.measures.series import MeasuresOverTime, measures_over_time, time_series
 
 __all__ = [
     "MEASURES",

@@ -16,7 +16,7 @@ from carla_recap.model.motion import LONGEST_STEP
 from carla_recap.model.records import Spawn
 from carla_recap.queries.measures.boxes import Boxes, overlaps
 from carla_recap.queries.measures.motion_table import MotionTable
-from carla_recap.queries.measures.pairs import ELEMENTS, bounds
+from carla_recap.queries.measures.pairs import ELEMENTS, bounds, meeting
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -172,7 +172,7 @@ class Encounter:
     z: float
 
 
-class _Crossing(NamedTuple):
+class _TableCrossing(NamedTuple):
     """A crossing in a table: from the first to the last time of arrivals, with the one that is soonest after leaving."""
 
     begin: float
@@ -192,7 +192,7 @@ class CrossingSearch:
 
     def __init__(self, longest: float, *, least_speed: float = SLOWEST, only_vehicles: bool = False) -> None:
         self._longest, self._least_speed, self._only_vehicles = longest, least_speed, only_vehicles
-        self._found: dict[tuple[int, float, int, float], list[_Crossing]] = defaultdict(list)
+        self._found: dict[tuple[int, float, int, float], list[_TableCrossing]] = defaultdict(list)
 
     @property
     def before(self) -> float:
@@ -219,12 +219,12 @@ class CrossingSearch:
             encounter = Encounter(one.id, other.id, left, arrived, arrived, math.inf, 0.0, time, speed, *place)
             begin, end = grid.time[[hits.arrived[rows].min(), hits.arrived[rows].max()]].tolist()
             self._found[one.id, one.spawned_at, other.id, other.spawned_at].append(
-                _Crossing(begin, end, int(lag[best]), encounter)
+                _TableCrossing(begin, end, int(lag[best]), encounter)
             )
 
     def finish(self) -> list[Encounter]:
         """Return what was found; what goes on from table to table is one crossing."""
-        joined: list[_Crossing] = []
+        joined: list[_TableCrossing] = []
         for found in self._found.values():
             for number, each in enumerate(found):
                 if number and each.begin - joined[-1].end <= ENCOUNTER:
@@ -344,18 +344,11 @@ class _Grid:
     def _near(self, x: Floats, y: Floats, step: Integers, lags: int, subjects: Booleans) -> Iterator[NDArray[np.intp]]:
         """Yield the actors that may be in a block of moments where others are in a block before, and both blocks, (4, n)."""
         radius = self.table.radius[:, None]
-        (west, east), (south, north) = (bounds(values.reshape(len(x), -1, _BLOCK), radius) for values in (x, y))
+        around = [bounds(values.reshape(len(x), -1, _BLOCK), radius) for values in (x, y)]
         for late in range(self.core.start // _BLOCK, math.ceil(self.core.stop / _BLOCK)):
-            seconds = np.flatnonzero(west[:, late] <= east[:, late])
             earliest = int(np.searchsorted(step, step[max(late * _BLOCK, self.core.start)] - lags))
             for early in range(earliest // _BLOCK, late + 1):
-                firsts = np.flatnonzero(west[:, early] <= east[:, early])
-                near = np.ones((len(seconds), len(firsts)), np.bool_)
-                for least, greatest in ((west, east), (south, north)):
-                    near &= least[seconds, None, late] <= greatest[firsts, early]
-                    near &= least[firsts, early] <= greatest[seconds, None, late]
-                row, column = np.nonzero(near)
-                second, first = seconds[row], firsts[column]
+                second, first = meeting(*([(low[:, at], high[:, at]) for low, high in around] for at in (late, early)))
                 kept = (subjects[second] | subjects[first]) & self.table.free(second, first)
                 blocks = np.full((2, np.count_nonzero(kept)), [[late], [early]])
                 yield np.stack((second[kept], first[kept], *blocks))

@@ -8,18 +8,15 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
-from carla_recap.model.contacts import Contacts
-from carla_recap.model.lives import TYPES as ACTOR_TYPES
-from carla_recap.model.lives import ActorLives
 from carla_recap.queries import Answer
 from carla_recap.queries.measures.definitions import MEASURES, Extreme, MeasureRow, MeasureValues
 from carla_recap.queries.measures.encroachment import CrossingSearch
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
-from carla_recap.queries.measures.over_time import measured_actors
 from carla_recap.queries.measures.paths_ahead import SEEN
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
-from carla_recap.queries.measures.series import HORIZON, NO_OTHER, series_of
+from carla_recap.queries.measures.series import HORIZON, NO_OTHER, measured_actors, series_of
+from carla_recap.queries.recorded_actors import lives_and_contacts
 from carla_recap.queries.roads import roads_of, warn_without_roads
 
 if TYPE_CHECKING:
@@ -29,7 +26,7 @@ if TYPE_CHECKING:
     from carla_recap.model.batch import Batch
     from carla_recap.queries.measures.definitions import Measure
     from carla_recap.queries.measures.motion_table import MotionTable
-    from carla_recap.queries.measures.over_time import Subjects
+    from carla_recap.queries.measures.series import Subjects
     from carla_recap.roads.network import RoadNetwork
 
 
@@ -123,11 +120,7 @@ class MeasureSearch:
         over_time: Mapping[str, Collection[int]] | None = None,
     ) -> None:
         self._source, self._start, self._stop = source, start, stop
-        lives, self._contacts = ActorLives(), Contacts()
-        for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True, stop=stop):
-            self._contacts.add(frame)
-            for packet in frame.packets:
-                lives.add(packet, frame.elapsed)
+        lives, self._contacts = lives_and_contacts(source, stop=stop)
         self._subjects = measured_actors(source, lives, actors)
         self._lives, self._crossings = lives, CrossingSearch(POST_ENCROACHMENT_TIME)
         self._motion = MotionCollector(lives, self._contacts, before=self._crossings.before, after=HORIZON + SEEN)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from carla_recap.model.contacts import Contacts
     from carla_recap.model.lives import ActorLives
     from carla_recap.queries.measures.motion_table import MotionTable
-    from carla_recap.queries.measures.over_time import SeriesCollector
+    from carla_recap.queries.measures.series import SeriesCollector
     from carla_recap.util.arrays import Booleans
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from carla_recap.queries.measures.boxes import Boxes, gap, time_to_collision
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.util.arrays import Booleans, Floats, Indices
@@ -30,6 +30,16 @@ def bounds(values: Floats, reach: Floats) -> tuple[Floats, Floats]:
     least = np.fmin.reduce(values, axis=-1, initial=np.inf)
     greatest = np.fmax.reduce(values, axis=-1, initial=-np.inf)
     return least - reach, greatest + reach
+
+
+def meeting(ones: Sequence[tuple[Floats, Floats]], others: Sequence[tuple[Floats, Floats]]) -> tuple[Indices, Indices]:
+    """Return the rows of some actors and those of others that overlap, of bounds along x and along y."""
+    one, other = (np.flatnonzero(least <= greatest) for least, greatest in (ones[0], others[0]))  # those that are present
+    near = np.ones((len(one), len(other)), np.bool_)
+    for (least, greatest), (low, high) in zip(ones, others, strict=True):
+        near &= (least[one, None] <= high[other]) & (low[other] <= greatest[one, None])
+    row, column = np.nonzero(near)
+    return one[row], other[column]
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,26 +137,17 @@ def near_pairs(table: MotionTable, subjects: Booleans, reach: Floats | float) ->
 
     One of a pair is a subject. The distance of both is at most the sum of their reaches in m.
     """
-    reach = np.broadcast_to(np.asarray(reach, np.float64), table.ids.shape)
     for start in range(table.first, table.last, FRAMES):
         frames = slice(start, min(start + FRAMES, table.last))
-        left, right = bounds(table.x[:, frames], reach)
-        bottom, top = bounds(table.y[:, frames], reach)
-        order = np.argsort(left, kind="stable")[: np.count_nonzero(left <= right)]
-        behind = np.searchsorted(left[order], right[order], side="right")  # those that are not beside each one along x
-        step = max(1, ELEMENTS // max(len(order), 1))
-        for begin in range(0, len(order), step):
-            first = np.arange(begin, min(begin + step, len(order)))
-            counts = behind[first] - first - 1
-            second = np.arange(counts.sum()) + np.repeat(first + 1 - (np.cumsum(counts) - counts), counts)
-            one, other = order[np.repeat(first, counts)], order[second]
-            near = (bottom[one] <= top[other]) & (bottom[other] <= top[one]) & (subjects[one] | subjects[other])
-            one, other = one[near], other[near]
-            free = table.free(one, other)
-            one, other = one[free], other[free]
-            for few in range(0, len(one), ELEMENTS // FRAMES):
-                part = slice(few, few + ELEMENTS // FRAMES)
-                yield PairFrames.of(table, frames, one[part], other[part])
+        around = [bounds(values[:, frames], np.asarray(reach)) for values in (table.x, table.y)]
+        one, other = meeting(around, around)
+        kept = (one < other) & (subjects[one] | subjects[other])
+        one, other = one[kept], other[kept]
+        free = table.free(one, other)
+        one, other = one[free], other[free]
+        for few in range(0, len(one), ELEMENTS // FRAMES):
+            part = slice(few, few + ELEMENTS // FRAMES)
+            yield PairFrames.of(table, frames, one[part], other[part])
 
 
 _SAME_HEADING: Final = np.cos(np.deg2rad(45.0))

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from carla_recap.util.arrays import Floats, Integers
 
 _CELL: Final = 8.0  # m, of the grid of stop lines
-_MOST_LINES: Final = 16  # in a cell
 _LEVELS: Final = 3.0  # m between roads above each other
 _BEHIND: Final = 0.5  # m behind a stop line at which a vehicle may still stop
 
@@ -39,11 +38,10 @@ class StopLines:
             column, row = np.floor(self._middle[line, :2] / _CELL).astype(np.int64).tolist()
             for x in (-1, 0, 1):
                 for y in (-1, 0, 1):
-                    if len(cells[column + x, row + y]) < _MOST_LINES:
-                        cells[column + x, row + y].append(line)
+                    cells[column + x, row + y].append(line)
         keys = {_key(np.array(column), np.array(row)).item(): lines for (column, row), lines in cells.items()}
         self._keys = np.array(sorted(keys), np.int64)
-        self._of_cell = np.full((len(keys) + 1, _MOST_LINES), roads.NONE)
+        self._of_cell = np.full((len(keys) + 1, max(map(len, cells.values()), default=0)), roads.NONE)
         for number, key in enumerate(self._keys.tolist()):
             self._of_cell[number, : len(keys[key])] = keys[key]
 
@@ -97,7 +95,7 @@ class StopLines:
         known = near & (self._keys[slots] == keys) if len(self._keys) else np.zeros(len(keys), np.bool_)
         steps = np.flatnonzero(known)
         found: list[tuple[Integers, Integers, Floats]] = []
-        for number in range(_MOST_LINES):
+        for number in range(self._of_cell.shape[1]):
             line = self._of_cell[slots[steps], number]
             steps, line = steps[line != roads.NONE], line[line != roads.NONE]
             if not len(steps):

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from carla_recap.util.arrays import Floats, Indices, Integers
 
 _TICK: Final = 0.05  # s between two updates of the evaluator's criteria
-_MOST_TICKS: Final = 100  # of a frame
+LONGEST_FRAME: Final = 5.0
+"""The time in s; of a longer frame, criteria have as many ticks as of one that lasts as long."""
 _SPACING: Final = 1.0  # m between the points of a route
 
 
@@ -80,7 +81,7 @@ class Drive:
     def frames(self) -> Indices:
         """The frame of each tick of the evaluator, (ticks,); a frame that is longer has several."""
         seconds = np.diff(self.time, prepend=self.time[:1])
-        counts = np.clip(np.rint(np.nan_to_num(seconds) / _TICK), 1, _MOST_TICKS)
+        counts = np.clip(np.rint(np.nan_to_num(seconds) / _TICK), 1, LONGEST_FRAME / _TICK)
         return np.repeat(np.arange(len(self)), counts.astype(np.int64))
 
     @cached_property

@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Final, TypedDict
 import numpy as np
 
 from carla_recap.errors import RecapError, RecapWarning
-from carla_recap.model.contacts import Contacts
-from carla_recap.model.lives import HERO, ActorLives, ActorName, find_actor
-from carla_recap.model.lives import TYPES as ACTOR_TYPES
+from carla_recap.model.lives import HERO, ActorName, find_actor
 from carla_recap.queries.measures.stop_lines import StopLines
 from carla_recap.queries.measures.traffic_lights import LightHistory
+from carla_recap.queries.recorded_actors import lives_and_contacts
 from carla_recap.queries.roads import map_file_of
 from carla_recap.queries.score import criteria
-from carla_recap.queries.score.drives import Drive, PlannedRoute
+from carla_recap.queries.score.drives import LONGEST_FRAME, Drive, PlannedRoute
 from carla_recap.queries.score.driving import comfort, efficiency
 from carla_recap.queries.score.infractions import FORMULAS, INFRACTIONS, Formula, Infraction, penalty_of
 from carla_recap.queries.score.route_files import repetition
@@ -164,16 +163,12 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
         RecapError: The map is unknown, there is no such vehicle, or the route does not fit the map.
         FormatError: The file contradicts its format.
         RecapWarning: The way between two places of the route is many times as long as the straight line, or the speed of the
-            actor is unknown in several frames.
+            actor is unknown in several frames, or frames last longer than 5 s.
     """
     options = options or ScoreOptions()
     path = map_file_of(source, options.road_map)
     town, network = load_lane_map(path), load_road_network(path)
-    actors, contacts = ActorLives(), Contacts()
-    for frame in source.frames((*ACTOR_TYPES, "collisions"), sparse=True):
-        contacts.add(frame)
-        for packet in frame.packets:
-            actors.add(packet, frame.elapsed)
+    actors, contacts = lives_and_contacts(source)
     hero = find_actor(source.location, [life for life in actors if life.kind == "vehicle"], options.actor, "vehicle")
     others = {life.id for life in actors if life.role_name == criteria.BACKGROUND or criteria.is_emergency(life)}
     paths = trajectories(source, {hero.id, *others})
@@ -182,6 +177,10 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
     if unknown > 1:
         text = f"the speed of actor {hero.id} is unknown in {unknown} of {len(whole)} frames, and counts as 0"
         warnings.warn(f"{source.location}: {text}", RecapWarning, stacklevel=2)
+    long = np.flatnonzero(np.diff(whole.time) > LONGEST_FRAME)
+    if len(long):
+        text = f"{len(long)} frames last longer than {LONGEST_FRAME:g} s, the first at {whole.time[long[0]]:.2f} s"
+        warnings.warn(f"{source.location}: {text}; of each, {LONGEST_FRAME:g} s count", RecapWarning, stacklevel=2)
     planned = PlannedRoute.of_drive(whole) if route is None else _planned(route, town, path)
     end = criteria.ending(whole, planned, network) if route else criteria.ending_of_drive(whole)
     drive = whole.part(0, end.frame)
