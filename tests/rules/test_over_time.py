@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,43 +14,96 @@ from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import Spawn
 from carla_recap.queries.measures import MeasureValues
 from carla_recap.queries.measures.series import NO_OTHER
+from carla_recap.rules.facts import Facts
 from carla_recap.rules.measures import MeasureBounds
 from carla_recap.rules.places import Circle
 from carla_recap.rules.progress import Stays
 from carla_recap.rules.scope import Scope
 from carla_recap.rules.values import Bounds, Quantity, Selector
-from tests.twins.conditions import longest_valid, offending
-
-LIFE = ActorLife(1, "vehicle.a", "vehicle", "hero", 0.0, spawn=Spawn(1, 1))
-SAME_TIME = 1e-6
+from tests.twins.conditions import SAME_TIME, first_time, longest_valid, offending, within
 
 steps = st.sampled_from([0.05, 0.1, 0.5, 1.0, 1.000002, 3.0]) | st.floats(0.01, 2)
-drives = st.lists(st.tuples(steps, st.integers(-2, 2)), min_size=1, max_size=20).map(
-    lambda rows: (np.cumsum([step for step, _ in rows]), np.array([float(value) for _, value in rows]))
-)
 times = st.sampled_from([0.0, 0.05, 0.1, 0.5, 1.0, 2.0]) | st.floats(0, 20)
 limits = st.none() | st.integers(-2, 2)
 
 
-def facts_of(time: Any, values: Any) -> Any:
-    """Answers about a recording of one actor."""
-    measured = MeasureValues(time, values, np.full(len(time), NO_OTHER))
-    actors = SimpleNamespace(name=lambda id, time: "hero")
-    return SimpleNamespace(
-        actors=type("Lives", (list,), {"name": staticmethod(actors.name)})([LIFE]),
-        values=lambda measure, life: measured,
-        positions=lambda life: SimpleNamespace(time=time),
-        outside=lambda place, life: np.maximum(values, 0.0),
-        subjects=lambda of: [LIFE],
-        absent=lambda of: "",
-        recording=SimpleNamespace(reader=SimpleNamespace(extent=lambda: SimpleNamespace(duration=float(time[-1])))),
-    )
+@dataclass
+class Drive:
+    """A drive of an actor: a measure over time, and positions at other times, of which some are in two places."""
+
+    time: Any
+    values: Any
+    known: Any
+    inside: dict[Circle, list[bool]]
+    incidents: list[tuple[float, bool]]
+    life: ActorLife
+
+    @property
+    def facts(self) -> Facts:
+        return _FactsOf(self)
+
+    def first(self, occasion: str | Circle) -> float:
+        life = (self.life.spawned_at, self.life.end)
+        if isinstance(occasion, str):
+            return first_time([start for start, is_own in self.incidents if is_own], life)
+        return first_time([t for t, is_in in zip(self.known, self.inside[occasion], strict=True) if is_in], (-9e9, 9e9))
+
+    def counts(self, scope: Scope, time: Any) -> list[bool]:
+        """Return which moments are within a scope, one by one."""
+        during = scope.during and (scope.during[0].value, scope.during[1].value)
+        after, until = (None if each is None else self.first(each) for each in (scope.after, scope.until))
+        where = scope.where and (self.known.tolist(), self.inside[scope.where])
+        return [within(moment, during, after, until, where) for moment in time.tolist()]
 
 
-def during(start: float, length: float) -> tuple[Scope, Any]:
-    stop = start + length
-    scope = Scope(during=(Quantity(start, "s"), Quantity(stop, "s")))
-    return scope, lambda time: [start - SAME_TIME <= t <= stop + SAME_TIME for t in time]
+class _FactsOf(Facts):
+    """Answers about a recording of a drive."""
+
+    def __init__(self, drive: Drive) -> None:
+        self._drive = drive
+        self._answers = {}
+        self.recording = SimpleNamespace(reader=SimpleNamespace(extent=lambda: SimpleNamespace(duration=drive.time[-1])))
+
+    @property
+    def actors(self) -> Any:
+        return type("Lives", (list,), {"name": staticmethod(lambda id, time: "hero")})([self._drive.life])
+
+    @property
+    def incidents(self) -> Any:
+        rows = sorted(self._drive.incidents)
+        return [SimpleNamespace(kind="collision", start=start, actors=(1,) if is_own else (2,)) for start, is_own in rows]
+
+    def values(self, measure: str, life: ActorLife) -> MeasureValues:
+        return MeasureValues(self._drive.time, self._drive.values, np.full(len(self._drive.time), NO_OTHER))
+
+    def subjects(self, of: Selector) -> list[ActorLife]:
+        return [self._drive.life]
+
+    def positions(self, life: ActorLife) -> Any:
+        return SimpleNamespace(time=self._drive.known)
+
+    def outside(self, place: Any, life: ActorLife) -> Any:
+        return np.where(self._drive.inside[place], 0.0, 1.0)
+
+
+PLACES = [Circle(x, 0.0, None, Quantity(1.0, "m"), f"({x})") for x in (0.0, 9.0)]
+moments = st.lists(steps, min_size=1, max_size=20).map(np.cumsum)
+
+
+@st.composite
+def drives(draw: Any) -> Drive:
+    time, known = draw(moments), draw(moments)
+    values = np.array([float(draw(st.integers(-2, 2))) for _ in time])
+    inside = {place: [draw(st.booleans()) for _ in known] for place in PLACES}
+    incidents = draw(st.lists(st.tuples(times | st.sampled_from(time.tolist()), st.booleans()), max_size=3))
+    stop = draw(st.none() | times)
+    life = ActorLife(1, "vehicle.a", "vehicle", "hero", draw(st.sampled_from([0.0, 0.5])), spawn=Spawn(1, 1))
+    return Drive(time, values, known, inside, incidents, replace(life, destroyed_at=stop))
+
+
+occasions = st.none() | st.just("collision") | st.sampled_from(PLACES)
+intervals = st.none() | st.tuples(times, times).map(lambda pair: (Quantity(pair[0], "s"), Quantity(sum(pair), "s")))
+scopes = st.builds(Scope, intervals, occasions, occasions, st.none() | st.sampled_from(PLACES))
 
 
 def quantity(value: float | None, unit: str = "") -> Quantity | None:
@@ -62,33 +116,27 @@ def is_close(times: list[float], limit: float | None) -> bool:
     return any(0 < abs(each - SAME_TIME) < 1e-9 for each in apart)
 
 
-@given(drives, limits, limits, st.none() | times, st.none() | times, times, times)
+@given(drives(), limits, limits, st.none() | times, st.none() | times, scopes)
 def test_measures_over_time_are_judged_as_by_a_loop(
-    drive: Any,
-    least: int | None,
-    most: int | None,
-    tolerate: float | None,
-    lasting: float | None,
-    start: float,
-    length: float,
+    drive: Drive, least: int | None, most: int | None, tolerate: float | None, lasting: float | None, scope: Scope
 ) -> None:
     if least is None and most is None:
         most = 0
-    time, values = drive
-    scope, counting = during(start, length)
-    counts = counting(time.tolist())
+    if scope.is_whole:  # of which extreme values are enough
+        scope = Scope(during=(Quantity(0.0, "s"), Quantity(9e9, "s")))
+    time, counts = drive.time.tolist(), drive.counts(scope, drive.time)
     bounds = Bounds(quantity(least, "m/s"), quantity(most, "m/s"))
     condition = MeasureBounds("speed", Selector("hero"), bounds, scope, quantity(tolerate, "s"), quantity(lasting, "s"))
-    found = condition.judge(facts_of(time, values))
-    valid = [(least is None or v >= least) and (most is None or v <= most) for v in values.tolist()]
-    if is_close(time.tolist(), tolerate) or is_close(time.tolist(), lasting):
+    found = condition.judge(drive.facts)
+    valid = [(least is None or v >= least) and (most is None or v <= most) for v in drive.values.tolist()]
+    if is_close(time, tolerate) or is_close(time, lasting):
         return
     if not any(counts):
         assert found.passes
     elif lasting is not None:
-        assert found.passes == (longest_valid(time.tolist(), counts, valid, tolerate) >= lasting - SAME_TIME)
+        assert found.passes == (longest_valid(time, counts, valid, tolerate) >= lasting - SAME_TIME)
     else:
-        expected = offending(time.tolist(), counts, valid, tolerate)
+        expected = offending(time, counts, valid, tolerate)
         assert found.passes == (not expected)
         spans = [(time[each[0]], time[each[-1]]) for each in expected]
         assert sorted(spans) == sorted(
@@ -96,19 +144,16 @@ def test_measures_over_time_are_judged_as_by_a_loop(
         )
 
 
-@given(drives, st.booleans(), st.none() | times, times, times)
-def test_stays_are_judged_as_by_a_loop(
-    drive: Any, is_inside: bool, tolerate: float | None, start: float, length: float
-) -> None:
-    time, values = drive
-    scope, counting = during(start, length)
-    place = Circle(0.0, 0.0, None, Quantity(1.0, "m"), "[0, 0]")
-    condition = Stays(Selector("hero"), place, is_inside, quantity(tolerate, "s"), scope)
-    found = condition.judge(facts_of(time, values))
-    if is_close(time.tolist(), tolerate):
+@given(drives(), st.booleans(), st.none() | times, scopes)
+def test_stays_are_judged_as_by_a_loop(drive: Drive, is_inside: bool, tolerate: float | None, scope: Scope) -> None:
+    place, known = PLACES[0], drive.known.tolist()
+    found = Stays(Selector("hero"), place, is_inside, quantity(tolerate, "s"), scope).judge(drive.facts)
+    if is_close(known, tolerate):
         return
-    valid = [(value <= 0) == is_inside for value in values.tolist()]
-    expected = offending(time.tolist(), counting(time.tolist()), valid, tolerate)
-    if scope.has_any(LIFE, facts_of(time, values)):
-        assert [offence.time for offence in found.offences] == [time[each[0]] for each in expected]
+    valid = [each == is_inside for each in drive.inside[place]]
+    expected = offending(known, drive.counts(scope, drive.known), valid, tolerate)
+    if scope.has_any(drive.life, drive.facts):
+        assert [offence.time for offence in found.offences] == [known[each[0]] for each in expected]
         assert found.passes == (not expected)
+    else:
+        assert not expected

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
 SAME_TIME = 1e-6
 LONGEST_STEP = 1.0  # s between two moments of one interval
@@ -41,3 +41,30 @@ def longest_valid(times: Sequence[float], counts: Sequence[bool], valid: Sequenc
     wrong = {number for each in offending(times, counts, valid, tolerate) for number in each}
     kept = [c and (v or tolerate is not None) and n not in wrong for n, (c, v) in enumerate(zip(counts, valid, strict=True))]
     return max((seconds(times, each) for each in intervals(times, kept)), default=0.0)
+
+
+def first_time(starts: Iterable[float], life: tuple[float, float]) -> float:
+    """Return the first of some moments within the life of an actor; inf without one."""
+    return min((start for start in starts if life[0] <= start <= life[1]), default=float("inf"))
+
+
+def is_in(time: float, positions: Sequence[float], inside: Sequence[bool]) -> bool:
+    """Return whether the last position until a moment is in a place; False before the first position and after the last."""
+    until = [number for number, known in enumerate(positions) if known <= time + SAME_TIME]
+    return bool(until) and time <= positions[-1] + SAME_TIME and inside[until[-1]]
+
+
+def within(
+    time: float,
+    during: tuple[float, float] | None,
+    after: float | None,
+    until: float | None,
+    where: tuple[Sequence[float], Sequence[bool]] | None,
+) -> bool:
+    """Return whether a moment is within a scope: an interval, after and before moments, and in a place."""
+    return (
+        (during is None or during[0] - SAME_TIME <= time <= during[1] + SAME_TIME)
+        and (after is None or time >= after - SAME_TIME)
+        and (until is None or time < until - SAME_TIME)
+        and (where is None or is_in(time, *where))
+    )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import NotSetUp, RecapError
 from carla_recap.rules.facts import Finding, Needs, Offence
-from carla_recap.rules.reading import UnexpectedKeys, hint, shown
+from carla_recap.rules.reading import Unexpected, hint, shown
 from carla_recap.util.functions import keywords_of, module_of_file, modules_beside
 from carla_recap.util.text import single_line
 
@@ -59,7 +59,7 @@ class FunctionCondition:
 
         Raises:
             NotSetUp: It is not there.
-            UnexpectedKeys: It does not take one of them.
+            Unexpected: It does not take one of them.
             TypeError: It needs others, or takes none.
         """
         function = self.function()
@@ -70,7 +70,7 @@ class FunctionCondition:
             known = ("function", *keywords.names)
             for name in self.parameters:
                 if name not in known:
-                    raise UnexpectedKeys(f"unknown key {shown(name)}; {hint(name, known, 'keys')}")
+                    raise Unexpected(f"unknown key {shown(name)}; {hint(name, known, 'keys')}")
         inspect.signature(function).bind(None, **self.parameters)
 
     def needs(self) -> Needs:

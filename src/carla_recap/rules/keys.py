@@ -17,8 +17,7 @@ from carla_recap.rules.reading import (
     SHOWN,
     Key,
     KeyGroup,
-    UnexpectedKeys,
-    UnexpectedValue,
+    Unexpected,
     ValueType,
 )
 from carla_recap.rules.scope import Scope
@@ -40,13 +39,11 @@ _NOUNS: Final = {"s": "time", "m": "distance", "m/s": "speed", "m/s²": "acceler
 def _selector(*words: str) -> ValueType:
     expected = f"{', '.join(words)}, role:NAME or a blueprint such as vehicle.tesla.*"
 
-    def read(value: Any, _: Reading) -> Selector:
+    def read(value: Any, _: Reading) -> Selector | None:
         is_pattern = isinstance(value, str) and (
             (value.startswith(ROLE) and value != ROLE) or _BLUEPRINT.fullmatch(value) is not None
         )
-        if not is_pattern and value not in words:
-            raise UnexpectedValue(expected)
-        return Selector(value)
+        return Selector(value) if is_pattern or value in words else None
 
     return ValueType("actors", expected, read)
 
@@ -67,7 +64,7 @@ def quantity(unit: str, least: float = -math.inf, *, is_open: bool = False) -> V
     expected = f'a number in {unit}, or a text such as "1.5 {unit}" with one of the units {", ".join(units)},'
     too_small = f"a {noun} above {least:g}" if is_open else f"a {noun} of {least:g} or more"
 
-    def read(value: Any, _: Reading) -> Quantity:
+    def read(value: Any, _: Reading) -> Quantity | None:
         found = None
         if type(value) in (int, float) and abs(value) <= 1e300:
             found = Quantity(float(value), unit)
@@ -75,10 +72,8 @@ def quantity(unit: str, least: float = -math.inf, *, is_open: bool = False) -> V
             size = units.get(match[2], math.nan)
             if math.isfinite(float(match[1]) * size):
                 found = Quantity(float(match[1]) * size, match[2], size, f"{match[1]} {match[2]}")
-        if found is None:
-            raise UnexpectedValue(expected if units else "a number")
-        if found.value < least or (is_open and found.value == least):
-            raise UnexpectedValue(too_small)
+        if found is not None and (found.value < least or (is_open and found.value == least)):
+            raise Unexpected(too_small)
         return found
 
     return ValueType(noun, expected if units else "a number", read)
@@ -88,50 +83,38 @@ TIME: Final = quantity("s", 0.0)
 LENGTH: Final = quantity("m", 0.0)
 
 
-def _count(value: Any, _: Reading) -> Quantity:
-    if type(value) is not int or not 0 <= value <= LARGEST_COUNT:
-        raise UnexpectedValue(COUNT.expected)
-    return Quantity(value)
+def _count(value: Any, _: Reading) -> Quantity | None:
+    return Quantity(value) if type(value) is int and 0 <= value <= LARGEST_COUNT else None
 
 
 COUNT: Final = ValueType("number", "a whole number of 0 or more", _count)
+FLAG: Final = ValueType("`true` or `false`", "true or false", lambda value, _: value if isinstance(value, bool) else None)
 
 
-def _flag(value: Any, _: Reading) -> bool:
-    if not isinstance(value, bool):
-        raise UnexpectedValue(FLAG.expected)
-    return value
+def texts(name: str, expected: str, one: Callable[[Any], str | None] = lambda each: each) -> ValueType:
+    """Return the type of a text or of a list of texts, each of which a function changes; it returns None for a wrong one."""
 
-
-FLAG: Final = ValueType("`true` or `false`", "true or false", _flag)
-
-
-def texts(name: str, expected: str, one: Callable[[str], str] = str) -> ValueType:
-    """Return the type of a text or of a list of texts.
-
-    Args:
-        name: See `ValueType`.
-        expected: See `ValueType`.
-        one: Changes each text, or raises a `RecapError`.
-    """
-
-    def read(value: Any, _: Reading) -> tuple[str, ...]:
+    def read(value: Any, _: Reading) -> tuple[str, ...] | None:
         values = value if isinstance(value, list) else [value]
-        if not values or not all(isinstance(each, str) and each for each in values):
-            raise UnexpectedValue(expected)
-        try:
-            return tuple(dict.fromkeys(map(one, values)))
-        except RecapError:
-            raise UnexpectedValue(expected) from None
+        found = [one(each) if isinstance(each, str) and each else None for each in values]
+        return None if None in found or not found else tuple(dict.fromkeys(filter(None, found)))
 
     return ValueType(name, expected, read)
 
 
+def kind_of(text: str) -> str | None:
+    """Return the name of a kind of incidents; None if there is no such kind."""
+    try:
+        return kind_named(text).name
+    except RecapError:
+        return None
+
+
 def _bounds(_: Reading, min: Quantity | None = None, max: Quantity | None = None) -> Bounds:
     if min is None and max is None:
-        raise UnexpectedKeys("has no bound; min or max was expected")
+        raise Unexpected("has no bound; min or max was expected")
     if min is not None and max is not None and min.value > max.value:
-        raise UnexpectedKeys(f"{min}; no more than max was expected", "min")
+        raise Unexpected(f"{min}; no more than max was expected", "min")
     return Bounds(min, max)
 
 
@@ -141,12 +124,12 @@ def bounds(type: ValueType, *names: str) -> KeyGroup:
     return KeyGroup("bounds", tuple(Key(name, type, meanings[name]) for name in names or meanings), _bounds)
 
 
-def _function(value: Any, reading: Reading) -> tuple[str, str, str]:
+def _function(value: Any, reading: Reading) -> tuple[str, str, str] | None:
     module, _, name = value.rpartition(":") if isinstance(value, str) else ("", "", "")
     is_path = module.endswith(".py") and module.isprintable() and len(module) <= _LONGEST_PATH
-    if not name.isidentifier() or not (is_path or all(part.isidentifier() for part in module.split("."))):
-        raise UnexpectedValue(FUNCTION.expected)
-    return module, name, str(Path(reading.folder or ".").absolute())
+    if name.isidentifier() and (is_path or all(part.isidentifier() for part in module.split("."))):
+        return module, name, str(Path(reading.folder or ".").absolute())
+    return None
 
 
 FUNCTION: Final = ValueType(
@@ -155,13 +138,13 @@ FUNCTION: Final = ValueType(
 OF: Final = Key("of", ACTORS, "the actors that are judged", default=Selector())
 
 
-def _baseline(value: Any, reading: Reading) -> str:
+def _baseline(value: Any, reading: Reading) -> str | None:
     if not isinstance(value, str) or not 0 < len(value) <= _LONGEST_PATH:
-        raise UnexpectedValue(BASELINE.expected)
+        return None
     path = value if "://" in value else os.path.join(reading.folder, value)  # noqa: PTH118
     if "://" not in path and not os.path.exists(path):  # noqa: PTH110
         reading.faults.append(f"{reading.prefix}: there is no {visible(path)}; {BASELINE.expected} was expected")
-        raise UnexpectedValue
+        raise Unexpected
     return path
 
 
@@ -174,10 +157,10 @@ _MOST_CORNERS: Final = 1000
 _FARTHEST: Final = 1e7  # m
 
 
-def _corners(value: Any, reading: Reading) -> tuple[tuple[float, float], ...]:
+def _corners(value: Any, reading: Reading) -> tuple[tuple[float, float], ...] | None:
     points = value if isinstance(value, list) else []
     if not 3 <= len(points) <= _MOST_CORNERS or not all(map(_is_point, points)):
-        raise UnexpectedValue(CORNERS.expected)
+        return None
     sign = _sign(reading)
     return tuple((float(x), sign * y) for x, y in (points[:-1] if points[0] == points[-1] else points))
 
@@ -197,17 +180,10 @@ COORDINATE: Final = quantity("m")
 CORNERS: Final = ValueType("list of points", f"a list of 3 to {_MOST_CORNERS} points [x, y] in m", _corners)
 
 
-def _lane_type(text: str) -> str:
-    if text.lower() not in LANE_TYPES:
-        raise RecapError(text)
-    return text.lower()
-
-
-def _id(value: Any, reading: Reading) -> tuple[str, ...]:
+def _id(value: Any, _: Reading) -> tuple[str, ...] | None:
     values = value if isinstance(value, list) else [value]
-    if not values or not all(type(each) is int or (isinstance(each, str) and each) for each in values):
-        raise UnexpectedValue(ID.expected)
-    return tuple(dict.fromkeys(map(str, values)))
+    is_valid = bool(values) and all(type(each) is int or (isinstance(each, str) and each) for each in values)
+    return tuple(dict.fromkeys(map(str, values))) if is_valid else None
 
 
 ID: Final = ValueType("id, or list of ids", "an id in the map, or a list of ids,", _id)
@@ -216,10 +192,9 @@ ID: Final = ValueType("id, or list of ids", "an id in the map, or a list of ids,
 def _named_place(value: Any, reading: Reading) -> Place:
     if not isinstance(value, str) or value not in reading.places:
         known = f"one of {', '.join(reading.places)}" if reading.places else "the name of a table [places.NAME]"
-        raise UnexpectedValue(known)
-    place = reading.places[value]
-    if place is None:
-        raise UnexpectedValue
+        raise Unexpected(known)
+    if (place := reading.places[value]) is None:
+        raise Unexpected
     return place
 
 
@@ -239,7 +214,7 @@ def _place(
     is_lanes = bool(lanes or road or junction)
     if (named is not None) + is_circle + (polygon is not None) + is_lanes != 1:
         ways = "place, or x, y and within, or polygon, or lanes, road and junction"
-        raise UnexpectedKeys(
+        raise Unexpected(
             f"has {'several places' if is_circle or is_lanes or named or polygon else 'no place'}; {ways} was expected"
         )
     if named is not None:
@@ -247,17 +222,17 @@ def _place(
     if polygon is not None:
         found = Polygon(polygon)
         if (sides := found.crossing()) is not None:
-            raise UnexpectedKeys(
+            raise Unexpected(
                 f"sides {sides[0]} and {sides[1]} cross; a polygon that does not cross itself was expected", "polygon"
             )
         if not found.area > 0:
-            raise UnexpectedKeys("has no area; a polygon around an area was expected", "polygon")
+            raise Unexpected("has no area; a polygon around an area was expected", "polygon")
         return found
     if is_lanes:
         return Lanes(lanes, road, junction)
     for name, value in (("x", x), ("y", y), ("within", within)):
         if value is None:
-            raise UnexpectedKeys("is missing; x, y and within make a place", name)
+            raise Unexpected("is missing; x, y and within make a place", name)
     assert x is not None
     assert y is not None
     assert within is not None
@@ -276,7 +251,11 @@ PLACE_KEYS: Final = KeyGroup(
         Key("polygon", CORNERS, "the corners as `[x, y]`; the sides must not cross"),
         Key(
             "lanes",
-            texts("lane type, or list", f"one or a list of {', '.join(LANE_TYPES)}", _lane_type),
+            texts(
+                "lane type, or list",
+                f"one or a list of {', '.join(LANE_TYPES)}",
+                lambda each: each.lower() if each.lower() in LANE_TYPES else None,
+            ),
             "the lanes of a type of OpenDRIVE, such as `sidewalk`; `driving` stands for all lanes for cars",
             default=(),
         ),
@@ -292,13 +271,12 @@ def place_of(value: Any, reading: Reading) -> Place:
     """Return the place that a name or a table is.
 
     Raises:
-        UnexpectedValue: It is none.
+        Unexpected: It is none.
     """
     if not isinstance(value, dict):
         return _named_place(value, reading)
-    found = reading.table((PLACE_KEYS,), value)
-    if found is None:
-        raise UnexpectedValue
+    if (found := reading.table((PLACE_KEYS,), value)) is None:
+        raise Unexpected
     place: Place = found["place"]
     return place
 
@@ -306,12 +284,12 @@ def place_of(value: Any, reading: Reading) -> Place:
 PLACE: Final = ValueType("place", "the name of a place, or a table of its keys,", place_of)
 
 
-def _order(value: Any, reading: Reading) -> tuple[Place, ...]:
+def _order(value: Any, reading: Reading) -> tuple[Place, ...] | None:
     if not isinstance(value, list) or not value:
-        raise UnexpectedValue(PLACES.expected)
+        return None
     found = [reading.value(PLACE, each, f"{number}") for number, each in enumerate(value, 1)]
     if None in found:
-        raise UnexpectedValue
+        raise Unexpected
     return tuple(found)
 
 
@@ -321,26 +299,26 @@ PLACES: Final = ValueType("list of places", "a list of places", _order)
 # --- scopes --------------------------------------------------------------------------------------------------------------
 
 
-def _interval(value: Any, reading: Reading) -> tuple[Quantity, Quantity]:
+def _interval(value: Any, reading: Reading) -> tuple[Quantity, Quantity] | None:
     if not isinstance(value, list) or len(value) != 2:
-        raise UnexpectedValue(INTERVAL.expected)
-    start, stop = (TIME.read(each, reading) for each in value)
-    if start.value > stop.value:
-        raise UnexpectedValue(INTERVAL.expected)
-    return start, stop
+        return None
+    times = [TIME.read(each, reading) for each in value]
+    if None in times:
+        raise Unexpected(TIME.expected)
+    start, stop = times
+    return (start, stop) if start.value <= stop.value else None
 
 
 INTERVAL: Final = ValueType("list of two times", 'two times in their order, such as ["10 s", "20 s"],', _interval)
 
 
 def _occasion(value: Any, reading: Reading) -> str | Place:
-    if isinstance(value, str) and value not in reading.places:
-        try:
-            return kind_named(value).name
-        except RecapError:
-            names = ", ".join((*reading.places, *(kind.option for kind in KINDS.values())))
-            raise UnexpectedValue(f"one of {names}, or a table of the keys of a place,") from None
-    return place_of(value, reading)
+    if not isinstance(value, str) or value in reading.places:
+        return place_of(value, reading)
+    if (kind := kind_of(value)) is None:
+        names = ", ".join((*reading.places, *(kind.option for kind in KINDS.values())))
+        raise Unexpected(f"one of {names}, or a table of the keys of a place,")
+    return kind
 
 
 OCCASION: Final = ValueType("occasion", "a kind of incidents, or a place,", _occasion)

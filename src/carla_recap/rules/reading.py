@@ -22,19 +22,15 @@ SHOWN: Final = 60
 """The characters of a wrong value in an error."""
 
 
-class UnexpectedValue(Exception):
-    """A value is wrong; the message says what was expected, and is empty if the fault is known already."""
-
-
-class UnexpectedKeys(Exception):
-    """Keys do not go together.
+class Unexpected(Exception):
+    """Values are wrong.
 
     Args:
-        fault: What is wrong.
+        fault: For a value, what was expected; for keys that do not go together, what is wrong; empty if it is known already.
         key: The key that is wrong; empty if it is not one alone.
     """
 
-    def __init__(self, fault: str, key: str = "") -> None:
+    def __init__(self, fault: str = "", key: str = "") -> None:
         super().__init__(fault)
         self.key = key
 
@@ -67,15 +63,15 @@ class Reading:
 
     def value(self, type: ValueType, value: Any, name: str = "") -> Any:
         """Return a value as its type reads it; None, and a fault, if it is wrong, or missing (None)."""
-        place = f"{self.prefix}.{name}" if name else self.prefix
+        inside = self.of(f"{self.prefix}.{name}") if name else self
         try:
-            if value is None:
-                raise UnexpectedValue(type.expected)
-            return type.read(value, self.of(place))
-        except UnexpectedValue as error:
-            if str(error):
-                self.of(place).refuse(value, str(error))
-            return None
+            found = None if value is None else type.read(value, inside)
+            expected = type.expected if found is None else ""
+        except Unexpected as error:
+            found, expected = None, str(error)
+        if expected:
+            inside.refuse(value, expected)
+        return found
 
     def table(self, parts: Sequence[Key | KeyGroup], table: Mapping[str, Any], *, plain: str = "", others: str = "") -> Any:
         """Return the values of a table by the fields that they are for; None, and faults, if any is wrong.
@@ -86,32 +82,27 @@ class Reading:
             plain: The key whose value was given in place of a table, for faults.
             others: The field that gets the keys that are in no part; empty: these are faults.
         """
-        keys, is_wrong = keys_of(parts), False
-        found: dict[str, Any] = {}
-        for key in keys:
-            if key.name in table or key.required:
-                found[key.name] = self.value(key.type, table.get(key.name), "" if key.name == plain else key.name)
-                is_wrong |= found[key.name] is None
-            else:
-                found[key.name] = key.default
+        count = len(self.faults)
+        keys = keys_of(parts)
+        names = [key.name for key in keys]
+        found = {
+            key.name: self.value(key.type, table.get(key.name), "" if key.name == plain else key.name)
+            if key.name in table or key.required
+            else key.default
+            for key in keys
+        }
         more = {name: value for name, value in table.items() if name not in found}
         if not others:
-            names = [key.name for key in keys]
             self.faults.extend(f"{self.prefix}: unknown key {shown(name)}; {hint(name, names, 'keys')}" for name in more)
-            is_wrong |= bool(more)
-        if is_wrong:
+        if len(self.faults) > count or any(found[name] is None for name in table if name in found):
             return None
         values = {others: more} if others else {}
         for part in parts:
-            if isinstance(part, Key):
-                values[part.field] = found[part.name]
-                continue
             try:
-                values[part.field] = part.make(self, **{key.field: found[key.name] for key in part.keys})
-            except UnexpectedKeys as error:
+                values[part.field] = found[part.name] if isinstance(part, Key) else part.read(self, found)
+            except Unexpected as error:
                 self.faults.append(f"{self.prefix}{'.' if error.key else ''}{error.key}: {error}")
-                is_wrong = True
-        return None if is_wrong else values
+        return None if len(self.faults) > count else values
 
 
 @dataclass(frozen=True)
@@ -121,7 +112,7 @@ class ValueType:
     Attributes:
         name: The name in docs/ci.md.
         expected: The description in errors, with all that is needed to write such a value.
-        read: Converts a value of a file.
+        read: Converts a value of a file; None: it is not what is expected.
     """
 
     name: str
@@ -168,6 +159,10 @@ class KeyGroup:
     keys: tuple[Key, ...]
     make: Callable[..., Any]
     title: str = ""
+
+    def read(self, reading: Reading, found: Mapping[str, Any]) -> Any:
+        """Return the value of the group, from those of all keys by name."""
+        return self.make(reading, **{key.field: found[key.name] for key in self.keys})
 
 
 def keys_of(parts: Iterable[Key | KeyGroup]) -> list[Key]:
