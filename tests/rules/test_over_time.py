@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -62,7 +62,9 @@ class _FactsOf(Facts):
     def __init__(self, drive: Drive) -> None:
         self._drive = drive
         self._answers = {}
-        self.recording = SimpleNamespace(reader=SimpleNamespace(extent=lambda: SimpleNamespace(duration=drive.time[-1])))
+        self.recording = SimpleNamespace(
+            reader=SimpleNamespace(extent=lambda: SimpleNamespace(duration=max(drive.time[-1], drive.known[-1])))
+        )
 
     @property
     def actors(self) -> Any:
@@ -96,9 +98,10 @@ def drives(draw: Any) -> Drive:
     values = np.array([float(draw(st.integers(-2, 2))) for _ in time])
     inside = {place: [draw(st.booleans()) for _ in known] for place in PLACES}
     incidents = draw(st.lists(st.tuples(times | st.sampled_from(time.tolist()), st.booleans()), max_size=3))
-    stop = draw(st.none() | times)
-    life = ActorLife(1, "vehicle.a", "vehicle", "hero", draw(st.sampled_from([0.0, 0.5])), spawn=Spawn(1, 1))
-    return Drive(time, values, known, inside, incidents, replace(life, destroyed_at=stop))
+    ends = [float(min(time[0], known[0])), float(max(time[-1], known[-1]))]
+    start, stop = draw(st.sampled_from([0.0, ends[0]])), draw(st.sampled_from([None, ends[1], ends[1] + 1]))
+    life = ActorLife(1, "vehicle.a", "vehicle", "hero", start, stop, spawn=Spawn(1, 1))
+    return Drive(time, values, known, inside, incidents, life)
 
 
 occasions = st.none() | st.just("collision") | st.sampled_from(PLACES)
