@@ -61,7 +61,7 @@ class _FactsOf(Facts):
 
     def __init__(self, drive: Drive) -> None:
         self._drive = drive
-        self._answers = {}
+        self.answers = {}
         self.recording = SimpleNamespace(
             reader=SimpleNamespace(extent=lambda: SimpleNamespace(duration=max(drive.time[-1], drive.known[-1])))
         )

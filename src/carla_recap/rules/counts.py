@@ -15,7 +15,7 @@ from carla_recap.queries.differences import differences, metres, name_of
 from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import open_recording
 from carla_recap.roads.find import map_key, plain_name
-from carla_recap.rules.facts import Finding, Needs, Offence
+from carla_recap.rules.facts import Condition, Finding, Needs, Offence
 from carla_recap.rules.scope import WHOLE
 from carla_recap.rules.values import ANY, OBJECT, listed
 from carla_recap.util.text import number, readable
@@ -29,17 +29,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class IncidentCount:
-    """Bounds of the number of incidents of some kinds.
-
-    Attributes:
-        kinds: The kinds, such as `collision`.
-        of: The actors of which one takes part.
-        other: The actors of which another one takes part, in a collision.
-        bounds: The valid numbers.
-        at_fault: Whether only collisions count that the first actors have caused; see `Contact.is_caused_by`.
-        scope: When and where incidents count, by their start and the actors of `of`.
-    """
+class IncidentCount(Condition):
+    """Bounds of the number of incidents of some kinds."""
 
     kinds: tuple[str, ...]
     of: Selector
@@ -54,8 +45,7 @@ class IncidentCount:
         kinds = frozenset(self.kinds) | self.scope.kinds
         return Needs(incidents=kinds, positions=(self.of,) if places else (), places=places)
 
-    def text(self) -> str:
-        """See `Condition.text`."""
+    def __str__(self) -> str:
         kinds = listed(KINDS[kind].plural for kind in self.kinds)
         return f"{kinds}{self._sides()}: {self.bounds}"
 
@@ -98,13 +88,8 @@ class IncidentCount:
 
 
 @dataclass(frozen=True, slots=True)
-class LongestStop:
-    """The longest time for which vehicles and walkers stand still.
-
-    Attributes:
-        of: The actors; any: vehicles and walkers.
-        longest: The longest valid time, in s.
-    """
+class LongestStop(Condition):
+    """The longest time for which vehicles and walkers stand still."""
 
     of: Selector
     longest: Quantity
@@ -113,8 +98,7 @@ class LongestStop:
         """See `Condition.needs`."""
         return Needs(stop_time=self.longest.value)
 
-    def text(self) -> str:
-        """See `Condition.text`."""
+    def __str__(self) -> str:
         return f"standing still{self.of.behind}: at most {self.longest}"
 
     def judge(self, facts: Facts) -> Finding:
@@ -134,23 +118,13 @@ class LongestStop:
 
 
 @dataclass(frozen=True, slots=True)
-class Size:
-    """Bounds of the length of the recording.
-
-    Attributes:
-        unit: `s` for the duration, or `frames` for their number.
-        bounds: The valid numbers.
-    """
+class Size(Condition):
+    """Bounds of the length of the recording."""
 
     unit: str
     bounds: Bounds
 
-    def needs(self) -> Needs:
-        """See `Condition.needs`."""
-        return Needs()
-
-    def text(self) -> str:
-        """See `Condition.text`."""
+    def __str__(self) -> str:
         return f"length of the recording: {self.bounds}{self._unit}"
 
     def judge(self, facts: Facts) -> Finding:
@@ -171,23 +145,13 @@ class Size:
 
 
 @dataclass(frozen=True, slots=True)
-class ActorCount:
-    """Bounds of the number of actors.
-
-    Attributes:
-        of: The actors.
-        bounds: The valid numbers.
-    """
+class ActorCount(Condition):
+    """Bounds of the number of actors."""
 
     of: Selector
     bounds: Bounds
 
-    def needs(self) -> Needs:
-        """See `Condition.needs`."""
-        return Needs()
-
-    def text(self) -> str:
-        """See `Condition.text`."""
+    def __str__(self) -> str:
         return f"number of actors, {self.of}: {self.bounds}"
 
     def judge(self, facts: Facts) -> Finding:
@@ -205,21 +169,12 @@ class ActorCount:
 
 
 @dataclass(frozen=True, slots=True)
-class MapName:
-    """The map of the recording.
-
-    Attributes:
-        names: The valid names, without folders; the layered variant of a map (`_Opt`) is the same map.
-    """
+class MapName(Condition):
+    """The map of the recording."""
 
     names: tuple[str, ...]
 
-    def needs(self) -> Needs:
-        """See `Condition.needs`."""
-        return Needs()
-
-    def text(self) -> str:
-        """See `Condition.text`."""
+    def __str__(self) -> str:
         return f"map: {' or '.join(self.names)}"
 
     def judge(self, facts: Facts) -> Finding:
@@ -232,23 +187,13 @@ class MapName:
 
 
 @dataclass(frozen=True, slots=True)
-class SameAs:
-    """A demand that a recording shows the same as a baseline.
-
-    Attributes:
-        baseline: The baseline, or the folder of baselines, in which that of a recording has the same name.
-        tolerance: The distance that counts as equal, in m.
-    """
+class SameAs(Condition):
+    """A demand that a recording shows the same as a baseline."""
 
     baseline: str
     tolerance: Quantity
 
-    def needs(self) -> Needs:
-        """See `Condition.needs`."""
-        return Needs()
-
-    def text(self) -> str:
-        """See `Condition.text`."""
+    def __str__(self) -> str:
         return f"the same as {self.baseline}, within {self.tolerance}"
 
     def judge(self, facts: Facts) -> Finding:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
+from functools import wraps
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.lives import HERO, ROAD_USERS, ActorLives
+from carla_recap.model.lives import HERO, ROAD_USERS, ActorLife, ActorLives
 from carla_recap.model.presence import RoadHeights
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.incidents import IncidentOptions, incidents
@@ -26,7 +27,6 @@ from carla_recap.util.text import number
 if TYPE_CHECKING:
     from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 
-    from carla_recap.model.lives import ActorLife
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.incidents import Incident
     from carla_recap.queries.measures import MeasureRow
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from carla_recap.tables.trajectories import Trajectories
     from carla_recap.util.arrays import Booleans, Floats
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 _APART: Final = 0.5  # m between positions
@@ -117,16 +118,18 @@ class Needs:
         )
 
 
-class Condition(Protocol):
-    """What a rule demands."""
+class Condition:
+    """What a rule demands: a frozen dataclass, whose fields are those of its keys in `CONDITIONS`, with their meanings."""
+
+    __slots__ = ()
 
     def needs(self) -> Needs:
-        """Return what the condition needs to know of a recording."""
-        ...
+        """Return what the condition needs to know of a recording, beside its actors."""
+        return Needs()
 
-    def text(self) -> str:
+    def __str__(self) -> str:
         """Return the condition in words."""
-        ...
+        raise NotImplementedError
 
     def judge(self, facts: Facts) -> Finding:
         """Return the finding on a recording.
@@ -134,7 +137,26 @@ class Condition(Protocol):
         Raises:
             RecapError: The recording is damaged.
         """
-        ...
+        raise NotImplementedError
+
+
+def _once(ask: Callable[P, T]) -> Callable[P, T]:
+    """Change a method of `Facts` so that it answers a question once, or raises its error again."""
+
+    @wraps(ask)
+    def answer(*about: P.args, **more: P.kwargs) -> T:
+        facts: Any = about[0]
+        question = (ask.__name__, *(id(each) if isinstance(each, ActorLife) else each for each in about[1:]))
+        if question not in facts.answers:
+            try:
+                facts.answers[question] = ask(*about, **more)
+            except RecapError as error:
+                facts.answers[question] = error
+        if isinstance(found := facts.answers[question], RecapError):
+            raise found
+        return found  # type: ignore[no-any-return]
+
+    return answer
 
 
 class Facts:
@@ -144,47 +166,46 @@ class Facts:
         recording: The recording.
         needs: What all conditions that will be judged need to know.
         road_map: The map, or the folder of maps; None: the usual folders.
+
+    Attributes:
+        answers: The answers that are known, and the errors, by question.
     """
 
     def __init__(self, recording: Recording, needs: Iterable[Needs], road_map: str | None = None) -> None:
         self.recording = recording
         self._road_map = road_map
         self._needs = list(needs)
-        self._answers: dict[Hashable, Any] = {}
+        self.answers: dict[tuple[Hashable, ...], Any] = {}
 
     @property
+    @_once
     def actors(self) -> ActorLives:
         """All actors."""
-        return self._once("actors", lambda: ActorLives(actors(self.recording.reader)))
+        return ActorLives(actors(self.recording.reader))
 
     @property
+    @_once
     def never_there(self) -> set[int]:
         """The ids of the vehicles and walkers that are at no time near the roads."""
-        return self._once("never there", lambda: never_there(self.recording.reader, list(self.actors)))
+        return never_there(self.recording.reader, list(self.actors))
 
     @property
+    @_once
     def incidents(self) -> Sequence[Incident]:
         """The incidents of all kinds that conditions are about, in order of time."""
-
-        def ask() -> Sequence[Incident]:
-            wanted = frozenset(kind for each in self._needs for kind in each.incidents)
-            of_road = {kind for kind in wanted if KINDS[kind].needs_roads}
-            roads = self._roads if of_road else None
-            kinds = wanted if roads is not None else wanted - of_road
-            return incidents(self.recording.reader, IncidentOptions(kinds=kinds, roads=roads)) if kinds else []
-
-        return self._once("incidents", ask)
+        wanted = frozenset(kind for each in self._needs for kind in each.incidents)
+        of_road = {kind for kind in wanted if KINDS[kind].needs_roads}
+        roads = self._roads if of_road else None
+        kinds = wanted if roads is not None else wanted - of_road
+        return incidents(self.recording.reader, IncidentOptions(kinds=kinds, roads=roads)) if kinds else []
 
     @property
+    @_once
     def stops(self) -> Sequence[BlockedRow]:
         """The stops that any condition forbids, the longest first; none of actors that are not there."""
-
-        def ask() -> Sequence[BlockedRow]:
-            shortest = min(each.stop_time for each in self._needs if each.stop_time is not None)
-            found, heights = blocked(self.recording.reader, shortest), RoadHeights(list(self.actors))
-            return [row for row in found if not heights.is_away(row.id, (row.x, row.y, row.z))]
-
-        return self._once("stops", ask)
+        shortest = min(each.stop_time for each in self._needs if each.stop_time is not None)
+        found, heights = blocked(self.recording.reader, shortest), RoadHeights(list(self.actors))
+        return [row for row in found if not heights.is_away(row.id, (row.x, row.y, row.z))]
 
     @property
     def measures(self) -> Sequence[MeasureRow]:
@@ -196,29 +217,27 @@ class Facts:
         return self._measured[1].get((measure, life.id), MeasureValues.joined([])).during(life.spawned_at, life.end)
 
     @property
+    @_once
     def _measured(self) -> tuple[Sequence[MeasureRow], Mapping[tuple[str, int], MeasureValues]]:
         """The extreme values, and the values over time by measure and actor, that conditions are about."""
-
-        def ask() -> tuple[Sequence[MeasureRow], Mapping[tuple[str, int], MeasureValues]]:
-            movers = [actor for actor in self.actors if actor.kind in ROAD_USERS]
-            over_time: dict[str, set[int]] = {}
-            for measure, of in (pair for each in self._needs for pair in each.values):
-                over_time.setdefault(measure, set()).update(life.id for life in movers if of.matches(life))
-            wanted = [pair for each in self._needs for pair in (*each.extremes, *each.values)]
-            ids = {actor.id for actor in movers if any(of.matches(actor) for _, of in wanted)}
-            if not ids:
-                return [], {}
-            roads = self._roads if any(MEASURES[measure].needs_roads for measure, _ in wanted) else None
-            search = MeasureSearch(self.recording.reader, ids, roads=roads, over_time=over_time)
-            search.read()
-            return search.finish(), search.values
-
-        return self._once("measured", ask)
+        movers = [actor for actor in self.actors if actor.kind in ROAD_USERS]
+        over_time: dict[str, set[int]] = {}
+        for measure, of in (pair for each in self._needs for pair in each.values):
+            over_time.setdefault(measure, set()).update(life.id for life in movers if of.matches(life))
+        wanted = [pair for each in self._needs for pair in (*each.extremes, *each.values)]
+        ids = {actor.id for actor in movers if any(of.matches(actor) for _, of in wanted)}
+        if not ids:
+            return [], {}
+        roads = self._roads if any(MEASURES[measure].needs_roads for measure, _ in wanted) else None
+        search = MeasureSearch(self.recording.reader, ids, roads=roads, over_time=over_time)
+        search.read()
+        return search.finish(), search.values
 
     @property
+    @_once
     def _roads(self) -> RoadNetwork | None:
         """The roads of the map; None if the map is not found."""
-        return self._once("roads", lambda: roads_of(self.recording.reader, self._road_map))
+        return roads_of(self.recording.reader, self._road_map)
 
     def subjects(self, of: Selector) -> list[ActorLife]:
         """Return the actors that are chosen and have positions; any: vehicles and walkers; none that are never there."""
@@ -227,13 +246,10 @@ class Facts:
             chosen = [life for life in chosen if life.id not in self.never_there]
         return [life for life in chosen if len(self.positions(life).time)]
 
-    def positions(self, life: ActorLife) -> Positions:
-        """Return the positions of an actor."""
-        return self._once(("positions", id(life)), lambda: self._positions(life))
-
+    @_once
     def outside(self, place: Place, life: ActorLife) -> Floats:
         """Return how far the positions of an actor are outside a place, in m, (n,)."""
-        return self._once(("outside", place, id(life)), lambda: place.outside(self.positions(life).points, self.roads_with))
+        return place.outside(self.positions(life).points, self.roads_with)
 
     def first(self, occasion: Occasion, life: ActorLife) -> float:
         """Return the first time at which an actor is in a place, or takes part in an incident of a kind; inf if never."""
@@ -251,21 +267,20 @@ class Facts:
         before = np.searchsorted(known, time + SAME_TIME, "right") - 1
         return np.asarray(within[np.maximum(before, 0)] & (before >= 0) & (time <= known[-1] + SAME_TIME))
 
+    @_once
     def roads_with(self, lane_types: frozenset[str] | None) -> RoadNetwork:
         """Return the roads of the map with some types of lanes; None: all that are paved.
 
         Raises:
             RecapError: The map is not found, or is damaged.
         """
+        found = roads_of(self.recording.reader, self._road_map, needed=True, lane_types=lane_types)
+        assert found is not None
+        return found
 
-        def ask() -> RoadNetwork:
-            found = roads_of(self.recording.reader, self._road_map, needed=True, lane_types=lane_types)
-            assert found is not None
-            return found
-
-        return self._once(("roads with", lane_types), ask)
-
-    def _positions(self, life: ActorLife) -> Positions:
+    @_once
+    def positions(self, life: ActorLife) -> Positions:
+        """Return the positions of an actor."""
         trajectory = self._trajectories.get(life.id, Trajectory.empty(life.id)).during(life.spawned_at, life.end)
         if len(trajectory):
             latest = np.maximum.accumulate(trajectory.time)
@@ -293,15 +308,12 @@ class Facts:
             warnings.warn(f"{self.recording.location}: {text}", RecapWarning, stacklevel=2)
 
     @property
+    @_once
     def _trajectories(self) -> Trajectories:
         """The trajectories of all actors whose positions conditions are about."""
-
-        def ask() -> Trajectories:
-            wanted = [of for each in self._needs for of in each.positions]
-            ids = {life.id for life in self.actors if any(of.matches_user(life) for of in wanted)}
-            return trajectories(self.recording.reader, ids)
-
-        return self._once("trajectories", ask)
+        wanted = [of for each in self._needs for of in each.positions]
+        ids = {life.id for life in self.actors if any(of.matches_user(life) for of in wanted)}
+        return trajectories(self.recording.reader, ids)
 
     def check_roads(self) -> None:
         """Check that the map is found.
@@ -317,15 +329,3 @@ class Facts:
         if selector.text in (ANY, OBJECT) or any(selector.matches(actor) for actor in self.actors):
             return ""
         return f" ({selector} is not in the recording)" if selector.text == HERO else f" (it has no {selector.text})"
-
-    def _once(self, question: Hashable, ask: Callable[[], T]) -> T:
-        """Return the answer to a question, or raise its error again."""
-        if question not in self._answers:
-            try:
-                self._answers[question] = ask()
-            except RecapError as error:
-                self._answers[question] = error
-        answer: T | RecapError = self._answers[question]
-        if isinstance(answer, RecapError):
-            raise answer
-        return answer

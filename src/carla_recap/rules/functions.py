@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.errors import NotSetUp, RecapError
-from carla_recap.rules.facts import Finding, Needs, Offence
+from carla_recap.rules.facts import Condition, Finding, Offence
 from carla_recap.rules.reading import Unexpected, hint, shown
 from carla_recap.util.functions import keywords_of, module_of_file, modules_beside
 from carla_recap.util.text import single_line
@@ -28,15 +28,8 @@ EXPECTED: Final = "a Finding, or the Offences that break the rule"
 
 
 @dataclass(frozen=True)
-class FunctionCondition:
-    """What a function of a module demands; the module is imported in each process that judges.
-
-    Attributes:
-        module: The name of the module, or the path of its file, such as `mine.py`.
-        name: The name of the function.
-        folder: The absolute path of the folder of the rules, where the module is looked for first, and paths begin.
-        parameters: The values that the function gets by name, in addition to the recording.
-    """
+class FunctionCondition(Condition):
+    """What a function of a module demands; the module is imported in each process that judges."""
 
     module: str
     name: str
@@ -73,12 +66,7 @@ class FunctionCondition:
                     raise Unexpected(f"unknown key {shown(name)}; {hint(name, known, 'keys')}")
         inspect.signature(function).bind(None, **self.parameters)
 
-    def needs(self) -> Needs:
-        """See `Condition.needs`."""
-        return Needs()
-
-    def text(self) -> str:
-        """See `Condition.text`."""
+    def __str__(self) -> str:
         words = (inspect.getdoc(self.function()) or "").partition("\n")[0]
         return words.rstrip(".") or f"{self.module}:{self.name}"
 

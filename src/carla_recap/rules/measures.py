@@ -13,7 +13,7 @@ from carla_recap.model.lives import ROAD_USERS
 from carla_recap.model.motion import LONGEST_STEP, runs
 from carla_recap.queries.measures import MEASURES
 from carla_recap.queries.measures.series import NO_OTHER
-from carla_recap.rules.facts import Finding, Needs, Offence
+from carla_recap.rules.facts import Condition, Finding, Needs, Offence
 from carla_recap.rules.scope import WHOLE
 from carla_recap.rules.values import tolerated
 
@@ -29,17 +29,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class MeasureBounds:
-    """Bounds of the values of a measure.
-
-    Attributes:
-        measure: The measure, such as `time_to_collision`.
-        of: The actors; any: vehicles and walkers.
-        bounds: The valid values, in the measure's unit.
-        scope: When and where values count.
-        tolerate: The longest time without a break in which values may be outside the bounds; None: 0 s.
-        lasting: The time for which they have to be within the bounds once, without a break; None: all the time.
-    """
+class MeasureBounds(Condition):
+    """Bounds of the values of a measure."""
 
     measure: str
     of: Selector
@@ -56,8 +47,7 @@ class MeasureBounds:
         places = self.scope.places
         return Needs(values=wanted, incidents=self.scope.kinds, positions=(self.of,) if places else (), places=places)
 
-    def text(self) -> str:
-        """See `Condition.text`."""
+    def __str__(self) -> str:
         lasting = "" if self.lasting is None else f" for {self.lasting}"
         return f"{self._name}: {self.bounds}{lasting}{tolerated(self.tolerate)}"
 

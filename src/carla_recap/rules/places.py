@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, Final, TypeAlias
 
 import numpy as np
 
@@ -31,13 +31,17 @@ LANE_TYPES: Final = (*LANE_KINDS, *UNPAVED)
 ANY_JUNCTION: Final = "any"
 
 
-class Place(Protocol):
-    """An area of the ground."""
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """An area of the ground.
 
-    @property
-    def needs_roads(self) -> bool:
-        """Whether it is an area of the roads of the map."""
-        ...
+    Attributes:
+        name: Its name in the file of rules; empty without one.
+        needs_roads: Whether it is an area of the roads of the map.
+    """
+
+    name: str = ""
+    needs_roads: ClassVar[bool] = False
 
     def outside(self, points: Floats, roads: Roads) -> Floats:
         """Return how far points are outside, in m; 0 within the place.
@@ -49,40 +53,18 @@ class Place(Protocol):
         Raises:
             RecapError: The map is needed and unknown, or has no such road.
         """
-        ...
+        raise NotImplementedError
 
     def __str__(self) -> str:
-        """Return the place in words."""
-        ...
+        return f"the place {self.name}" if self.name else self._words()
+
+    def _words(self) -> str:
+        """Return the place without a name in words."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class NamedPlace:
-    """A place that has a name in the file of rules.
-
-    Attributes:
-        name: The name.
-        place: The place.
-    """
-
-    name: str
-    place: Place
-
-    @property
-    def needs_roads(self) -> bool:
-        """See `Place.needs_roads`."""
-        return self.place.needs_roads
-
-    def outside(self, points: Floats, roads: Roads) -> Floats:
-        """See `Place.outside`."""
-        return self.place.outside(points, roads)
-
-    def __str__(self) -> str:
-        return f"the place {self.name}"
-
-
-@dataclass(frozen=True)
-class Circle:
+class Circle(Place):
     """What is within a distance of a point.
 
     Attributes:
@@ -98,8 +80,6 @@ class Circle:
     within: Quantity
     written: str
 
-    needs_roads = False
-
     def outside(self, points: Floats, roads: Roads) -> Floats:
         """See `Place.outside`."""
         apart = points - (self.x, self.y, 0.0 if self.z is None else self.z)
@@ -107,12 +87,12 @@ class Circle:
             apart = apart[:, :2]
         return np.asarray(np.maximum(np.linalg.norm(apart, axis=1) - self.within.value, 0.0))
 
-    def __str__(self) -> str:
+    def _words(self) -> str:
         return f"the place within {self.within} of {self.written}"
 
 
 @dataclass(frozen=True)
-class Polygon:
+class Polygon(Place):
     """What is within a polygon, whatever the height.
 
     Attributes:
@@ -120,8 +100,6 @@ class Polygon:
     """
 
     corners: tuple[tuple[float, float], ...]
-
-    needs_roads = False
 
     def outside(self, points: Floats, roads: Roads) -> Floats:
         """See `Place.outside`."""
@@ -159,12 +137,12 @@ class Polygon:
         found = np.argwhere(parted & parted.T)
         return (int(found[0, 0]) + 1, int(found[0, 1]) + 1) if len(found) else None
 
-    def __str__(self) -> str:
+    def _words(self) -> str:
         return f"the polygon of {len(self.corners)} corners"
 
 
 @dataclass(frozen=True)
-class Lanes:
+class Lanes(Place):
     """What is on some lanes of the map.
 
     Attributes:
@@ -177,7 +155,7 @@ class Lanes:
     roads: tuple[str, ...] = ()
     junctions: tuple[str, ...] = ()
 
-    needs_roads = True
+    needs_roads: ClassVar[bool] = True
 
     def outside(self, points: Floats, roads: Roads) -> Floats:
         """See `Place.outside`."""
@@ -194,7 +172,7 @@ class Lanes:
             lanes &= np.isin(junction, _indices("junction", self.junctions, network.junction_ids, network.name))
         return network.only(lanes).lanes_at(points).outside
 
-    def __str__(self) -> str:
+    def _words(self) -> str:
         lanes = f"the {listed(self.types).replace(' or ', ' and ')} lanes" if self.types else ""
         roads = f"road {listed(self.roads)}" if self.roads else ""
         junctions = f"junction {listed(self.junctions)}" if self.junctions else ""

@@ -11,7 +11,7 @@ import numpy as np
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import HERO
 from carla_recap.model.motion import LONGEST_STEP, runs
-from carla_recap.rules.facts import Finding, Needs, Offence
+from carla_recap.rules.facts import Condition, Finding, Needs, Offence
 from carla_recap.rules.scope import WHOLE
 from carla_recap.rules.values import ANY, ROLE, tolerated
 
@@ -26,14 +26,8 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class PlaceDemand:
-    """A demand that actors do something at a place; the base of `Reaches` and `Leaves`.
-
-    Attributes:
-        of: The actors, each of which has to.
-        place: The place.
-        before: The latest time, in elapsed seconds; None: any.
-    """
+class PlaceDemand(Condition):
+    """A demand that actors do something at a place; the base of `Reaches` and `Leaves`."""
 
     of: Selector
     place: Place
@@ -46,8 +40,7 @@ class PlaceDemand:
         """See `Condition.needs`."""
         return Needs(positions=(self.of,), places=(self.place,))
 
-    def text(self) -> str:
-        """See `Condition.text`."""
+    def __str__(self) -> str:
         return f"{_subject(self.of, *self.verbs)} {self._what}"
 
     def judge(self, facts: Facts) -> Finding:
@@ -112,16 +105,8 @@ class Leaves(PlaceDemand):
 
 
 @dataclass(frozen=True, slots=True)
-class Stays:
-    """A demand that actors stay in a place, or out of it.
-
-    Attributes:
-        of: The actors.
-        place: The place.
-        is_inside: Whether they have to stay in it, not out of it.
-        tolerate: The longest time without a break in which they may be elsewhere; None: 0 s.
-        scope: When and where the demand is judged.
-    """
+class Stays(Condition):
+    """A demand that actors stay in a place, or out of it."""
 
     of: Selector
     place: Place
@@ -134,8 +119,7 @@ class Stays:
         places = (self.place, *self.scope.places)
         return Needs(positions=(self.of,), places=places, incidents=self.scope.kinds)
 
-    def text(self) -> str:
-        """See `Condition.text`."""
+    def __str__(self) -> str:
         return f"{_subject(self.of, 'stay', 'stays')} {self._within} {self.place}{self.scope}{tolerated(self.tolerate)}"
 
     def judge(self, facts: Facts) -> Finding:
@@ -162,14 +146,8 @@ class Stays:
 
 
 @dataclass(frozen=True, slots=True)
-class Passes:
-    """A demand that actors come to places in their order.
-
-    Attributes:
-        of: The actors, each of which has to.
-        places: The places.
-        before: The latest time at the last place, in elapsed seconds; None: any.
-    """
+class Passes(Condition):
+    """A demand that actors come to places in their order."""
 
     of: Selector
     places: tuple[Place, ...]
@@ -179,8 +157,7 @@ class Passes:
         """See `Condition.needs`."""
         return Needs(positions=(self.of,), places=self.places)
 
-    def text(self) -> str:
-        """See `Condition.text`."""
+    def __str__(self) -> str:
         return f"{_subject(self.of, 'pass', 'passes')} {self._order}"
 
     def judge(self, facts: Facts) -> Finding:
@@ -212,14 +189,8 @@ class Passes:
 
 
 @dataclass(frozen=True, slots=True)
-class DistanceDriven:
-    """Bounds of the distance that actors drive.
-
-    Attributes:
-        of: The actors.
-        bounds: The valid distances of each, in m.
-        scope: When and where the distance counts.
-    """
+class DistanceDriven(Condition):
+    """Bounds of the distance that actors drive."""
 
     of: Selector
     bounds: Bounds
@@ -229,8 +200,7 @@ class DistanceDriven:
         """See `Condition.needs`."""
         return Needs(positions=(self.of,), places=self.scope.places, incidents=self.scope.kinds)
 
-    def text(self) -> str:
-        """See `Condition.text`."""
+    def __str__(self) -> str:
         return f"distance{self.of.behind}{self.scope}: {self.bounds}"
 
     def judge(self, facts: Facts) -> Finding:

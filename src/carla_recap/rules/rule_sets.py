@@ -22,7 +22,6 @@ from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures import SHORT_NAMES
 from carla_recap.rules.facts import Facts, Offence
 from carla_recap.rules.keys import PLACE
-from carla_recap.rules.places import NamedPlace
 from carla_recap.rules.reading import Reading, hint, shown
 from carla_recap.rules.table import CONDITIONS
 from carla_recap.tables.trajectories import Axes
@@ -252,7 +251,7 @@ def _with_places(reading: Reading, axes: Any, places: Any) -> Reading:
             of_it.refuse(table, "a table, as [places.NAME],")
         else:
             place = of_it.value(PLACE, table)
-            found[name] = None if place is None else NamedPlace(name, place)
+            found[name] = None if place is None else replace(place, name=name)
     return replace(reading, places=found)
 
 
@@ -292,4 +291,4 @@ def _rule(name: str, table: Any, reading: Reading) -> Rule | None:
     if len(faults) > count or found[0] is None:
         return None
     (kind,) = kinds.values()
-    return Rule(name, found[0], single_line(description or found[0].text()), kind.name)
+    return Rule(name, found[0], single_line(description or str(found[0])), kind.name)
