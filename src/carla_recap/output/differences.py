@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.model.lives import HERO
@@ -20,43 +20,19 @@ if TYPE_CHECKING:
     from carla_recap.queries.differences import ActorDifference, ComparedRecording, Differences, LightDifference
 
 
-@dataclass(frozen=True)
-class _Listing:
-    """Rows of one kind.
-
-    Attributes:
-        title: What they are.
-        columns: The columns.
-        rows: The rows.
-    """
-
-    title: str
-    columns: Sequence[TableColumn]
-    rows: Sequence[Any]
-
-    def cells(self) -> list[list[str]]:
-        """Return the cells of the columns that are not empty, with their headings in the first row."""
-        columns = [[column.heading, *(visible(column.cell(row)) for row in self.rows)] for column in self.columns]
-        return [list(row) for row in zip(*(column for column in columns if any(column[1:])), strict=True)]
-
-    def numbers(self) -> list[bool]:
-        """Return which of these columns are numbers."""
-        return [column.is_number for column in self.columns if any(column.cell(row) for row in self.rows)]
-
-
 def text(found: Differences) -> Iterator[str]:
     """Yield differences as text, in pieces: a summary, the recordings, and what differs."""
     yield from (f"{visible(line)}\n" for line in _summary(found))
-    for listing in _listings(found):
-        cells, numbers = listing.cells(), listing.numbers()
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        yield f"\n{listing.title}\n"
-        for row in cells:
-            aligned = (
-                cell.rjust(width) if is_number else cell.ljust(width)
-                for cell, width, is_number in zip(row, widths, numbers, strict=True)
-            )
-            yield f"  {'  '.join(aligned)}".rstrip() + "\n"
+    for title, columns, listed in _listings(found):
+        yield f"\n{title}\n"
+        every = [(column, [visible(column.cell(row)) for row in listed]) for column in columns]
+        aligned = []
+        for column, cells in every:
+            if any(cells):
+                width = max(map(len, (column.heading, *cells)))
+                align = str.rjust if column.is_number else str.ljust
+                aligned.append([align(cell, width) for cell in (column.heading, *cells)])
+        yield from (f"  {'  '.join(row)}".rstrip() + "\n" for row in zip(*aligned, strict=True))
 
 
 def table(found: Differences, console: Console | None = None) -> None:
@@ -73,11 +49,10 @@ def table(found: Differences, console: Console | None = None) -> None:
     for number, line in enumerate(_summary(found)):
         style = ("bold green" if found.equal else "bold red") if not number else ""
         console.print(Text(visible(line), style))
-    for listing in _listings(found):
-        rows = [[column.cell(row) for column in listing.columns] for row in listing.rows]
+    for title, columns, listed in _listings(found):
         console.print()
-        console.print(Text(listing.title, "bold"))
-        print_table(console, listing.columns, rows)
+        console.print(Text(title, "bold"))
+        print_table(console, columns, [[column.cell(row) for column in columns] for row in listed])
 
 
 def json(found: Differences) -> Iterator[str]:
@@ -120,16 +95,16 @@ def _recording(letter: str, recording: ComparedRecording) -> str:
     return f"{letter}: {recording.location}: {name}, {recording.frames} frames in {recording.duration:.2f} s{every}"
 
 
-def _listings(found: Differences) -> Iterator[_Listing]:
-    """Yield the lists of what differs; none are empty."""
-    listings = (
-        _Listing("Actors that differ, in m, s and degrees", _ACTORS, [row for row in found.actors if row.differs]),
-        _Listing("Actors only in A", _UNMATCHED, most_important_first(found.missing)),
-        _Listing("Actors only in B", _UNMATCHED, most_important_first(found.extra)),
-        _Listing("Traffic lights that differ, in m and s", _LIGHTS, [row for row in found.lights if row.differs]),
-        _Listing("Events that differ, in s", _EVENTS, found.events),
+def _listings(found: Differences) -> Iterator[tuple[str, Sequence[TableColumn], Sequence[Any]]]:
+    """Yield the lists of what differs, none of them empty: a title, the columns, and the rows."""
+    listings: tuple[tuple[str, Sequence[TableColumn], Sequence[Any]], ...] = (
+        ("Actors that differ, in m, s and degrees", _ACTORS, [row for row in found.actors if row.differs]),
+        ("Actors only in A", _UNMATCHED, most_important_first(found.missing)),
+        ("Actors only in B", _UNMATCHED, most_important_first(found.extra)),
+        ("Traffic lights that differ, in m and s", _LIGHTS, [row for row in found.lights if row.differs]),
+        ("Events that differ, in s", _EVENTS, found.events),
     )
-    return (listing for listing in listings if listing.rows)
+    return (listing for listing in listings if listing[2])
 
 
 def _seconds(value: float | None) -> str:

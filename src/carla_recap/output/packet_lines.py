@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from functools import cache
-from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -38,50 +37,31 @@ class _Template:
         self._reals = [kinds[field] in (REAL, "f4", "f8") for field in self._fields]
         self._line = _FIELD.sub(lambda match: "%.6g" if self._reals[self._fields.index(match[1])] else "%s", line)
         self._line_of_texts = _FIELD.sub("%s", line)
-        self._of_object = attrgetter(*(field for field in self._fields if field != "index"))
-        self._names: tuple[str, ...] | None = None  # of the fields of the last array
-        self._of_row: itemgetter[Any] = itemgetter(0)
 
     def text(self, records: Records) -> str:
         """Return the text of some records."""
         if not len(records):
             return ""
         text = "".join(map(self._line.__mod__, self._rows(records)))
-        return self._text_with_signs(records) if "nan" in text else text
-
-    def _rows(self, records: Records) -> Iterable[Any]:
-        """Return the values of each record, in the order of the line."""
-        if isinstance(records, np.ndarray) and len(records) >= _FEW:
-            return zip(*(self._column(field, records) for field in self._fields), strict=True)
-        rows = self._few_rows(records) if isinstance(records, np.ndarray) else map(self._of_object, records)
-        return map(self._in_words, rows) if self._words else rows
-
-    def _few_rows(self, records: NDArray[np.void]) -> Iterable[Any]:
-        names = records.dtype.names or ()
-        if names != self._names:
-            self._names, all_names = names, ("index", *names)
-            self._of_row = itemgetter(*map(all_names.index, self._fields))
-        rows = [(index, *row) for index, row in enumerate(records.tolist())]
-        if len(self._fields) == 1:  # of which `itemgetter` makes no tuple
-            return [(self._of_row(row),) for row in rows]
-        return map(self._of_row, rows)
-
-    def _column(self, field: str, records: NDArray[np.void]) -> Iterable[Any]:
-        values: Iterable[Any] = range(len(records)) if field == "index" else records[field].tolist()
-        return map(self._words[field], values) if field in self._words else values
-
-    def _in_words(self, row: Iterable[Any]) -> tuple[Any, ...]:
-        words = self._words
-        return tuple(words[field](v) if field in words else v for field, v in zip(self._fields, row, strict=True))
-
-    def _text_with_signs(self, records: Records) -> str:
-        """Return the text of records with a NaN among them, whose sign Python's formatting omits."""
+        if "nan" not in text:
+            return text
         rows = ([number(v) if real else v for v, real in zip(row, self._reals, strict=True)] for row in self._rows(records))
-        return "".join(self._line_of_texts % tuple(row) for row in rows)
+        return "".join(self._line_of_texts % tuple(row) for row in rows)  # with the signs of NaNs, which Python omits
+
+    def _rows(self, records: Records) -> Iterable[tuple[Any, ...]]:
+        """Return the values of each record, in the order of the line."""
+        return zip(*(self._column(field, records) for field in self._fields), strict=True)
+
+    def _column(self, field: str, records: Records) -> Iterable[Any]:
+        values: Iterable[Any] = range(len(records))
+        if field != "index" and isinstance(records, np.ndarray):
+            values = records[field].tolist()
+        elif field != "index":
+            values = [getattr(each, field) for each in records]
+        return map(self._words[field], values) if field in self._words else values
 
 
 _FIELD: Final = re.compile(r"\{(\w+)\}")
-_FEW: Final = 16  # records, up to which they are faster converted one by one than field by field
 
 
 class PacketLines:

@@ -16,14 +16,16 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
     from carla_recap.model.frame import Frame, Header
-    from carla_recap.queries.blocked import Blocked
-    from carla_recap.queries.collisions import Collisions
-    from carla_recap.queries.incidents import Incidents
+    from carla_recap.model.lives import ActorLife
+    from carla_recap.queries.blocked import Blocked, BlockedRow
+    from carla_recap.queries.collisions import CollisionRow, Collisions
+    from carla_recap.queries.incidents import Incident, Incidents
     from carla_recap.queries.info import Info
     from carla_recap.queries.measures import Measures
+    from carla_recap.queries.measures.definitions import MeasureRow
     from carla_recap.queries.measures.series import MeasuresOverTime
     from carla_recap.queries.recorded_actors import RecordedActors
-    from carla_recap.queries.summary import Summaries
+    from carla_recap.queries.summary import RecordingSummary, Summaries
 
     AnyAnswer = RecordedActors | Info | Collisions | Blocked | Incidents | Measures | MeasuresOverTime | Summaries
 
@@ -37,11 +39,11 @@ def text(answer: AnyAnswer) -> Iterator[str]:
     """Yield CARLA's text of an answer, in pieces; a similar list of what CARLA has no text for."""
     kind = type(answer).__name__
     yield _preamble(answer.header)
-    if kind in _WITHOUT_HEADING:
-        yield from _WITHOUT_HEADING[kind](answer)
+    if kind in _ALONE:
+        yield from _ALONE[kind](answer)
     else:
         yield heading(kind)
-        yield from _BODIES[kind](answer)
+        yield from lines(answer)
     # In CARLA, the row of a collision sets the number format of the stream to no decimals.
     rounded = answer.compat and kind == "Collisions" and any(answer)
     duration = (_whole if rounded else number)(answer.extent.duration)
@@ -51,16 +53,17 @@ def text(answer: AnyAnswer) -> Iterator[str]:
 def lines(answer: AnyAnswer) -> Iterator[str]:
     """Yield the lines of an answer that are for one of many recordings: those of its rows; for info, all of its text."""
     kind = type(answer).__name__
-    yield from _BODIES[kind](answer) if heading(kind) else text(answer)
+    if kind not in _LISTS:
+        yield from text(answer)
+        return
+    _, line = _LISTS[kind]
+    for row in answer:
+        yield f"{line(row)}\n"
 
 
 def heading(kind: str) -> str:
-    """Return the line above the rows of a kind of answers; empty for info.
-
-    Args:
-        kind: The name of the answer's class.
-    """
-    return _HEADINGS.get(kind, "")
+    """Return the line above the rows of a kind of answers, by the name of its class; empty for info."""
+    return f"{_LISTS[kind][0]}\n" if kind in _LISTS else ""
 
 
 def _preamble(header: Header) -> str:
@@ -85,49 +88,45 @@ def _padded(name: str) -> str:
     return name + " " * (_NAME_WIDTH - len(name.encode()))
 
 
-def _collisions(answer: Collisions) -> Iterator[str]:
-    for row in answer:
-        yield (
-            f"{_whole(row.elapsed):>8}   {row.letter1} {row.letter2} "
-            f" {row.id1:>6} {_padded(row.type_id1)} {row.id2:>6} {_padded(row.type_id2)}\n"
-        )
+def _collision(row: CollisionRow) -> str:
+    types = f"  {row.letter1} {row.letter2} "
+    return f"{_whole(row.elapsed):>8} {types} {row.id1:>6} {_padded(row.type_id1)} {row.id2:>6} {_padded(row.type_id2)}"
 
 
-def _incidents(answer: Incidents) -> Iterator[str]:
-    for row in answer:
-        yield f"{row.start:>8.1f} {row.stop - row.start:>10.1f} {row.kind:<12} {row.text}\n"
+def _blocked(row: BlockedRow) -> str:
+    return f"{_whole(row.start):>8} {row.id:>6} {_padded(row.type_id)} {_whole(row.duration):>10}"
 
 
-def _measures(answer: Measures) -> Iterator[str]:
-    for row in answer:
-        other = "" if row.other is None else row.other
-        yield (
-            f"{row.time:>8.1f} {row.actor:>6} {_padded(row.type_id)} {row.measure:<22} {row.value:>10.3f} {row.unit:<5}"
-            f" {other:>6} {row.other_type_id}".rstrip()
-            + "\n"
-        )
+def _incident(row: Incident) -> str:
+    return f"{row.start:>8.1f} {row.stop - row.start:>10.1f} {row.kind:<12} {row.text}"
 
 
-def _over_time(answer: MeasuresOverTime) -> Iterator[str]:
-    for row in answer:
-        values = (row.speed, row.acceleration, row.gap, row.time_to_collision, row.distance_headway, row.time_headway)
-        others = ("" if id is None else id for id in (row.nearest, row.threat, row.leader))
-        numbers = " ".join(f"{value:>8.2f}" if math.isfinite(value) else " " * 8 for value in values)
-        line = f"{row.time:>8.2f} {row.actor:>6} {numbers} {' '.join(f'{id:>7}' for id in others)}"
-        yield f"{line.rstrip()}\n"
+def _measure(row: MeasureRow) -> str:
+    other = "" if row.other is None else row.other
+    value = f"{row.measure:<22} {row.value:>10.3f} {row.unit:<5}"
+    return f"{row.time:>8.1f} {row.actor:>6} {_padded(row.type_id)} {value} {other:>6} {row.other_type_id}".rstrip()
 
 
-def _blocked(answer: Blocked) -> Iterator[str]:
-    for row in answer:
-        yield f"{_whole(row.start):>8} {row.id:>6} {_padded(row.type_id)} {_whole(row.duration):>10}\n"
+def _moment(row: Any) -> str:
+    values = (row.speed, row.acceleration, row.gap, row.time_to_collision, row.distance_headway, row.time_headway)
+    others = ("" if id is None else id for id in (row.nearest, row.threat, row.leader))
+    numbers = " ".join(f"{value:>8.2f}" if math.isfinite(value) else " " * 8 for value in values)
+    return f"{row.time:>8.2f} {row.actor:>6} {numbers} {' '.join(f'{id:>7}' for id in others)}".rstrip()
 
 
-def _actors(answer: RecordedActors) -> Iterator[str]:
-    for row in answer:
-        until = "" if row.destroyed_at is None else number(row.destroyed_at)
-        parent = "" if row.parent is None else row.parent
-        name, role = _padded(row.type_id), f"{row.role_name:<20}"
-        yield f"{row.id:>8} {row.kind:<13} {name} {role} {number(row.spawned_at):>8} {until:>8} {parent:>8}\n"
+def _actor(row: ActorLife) -> str:
+    until = "" if row.destroyed_at is None else number(row.destroyed_at)
+    parent = "" if row.parent is None else row.parent
+    name = f"{_padded(row.type_id)} {row.role_name:<20}"
+    return f"{row.id:>8} {row.kind:<13} {name} {number(row.spawned_at):>8} {until:>8} {parent:>8}"
+
+
+def _summary(row: RecordingSummary) -> str:
+    vehicles, walkers = row.actors.get("vehicle", 0), row.actors.get("walker", 0)
+    others = sum(row.actors.values()) - vehicles - walkers
+    way = f"{row.hero.distance:>8.0f} {row.hero.top_speed * KMH:>5.0f}" if row.hero else f"{'':>14}"
+    numbers = f"{number(row.duration):>8} {row.frames:>8} {vehicles:>8} {walkers:>7} {others:>6}"
+    return f"{numbers} {way} {readable(row.map):<12} {incident_counts(row.incidents)}"
 
 
 def _overview(answer: Summaries) -> Iterator[str]:
@@ -142,17 +141,6 @@ def _overview(answer: Summaries) -> Iterator[str]:
         if row.sensors:
             named = [f"{visible(id)} ({visible(type)})" for id, type in row.sensors.items()]
             yield f"Sensor data: {first_of(named, _SENSORS)}\n"
-
-
-def _summaries(answer: Summaries) -> Iterator[str]:
-    for row in answer:
-        vehicles, walkers = row.actors.get("vehicle", 0), row.actors.get("walker", 0)
-        others = sum(row.actors.values()) - vehicles - walkers
-        way = f"{row.hero.distance:>8.0f} {row.hero.top_speed * KMH:>5.0f}" if row.hero else f"{'':>14}"
-        yield (
-            f"{number(row.duration):>8} {row.frames:>8} {vehicles:>8} {walkers:>7} {others:>6} {way}"
-            f" {readable(row.map):<12} {incident_counts(row.incidents)}\n"
-        )
 
 
 def _counted(actors: Mapping[str, int], others: Mapping[str, int]) -> str:
@@ -195,33 +183,32 @@ def _info(answer: Info) -> Iterator[str]:
         yield _repeated_end(answer, frame)
 
 
-_BODIES: Final[Mapping[str, Callable[[Any], Iterator[str]]]] = {
-    "Info": _info,
-    "Collisions": _collisions,
-    "Blocked": _blocked,
-    "RecordedActors": _actors,
-    "Incidents": _incidents,
-    "Measures": _measures,
-    "MeasuresOverTime": _over_time,
-    "Summaries": _summaries,
+_ALONE: Final[Mapping[str, Callable[[Any], Iterator[str]]]] = {"Info": _info, "Summaries": _overview}
+"""The texts of answers about one recording that are no lists."""
+_LISTS: Final[Mapping[str, tuple[str, Callable[[Any], str]]]] = {
+    "Collisions": (f"{'Time':>8} {'Types':>6} {'Id':>6} {'Actor 1':<35} {'Id':>6} {'Actor 2':<35}", _collision),
+    "Blocked": (f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Duration':>10}", _blocked),
+    "Incidents": (f"{'Time':>8} {'Duration':>10} {'Incident':<12} What happens", _incident),
+    "Measures": (
+        f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Measure':<22} {'Value':>10} {'Unit':<5} {'Id':>6} Other",
+        _measure,
+    ),
+    "MeasuresOverTime": (
+        f"{'Time':>8} {'Id':>6} {'m/s':>8} {'m/s²':>8} {'Gap (m)':>8} {'TTC (s)':>8} {'Ahead m':>8} {'Ahead s':>8}"
+        f" {'Nearest':>7} {'Threat':>7} {'Leader':>7}",
+        _moment,
+    ),
+    "RecordedActors": (
+        f"{'Id':>8} {'Kind':<13} {'Actor':<35} {'Role':<20} {'From':>8} {'To':>8} {'Parent':>8}",
+        _actor,
+    ),
+    "Summaries": (
+        f"{'Duration':>8} {'Frames':>8} {'Vehicles':>8} {'Walkers':>7} {'Others':>6} {'Hero (m)':>8} {'km/h':>5}"
+        f" {'Map':<12} Incidents",
+        _summary,
+    ),
 }
-"""By the name of the answer's class: the modules of other queries are not imported."""
-
-_WITHOUT_HEADING: Final[Mapping[str, Callable[[Any], Iterator[str]]]] = {"Summaries": _overview}
-"""Answers that are other lines if they are about one recording."""
-
-_HEADINGS: Final = {
-    "Collisions": f"{'Time':>8} {'Types':>6} {'Id':>6} {'Actor 1':<35} {'Id':>6} {'Actor 2':<35}\n",
-    "Incidents": f"{'Time':>8} {'Duration':>10} {'Incident':<12} What happens\n",
-    "Measures": f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Measure':<22} {'Value':>10} {'Unit':<5} {'Id':>6} Other\n",
-    "MeasuresOverTime": f"{'Time':>8} {'Id':>6} {'m/s':>8} {'m/s²':>8} {'Gap (m)':>8} {'TTC (s)':>8} {'Ahead m':>8}"
-    f" {'Ahead s':>8} {'Nearest':>7} {'Threat':>7} {'Leader':>7}\n",
-    "Summaries": f"{'Duration':>8} {'Frames':>8} {'Vehicles':>8} {'Walkers':>7} {'Others':>6} {'Hero (m)':>8} {'km/h':>5}"
-    f" {'Map':<12} Incidents\n",
-    "Blocked": f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Duration':>10}\n",
-    "RecordedActors": f"{'Id':>8} {'Kind':<13} {'Actor':<35} {'Role':<20} {'From':>8} {'To':>8} {'Parent':>8}\n",
-}
-"""The line above the rows, by the same."""
+"""The line above the rows, and the line of a row, by the name of the answer's class: no other queries are imported."""
 
 
 def _frame_line(id: int, elapsed: float) -> str:
