@@ -157,9 +157,9 @@ def test_an_export_imported_again_has_the_same_transforms(tmp_path, sample):
         ("time,id,x,y,z\n0,7,1,1,3.5e36\n", "line 2: z is 3.5e36, which is too large"),
         ("time,id,x,y\n0,,1,1\n", "line 2: the id is empty"),
         (f"time,id,x,y\n0,{'7' * 1_001},1,1\n", "line 2: id has 1001 characters"),
-        (f"time,id,x,y\n0,{'7' * 70_000},1,1\n", "line 2: a row of less than 65536 characters"),
-        (f"time,id,x,y{',' * 70_000}\n", "line 1: a row of less than 65536 characters"),
-        ("time,id,x,y\n" + '0,"7\n' + 40_000 * '","\n', "line 2: a row of less than 65536 characters"),
+        (f"time,id,x,y\n0,{'7' * 70_000},1,1\n", "line 2: a line of less than 65536 bytes"),
+        (f"time,id,x,y{',' * 70_000}\n", "line 1: a line of less than 65536 bytes"),
+        ("time,id,x,y\n" + '0,"7\n' + 40_000 * '","\n', "line 2: is no row of a CSV file"),
         (
             "time,id,x,y\n" + "".join(f"0,{id},1,1\n" for id in range(65_536)),
             "65536 objects at 0 s; a recording has at most",
@@ -191,7 +191,7 @@ def test_only_regular_files_are_read(tmp_path, kind):
 
 
 def test_rows_without_a_time_or_a_position_are_left_out(table):
-    with pytest.warns(RecapWarning, match="2 rows without a time or a position left out"):
+    with pytest.warns(RecapWarning, match="2 rows without a time or a position left out, the first in line 3"):
         recording = table("time,id,x,y\n0,7,1,2\n1,7,,2\n2,7,3,4\n,7,5,6\n")
     with recording:
         assert recording.trajectory(7).time.tolist() == [0, 2]
@@ -276,11 +276,11 @@ def test_wrong_options_are_errors(table, options, message):
         table("time,id,x,y\n0,7,1,2\n", **options)
 
 
-@pytest.mark.parametrize("rows", [0, 5_000, 200_000])
+@pytest.mark.parametrize("rows", [0, 5_000])
 def test_of_bytes_that_are_no_text_the_first_is_said(tmp_path, rows):
     source = tmp_path / "tracks.csv"
     source.write_bytes(b"time,id,x,y\n" + b"0,\xc3\xa4,1,1\n" * rows + b"0,\xff,1,1\n")
-    with pytest.raises(RecapError, match=f"byte {source.read_bytes().index(0xFF)}: no UTF-8"):
+    with pytest.raises(RecapError, match=f"line {rows + 2}: no UTF-8"):
         import_tracks(source, tmp_path / "out.log")
 
 

@@ -105,7 +105,11 @@ def _clip(given: dict[str, Any], source: str, destination: str, force: bool) -> 
 @click.option("--length-unit", type=click.Choice(["m", "cm", "ft"]), default="m", show_default=True)
 @click.option("--rate", type=float, metavar="HZ", help="The frames of a second, if times are numbers of frames.")
 @click.option(
-    "--corners", is_flag=True, help="x and y are a corner of a box, width and height its extents along them (highD)."
+    "--position",
+    type=click.Choice(["center", "corner", "front"]),
+    default="center",
+    show_default=True,
+    help="What x and y are of a box; with corner, width and height are its extents along x and y (highD).",
 )
 @click.option("--angle-unit", type=click.Choice(["deg", "rad"]), default="deg", show_default=True)
 @click.option(

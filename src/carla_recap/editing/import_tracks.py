@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import csv
 import math
 import stat
@@ -11,7 +10,7 @@ from array import array
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, TextIO, get_args
+from typing import IO, TYPE_CHECKING, Any, Final, Literal, get_args
 
 import numpy as np
 
@@ -40,11 +39,13 @@ TimeUnit = Literal["s", "ms", "us", "ns"]
 LengthUnit = Literal["m", "cm", "ft"]
 AngleUnit = Literal["deg", "rad"]
 TrackAxes = Literal["right-handed", "carla"]
+TrackPosition = Literal["center", "corner", "front"]
+"""What x and y are of a box: the middle, the corner where both are least, or the middle of the side that it faces."""
 
 ALIASES: Final[Mapping[str, tuple[str, ...]]] = {
     "time": ("time", "t", "timestamp", "elapsed", "total_nanos"),
     "id": ("id", "idx", "track_id", "trackid", "actor_id", "agent_id", "object_id", "vehicle_id"),
-    "kind": ("kind", "class", "type", "agent_type", "object_type"),
+    "kind": ("kind", "class", "type", "agent_type", "object_type", "v_class"),
     "type_id": ("type_id", "blueprint"),
     "role_name": ("role_name",),
     "x": ("x", "pos_x", "xcenter", "x_center", "local_x"),
@@ -76,8 +77,9 @@ KINDS: Final[Mapping[str, str]] = {
 }
 """What the blueprint of each kind is chosen from, by its size; see `blueprint_like`. Others become props."""
 
+_NGSIM_CLASSES: Final = {"1": "motorcycle", "2": "car", "3": "truck"}  # of a column `v_Class`
 _SEPARATORS: Final = ",;\t"
-_LONGEST_ROW: Final = 1 << 16  # characters
+_LONGEST_LINE: Final = 1 << 16  # bytes
 _TEXT: Final = ("id", "kind", "type_id", "role_name")
 _POSE: Final = ("x", "y", "z", "roll", "pitch", "yaw")
 _BOX: Final = ("length", "width", "height", "box_x", "box_y", "box_z")
@@ -88,10 +90,9 @@ _PROP: Final = "static.prop.box01"
 _DAY: Final = 86_400.0  # s; a recording whose times begin later, or before 0, begins at 0
 _LATEST: Final = 1e11  # s since 1970; later times are no dates
 _LINES: Final = 20_000_000  # that are read at most
-_PIECE: Final = 1 << 20  # bytes that are read at a time
 _LONGEST: Final = 1_000  # characters of an id, a kind, a blueprint or a role
 _LARGEST: Final = float(np.finfo(np.float32).max) * (1 + 1e-9)  # that a recording can hold, which may have been rounded
-_STANDSTILL: Final = 0.02  # m; a shorter step has no direction
+_STANDSTILL: Final = 0.02  # m, and m/s; a shorter step and a lower velocity have no direction
 _HEIGHT: Final = 1.5  # m; of a box whose height is not given
 _IDS: Final = NO_ACTOR  # ids from here on are replaced
 
@@ -128,13 +129,13 @@ class _Table:
         numbers: The columns of numbers, (rows,), in CARLA's units; NaN where one is unknown.
         texts: The columns of texts: the different ones in the order of appearance, and which of them each row has.
         lines: The line of the file in which each row ends, (rows,), from 1.
-        left_out: The number of other rows.
+        left_out: The lines of other rows.
     """
 
     numbers: dict[str, Floats]
     texts: dict[str, tuple[list[str], Integers]]
     lines: NDArray[np.uint32]
-    left_out: int
+    left_out: array[int]
 
 
 def import_tracks(
@@ -150,7 +151,7 @@ def import_tracks(
     axes: TrackAxes = "right-handed",
     hero: str | None = None,
     rate: float | None = None,
-    corners: bool = False,
+    position: TrackPosition = "center",
     force: bool = False,
 ) -> Extent:
     """Write a recording of the tracks in a CSV file.
@@ -158,8 +159,8 @@ def import_tracks(
     Columns are found by their names (`ALIASES`): time, id, x and y are needed; z, roll, pitch, yaw, vx, vy, vz, length,
     width, height, kind, type_id (a blueprint) and role_name are optional. An object appears with its first row and
     disappears after its last one. Without a yaw it faces the direction of its motion, which it keeps while it stands.
-    Velocities are recorded if they are given. Times that begin before 0, or later than after a day, are shifted to 0.
-    A number that is empty or not finite is unknown, and rows without a time, x or y are left out.
+    Velocities are recorded if they are given; with them, the change of the yaw per second. Times that begin before 0, or
+    later than after a day, are shifted to 0. A number that is empty or not finite is unknown, and rows without a time, x or y are left out.
 
     Args:
         source: The CSV file, with a row of names at its top; commas, semicolons or tabs separate the columns.
@@ -173,9 +174,10 @@ def import_tracks(
         angle_unit: The unit of angles.
         axes: "right-handed": x forward, y left, a positive yaw turns left; or "carla".
         hero: The id of the object with the role name hero.
-        rate: The frames of a second, if the times are numbers of frames, such as those of a column `frame`.
-        corners: Whether x and y are the corner of a box with the least values, and the columns width and height are its
-            extents along x and y, as in highD.
+        rate: The frames of a second: the times are the numbers of frames in a column `frame` or `frame_id`, or in the one
+            that `columns` names.
+        position: What x and y are of a box. With "corner", the columns width and height are its extents along x and y, as in
+            highD; with "front", its length lies behind them, as in NGSIM.
         force: Overwrite an existing file.
 
     Returns:
@@ -194,9 +196,12 @@ def import_tracks(
         ("length_unit", length_unit, LengthUnit),
         ("angle_unit", angle_unit, AngleUnit),
         ("axes", axes, TrackAxes),
+        ("position", position, TrackPosition),
     ):
         if value not in get_args(known):
             raise RecapError(f"{name} must be one of {', '.join(get_args(known))}, not {value!r}")
+    if rate is not None and time_unit is not None:
+        raise RecapError("time_unit: expected none where a rate makes times of frames")
     check_new(destination, force=force)
     check_destination(source, destination, force=force)
     path = Path(source)
@@ -204,10 +209,10 @@ def import_tracks(
     columns = dict(columns or {})
     if rate is None and columns.get("time", "").lower() in FRAMES:
         warnings.warn(f"{path}: frames are taken as times; a rate says how many a second has", RecapWarning, stacklevel=2)
-    table = _read(path, columns, units, corners=corners)
+    table = _read(path, columns, units, position)
     if table.left_out:
-        rows = "row" if table.left_out == 1 else "rows"
-        warnings.warn(f"{path}: {table.left_out} {rows} without a time or a position left out", RecapWarning, stacklevel=2)
+        rows = f"{len(table.left_out)} row{'s' * (len(table.left_out) != 1)} without a time or a position left out"
+        warnings.warn(f"{path}: {rows}, the first in line {table.left_out[0]}", RecapWarning, stacklevel=2)
     time = table.numbers["time"]
     first = time.min().item()
     if first < 0 or first > _DAY:
@@ -216,90 +221,87 @@ def import_tracks(
         if time.max() == math.inf:
             raise RecapError(f"{path}: more seconds between the first and the last time than can be counted")
     if date is None:
-        date = first if _DAY < first < _LATEST else 0
-    return _ImportedTracks(path, table, hero).write(destination, map_name, date)
+        date = first if rate is None and _DAY < first < _LATEST else 0
+    if position == "corner":
+        length, width = (_known(path, table, name) for name in ("length", "width"))
+        table.numbers["x"] += length / 2
+        table.numbers["y"] += width / 2 * (-1.0 if axes == "right-handed" else 1.0)
+    tracks = _ImportedTracks(path, table, hero)
+    if position == "front":
+        length, yaw = _known(path, table, "length"), np.radians(table.numbers["yaw"])
+        table.numbers["x"] -= length / 2 * np.cos(yaw)
+        table.numbers["y"] -= length / 2 * np.sin(yaw)
+    return tracks.write(destination, map_name, date)
+
+
+def _known(path: Path, table: _Table, name: str) -> Floats:
+    """Return a column of sizes, all of which must be known."""
+    values = table.numbers[name]
+    unknown = np.flatnonzero(~(values >= 0))
+    if len(unknown):
+        line = table.lines[unknown[0]]
+        raise RecapError(f"{path}: line {line}: expected the {name} of a box whose middle is wanted, found none")
+    return values
 
 
 # --- reading -------------------------------------------------------------------------------------------------------------
 
 
-class _Rows:
-    """The rows of a CSV file, each of which may have several lines, and has a bounded length."""
+def _rows(path: Path, file: IO[bytes]) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows of a CSV file with the numbers of the lines in which they end, from 1."""
+    start = file.read(_LONGEST_LINE)
+    if start.startswith(LFS_POINTER):
+        raise RecapError(f"{path}: {IS_LFS_POINTER}")
+    file.seek(0)
+    separator = max(_SEPARATORS, key=lambda each: start.partition(b"\n")[0].count(each.encode()))
+    rows, begin = csv.reader(_lines(path, file), delimiter=separator, strict=True), 1
+    try:
+        for row in rows:
+            yield rows.line_num, row
+            begin = rows.line_num + 1
+    except csv.Error as error:
+        raise RecapError(f"{path}: line {begin}: is no row of a CSV file ({error})") from None
 
-    def __init__(self, path: Path, file: TextIO) -> None:
-        self._path, self._file, self._length, self._begin = path, file, 0, 1
-        separator = max(_SEPARATORS, key=file.readline(_LONGEST_ROW).count)
-        file.seek(0)
-        self._rows = csv.reader(self._lines(), delimiter=separator, strict=True)
 
-    @property
-    def line(self) -> int:
-        """The number of the line that was read last, from 1."""
-        return self._rows.line_num
-
-    def __iter__(self) -> Iterator[list[str]]:
+def _lines(path: Path, file: IO[bytes]) -> Iterator[str]:
+    number = 0
+    while line := file.readline(_LONGEST_LINE):
+        number += 1
+        if len(line) == _LONGEST_LINE:
+            raise RecapError(f"{path}: line {number}: a line of less than {_LONGEST_LINE} bytes was expected")
+        if number > _LINES:
+            raise RecapError(f"{path}: line {number}: at most {_LINES:,} lines are read")
         try:
-            for row in self._rows:
-                self._length, self._begin = 0, self.line + 1
-                if self.line > _LINES:
-                    raise RecapError(f"{self._path}: line {self.line}: at most {_LINES:,} lines are read")
-                yield row
-        except csv.Error as error:
-            raise RecapError(f"{self._path}: line {self._begin}: is no row of a CSV file ({error})") from None
-
-    def _lines(self) -> Iterator[str]:
-        while line := self._file.readline(_LONGEST_ROW):
-            self._length += len(line)
-            if self._length >= _LONGEST_ROW:
-                raise RecapError(
-                    f"{self._path}: line {self._begin}: a row of less than {_LONGEST_ROW} characters was expected"
-                )
-            yield line
+            yield line.decode("utf-8-sig" if number == 1 else "utf-8")
+        except UnicodeDecodeError:
+            raise RecapError(f"{path}: line {number}: no UTF-8; a CSV file was expected") from None
 
 
-def _read(path: Path, given: Mapping[str, str], units: _Units, *, corners: bool) -> _Table:
+def _read(path: Path, given: Mapping[str, str], units: _Units, position: TrackPosition) -> _Table:
     """Return the rows of a file; see `import_tracks`."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):
             raise RecapError(f"{path}: is no regular file; a CSV file was expected")
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = _Rows(path, file)
-            header = next(iter(rows), None)
+        with path.open("rb") as file:
+            rows = _rows(path, file)
+            _, header = next(rows, (0, None))
             if header is None:
                 raise RecapError(f"{path}: is empty; a CSV file with a row of names at its top was expected")
-            if header[0].startswith(LFS_POINTER.decode()):
-                raise RecapError(f"{path}: {IS_LFS_POINTER}")
+            headings = [name.strip().lower() for name in header]
             positions = _positions(path, header, given, with_rate=units.rate is not None)
-            if corners:
-                if "width" not in positions or "height" not in positions:
-                    raise RecapError(f"{path}: expected columns width and height for boxes by their corners")
+            needed = {"corner": ("width", "height"), "front": ("length",), "center": ()}[position]
+            if not positions.keys() >= set(needed):
+                raise RecapError(f"{path}: no column {' and '.join(needed)} for positions that are the {position} of a box")
+            if position == "corner":
                 positions["length"], positions["width"] = positions["width"], positions.pop("height")
-            divisors = {name: units.divisor(name, header[at].strip().lower()) for name, at in positions.items()}
+            divisors = {name: units.divisor(name, headings[at]) for name, at in positions.items()}
             table = _parse(path, rows, positions, divisors, len(header))
-            if corners:
-                length, width = (np.nan_to_num(table.numbers[name]) for name in ("length", "width"))
-                table.numbers["x"] += length / 2
-                table.numbers["y"] += width / 2 * math.copysign(1.0, divisors["y"])
-            return table
     except OSError as error:
         raise RecapError(f"{path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise RecapError(f"{path}: byte {_first_wrong_byte(path)}: no UTF-8; a CSV file was expected") from None
-
-
-def _first_wrong_byte(path: Path) -> int:
-    """Return the offset of the first byte of a file that is no UTF-8."""
-    decoder = codecs.getincrementaldecoder("utf-8")()
-    offset = 0
-    with path.open("rb") as file:
-        while piece := file.read(_PIECE):
-            pending = len(decoder.getstate()[0])
-            try:
-                decoder.decode(piece)
-            except UnicodeDecodeError as error:
-                return offset - pending + error.start
-            offset += len(piece)
-    return offset - len(decoder.getstate()[0])
+    if "kind" in positions and headings[positions["kind"]] == "v_class":
+        names, of_row = table.texts["kind"]
+        table.texts["kind"] = [_NGSIM_CLASSES.get(name, name) for name in names], of_row
+    return table
 
 
 def _positions(path: Path, header: list[str], given: Mapping[str, str], *, with_rate: bool) -> dict[str, int]:
@@ -310,7 +312,7 @@ def _positions(path: Path, header: list[str], given: Mapping[str, str], *, with_
     by_name = {name: index for index, name in enumerate(headings)}
     positions = {}
     for column, known in ALIASES.items():
-        aliases = (*FRAMES, *known) if column == "time" and with_rate else known
+        aliases = FRAMES if column == "time" and with_rate else known
         wanted = (given[column].lower(),) if column in given else aliases
         match = next((alias for alias in wanted if alias in by_name), None)
         if match is not None and headings.count(match) > 1:
@@ -325,33 +327,37 @@ def _positions(path: Path, header: list[str], given: Mapping[str, str], *, with_
     return positions
 
 
-def _parse(path: Path, rows: _Rows, positions: Mapping[str, int], divisors: Mapping[str, float], width: int) -> _Table:
+def _parse(
+    path: Path,
+    rows: Iterator[tuple[int, list[str]]],
+    positions: Mapping[str, int],
+    divisors: Mapping[str, float],
+    width: int,
+) -> _Table:
     numbers = {name: array("d") for name in positions if name not in _TEXT}
     texts: dict[str, dict[str, int]] = {name: {} for name in positions if name in _TEXT}
     which = {name: array("q") for name in texts}
     limits = {name: math.inf if name == "time" else _LARGEST * abs(divisors[name]) for name in numbers}
-    lines, left_out = array("I"), 0
-    for row in rows:
+    lines, left_out = array("I"), array("I")
+    for line, row in rows:
         if not row:
             continue
         if len(row) != width:
-            raise RecapError(f"{path}: line {rows.line}: {len(row)} values, {width} were expected")
-        values = {name: _number(path, rows, name, row[positions[name]], limit) for name, limit in limits.items()}
+            raise RecapError(f"{path}: line {line}: {len(row)} values, {width} were expected")
+        values = {name: _number(path, line, name, row[positions[name]], limit) for name, limit in limits.items()}
         if math.isnan(values["time"] + values["x"] + values["y"]):
-            left_out += 1
+            left_out.append(line)
             continue
-        lines.append(rows.line)
+        lines.append(line)
         for name, value in values.items():
             numbers[name].append(value)
         for name, known in texts.items():
-            text = row[positions[name]]
+            text = row[positions[name]].strip()
             if len(text) > _LONGEST:
-                raise RecapError(
-                    f"{path}: line {rows.line}: {name} has {len(text)} characters; at most {_LONGEST} were expected"
-                )
+                raise RecapError(f"{path}: line {line}: {name} has {len(text)} characters; at most {_LONGEST} were expected")
+            if not text and name == "id":
+                raise RecapError(f"{path}: line {line}: the id is empty")
             which[name].append(known.setdefault(text, len(known)))
-        if not row[positions["id"]]:
-            raise RecapError(f"{path}: line {rows.line}: the id is empty")
     if not which["id"]:
         raise RecapError(f"{path}: no rows {'with a time and a position ' if left_out else ''}below the names")
     return _Table(
@@ -362,16 +368,16 @@ def _parse(path: Path, rows: _Rows, positions: Mapping[str, int], divisors: Mapp
     )
 
 
-def _number(path: Path, rows: _Rows, name: str, text: str, limit: float) -> float:
+def _number(path: Path, line: int, name: str, text: str, limit: float) -> float:
     """Return a number of the last row; NaN if it is unknown."""
     try:
-        value = float(text or "nan")
+        value = float(text.strip() or "nan")
     except ValueError:
-        raise RecapError(f"{path}: line {rows.line}: {name} is {text[:40]!r}; a number was expected") from None
+        raise RecapError(f"{path}: line {line}: {name} is {text[:40]!r}; a number was expected") from None
     if math.isinf(value):
         return math.nan
     if abs(value) > limit:
-        raise RecapError(f"{path}: line {rows.line}: {name} is {text[:40]}, which is too large")
+        raise RecapError(f"{path}: line {line}: {name} is {text[:40]}, which is too large")
     return value
 
 
@@ -379,16 +385,7 @@ def _number(path: Path, rows: _Rows, name: str, text: str, limit: float) -> floa
 
 
 class _ImportedTracks:
-    """The objects of a file: the rows of each, and what it looks like.
-
-    Args:
-        path: The file, for messages.
-        table: Its rows.
-        hero: The id of the hero.
-
-    Raises:
-        RecapError: There is no such hero, an object has two rows at a time, or there are too many objects at a time.
-    """
+    """The objects of a file: the rows of each, and what it looks like."""
 
     def __init__(self, path: Path, table: _Table, hero: str | None) -> None:
         self._numbers, self._texts = table.numbers, table.texts
@@ -417,8 +414,19 @@ class _ImportedTracks:
         unknown = np.isin(np.arange(len(self._names)), of_row[np.isnan(yaw)]) & (np.diff(edges) > 1)
         for number in np.flatnonzero(unknown).tolist():
             self._face(order[edges[number] : edges[number + 1]])
+        if "vx" in self._numbers and "vy" in self._numbers:  # of those that never move
+            vx, vy = self._numbers["vx"], self._numbers["vy"]
+            facing = np.isnan(yaw) & (np.hypot(vx, vy) >= _STANDSTILL)
+            yaw[facing] = np.degrees(np.arctan2(vy, vx))[facing]
         for name in _POSE:
             np.nan_to_num(self._numbers.setdefault(name, np.zeros(len(time))), copy=False)
+        place = np.arange(len(order))  # of a row in this order; its neighbours are rows of the same object
+        before = order[np.maximum(place - 1, edges[of_row[order]])]
+        after = order[np.minimum(place + 1, edges[of_row[order] + 1] - 1)]
+        turned = np.remainder(yaw[after] - yaw[before] + 180.0, 360.0) - 180.0
+        seconds = time[after] - time[before]
+        self._yaw_rates = np.zeros(len(time))  # degrees/s
+        self._yaw_rates[order] = np.divide(turned, seconds, out=np.zeros(len(time)), where=seconds > 0)
 
     def _face(self, rows: Integers) -> None:
         """Set the yaw of a track where it is missing: the direction of its motion, kept while it stands."""
@@ -433,10 +441,9 @@ class _ImportedTracks:
         if len(valid):
             latest = np.maximum.accumulate(np.where(np.isfinite(moved), np.arange(len(rows)), -1))
             moved = moved[np.where(latest < 0, valid[0], latest)]
-        self._numbers["yaw"][rows] = np.where(np.isnan(yaw), np.nan_to_num(moved), yaw)
+        self._numbers["yaw"][rows] = np.where(np.isnan(yaw), moved, yaw)
 
     def _text(self, name: str, row: int) -> str:
-        """Return a text of a row; empty if there is no such column."""
         if name not in self._texts:
             return ""
         values, which = self._texts[name]
@@ -444,7 +451,7 @@ class _ImportedTracks:
 
     def _looks(self, row: int) -> tuple[str, ActorKind]:
         """Return the blueprint and the kind of the actor that a row is about."""
-        by_kind = KINDS.get(self._text("kind", row).strip().lower() if "kind" in self._texts else "vehicle", "")
+        by_kind = KINDS.get(self._text("kind", row).lower() if "kind" in self._texts else "vehicle", "")
         blueprint = self._text("type_id", row)
         if by_kind:
             length, width = (
@@ -491,6 +498,7 @@ class _ImportedTracks:
         has_velocities = "x" in axes and "y" in axes
         known = ~np.isnan(sum(axes.values(), np.zeros(len(order)))) if has_velocities else np.zeros(len(order), bool)
         moving = {"id": ids[known], **{axis: values[known] for axis, values in axes.items()}}
+        moving["angular_z"] = self._yaw_rates[order][known]
         velocities = _by_moment(_records("velocities", moving), time[order][known], moments)
         begins, ends = time[self._first], time[self._last]
         order = np.argsort(begins, kind="stable")
