@@ -160,8 +160,8 @@ def import_tracks(
     width, height, kind, type_id (a blueprint) and role_name are optional. An object appears with its first row and
     disappears after its last one. Without a yaw it faces the direction of its motion, which it keeps while it stands.
     Velocities are recorded if they are given; with them, the change of the yaw per second. Times that begin before 0, or
-    later than after a day, are shifted to 0. A number that is empty or not finite is unknown, and rows without a time, x or y
-    are left out.
+    later than after a day, are shifted to 0. A number that is empty or not finite is unknown, and rows without a time, x or
+    y are left out.
 
     Args:
         source: The CSV file, with a row of names at its top; commas, semicolons or tabs separate the columns.
