@@ -140,6 +140,7 @@ def test_the_extremes_of_values_over_time_are_those_of_the_recording(sample: str
         "distance_off_road",
         "distance_against_lane",
         "post_encroachment_time",
+        "driving_efficiency",
     }
     for row in rows:
         values = search.values[row.measure, row.actor]

@@ -87,7 +87,9 @@ def test_boxes_with_an_offset_are_where_they_are(drive: Drive) -> None:
 def test_motion_of_one_actor(drive: Drive) -> None:
     """Jerk 2 m/s³ for 3 s, then an acceleration that falls at once."""
     found = measures(drive([Mover(1, lambda t: t**3 / 3, role_name="hero")], seconds=3.0))
-    assert values(found) == pytest.approx({"speed": 9.0, "acceleration": 6.0, "jerk": 2.0}, rel=0.05)
+    assert values(found) == pytest.approx(
+        {"speed": 9.0, "acceleration": 6.0, "jerk": 2.0, "driving_smoothness": 0.0}, rel=0.05
+    )
 
 
 def test_deceleration(drive: Drive) -> None:

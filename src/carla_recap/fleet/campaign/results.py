@@ -33,12 +33,8 @@ IMPACT_SPEED: Final = Measure(
     text="the greatest relative speed just before one of these contacts; without a value where it is unknown",
 )
 SCORE: Final = Measure(name="score", unit="", extreme="least", text="the driving score of the Leaderboard")
-EFFICIENCY: Final = Measure(
-    name="driving_efficiency", unit="%", extreme="least", text="the driving efficiency of Bench2Drive"
-)
-SMOOTHNESS: Final = Measure(
-    name="driving_smoothness", unit="%", extreme="least", text="the driving smoothness of Bench2Drive"
-)
+EFFICIENCY: Final = MEASURES["driving_efficiency"]
+SMOOTHNESS: Final = MEASURES["driving_smoothness"]
 RESULTS: Final[Mapping[str, Measure]] = {
     measure.name: measure
     for measure in (COLLISIONS, IMPACT_SPEED, BROKEN_RULES, SCORE, EFFICIENCY, SMOOTHNESS, *MEASURES.values())

@@ -270,6 +270,22 @@ MEASURES: Final = _named(
             values=lambda series: np.abs(series.jerk),
         ),
         Measure(
+            name="driving_efficiency",
+            unit="%",
+            extreme="least",
+            of_events=True,
+            text="of a hero that is a vehicle: its mean speed in % of that of all vehicles of the role_name `background` on "
+            "each twentieth of its path, the mean of these; [as Bench2Drive has it](scores.md#the-numbers-of-bench2drive)",
+        ),
+        Measure(
+            name="driving_smoothness",
+            unit="%",
+            extreme="least",
+            of_events=True,
+            text="of such a hero: the windows of 2 s in which accelerations, jerks, yaw rate and yaw acceleration are "
+            "comfortable, in % of all; [as Bench2Drive has it](scores.md#the-numbers-of-bench2drive)",
+        ),
+        Measure(
             name="speed_over_limit",
             unit="m/s",
             extreme="greatest",

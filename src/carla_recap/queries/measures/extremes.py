@@ -10,6 +10,8 @@ import numpy as np
 
 from carla_recap.queries import Answer
 from carla_recap.queries.measures.definitions import MEASURES, Extreme, MeasureRow, MeasureValues
+from carla_recap.queries.measures.drives import Drive
+from carla_recap.queries.measures.driving import BACKGROUND, comfort, efficiency
 from carla_recap.queries.measures.encroachment import CrossingSearch
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
 from carla_recap.queries.measures.paths_ahead import SEEN
@@ -18,6 +20,8 @@ from carla_recap.queries.measures.road import RoadSearch
 from carla_recap.queries.measures.series import HORIZON, NO_OTHER, measured_actors, series_of
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from carla_recap.queries.roads import roads_of, warn_without_roads
+from carla_recap.roads.polylines import stations
+from carla_recap.tables.trajectories import Trajectory, trajectories
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -158,6 +162,7 @@ class MeasureSearch:
                 if subject in self._subjects:
                     values = np.array([each.time]), np.array([each.post_encroachment_time]), np.array([met], np.int64)
                     self._note(subject, pet, MeasureValues(*values))
+        self._note_driving()
         if self._roads is not None:
             self._roads.finish()
             for id in self._subjects:
@@ -195,6 +200,25 @@ class MeasureSearch:
                     of_other = np.full(values.shape[1], NO_OTHER) if others is None else others[number]
                     self._note(id, measure, MeasureValues(table.time[table.core], values[number], of_other))
         self._crossings.add(table, np.isin(table.ids, ids))
+
+    def _note_driving(self) -> None:
+        """Note the numbers of Bench2Drive, of heroes that are vehicles."""
+        heroes = {id: actor for id, actor in self._subjects.items() if actor.is_hero and actor.kind == "vehicle"}
+        traffic = {life.id: None for life in self._lives if life.role_name == BACKGROUND}
+        paths = trajectories(self._source, {*heroes, *traffic}) if heroes else {}
+        for id, actor in heroes.items():
+            drive = Drive.of(actor, paths.get(id, Trajectory.empty(id))).during(self._start, self._stop)
+            if len(drive) > 1:
+                others = [paths[other] for other in traffic if other in paths]
+                driven = stations(drive.position[:, :2])
+                smooth = comfort(drive.time, drive.velocity, drive.yaw)
+                for name, value in (
+                    ("driving_efficiency", efficiency(drive, driven, float(driven[-1]), others)),
+                    ("driving_smoothness", smooth and smooth.smoothness),
+                ):
+                    if value is not None:
+                        values = np.array([drive.time[-1]]), np.array([value]), np.array([NO_OTHER])
+                        self._note(id, MEASURES[name], MeasureValues(*values))
 
     def _note(self, id: int, measure: Measure, found: MeasureValues) -> None:
         """Note the extreme value of a measure of an actor in some frames, and keep all values if they are asked for."""

@@ -247,9 +247,8 @@ def measured_actors(source: Reader, recorded: ActorLives, wanted: Subjects) -> d
         return heroes
     if isinstance(wanted, str):
         raise RecapError(f"actors to measure must be ids, 'hero' or 'all', not {wanted!r}")
-    for id in wanted:
-        find_actor(source.location, movers.values(), id, "vehicle or walker", "to measure")
-    return {id: movers[id] for id in wanted}
+    found = [find_actor(source.location, movers.values(), name, "vehicle or walker", "to measure").id for name in wanted]
+    return {id: movers[id] for id in found}
 
 
 def _find(source: Reader, lives: Iterable[ActorLife], name: ActorName) -> int:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.queries.score.drives import ground_speed
+from carla_recap.queries.measures.drives import WINDOW
+from carla_recap.queries.measures.driving import traffic_shares
 from carla_recap.queries.score.infractions import Infraction
 from carla_recap.roads.lanes import DRIVING
 from carla_recap.roads.waypoints import NONE, PARKING
@@ -21,22 +22,18 @@ if TYPE_CHECKING:
 
     from carla_recap.model.contacts import Contact
     from carla_recap.model.lives import ActorLife, ActorLives
+    from carla_recap.queries.measures.drives import Drive, PlannedRoute
     from carla_recap.queries.measures.stop_lines import StopLines
     from carla_recap.queries.measures.traffic_lights import LightHistory
-    from carla_recap.queries.score.drives import Drive, PlannedRoute
     from carla_recap.roads.network import RoadNetwork
     from carla_recap.roads.waypoints import LaneMap, Waypoints
     from carla_recap.tables.trajectories import Trajectory
-    from carla_recap.util.arrays import Booleans, Floats, Integers
+    from carla_recap.util.arrays import Booleans, Floats
 
-
-BACKGROUND: Final = "background"
-"""The role_name of the vehicles of the traffic."""
 
 _SCENARIO: Final = "scenario"  # the role_name of the actors of scenarios
 _STATIONARY: Final = 0.1  # m/s: a hero that is slower is stationary
 _COMPLETE: Final = (99.0, 10.0)  # % of the route that are passed, and m from its end, where it is complete
-_WINDOW: Final = 2  # points of the route that are passed in a tick
 _WIDE_WINDOW: Final = 3  # the same, of criteria other than the completion
 _NEAR_WINDOW: Final = 5  # points ahead of which the nearest one counts
 _FAR: Final = 30.0  # m from the route: a hero that is farther away has left it
@@ -59,9 +56,6 @@ _OUTSIDE: Final = 0.5  # m outside a lane
 _AGAINST_LANE: Final = 120.0  # degrees between the hero and a lane that it enters from a junction
 _TURNED: Final = 150.0  # degrees between a lane and the next one
 _QUARTERS: Final = 4
-_LAST_COUNTS: Final = 2  # how often the last quarter counts: the evaluator ends its criterion twice
-_WITH_PHYSICS: Final = 70.0  # m from the hero within which the evaluator's traffic manager moves vehicles with physics
-_ALMOST: Final = 0.95  # of the route: from there on, the last quarter counts
 _HIDDEN: Final = 100.0  # m below the hero: an actor of a scenario that has not begun
 
 
@@ -88,7 +82,7 @@ def ending(drive: Drive, route: PlannedRoute, network: RoadNetwork) -> Ending:
         *_timeout(drive, route, network),
     ]
     stop, infraction = min(found, key=lambda each: each[0], default=(last, None))
-    shares = np.round(route.travelled / max(route.length, 1e-9) * 100, 2)[route.reached(drive, _WINDOW)]
+    shares = np.round(route.travelled / max(route.length, 1e-9) * 100, 2)[route.reached(drive, WINDOW)]
     near = np.linalg.norm(drive.position - route.points[-1], axis=1) < _COMPLETE[1]
     complete = np.flatnonzero((shares > _COMPLETE[0]) & near)
     if len(complete) and complete[0] < stop + (infraction is None):
@@ -316,62 +310,10 @@ def _between(one: float, other: float) -> float:
 
 def slow_quarters(drive: Drive, route: PlannedRoute, others: Iterable[Trajectory]) -> Iterator[Infraction]:
     """Yield the quarters of the route along which the hero is slower than the background vehicles."""
-    for end, percentage in traffic_shares(drive, route, others, _QUARTERS):
+    for end, percentage in traffic_shares(drive, route.travelled_by(drive), route.length, others, _QUARTERS):
         if percentage < 100:
             text = f"Average speed is {percentage}% of the surrounding traffic's one"
             yield _infraction("min_speed_infractions", drive, end, text, share=1 - percentage / 100)
-
-
-def traffic_shares(
-    drive: Drive, route: PlannedRoute, others: Iterable[Trajectory], parts: int
-) -> Iterator[tuple[int, float]]:
-    """Yield the frame in which each part of a route ends, and the speed of the hero there in % of that of the traffic.
-
-    Args:
-        drive: The drive of the hero.
-        route: The route.
-        others: The background vehicles.
-        parts: The number of equal parts.
-    """
-    sums, counts = np.zeros((2, len(drive)))
-    for path in others:
-        frames = np.minimum(np.searchsorted(drive.time, path.time - SAME_TIME), len(drive) - 1)
-        both = np.abs(drive.time[frames] - path.time) < SAME_TIME
-        sums += np.bincount(frames[both], _reported_speed(drive, path, frames)[both], len(drive))
-        counts += np.bincount(frames[both], minlength=len(drive))
-    known = counts > 0
-    traffic = np.where(known, sums / np.maximum(counts, 1), 0.0)
-    hero = np.where(known, drive.speed, 0.0)
-    travelled = route.travelled[route.reached(drive, _WINDOW)]
-    first, begin = 0, 0.0
-    ends = []
-    while len(over := np.flatnonzero(travelled[first:] - begin > route.length / parts)):
-        end = first + int(over[0])
-        ends.append((first, end))
-        first, begin = end, float(travelled[end])
-    if travelled[-1] > _ALMOST * route.length:
-        ends += [(first, len(drive))] * _LAST_COUNTS
-    for start, end in ends:
-        points, mean = known[start:end].sum(), float(traffic[start:end].sum())
-        yield min(end, len(drive) - 1), round(float(hero[start:end].sum()) / mean * 100, 2) if points and mean else 100.0
-
-
-def _reported_speed(drive: Drive, path: Trajectory, frames: Integers) -> Floats:
-    """Return the speed of a background vehicle as CARLA reports it, in m/s, (frames,).
-
-    The evaluator's traffic manager moves vehicles that are far from the hero without physics. Of such a vehicle, CARLA
-    reports the speed that it had when it was near the hero, or 0 if it never was.
-
-    Args:
-        drive: The drive of the hero.
-        path: The trajectory of the vehicle.
-        frames: The frame of the drive at each of its positions.
-    """
-    away = np.hypot(path.x - drive.position[frames, 0], path.y - drive.position[frames, 1])
-    has_physics = path.velocity_recorded | (away < _WITH_PHYSICS)
-    row = np.maximum.accumulate(np.where(has_physics, np.arange(len(away)), -1))
-    speed: Floats = np.where(row >= 0, ground_speed(path)[row], 0.0)
-    return speed
 
 
 def not_yielded(drive: Drive, others: Mapping[int, Trajectory], actors: ActorLives) -> Iterator[Infraction]:

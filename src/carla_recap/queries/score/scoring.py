@@ -11,13 +11,13 @@ import numpy as np
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.lives import HERO, ActorName, find_actor
+from carla_recap.queries.measures.drives import LONGEST_FRAME, Drive, PlannedRoute
+from carla_recap.queries.measures.driving import BACKGROUND, comfort, efficiency
 from carla_recap.queries.measures.stop_lines import StopLines
 from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from carla_recap.queries.roads import map_file_of
 from carla_recap.queries.score import criteria
-from carla_recap.queries.score.drives import LONGEST_FRAME, Drive, PlannedRoute
-from carla_recap.queries.score.driving import comfort, efficiency
 from carla_recap.queries.score.infractions import FORMULAS, INFRACTIONS, Formula, Infraction, penalty_of
 from carla_recap.queries.score.route_files import repetition
 from carla_recap.roads.planning import RoutePlanner
@@ -170,7 +170,7 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
     town, network = load_lane_map(path), load_road_network(path)
     actors, contacts = lives_and_contacts(source)
     hero = find_actor(source.location, [life for life in actors if life.kind == "vehicle"], options.actor, "vehicle")
-    others = {life.id for life in actors if life.role_name == criteria.BACKGROUND or criteria.is_emergency(life)}
+    others = {life.id for life in actors if life.role_name == BACKGROUND or criteria.is_emergency(life)}
     paths = trajectories(source, {hero.id, *others})
     whole = _drive(source, Drive.of(hero, paths.pop(hero.id)) if hero.id in paths else None, options)
     unknown = int(np.count_nonzero(np.isnan(whole.velocity).any(axis=1)))
@@ -186,7 +186,7 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
     drive = whole.part(0, end.frame)
     lines = StopLines(network)
     passed = criteria.passages(drive, lines)
-    background = [paths[life.id] for life in actors if life.role_name == criteria.BACKGROUND and life.id in paths]
+    background = [paths[life.id] for life in actors if life.role_name == BACKGROUND and life.id in paths]
     found = [
         *criteria.collisions(drive, contacts, actors),
         *criteria.red_lights(drive, passed, lines, _lights(source, network, passed)),
@@ -215,7 +215,7 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
         float(drive.time[0]),
         float(drive.time[-1]),
         route.scenarios if route else (),
-        efficiency(drive, planned, background),
+        efficiency(drive, planned.travelled_by(drive), planned.length, background),
         smooth and smooth.smoothness,
         smooth.within if smooth else {},
         planned.junction,

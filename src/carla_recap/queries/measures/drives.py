@@ -1,4 +1,4 @@
-"""What criteria are judged by: how the hero drives, and along which points of a route."""
+"""How an actor drives, and along which points of a route."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.model.blueprints import box_of
+from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.presence import FAR
 from carla_recap.roads.polylines import stations
 
 if TYPE_CHECKING:
@@ -17,6 +19,9 @@ if TYPE_CHECKING:
     from carla_recap.model.lives import ActorLife
     from carla_recap.tables.trajectories import Trajectory
     from carla_recap.util.arrays import Floats, Indices, Integers
+
+WINDOW: Final = 2
+"""The points of a route that are passed in a tick."""
 
 _TICK: Final = 0.05  # s between two updates of the evaluator's criteria
 LONGEST_FRAME: Final = 5.0
@@ -46,14 +51,19 @@ class Drive:
 
     @classmethod
     def of(cls, actor: ActorLife, path: Trajectory) -> Drive:
-        """Return the motion of an actor, without frames in which its pose is no number."""
+        """Return the motion of an actor, without frames in which its pose is no number, or is too far away."""
         place = np.stack((path.x, path.y, path.z), axis=1)
-        kept = np.isfinite(place).all(axis=1) & np.isfinite(path.yaw)
+        kept = (np.abs(place) < FAR).all(axis=1) & np.isfinite(path.yaw)
         velocity = np.stack((path.vx, path.vy), axis=1)
         return cls(actor, path.time[kept], place[kept], np.radians(path.yaw[kept]), ground_speed(path)[kept], velocity[kept])
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def during(self, start: float, stop: float) -> Drive:
+        """Return the frames from a time on and before another one, in elapsed seconds."""
+        rows = np.flatnonzero((self.time > start - SAME_TIME) & (self.time < stop - SAME_TIME))
+        return self.part(rows[0], rows[-1]) if len(rows) else self.part(0, -1)
 
     def part(self, first: int, last: int) -> Drive:
         """Return some of the frames, both ends included."""
@@ -147,6 +157,10 @@ class PlannedRoute:
                 if (x - px) * ax + (y - py) * ay + (z - pz) * az > 0:
                     index = number
                     yield tick, number
+
+    def travelled_by(self, drive: Drive) -> Floats:
+        """Return how far a drive has come along the route until each frame, in m, (n,)."""
+        return np.asarray(self.travelled[self.reached(drive, WINDOW)])
 
     def reached(self, drive: Drive, window: int) -> Integers:
         """Return the index of the last point passed until each frame of a drive, (n,); see `passed`."""

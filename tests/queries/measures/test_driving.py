@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carla_recap import open_recording
+from carla_recap.queries.measures.driving import COMFORT, comfort, comfort_values
 from carla_recap.queries.score import ABILITIES, Infraction, Route, Score, abilities, bench2drive
-from carla_recap.queries.score.driving import COMFORT, comfort, comfort_values
-from tests.queries.score.drives import OTHER, ROUTE, Drives, at_speed, vehicle, westward
+from tests.queries.score.drives import HERO, OTHER, ROUTE, Drives, at_speed, vehicle, westward
 
 
 @pytest.fixture
@@ -124,6 +125,19 @@ def test_efficiency_is_the_speed_against_the_traffic(drives: Drives) -> None:
     assert drives(westward(speeds), others=parked).efficiency is None
     slow = {OTHER: (vehicle(OTHER, "background"), westward([0.5] * len(speeds), y=5.25))}
     assert drives(westward(speeds), others=slow).efficiency is None  # above 1,000 %
+
+
+def test_measures_have_the_numbers_too(drives: Drives) -> None:
+    speeds = at_speed(10, 50) + at_speed(6, 51)
+    traffic = {OTHER: (vehicle(OTHER, "background"), westward([8.0] * len(speeds), y=5.25))}
+    found = drives(westward(speeds), others=traffic, route=None)
+    with open_recording(drives.path) as recording:
+        rows = {(row.actor, row.measure): (row.value, row.unit, row.time) for row in recording.measures("all")}
+        assert rows[HERO, "driving_efficiency"] == (pytest.approx(found.efficiency, abs=1), "%", found.stop)
+        assert rows[HERO, "driving_smoothness"] == (found.smoothness, "%", found.stop)
+        assert (OTHER, "driving_smoothness") not in rows
+        part = {row.measure: row.time for row in recording.measures("hero", start=1.0, stop=4.0)}
+        assert part["driving_smoothness"] == pytest.approx(3.95)
 
 
 def test_a_route_with_a_slow_quarter_is_a_success(drives: Drives) -> None:

@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.queries.score.criteria import traffic_shares
+from carla_recap.model.frame import SAME_TIME
+from carla_recap.queries.measures.drives import ground_speed
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from carla_recap.queries.score.drives import Drive, PlannedRoute
+    from carla_recap.queries.measures.drives import Drive
     from carla_recap.tables.trajectories import Trajectory
-    from carla_recap.util.arrays import Floats
+    from carla_recap.util.arrays import Floats, Integers
 
 COMFORT: Final[Mapping[str, tuple[float, float]]] = {
     "longitudinal_acceleration": (-4.05, 2.40),
@@ -29,10 +30,16 @@ COMFORT: Final[Mapping[str, tuple[float, float]]] = {
 }
 """The bounds of comfort by quantity, in m/s², m/s³, rad/s and rad/s²."""
 
+BACKGROUND: Final = "background"
+"""The role_name of the vehicles of the traffic."""
+
 _CHECKPOINTS: Final = 20  # parts of a route
 _MAX_EFFICIENCY: Final = 1000.0  # %: a part with more, as beside traffic that stands, does not count
+_LAST_COUNTS: Final = 2  # how often the last part counts: the evaluator ends its criterion twice
+_WITH_PHYSICS: Final = 70.0  # m from the hero within which the evaluator's traffic manager moves vehicles with physics
+_ALMOST: Final = 0.95  # of the route: from there on, the last part counts
 _STEP: Final = 0.1  # s between two samples
-_WINDOW: Final = 20  # samples that are judged together
+_SAMPLES: Final = 20  # samples that are judged together
 _WIDTH: Final = 7  # samples through which a parabola is laid
 _MIN_SAMPLES: Final = 3  # of a parabola
 _MAX_SAMPLES: Final = 100  # per frame; a recording with fewer frames says nothing about comfort
@@ -50,20 +57,73 @@ class Comfort(NamedTuple):
     within: dict[str, float]
 
 
-def efficiency(drive: Drive, route: PlannedRoute, others: Sequence[Trajectory]) -> float | None:
+def efficiency(drive: Drive, travelled: Floats, length: float, others: Sequence[Trajectory]) -> float | None:
     """Return the mean speed of the hero in % of that of the background vehicles, the mean of twenty parts of the route.
 
     Args:
         drive: The drive of the hero.
-        route: The route.
+        travelled: How far it has come along the route in each frame, in m, (n,).
+        length: The length of the route, in m.
         others: The trajectories of the background vehicles.
 
     Returns:
         The percentage; None without background vehicles, or if no part is completed.
     """
-    shares = [share for _, share in traffic_shares(drive, route, others, _CHECKPOINTS)] if others else []
+    shares = [share for _, share in traffic_shares(drive, travelled, length, others, _CHECKPOINTS)] if others else []
     counted = [share for share in shares if share <= _MAX_EFFICIENCY]
     return fmean(counted) if counted else None
+
+
+def traffic_shares(
+    drive: Drive, travelled: Floats, length: float, others: Iterable[Trajectory], parts: int
+) -> Iterator[tuple[int, float]]:
+    """Yield the frame in which each part of a route ends, and the speed of the hero there in % of that of the traffic.
+
+    Args:
+        drive: The drive of the hero.
+        travelled: How far it has come along the route in each frame, in m, (n,).
+        length: The length of the route, in m.
+        others: The background vehicles.
+        parts: The number of equal parts.
+    """
+    sums, counts = np.zeros((2, len(drive)))
+    for path in others:
+        frames = np.minimum(np.searchsorted(drive.time, path.time - SAME_TIME), len(drive) - 1)
+        both = np.abs(drive.time[frames] - path.time) < SAME_TIME
+        sums += np.bincount(frames[both], _reported_speed(drive, path, frames)[both], len(drive))
+        counts += np.bincount(frames[both], minlength=len(drive))
+    known = counts > 0
+    traffic = np.where(known, sums / np.maximum(counts, 1), 0.0)
+    hero = np.where(known, drive.speed, 0.0)
+    first, begin = 0, 0.0
+    ends = []
+    while len(over := np.flatnonzero(travelled[first:] - begin > length / parts)):
+        end = first + int(over[0])
+        ends.append((first, end))
+        first, begin = end, float(travelled[end])
+    if travelled[-1] > _ALMOST * length:
+        ends += [(first, len(drive))] * _LAST_COUNTS
+    for start, end in ends:
+        points, mean = known[start:end].sum(), float(traffic[start:end].sum())
+        yield min(end, len(drive) - 1), round(float(hero[start:end].sum()) / mean * 100, 2) if points and mean else 100.0
+
+
+def _reported_speed(drive: Drive, path: Trajectory, frames: Integers) -> Floats:
+    """Return the speed of a background vehicle as CARLA reports it, in m/s, (frames,).
+
+    The evaluator's traffic manager moves vehicles that are far from the hero without physics. Of such a vehicle, CARLA
+    reports the speed that it had when it was near the hero, or 0 if it never was.
+
+    Args:
+        drive: The drive of the hero.
+        path: The trajectory of the vehicle.
+        frames: The frame of the drive at each of its positions.
+    """
+    away = np.hypot(path.x - drive.position[frames, 0], path.y - drive.position[frames, 1])
+    has_physics = path.velocity_recorded | (away < _WITH_PHYSICS)
+    row = np.maximum.accumulate(np.where(has_physics, np.arange(len(away)), -1))
+    speed: Floats = np.where(row >= 0, ground_speed(path)[row], 0.0)
+    return speed
 
 
 def comfort(time: Floats, velocity: Floats, yaw: Floats) -> Comfort | None:
@@ -105,7 +165,7 @@ def comfort_values(along: Floats, aside: Floats, turning: Floats) -> dict[str, F
         aside: The lateral accelerations in m/s².
         turning: The yaw rates in rad/s.
     """
-    count = min(len(along), _WINDOW)
+    count = min(len(along), _SAMPLES)
     smooth, slope = _parabolas(count)
     windows = [
         values[: len(values) // count * count].reshape(-1, count) @ smooth.T
