@@ -1,5 +1,5 @@
+from carla_recap.queries.measures.driving import COMFORT as COMFORT
 from carla_recap.queries.score.checkpoint import bench2drive as bench2drive
-from carla_recap.queries.score.driving import COMFORT as COMFORT
 from carla_recap.queries.score.infractions import FORMULAS as FORMULAS
 from carla_recap.queries.score.infractions import INFRACTIONS as INFRACTIONS
 from carla_recap.queries.score.infractions import Formula as Formula
