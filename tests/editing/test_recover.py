@@ -178,7 +178,7 @@ def test_impossible_raw_packets_are_left_out(tmp_path, id):
     path = tmp_path / "raw.mcap"
     convert(log, path)
     edited(path, change)
-    with pytest.raises(RecapError, match=f"raw packet of id {id}"):
+    with pytest.raises(RecapError, match=f"raw packet of an id from 1 to 255, found {id}"):
         convert(path, tmp_path / "out.log")
     for suffix in (".mcap", ".log"):
         recovery = recover(path, tmp_path / f"saved{suffix}")

@@ -30,7 +30,7 @@ def frames(data: bytes) -> list[list[Row]]:
             [(slot[0], run.sequence + row, bytes(run.message(row, slot))) for slot in run.slots] for row in range(run.number)
         ]
         if run.number > 1:
-            rest = run.after(1)
+            rest = run.part(1, run.number)
             assert (rest.sequence, rest.number) == (run.sequence + 1, run.number - 1)
             assert [bytes(rest.message(0, slot)) for slot in rest.slots] == [
                 bytes(run.message(1, slot)) for slot in run.slots

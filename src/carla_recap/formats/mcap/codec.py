@@ -36,6 +36,7 @@ from carla_recap.model.layout import (
     PayloadError,
     compiled,
     locate,
+    pack,
     unpack,
 )
 from carla_recap.model.records import Group
@@ -145,22 +146,20 @@ def frame_packets(ids: bytes, kinds: bytes) -> bytes:
     return b"\x22" + varint(len(ids)) + ids + b"\x2a" + varint(len(kinds)) + kinds
 
 
-def read_frame_packets(data: bytes) -> tuple[bytes, bytes] | None:
-    """Return the ids and kinds that `frame_packets` wrote; None for other data, or more than 127 packets."""
-    count = data[1] if len(data) > 1 else 0
-    ids, kinds = data[2 : 2 + count], data[4 + count :]
-    return (ids, kinds) if frame_packets(ids, kinds) == data else None
+def read_frame(data: Buffer) -> tuple[int, float, float, bytes, bytes] | None:
+    """Return id, elapsed and duration of a `Frame`, and the id and kind of each packet.
 
-
-def read_frame(data: Buffer) -> tuple[int, float, float, bytes] | None:
-    """Return frame id, elapsed, duration, and what `frame_packets` wrote; None where they are not in this order."""
-    if len(data) < FRAME_HEAD.itemsize:
+    None for a message that is not as `frame_body` writes it, or has more than 127 packets.
+    """
+    if len(data) <= FRAME_HEAD.itemsize + 1:
         return None
     tag1, frame, tag2, elapsed = HEAD.unpack_from(data)
     tag3, duration = FRAME_BODY.unpack_from(data, HEAD.size)
-    if (tag1, tag2, tag3) != (FRAME_TAG, ELAPSED_TAG, DURATION_TAG):
+    packets = bytes(data[FRAME_HEAD.itemsize :])
+    ids, kinds = packets[2 : 2 + packets[1]], packets[4 + packets[1] :]
+    if (tag1, tag2, tag3) != (FRAME_TAG, ELAPSED_TAG, DURATION_TAG) or packets != frame_packets(ids, kinds):
         return None
-    return frame, elapsed, duration, bytes(data[FRAME_HEAD.itemsize :])
+    return frame, elapsed, duration, ids, kinds
 
 
 def raw_bodies(id: int, payload: Buffer) -> Iterator[bytes]:
@@ -227,34 +226,6 @@ class WireNumbers:
 def wire_numbers(numbers: Numbers, first: int = 1) -> WireNumbers:
     """Return how some numbers are written in a message; see `WireNumbers`."""
     return WireNumbers(numbers, first)
-
-
-class Payloads:
-    """Payloads of packets of one type, decoded together.
-
-    Args:
-        records: The records of all of them, one after the other.
-        ends: The end of the records of each.
-        counted: Whether each payload begins with its number of records.
-    """
-
-    def __init__(self, records: NDArray[np.void], ends: list[int], *, counted: bool) -> None:
-        records.setflags(write=False)
-        self._records = records
-        self._bytes = records.view(np.uint8).data if len(records) else memoryview(b"")
-        self._size = records.dtype.itemsize
-        self._ends = [*ends, 0]  # the last one stands before the first
-        self._counted = counted
-
-    def records(self, index: int) -> NDArray[np.void]:
-        """Return the records of one payload."""
-        return self._records[self._ends[index - 1] : self._ends[index]]
-
-    def payload(self, index: int) -> bytes:
-        """Return the bytes of one payload."""
-        start, end = self._ends[index - 1], self._ends[index]
-        data = self._bytes[start * self._size : end * self._size]
-        return U16.pack(end - start) + data if self._counted else bytes(data)
 
 
 class RecordsCodec:
@@ -339,14 +310,15 @@ class RecordsCodec:
         )
 
     def records(self, bodies: NDArray[np.void]) -> NDArray[np.void]:
-        """Return the records of bodies of the type `wire`."""
+        """Return the records of bodies of the type `wire`, read-only."""
         records = np.empty(bodies.shape, self._dtype)
         for name in self._dtype.names or ():
             records[name] = bodies[name]
+        records.flags.writeable = False
         return records
 
-    def decode(self, messages: Sequence[Buffer]) -> Payloads | None:
-        """Return the payloads of some messages; None where one is not as `encode` writes it."""
+    def decode(self, messages: Sequence[Buffer]) -> list[NDArray[np.void]] | None:
+        """Return the records of each of some messages; None where one is not as `encode` writes it."""
         counts = [self.count_in(len(message) - HEAD.size) for message in messages]
         if None in counts:
             return None
@@ -355,8 +327,8 @@ class RecordsCodec:
         bodies = b"".join([message[HEAD.size :] for message in messages])
         if not self.matches(np.frombuffer(bodies, np.uint8).reshape(1, -1)):
             return None
-        ends = list(accumulate(count or 0 for count in counts))
-        return Payloads(self.records(np.frombuffer(bodies, self.wire)), ends, counted=not self._single)
+        records = self.records(np.frombuffer(bodies, self.wire))
+        return [records[start:end] for start, end in pairwise([0, *accumulate(count or 0 for count in counts)])]
 
 
 @cache
@@ -456,7 +428,7 @@ def decode(type: RecordType, data: Buffer) -> bytes:
     """
     if type.fixed:
         found = records_codec(type).decode([data])
-        return found.payload(0) if found else _decode_by_protobuf(type, data)
+        return pack(type, found[0]) if found else _decode_by_protobuf(type, data)
     template = _templates.get(type)
     payloads = template.decode(_row(data)) if template else None
     if payloads is not None:
@@ -490,7 +462,7 @@ def decode_records(type: RecordType, messages: Sequence[Buffer]) -> list[Any]:
     """
     together = records_codec(type).decode(messages) if type.fixed else None
     if together is not None:
-        return [row for index in range(len(messages)) for row in together.records(index).tolist()]
+        return [row for records in together for row in records.tolist()]
     try:
         found = [decode_objects(type, message) or unpack(type, decode(type, message))[0] for message in messages]
     except PayloadError as error:

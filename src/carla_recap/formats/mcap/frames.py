@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections import Counter
-from operator import itemgetter
+from collections import defaultdict
+from functools import cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
-
-import numpy as np
 
 from carla_recap.errors import FormatError
 from carla_recap.formats.mcap import codec
@@ -29,13 +28,15 @@ from carla_recap.formats.mcap.schema import (
 )
 from carla_recap.model.batch import Batch, ConstantColumn
 from carla_recap.model.frame import Frame, Packet
-from carla_recap.model.layout import EMPTY_LIST
+from carla_recap.model.layout import EMPTY_LIST, pack
 from carla_recap.model.records import FRAME_END, FRAME_START
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from carla_recap.formats.mcap.codec import Payloads
+    import numpy as np
+    from numpy.typing import NDArray
+
     from carla_recap.formats.mcap.index import ChunkIndex
     from carla_recap.formats.mcap.runs import MessageRun
     from carla_recap.formats.mcap.schema import ChannelSpec
@@ -89,23 +90,16 @@ class Channels:
 class ChannelMessages:
     """The messages of a channel in some chunks; those whose records have one size are decoded together."""
 
-    __slots__ = ("channel", "decoded", "location", "messages", "payloads", "type")
-
     def __init__(self, channel: int, type: RecordType | None, location: str) -> None:
         self.channel = channel
         self.type = type
         self.location = location
         self.messages: list[memoryview] = []
-        self.payloads: Payloads | None = None
-        self.decoded = False
 
-    def decode(self) -> Payloads | None:
-        """Return all payloads; None where each message is to be decoded by itself."""
-        if not self.decoded:
-            self.decoded = True
-            if self.type is not None and self.type.fixed:
-                self.payloads = records_codec(self.type).decode(self.messages)
-        return self.payloads
+    @cached_property
+    def records(self) -> list[NDArray[np.void]] | None:
+        """The records of all messages; None where each message is to be decoded by itself."""
+        return records_codec(self.type).decode(self.messages) if self.type is not None and self.type.fixed else None
 
 
 class MessagePacket(Packet):
@@ -114,14 +108,12 @@ class MessagePacket(Packet):
     __slots__ = ("_index", "_source")
 
     def __init__(self, source: ChannelMessages, index: int) -> None:
-        type = source.type
-        assert type is not None
-        self.id = type.id
-        self.type = type
+        assert source.type is not None
+        self.id, self.type = source.type.id, source.type
+        self._payload = self._records = self._part = None
+        self._origin = source.location, None
         self._source = source
         self._index = index
-        self._payload = self._records = None
-        self._origin = (source.location, None)
 
     @property
     def payload(self) -> Buffer:
@@ -131,12 +123,13 @@ class MessagePacket(Packet):
             FormatError: The message contradicts its schema.
         """
         if self._payload is None:
-            payloads = self._source.payloads or self._source.decode()
-            if payloads is not None:
-                return payloads.payload(self._index)
+            together = self._source.records
             assert self.type
             try:
-                self._payload = decode(self.type, self._source.messages[self._index])
+                if together is not None:
+                    self._payload = pack(self.type, together[self._index])
+                else:
+                    self._payload = decode(self.type, self._source.messages[self._index])
             except codec.WireError as error:
                 raise self._broken(error) from None
         return self._payload
@@ -148,13 +141,12 @@ class MessagePacket(Packet):
         Raises:
             FormatError: The message contradicts its schema.
         """
-        if self._records is None:
-            payloads = self._source.payloads or self._source.decode()
-            if payloads is not None:
-                return payloads.records(self._index)
+        together = self._source.records
+        if together is not None:
+            return together[self._index]
+        if self._records is None and self._payload is None:
             assert self.type
-            if self._payload is None:
-                self._records = codec.decode_objects(self.type, self._source.messages[self._index])
+            self._records = codec.decode_objects(self.type, self._source.messages[self._index])
         return super().records
 
     def error(self, error: PayloadError) -> FormatError:
@@ -176,27 +168,11 @@ class _Plan(NamedTuple):
 
     Attributes:
         preamble: Whether these are packets before the first frame starts.
-        packets: The packets; None for each that comes as a message.
-        steps: The index of each of these, and its channel.
+        steps: Its packets; of those that come as messages, the channel.
     """
 
     preamble: bool
-    packets: list[Packet | None]
-    steps: list[tuple[int, int]]
-
-
-class _PendingChunks(NamedTuple):
-    """Chunks of which some frames are not complete yet.
-
-    Attributes:
-        last: The log time of the last frame, in ns.
-        size: Bytes of their records.
-        messages: The number of messages.
-    """
-
-    last: int
-    size: int
-    messages: int
+    steps: list[Packet | int]
 
 
 class ReadSelection(NamedTuple):
@@ -245,10 +221,8 @@ class FrameAssembler:
         self._allowance = allowance
         self._warn = warn
         self._lenient = lenient
-        self._pending: dict[int, tuple[int, list[Found]]] = {}  # by sequence number: log time and messages
-        self._waiting: list[tuple[MessageRun, Batch]] = []
-        self._blocks: list[_PendingChunks] = []
-        self._plans: dict[bytes, _Plan] = {}
+        self._runs: list[MessageRun] = []  # of frames that may have further messages, in the order of the file
+        self._plans: dict[tuple[bytes, bytes], _Plan] = {}
 
     def add(self, chunks: list[tuple[ChunkIndex, bytes]]) -> None:
         """Take in the messages of some chunks.
@@ -256,30 +230,24 @@ class FrameAssembler:
         Raises:
             FormatError: The chunks are damaged, or more of them overlap than fit in memory.
         """
-        count = 0
-        single: list[MessageRun] = []
+        wanted = self._selection.channels
+        held = sum(run.number * len(run.slots) for run in self._runs)
         for chunk, data in chunks:
-            for run in self._runs(chunk, data):
-                count += run.number * len(run.slots)
-                batch = self._alike(run) if run.number > 1 and not self._selection.sparse else None
-                if batch is None:
-                    single.append(run)
-                else:
-                    self._waiting.append((run, batch))
-                if count > MESSAGES_LIMIT:
-                    raise self._too_much(chunk)
-        self._split(single)
-        self._resolve()
-        last = max((time for time, _ in self._pending.values()), default=0)
-        last = max(last, *(int(run.times[-1]) for run, _ in self._waiting)) if self._waiting else last
-        self._blocks.append(_PendingChunks(last, sum(len(data) for _, data in chunks), count))
-        self._allowance -= count
-        chunk = chunks[-1][0]
+            try:
+                for run in message_runs(data, self._channels.frames):
+                    messages = run.number * len(run.slots)
+                    held += messages
+                    self._allowance -= messages
+                    if held > MESSAGES_LIMIT:
+                        raise self._too_much(chunk)
+                    if slots := tuple(slot for slot in run.slots if slot[0] in wanted):
+                        self._runs.append(run._replace(slots=slots))
+            except BrokenRecords as error:
+                raise FormatError(self._location, chunk.offset, f"damaged chunk: {error}") from None
         if self._allowance < 0:
-            raise FormatError(self._location, chunk.offset, "more messages than a file of this size can mean")
-        blocks = self._blocks
-        if sum(b.size for b in blocks) > PENDING_LIMIT or sum(b.messages for b in blocks) > MESSAGES_LIMIT:
-            raise self._too_much(chunk)
+            raise FormatError(self._location, chunks[-1][0].offset, "more messages than a file of this size can mean")
+        if sum(map(len, {id(run.data): run.data for run in self._runs}.values())) > PENDING_LIMIT:
+            raise self._too_much(chunks[-1][0])
 
     def complete(self, horizon: int | None) -> Iterator[Batch]:
         """Yield the frames that are complete, in order.
@@ -290,81 +258,41 @@ class FrameAssembler:
         Raises:
             FormatError: A frame contradicts its schema.
         """
-        ready: list[tuple[int, Batch | None]] = [
-            (sequence, None) for sequence, (time, _) in self._pending.items() if horizon is None or time < horizon
-        ]
-        ready += self._complete_batches(horizon)
-        for sequence, batch in sorted(ready, key=itemgetter(0)):
-            if batch is not None:
-                yield batch
-                continue
+        ready, rest = [], []
+        for run in self._runs:
+            count = run.number if horizon is None else run.number_before(horizon)
+            if count:
+                ready.append(run.part(0, count))
+            if count < run.number:
+                rest.append(run.part(count, run.number))
+        self._runs = rest
+        sources: dict[int, ChannelMessages] = {}
+        found: list[tuple[int, Batch | list[Found]]] = []
+        for runs in _of_same_frames(ready):
+            alone = len(runs) == 1 and runs[0].number > 1 and not self._selection.sparse
+            batch = self._alike(runs[0]) if alone else None
+            found += self._split(runs, sources) if batch is None else [(batch.index, batch)]
+        for sequence, each in found:
             try:
-                yield Batch.of(self._frame(sequence, self._pending.pop(sequence)[1]))
+                yield each if isinstance(each, Batch) else Batch.of(self._frame(sequence, each))
             except FormatError:
                 if not self._lenient:
                     raise
-        self._blocks = [block for block in self._blocks if horizon is not None and block.last >= horizon]
 
-    # --- messages ------------------------------------------------------------------------------------------------------
-
-    def _runs(self, chunk: ChunkIndex, data: bytes) -> Iterator[MessageRun]:
-        try:
-            yield from message_runs(data, self._channels.frames)
-        except BrokenRecords as error:
-            raise FormatError(self._location, chunk.offset, f"damaged chunk: {error}") from None
-
-    def _split(self, runs: Iterable[MessageRun]) -> None:
-        """Add the messages of runs to those of their frames, one by one."""
-        found: dict[int, ChannelMessages] = {}
-        pending, wanted = self._pending, self._selection.channels
-        for run in runs:
-            slots = [slot for slot in run.slots if slot[0] in wanted]
-            if not slots:
-                continue
-            data, start = run.data, run.start
-            for sequence, time in enumerate(run.times.tolist() if run.number > 1 else [run.time], run.sequence):
-                of_frame: list[Found] = []
-                for channel, offset, size in slots:
-                    source = found.get(channel)
+    def _split(self, runs: list[MessageRun], sources: dict[int, ChannelMessages]) -> Iterator[tuple[int, list[Found]]]:
+        """Yield the number of each frame of some runs, and its messages, after adding these to those of their channels."""
+        for row in range(runs[0].number):
+            found: list[Found] = []
+            for run in runs:
+                start = run.start + row * run.stride
+                for channel, offset, size in run.slots:
+                    source = sources.get(channel)
                     if source is None:
-                        source = found[channel] = ChannelMessages(channel, self._channels.types.get(channel), self._location)
-                    of_frame.append((source, len(source.messages)))
-                    source.messages.append(data[start + offset : start + offset + size])
-                if sequence in pending:
-                    pending[sequence][1].extend(of_frame)
-                else:
-                    pending[sequence] = time, of_frame
-                start += run.stride
-
-    def _resolve(self) -> None:
-        """Split the batches some of whose frames have messages elsewhere, too."""
-        twice, stop = set(), -1
-        for run, _ in sorted(self._waiting, key=lambda each: each[0].sequence):
-            if run.sequence < stop:  # another run has the frame, too, as of a chunk that is in the file twice
-                twice.add(id(run))
-            stop = max(stop, run.sequence + run.number)
-        self._split([run for run, _ in self._waiting if id(run) in twice])
-        waiting = [each for each in self._waiting if id(each[0]) not in twice]
-        numbers = sorted(self._pending)
-        self._waiting = []
-        for run, batch in waiting:
-            first = bisect_left(numbers, run.sequence)
-            if first < len(numbers) and numbers[first] < run.sequence + run.number:
-                self._split([run])
-            else:
-                self._waiting.append((run, batch))
-
-    def _complete_batches(self, horizon: int | None) -> list[tuple[int, Batch]]:
-        """Take the frames that begin before a time out of those that wait."""
-        ready, rest = [], []
-        for run, batch in self._waiting:
-            count = run.number if horizon is None else int(np.searchsorted(run.times, horizon))
-            if count:
-                ready.append((run.sequence, batch[:count] if count < run.number else batch))
-            if count < run.number:
-                rest.append((run.after(count), batch[count:]))
-        self._waiting = rest
-        return ready
+                        type = self._channels.types.get(channel)
+                        source = sources[channel] = ChannelMessages(channel, type, self._location)
+                    found.append((source, len(source.messages)))
+                    source.messages.append(run.data[start + offset : start + offset + size])
+            yield runs[0].sequence + row, found
 
     def _too_much(self, chunk: ChunkIndex) -> FormatError:
         limits = f"{PENDING_LIMIT} bytes or {MESSAGES_LIMIT} messages"
@@ -374,54 +302,47 @@ class FrameAssembler:
 
     def _alike(self, run: MessageRun) -> Batch | None:
         """Return the frames of a run as a batch; None where they have to be put together one by one."""
-        channels = self._channels
         slots = {slot[0]: slot for slot in run.slots}
-        counts = Counter(slot[0] for slot in run.slots)
-        own = slots.get(channels.frames)
-        start = codec.FRAME_HEAD.itemsize
-        if own is None or own[2] < start or counts[channels.frames] > 1:
+        own = slots.get(self._channels.frames)
+        if own is None or own[2] < codec.FRAME_HEAD.itemsize or len(slots) < len(run.slots):
             return None
         heads = run.view(codec.FRAME_HEAD, own[1])[:, 0]
-        if not codec.have_heads(heads):
-            return None
-        plan = self._plan(bytes(run.message(0, own)[start:]))
-        steps = [channel for _, channel in plan.steps]
-        if plan.preamble or channels.raw in steps or len({*steps}) < len(steps) or any(counts[step] != 1 for step in steps):
-            return None
-        columns: list[Column] = [ConstantColumn(packet, run.number) for packet in plan.packets if packet is not None]
+        columns: list[Column] = []
         try:
-            for position, channel in plan.steps:
-                columns.insert(position, column(channels.types[channel], run, slots[channel]))
+            found = codec.read_frame(run.message(0, own))
+            if found is None or not codec.have_heads(heads):
+                return None
+            plan = self._plan(*found[3:])
+            for step in plan.steps:
+                if isinstance(step, Packet):
+                    columns.append(ConstantColumn(step, run.number))
+                elif step in slots and step != self._channels.raw:
+                    columns.append(column(self._channels.types[step], run, slots.pop(step)))
+                else:
+                    return None
         except ValueError:
             return None
-        return Batch(run.sequence, heads["frame"], heads["elapsed"], heads["duration"], columns)
+        return None if plan.preamble else Batch(run.sequence, heads["frame"], heads["elapsed"], heads["duration"], columns)
 
     def _frame(self, index: int, found: list[Found]) -> Frame:
         """Return the frame of some messages."""
-        first = {each[0].channel: each for each in reversed(found)}
-        own = first.get(self._channels.frames)
-        if own is None or self._selection.sparse:
+        waiting: dict[int, list[Found]] = {}  # by channel, the first one last
+        for each in reversed(found):
+            waiting.setdefault(each[0].channel, []).append(each)
+        own, read = waiting.get(self._channels.frames), self._selection
+        if own is None or read.sparse:
             return self._frame_of_messages(index, found)
-        rest: dict[int, list[Found]] = {}  # what comes after the first message of each channel, in reverse order
-        for each in reversed(found) if len(first) < len(found) else ():
-            if each is not first[each[0].channel]:
-                rest.setdefault(each[0].channel, []).append(each)
-        id, elapsed, duration, plan = self._read_frame(_data(own))
-        packets = plan.packets.copy()
-        for position, channel in plan.steps:
-            message = first.pop(channel, None)
-            if message is None:
-                continue
-            if channel == self._channels.raw:
-                packets[position] = self._raw_packet(message, rest.get(channel, []))
-            else:
-                packets[position] = MessagePacket(*message)
-            if rest and rest.get(channel):
-                first[channel] = rest[channel].pop()
-        whole, read = [packet for packet in packets if packet is not None], self._selection
-        if len(whole) < len(packets) and not (elapsed < read.start or elapsed >= read.stop < math.inf):
+        id, elapsed, duration, *kept = self._read_frame(_data(own[-1]))
+        plan, raw = self._plan(*kept), self._channels.raw
+        packets: list[Packet] = []
+        for step in plan.steps:
+            if isinstance(step, Packet):
+                packets.append(step)
+            elif messages := waiting.get(step):
+                packets.append(self._raw_packet(messages) if step == raw else MessagePacket(*messages.pop()))
+        if len(packets) < len(plan.steps) and not (elapsed < read.start or elapsed >= read.stop < math.inf):
             self._warn(id)
-        return Frame(index, id, elapsed, duration, whole, preamble=plan.preamble)
+        return Frame(index, id, elapsed, duration, packets, preamble=plan.preamble)
 
     def _frame_of_messages(self, index: int, found: list[Found]) -> Frame:
         """Return a frame without its own message, which is not read, or lost."""
@@ -434,38 +355,24 @@ class FrameAssembler:
             head = message.frame, message.elapsed
         return Frame(index, *head, math.nan, packets)
 
-    def _read_frame(self, data: memoryview) -> tuple[int, float, float, _Plan]:
-        """Return id, elapsed and duration of a `Frame`, and the plan to put it together."""
+    def _read_frame(self, data: memoryview) -> tuple[int, float, float, bytes, bytes]:
+        """Return what the message of a frame says; see `codec.read_frame`."""
         found = codec.read_frame(data)
         if found is None:
             message = parsed(self._location, "frame", FRAME_MESSAGE, data)
-            packets = codec.frame_packets(message.packets, message.filled)
-            found = message.frame, message.elapsed, message.duration, packets
-        id, elapsed, duration, packets = found
-        return id, elapsed, duration, self._plan(packets)
+            found = message.frame, message.elapsed, message.duration, message.packets, message.filled
+        return found
 
-    def _plan(self, packets: bytes) -> _Plan:
-        """Return the plan for what `codec.frame_packets` wrote."""
-        plan = self._plans.get(packets)
+    def _plan(self, ids: bytes, kinds: bytes) -> _Plan:
+        """Return how to put a frame of some packets together."""
+        plan = self._plans.get((ids, kinds))
         if plan is None:
             if len(self._plans) > _PLANS:
                 self._plans.clear()
-            found = codec.read_frame_packets(packets)
-            if found is None:
-                message = parsed(self._location, "frame", FRAME_MESSAGE, packets)
-                found = message.packets, message.filled
-            ids, kinds = found
             steps = [self._step(id, kind) for id, kind in zip(ids, kinds, strict=False) if id != FRAME_START]
-            kept = [
-                step
-                for step in steps
-                if self._selection.whole or (isinstance(step, int) and step in self._selection.channels)
-            ]
-            plan = self._plans[packets] = _Plan(
-                not ids.startswith(bytes((FRAME_START,))),
-                [None if isinstance(step, int) else step for step in kept],
-                [(position, step) for position, step in enumerate(kept) if isinstance(step, int)],
-            )
+            read = self._selection
+            kept = [step for step in steps if read.whole or (isinstance(step, int) and step in read.channels)]
+            plan = self._plans[ids, kinds] = _Plan(not ids.startswith(bytes((FRAME_START,))), kept)
         return plan
 
     def _step(self, id: int, kind: int) -> Packet | int:
@@ -477,19 +384,33 @@ class FrameAssembler:
             return self._channels.of(type.topic)
         return self._channels.raw
 
-    def _raw_packet(self, first: Found, rest: list[Found]) -> Packet:
-        """Return a packet of raw pieces, and take those after the first one out of the rest."""
-        message = parsed(self._location, "raw_packet", RAW_MESSAGE, _data(first))
+    def _raw_packet(self, waiting: list[Found]) -> Packet:
+        """Return a packet of raw pieces, and take these out of those that wait."""
+        message = parsed(self._location, "raw_packet", RAW_MESSAGE, _data(waiting.pop()))
         pieces = [message.data]
         missing = message.size - len(message.data)
-        while missing > 0 and rest:
-            pieces.append(parsed(self._location, "raw_packet", RAW_MESSAGE, _data(rest.pop())).data)
+        while missing > 0 and waiting:
+            pieces.append(parsed(self._location, "raw_packet", RAW_MESSAGE, _data(waiting.pop())).data)
             missing -= len(pieces[-1])
         if not FRAME_START < message.id <= 0xFF:
-            raise FormatError(self._location, None, f"a raw packet of id {message.id}; 1 to 255 were expected")
+            raise FormatError(self._location, None, f"expected a raw packet of an id from 1 to 255, found {message.id}")
         table = self._channels.table
         type = table[message.id] if message.id < len(table) else None
         return Packet(message.id, type, b"".join(pieces), origin=(self._location, None))
+
+
+def _of_same_frames(runs: list[MessageRun]) -> Iterator[list[MessageRun]]:
+    """Cut runs at each other's ends; yield the pieces of the same frames together, in the order of the frames."""
+    ends = sorted({end for run in runs for end in (run.sequence, run.sequence + run.number)})
+    pieces: defaultdict[int, list[MessageRun]] = defaultdict(list)
+    for run in runs:
+        if run.number == 1:
+            pieces[run.sequence].append(run)
+            continue
+        first, last = bisect_left(ends, run.sequence), bisect_left(ends, run.sequence + run.number)
+        for start, stop in pairwise(ends[first : last + 1]):
+            pieces[start].append(run.part(start - run.sequence, stop - run.sequence))
+    return (pieces[start] for start in sorted(pieces))
 
 
 def channel_messages(location: str, chunk: ChunkIndex, data: bytes, channel: int) -> Iterator[memoryview]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from carla_recap.formats.mcap.codec import FRAME_BODY, HEAD, HEAD_DTYPE, decode_rows, have_heads, records_codec
+from carla_recap.formats.mcap.codec import FRAME_HEAD, HEAD, HEAD_DTYPE, decode_rows, have_heads, records_codec
 from carla_recap.formats.mcap.schema import MESSAGE, MESSAGE_DTYPE, MESSAGE_FIELDS, RECORD
 from carla_recap.model.batch import PackedColumn, RecordsColumn, equal_rows
 
@@ -28,7 +28,6 @@ Slot = tuple[int, int, int]  # of a message in a frame: its channel, the offset 
 _MESSAGE: Final = int(Opcode.MESSAGE)
 _NO_MESSAGE: Final = (0,) * 6  # instead of the fields of one
 _HEADER_BYTES: Final = 11  # of a message: opcode, length and channel
-_WORD: Final = 8
 
 
 class BrokenRecords(ValueError):
@@ -61,10 +60,16 @@ class MessageRun(NamedTuple):
         """The log times of the frames in ns, (frames,)."""
         return self.view(MESSAGE_DTYPE, self.slots[0][1] - MESSAGE.size)["log_time"][:, 0]
 
-    def after(self, count: int) -> MessageRun:
-        """Return the run without its first frames."""
-        start, time = self.start + count * self.stride, int(self.times[count])
-        return self._replace(sequence=self.sequence + count, number=self.number - count, start=start, time=time)
+    def number_before(self, time: int) -> int:
+        """Return the number of frames before a log time in ns."""
+        return int(self.time < time) if self.number == 1 else int(np.searchsorted(self.times, time))
+
+    def part(self, start: int, stop: int) -> MessageRun:
+        """Return the run of some of the frames."""
+        if stop - start == self.number:
+            return self
+        offset, time = self.start + start * self.stride, int(self.times[start])
+        return self._replace(sequence=self.sequence + start, number=stop - start, start=offset, time=time)
 
     def message(self, row: int, slot: Slot) -> memoryview:
         """Return the data of a message of one of the frames."""
@@ -147,14 +152,11 @@ def _extended(run: MessageRun, frame_channel: int) -> MessageRun:
     room = (len(run.data) - run.start) // run.stride
     compared: list[int] = []
     for channel, offset, size in run.slots:
-        start = offset - MESSAGE.size
-        compared += (start, start + _HEADER_BYTES - _WORD)
+        compared += range(offset - MESSAGE.size, offset - MESSAGE.size + _HEADER_BYTES)
         if channel == frame_channel:
-            packets, end = offset + HEAD.size + FRAME_BODY.size, offset + size
-            compared += (min(each, end - _WORD) for each in range(packets, end, _WORD))
-    # Words of all bytes, which overlap: to take some of them out is faster than to take each byte.
-    words = np.ndarray((room, run.stride - _WORD + 1), np.uint64, run.data, run.start, (run.stride, 1))
-    same = equal_rows(words, np.array(compared, np.intp))
+            compared += range(offset + FRAME_HEAD.itemsize, offset + size)
+    frames = np.ndarray((room, run.stride), np.uint8, run.data, run.start)
+    same = equal_rows(frames, np.array(compared, np.intp))
     numbers = np.arange(run.sequence, run.sequence + same)
     for _, offset, _ in run.slots:
         found = run._replace(number=same).view(MESSAGE_DTYPE, offset - MESSAGE.size)["sequence"][:, 0]
@@ -185,6 +187,4 @@ def column(type: RecordType, run: MessageRun, slot: Slot) -> Column:
     count = codec.count_in(size)
     if count is None or not have_heads(run.view(HEAD_DTYPE, offset)) or not codec.matches(run.bytes_at(start, size)):
         raise ValueError(f"a {type.message_name} of another form")
-    records = codec.records(run.view(codec.wire, start, count))
-    records.flags.writeable = False
-    return RecordsColumn(type, records)
+    return RecordsColumn(type, codec.records(run.view(codec.wire, start, count)))
