@@ -133,11 +133,7 @@ def _told(error: BaseException) -> str:
 
 
 def _module(name: str, folder: str) -> ModuleType:
-    """Return a module: a file, which is imported anew if it has changed, else one that Python finds.
-
-    Args:
-        name: Its name, or the path of its file.
-        folder: The folder where it is looked for first, and where the path begins.
+    """Return a module by its name or path: a file in a folder, imported anew if it has changed, else one that Python finds.
 
     Raises:
         NotSetUp: It is not there, or raises an error.

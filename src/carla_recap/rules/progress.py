@@ -240,17 +240,9 @@ def _each(
     *,
     is_demand: bool = True,
 ) -> Finding:
-    """Return the finding of a condition that each of some actors has to meet.
+    """Return the finding of a condition that each actor has to meet, those of a demand also if there are none.
 
-    Args:
-        of: The actors.
-        subjects: Those of them that are in the recording.
-        offences: The offences of those that do not meet it.
-        verbs: The verb for several actors, and for one.
-        what: The object of the verb.
-        facts: The answers about the recording.
-        times: The elapsed seconds at which the others meet it.
-        is_demand: Whether it is broken if there are no such actors.
+    `times` are those at which actors meet it; `verbs`, for several actors and for one, have the object `what`.
     """
     plural, singular = verbs
     if not subjects:
