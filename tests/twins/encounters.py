@@ -102,6 +102,22 @@ class Twin:
             first, last = max(first, edges[0]), min(last, edges[1])
         return max(first, 0.0) if first <= last and last >= 0 else math.inf
 
+    def headway(self, one: int, other: int, a: Pose, b: Pose) -> float:
+        """Return the distance from bumper to bumper to a leader; inf if the other is none."""
+        turn, (length, width, _) = b.yaw - a.yaw, self.sizes[one]
+        along = (b.x - a.x) * math.cos(a.yaw) + (b.y - a.y) * math.sin(a.yaw)
+        across = (b.y - a.y) * math.cos(a.yaw) - (b.x - a.x) * math.sin(a.yaw)
+        ends = [
+            (x * math.cos(turn) - y * math.sin(turn), x * math.sin(turn) + y * math.cos(turn))
+            for x in (-self.sizes[other][0] / 2, self.sizes[other][0] / 2)
+            for y in (-self.sizes[other][1] / 2, self.sizes[other][1] / 2)
+        ]
+        is_beside = abs(across) >= width / 2 + max(y for _, y in ends)
+        is_vehicle = self.table.actors[other].kind == "vehicle"
+        if not is_vehicle or along <= 0 or is_beside or math.cos(turn) < math.cos(math.pi / 4):
+            return math.inf
+        return max(along + min(x for x, _ in ends) - length / 2, 0.0)
+
     # --- paths -----------------------------------------------------------------------------------------
 
     def joined(self, row: int, frame: int) -> bool:

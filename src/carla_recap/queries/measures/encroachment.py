@@ -365,8 +365,11 @@ class _Grid:
         begin = np.searchsorted(self.step, self.step[hits.left] - round(AROUND / STEP))
         end = np.searchsorted(self.step, self.step[hits.arrived] + round(AROUND / STEP), side="right")
         pairs, pair = np.unique(np.stack((hits.first, hits.second)), axis=1, return_inverse=True)
-        touching = np.pad(np.cumsum(self._touching(*pairs), axis=1), ((0, 0), (1, 0)))
-        apart = np.flatnonzero(touching[pair, end] == touching[pair, begin])
+        apart, few = np.zeros(len(begin), np.bool_), max(1, ELEMENTS // len(self.step))
+        for start in range(0, pairs.shape[1], few):
+            touching = np.pad(np.cumsum(self._touching(*pairs[:, start : start + few]), axis=1), ((0, 0), (1, 0)))
+            rows = np.flatnonzero((pair >= start) & (pair < start + few))
+            apart[rows] = touching[pair[rows] - start, end[rows]] == touching[pair[rows] - start, begin[rows]]
         hits, begin = hits.take(apart), begin[apart]
         few = max(1, ELEMENTS // int((hits.arrived - begin).max(initial=0) + 1))
         parts = (slice(start, start + few) for start in range(0, len(begin), few))
