@@ -7,20 +7,17 @@ recordings of 0.9.10 and 0.9.13.
 from __future__ import annotations
 
 import math
-import os
-import stat
 import struct
 import warnings
 from array import array
-from threading import Lock
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 import numpy as np
 
-from carla_recap.errors import Closed, FormatError, NotARecording, RecapError, RecapWarning, RecordError
+from carla_recap.errors import FormatError, NotARecording, RecapWarning, RecordError
 from carla_recap.formats.base import PIECE, Reader
 from carla_recap.formats.log_scan import PACKET, START, START_HEAD, Scanner, Window, is_sound
-from carla_recap.formats.sources import path_of
+from carla_recap.formats.sources import LocalSource
 from carla_recap.model.batch import Batch, ConstantColumn, PackedColumn, within
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, MAX_COUNT, OBJECTS_LIMIT, U16, Buffer, Framing
@@ -78,29 +75,21 @@ class LogReader(Reader):
     """
 
     def __init__(self, location: Path | str, *, lenient: bool = False, file: BinaryIO | None = None) -> None:
-        self.path, self.location = path_of(location), os.fspath(location)
         self.lost_bytes = 0
-        self._lock = Lock()
         self._lenient = lenient
         self._warned: set[str] = set()
         self._extent: Extent | None = None
         self._elapsed: array[float] | None = None  # of each frame, in s
         self._offsets: Offsets | None = None  # once all frames have been read
         self._end: int | None = None  # of the last complete packet, once known
+        self._source = LocalSource(location, file)
+        self.path, self.location, self._size = self._source.path, self._source.location, self._source.size
         try:
-            self._file: BinaryIO = file or self.path.open("rb", buffering=0)
-        except OSError as error:
-            raise RecapError(f"{location}: {error.strerror}") from None
-        try:
-            status = os.fstat(self._file.fileno())
-            if not stat.S_ISREG(status.st_mode):
-                raise NotARecording(location, "is not a regular file")
-            self._size = status.st_size
             if not self._size:
                 raise NotARecording(location, "is empty, a CARLA log was expected")
             self.header, self._start = self._read_header()
         except BaseException:
-            self._file.close()
+            self._source.close()
             raise
         self._types: list[RecordType | None] = [None] * 256
         for type in self.header.table:
@@ -117,12 +106,11 @@ class LogReader(Reader):
 
     def check_open(self) -> None:
         """Check that it is not closed; see `Reader.check_open`."""
-        if self._file.closed:
-            raise Closed(self.location)
+        self._source.check_open()
 
     def close(self) -> None:
         """Close the file; see `Reader.close`."""
-        self._file.close()
+        self._source.close()
 
     def batches(
         self,
@@ -235,7 +223,7 @@ class LogReader(Reader):
 
     def _window(self, piece: int | None = None) -> Window:
         self.check_open()
-        return Window(self.location, self._file, self._size, self._lock, piece)
+        return Window(self._source, piece)
 
     def _frame_from(self, index: int, offset: int, names: frozenset[str] | None, *, piece: int | None = None) -> Frame:
         """Return a frame that was found before; for the arguments see `_runs`."""

@@ -13,16 +13,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.errors import FormatError, RecapError
+from carla_recap.errors import FormatError
 from carla_recap.model.batch import equal_rows
 from carla_recap.model.layout import EMPTY_LIST, U16, Framing, PayloadError, check
 from carla_recap.model.records import FRAME_END, FRAME_START
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
-    from threading import Lock
-    from typing import BinaryIO
 
+    from carla_recap.formats.sources import ByteSource
     from carla_recap.model.records import RecordType
 
 PACKET: Final = struct.Struct("<BI")  # id, size of the payload
@@ -96,10 +95,7 @@ class Window:
     that ends the process.
 
     Args:
-        location: The path or URL of the file, for messages.
-        file: The file, unbuffered.
-        size: Its size, in bytes.
-        lock: Held while a part of the file is read, as several windows may share the file.
+        source: The file.
         piece: The bytes to read at once, unless more are needed.
 
     Attributes:
@@ -108,12 +104,10 @@ class Window:
         size: The size of the file, in bytes.
     """
 
-    def __init__(self, location: str, file: BinaryIO, size: int, lock: Lock, piece: int | None = None) -> None:
-        self._location = location
+    def __init__(self, source: ByteSource, piece: int | None = None) -> None:
+        self._source = source
         self._piece = piece or _WINDOW
-        self._file = file
-        self._lock = lock
-        self.size = size
+        self.size = source.size
         self.base = 0
         self.data = b""
 
@@ -121,7 +115,7 @@ class Window:
         """Return some bytes of the file, fewer at its end; the window stays where it is."""
         if self.base <= offset and offset + size <= self.base + len(self.data):
             return self.data[offset - self.base : offset - self.base + size]
-        return self._bytes(offset, min(size, self.size - offset))
+        return self._source.read(offset, min(size, self.size - offset), "a part")
 
     def begin(self, offset: int) -> None:
         """Move the window to an offset that is outside of it."""
@@ -149,28 +143,14 @@ class Window:
         if offset + held >= self.size or offset + size > self.size:
             return False
         if max(held, size) > FRAME_LIMIT:
-            raise FormatError(self._location, offset, f"a frame of at most {FRAME_LIMIT} bytes was expected")
+            raise FormatError(self._source.location, offset, f"a frame of at most {FRAME_LIMIT} bytes was expected")
         self._read(offset, max(2 * held, size) if self.base == offset else size)
         return True
 
     def _read(self, offset: int, size: int) -> None:
         size = min(max(size, self._piece), self.size - offset)
         self.data = b""  # so that its memory serves again
-        self.data, self.base = self._bytes(offset, size), offset
-
-    def _bytes(self, offset: int, size: int) -> bytes:
-        """Read some bytes."""
-        try:
-            with self._lock:
-                self._file.seek(offset)
-                data = self._file.read(size)
-                while len(data) < size and (more := self._file.read(size - len(data))):
-                    data += more
-        except OSError as error:
-            raise RecapError(f"{self._location}: {error.strerror}") from None
-        if len(data) < size:
-            raise FormatError(self._location, offset + len(data), "the file has become shorter while it was read")
-        return data
+        self.data, self.base = self._source.read(offset, size, "a part"), offset
 
 
 class Scanner:

@@ -121,7 +121,7 @@ class LocalSource:
         except OSError as error:
             raise RecapError(f"{self.location}: {error.strerror}") from None
         if len(data) < size:
-            raise FormatError(self.location, offset + len(data), f"the file ends inside {what}")
+            raise FormatError(self.location, offset + len(data), "the file has become shorter while it was read")
         return data
 
     def read_ranges(self, spans: Iterable[ByteRange], what: str, *, whole: bool = False) -> Iterator[bytes]:
