@@ -36,10 +36,9 @@ class Inside:
         answer = entry(self._client, list(arguments))
         if isinstance(answer, Coroutine):
             answer = asyncio.run(answer)
-        if entry.result is None:
-            return None
-        data = msgpack.packb(entry.result(answer), unicode_errors="surrogateescape")
-        return msgpack.unpackb(data, unicode_errors="surrogateescape")
+        data = msgpack.packb(entry.encoded(self._client, answer), unicode_errors="surrogateescape")
+        response = msgpack.unpackb(data, unicode_errors="surrogateescape")
+        return response if entry.bare else response[0][-1] or None
 
     def batch(self, *commands: Any) -> list[Any]:
         """Return the answers to a batch of commands, each [number, fields]."""

@@ -12,6 +12,7 @@ from carla_recap.server import actor_records
 from carla_recap.server.actor_records import DestroyedActor
 from carla_recap.server.controllers import AckermannSettings
 from carla_recap.server.host import Host
+from carla_recap.server.protocol import DEFAULT
 from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.errors import DeadActor
 from tests.sim.flat import at, flat_world
@@ -29,13 +30,13 @@ def spawned(host: Host, x: float = 0.0, role_name: str = "autopilot") -> Actor:
 def test_the_record_of_a_destroyed_actor_stays_as_it_was() -> None:
     host = Host(flat_world())
     car = spawned(host, role_name="hero")
-    before = actor_records.record(car, host.streams)
+    before = actor_records.record(car, host.streams, DEFAULT)
     place = car.transform.location
     car.destroy()
     host.tick()
     destroyed = host.known_actor(car.id)
     assert isinstance(destroyed, DestroyedActor)
-    assert actor_records.record(destroyed, host.streams) == before
+    assert actor_records.record(destroyed, host.streams, DEFAULT) == before
     assert destroyed.transform.location.distance(place) == 0
     with pytest.raises(DeadActor, match=r"vehicle\.audi\.tt"):
         host.actor(car.id)

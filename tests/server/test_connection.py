@@ -12,6 +12,7 @@ import msgpack
 import pytest
 
 from carla_recap.errors import RecapError
+from carla_recap.server.protocol import DEFAULT
 from carla_recap.server.rpc import connection as connections
 from carla_recap.server.rpc.connection import ClientConnection, ConnectionPool, connection_limit
 from carla_recap.server.rpc.registry import unregistered_call
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 class Context:
     """A context of calls that holds back nothing."""
+
+    release = DEFAULT
 
     def begin_call(self, name: str) -> None:
         pass

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from math import cos, radians, sin
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from carla_recap.model.records import ActorKind
 from carla_recap.sensors.kinds import LARGEST_SIDE
+from carla_recap.server.protocol.releases import DEFAULT, RELEASES, AttributeCode, Labels
 from carla_recap.server.rpc.codec import encoder
 from carla_recap.server.rpc.registry import CallError
 from carla_recap.server.rpc.structs import (
@@ -33,14 +34,15 @@ from carla_recap.sim.geometry import Location, Vector
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from carla_recap.server.protocol.releases import Release
     from carla_recap.server.streams import Streams
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
     from carla_recap.sim.geometry import Box, Transform
 
 
-_FIRST_TYPE: Final = 1  # the protocol numbers the types of attributes from 1, recordings from 0
 _FIRST_SENSOR_STREAM: Final = 1 << 24  # streams of sensors are numbered from here, those of snapshots below
+_RELEASE: Final = 28  # bits before the number of a release in that of a stream
 _TAGS: Final = {"car": 14, "van": 14, "truck": 15, "bus": 16, "motorcycle": 18, "bicycle": 19}
 _WALKER_TAG, _SIGN_TAG, _LIGHT_TAG, _PROP_TAG = 12, 8, 7, 20
 _BEFORE: Final = 2.0  # m, from the stop line back to the middle of the trigger volume, so that it is not in the junction
@@ -124,7 +126,7 @@ def definition(blueprint: Blueprint) -> ActorDefinition:
     attributes = [
         AttributeDefinition(
             key,
-            attribute_type(key) + _FIRST_TYPE,
+            AttributeCode(attribute_type(key)),
             value,
             list(blueprint.choices.get(key, ())),
             key in blueprint.choices,
@@ -135,27 +137,27 @@ def definition(blueprint: Blueprint) -> ActorDefinition:
     return ActorDefinition(blueprint.uid, blueprint.id, ",".join(blueprint.id.split(".")), attributes)
 
 
-@lru_cache(maxsize=1)
-def encoded_definitions(library: BlueprintLibrary) -> Any:
-    """Return the encoded records of all blueprints: the same for every client."""
-    return encoder(list[ActorDefinition])([definition(blueprint) for blueprint in library])
+@cache
+def encoded_definitions(library: BlueprintLibrary, release: Release) -> Any:
+    """Return the encoded records of all blueprints of a release: the same for each of its clients."""
+    return encoder(list[ActorDefinition], release)([definition(blueprint) for blueprint in release.blueprints(library)])
 
 
-def record(actor: Actor | DestroyedActor, streams: Streams) -> ActorRecord:
-    """Return the record of an actor, or of a destroyed one."""
+def record(actor: Actor | DestroyedActor, streams: Streams, release: Release) -> ActorRecord:
+    """Return the record of an actor, or of a destroyed one, for a client of a release."""
     if isinstance(actor, DestroyedActor):
         attributes, parent = actor.attributes, None
     else:
         attributes = readable_attributes(actor.blueprint, actor.attributes, actor.context.blueprints)
         parent = actor.parent
-    values = [AttributeValue(key, attribute_type(key) + _FIRST_TYPE, value) for key, value in attributes.items()]
+    values = [AttributeValue(key, AttributeCode(attribute_type(key)), value) for key, value in attributes.items()]
     return ActorRecord(
         actor.id,
         parent.id if parent else 0,
         ActorDescription(actor.blueprint.uid, actor.type_id, values),
         box(actor),
-        bytes(_tags(actor)),
-        streams.token(stream_of(actor)) if streams_data(actor) else b"",
+        Labels(bytes(_tags(actor))),
+        streams.token(stream_of(actor, release)) if streams_data(actor) else b"",
     )
 
 
@@ -182,14 +184,19 @@ def _trigger_volume(sign: Sign) -> BoxStruct:
     return BoxStruct(centre, Vector(width, depth, _TRIGGER_HEIGHT), actor_id=sign.id)
 
 
-def stream_of(actor: Actor | DestroyedActor) -> int:
-    """Return the number of the stream of a sensor."""
-    return _FIRST_SENSOR_STREAM + actor.id
+def stream_of(actor: Actor | DestroyedActor, release: Release = DEFAULT) -> int:
+    """Return the number of the stream of a sensor for clients of a release."""
+    return (RELEASES.index(release) << _RELEASE) + _FIRST_SENSOR_STREAM + actor.id
 
 
 def sensor_of(stream: int) -> int:
     """Return the id of the sensor of a stream; it is below 0 for a stream of snapshots."""
-    return stream - _FIRST_SENSOR_STREAM
+    return stream % (1 << _RELEASE) - _FIRST_SENSOR_STREAM
+
+
+def release_of(stream: int) -> Release:
+    """Return the release of the clients that a stream of a sensor is for; a client could subscribe to any number."""
+    return RELEASES[min(stream >> _RELEASE, len(RELEASES) - 1)]
 
 
 def tag(actor: Actor) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -9,12 +10,14 @@ from carla_recap.server.actor_records import ActorCache, encoded_definitions
 from carla_recap.server.controllers import AckermannController, ConstantVelocity, Takeover
 from carla_recap.server.maps import Maps
 from carla_recap.server.navmesh import prepare_navigation
+from carla_recap.server.protocol.clients import release_of
+from carla_recap.server.protocol.releases import DEFAULT
 from carla_recap.server.recordings import Recordings
 from carla_recap.server.rpc.connection import ConnectionPool
 from carla_recap.server.rpc.registry import CallError
 from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.sensors import Sensors
-from carla_recap.server.snapshots import SnapshotEncoder, with_map_changed
+from carla_recap.server.snapshots import SnapshotEncoder, for_release, with_map_changed
 from carla_recap.server.streams import SnapshotStreams, Streams
 from carla_recap.server.traffic_manager import TrafficManagerCycle, TrafficManagerRegistry
 from carla_recap.sim.errors import DeadActor
@@ -24,6 +27,8 @@ if TYPE_CHECKING:
 
     from carla_recap.rendering.camera import Quality
     from carla_recap.server.actor_records import DestroyedActor
+    from carla_recap.server.protocol.clients import Address
+    from carla_recap.server.protocol.releases import Release
     from carla_recap.server.rpc.connection import ClientConnection
     from carla_recap.server.traffic_manager import TrafficManagerPause
     from carla_recap.sim.actors.actor import Actor
@@ -39,9 +44,11 @@ class Host:
         confined: Refuse recordings outside the folder of recordings.
         stand_in: Serve the built-in town under the name of a map that is missing.
         quality: The quality of the images of cameras: "low" or "epic".
+        release: The release of all clients; None: each has its own, where it can be found, else the default.
 
     Attributes:
         world: The world.
+        release: The release of all clients, if they must have the same.
         quality: The quality of the images of cameras.
         maps: The maps that clients can load.
         recordings: The recordings that clients may read and write.
@@ -60,15 +67,24 @@ class Host:
     _encoder: SnapshotEncoder
     _is_new: bool
 
-    def __init__(self, world: World, *, confined: bool = False, stand_in: bool = False, quality: Quality = "epic") -> None:
+    def __init__(
+        self,
+        world: World,
+        *,
+        confined: bool = False,
+        stand_in: bool = False,
+        quality: Quality = "epic",
+        release: Release | None = None,
+    ) -> None:
         self.world = world
+        self.release = release
         self.quality = quality
         self.maps = Maps(world.town, world.maps, stand_in=stand_in)
         self.recordings = Recordings(world, confined=confined)
         self.settings = EpisodeSettings()
         self.connections = ConnectionPool()
         self.streams = Streams(self.connections, with_map_changed)
-        self.snapshots = SnapshotStreams(self.streams)
+        self.snapshots = SnapshotStreams(self.streams, for_release)
         self.traffic_managers = TrafficManagerRegistry()
         self.sensors = Sensors(world, self.streams, self.known_actor, quality)
         self.ackermann = AckermannController()
@@ -89,7 +105,7 @@ class Host:
 
     def prepare(self) -> None:
         """Compute what the first calls of clients need: on a busy machine, they would time out."""
-        encoded_definitions(self.world.blueprints)
+        encoded_definitions(self.world.blueprints, self.release or DEFAULT)
         prepare_navigation(self.world.town)
 
     @property
@@ -161,7 +177,7 @@ class Host:
 
     def prepare_snapshot(self, client: Client) -> None:
         """Keep a snapshot for a client that is about to subscribe."""
-        self.streams.keep(client.stream, self._encoder.encode(self.episode, self.frame))
+        self.snapshots.keep(client.stream, self._encoder.encode(self.episode, self.frame))
 
     def check_episode(self, frames: int) -> bool:
         """Return whether a new episode has begun, after the given number of frames of the last one."""
@@ -221,6 +237,7 @@ class Client:
 
     Attributes:
         host: The served world.
+        release: The release that it is of.
         stream: The number of its stream of snapshots; see `SnapshotStreams`.
         cycle: The state of its traffic manager.
         pause: The pause of its traffic manager, while an episode begins.
@@ -231,7 +248,24 @@ class Client:
         self.cycle = TrafficManagerCycle()
         self.pause: TrafficManagerPause | None = None
         self._connection = connection
-        self.stream = host.snapshots.open()
+        self.release = host.release or DEFAULT
+        self.stream = host.snapshots.open(self.release)
+        if connection.ends is not None:
+            connection.read_after(self._identify(*connection.ends))
+
+    async def _identify(self, client: Address, server: Address) -> None:
+        """Find the release of the client; one of another release than all must have is refused before it crashes."""
+        found = await asyncio.to_thread(release_of, client, server)
+        if found is None or found is self.release:
+            return None
+        if self.host.release is not None:
+            own = self.host.release.name
+            found_one = f"expected a client of CARLA {own}, found one of {found.name}"
+            return self._connection.refuse(f"{found_one}: this server was started with --carla {own}")
+        self.release = found
+        self.host.snapshots.close(self.stream)
+        self.stream = self.host.snapshots.open(found)
+        return None
 
     @property
     def address(self) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.server.protocol.releases import WORLD
 from carla_recap.sim.actors.lights import GREEN, Sign, TrafficLight
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.town.junctions import NO_LIGHT, Rules
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.server.protocol.releases import Release
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.geometry import Transform
     from carla_recap.sim.physics.moving_bodies import MovingBodies
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
     from carla_recap.sim.town.loading import Town
     from carla_recap.sim.world import World
 
-_WORLD: Final = 17
+_NUMBER: Final = struct.Struct("<Q")
 # sensor type, frame, elapsed seconds, transform
 _SENSOR_HEADER: Final = struct.Struct("<QQd6f")
 # episode, platform time, delta, map origin, flags
@@ -81,7 +83,7 @@ def sensor_header(kind: int, frame: int, seconds: float, transform: Transform) -
     """Return the header of a sensor's frame.
 
     Args:
-        kind: CARLA's number of the kind of sensor.
+        kind: The number of its data in a release; see `Release.data`.
         frame: The number of the frame.
         seconds: The time since the episode began.
         transform: The transform of the sensor.
@@ -94,8 +96,14 @@ def with_map_changed(snapshot: bytes) -> bytes:
     return snapshot[:_FLAGS] + bytes((_MAP_CHANGED,)) + snapshot[_FLAGS + 1 :]
 
 
+def for_release(snapshot: bytes, release: Release) -> bytes:
+    """Return a snapshot with the number of its type in a release."""
+    number = release.number(WORLD) or 0
+    return _NUMBER.pack(number) + snapshot[_NUMBER.size :]
+
+
 class SnapshotEncoder:
-    """Encodes the snapshots of an episode.
+    """Encodes the snapshots of an episode; see `for_release`.
 
     Args:
         world: The world.
@@ -122,7 +130,7 @@ class SnapshotEncoder:
         world = self._world
         spectator = world.spectator.transform
         header = _EPISODE_HEADER.pack(episode, time.monotonic() - self._start, world.delta, 0, 0, 0, 0)
-        begin = sensor_header(_WORLD, frame, world.elapsed, spectator)
+        begin = sensor_header(0, frame, world.elapsed, spectator)
         return b"".join((begin, header, *(array.tobytes() for array in self._rows())))
 
     def look_ahead(self) -> None:

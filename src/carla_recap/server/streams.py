@@ -17,6 +17,7 @@ from carla_recap.server.quirks import PendingSubscriptions
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from carla_recap.server.protocol.releases import Release
     from carla_recap.server.rpc.connection import ConnectionPool
 
 _ID: Final = struct.Struct("<I")
@@ -118,41 +119,50 @@ class Streams:
 
 
 class SnapshotStreams:
-    """The streams of snapshots: one for each connection, and a new one when its client begins an episode; see `quirks`.
+    """The streams of snapshots: one for each connection; see `quirks`.
 
     Args:
         streams: All streams of the server.
+        for_release: Returns a snapshot as clients of a release get it.
     """
 
-    def __init__(self, streams: Streams) -> None:
+    def __init__(self, streams: Streams, for_release: Callable[[bytes, Release], bytes]) -> None:
         self._streams = streams
+        self._for_release = for_release
         self._numbers = count(1)
-        self._open: dict[int, None] = {}
+        self._open: dict[int, Release] = {}
 
-    def open(self) -> int:
-        """Return the number of the stream of a new client."""
+    def open(self, release: Release) -> int:
+        """Return the number of the stream of a new client of a release."""
         stream = next(self._numbers)
-        self._open[stream] = None
+        self._open[stream] = release
         return stream
 
     def renew(self, stream: int) -> int:
-        """Return the number of a new stream for a client that begins an episode; it asks for it when its call is answered.
+        """Return the number of the stream of a client that begins an episode: a new one, if its release subscribes to one.
 
-        The old one stays open and silent: through it, the client would learn of the episode while it has none.
+        It asks for the new one when its call is answered. The old one stays open and silent: through it, the client would
+        learn of the episode while it has none.
         """
+        if not self._open[stream].renews_stream:
+            return stream
         self._streams.silence(stream)
-        del self._open[stream]
-        return self.open()
+        return self.open(self._open.pop(stream))
 
     def close(self, stream: int) -> None:
         """End the stream of a client that has left."""
         self._open.pop(stream, None)
         self._streams.close(stream)
 
+    def keep(self, stream: int, payload: bytes) -> None:
+        """Send a snapshot to a client, now or when it subscribes."""
+        self._streams.keep(stream, self._for_release(payload, self._open[stream]))
+
     def publish(self, payload: bytes) -> None:
         """Send a snapshot to all clients."""
-        for stream in self._open:
-            self._streams.keep(stream, payload)
+        payloads = {release: self._for_release(payload, release) for release in set(self._open.values())}
+        for stream, release in self._open.items():
+            self._streams.keep(stream, payloads[release])
 
 
 class Subscriber(asyncio.Protocol):

@@ -25,20 +25,20 @@ A = TypeVar("A", bound=Actor)
 @call
 def get_actor_definitions(client: Client) -> Any:
     """Return all blueprints."""
-    return actor_records.encoded_definitions(client.host.world.blueprints)
+    return actor_records.encoded_definitions(client.host.world.blueprints, client.release)
 
 
 @call
 def get_spectator(client: Client) -> ActorRecord:
     """Return the spectator."""
-    return actor_records.record(client.host.world.spectator, client.host.streams)
+    return _record(client, client.host.world.spectator)
 
 
 @call
 def get_actors_by_id(client: Client, ids: list[int]) -> list[ActorRecord]:
     """Return the records of actors; unknown ids are left out."""
     actors = client.host.world.actors
-    return [actor_records.record(actors[id], client.host.streams) for id in dict.fromkeys(ids) if id in actors]
+    return [_record(client, actors[id]) for id in dict.fromkeys(ids) if id in actors]
 
 
 @call
@@ -194,6 +194,19 @@ def send(client: Client, id: int, message: Any) -> None:
 
 
 @call
+def get_actor_name(client: Client, id: int) -> str:
+    """Return the name of an actor in the engine, which is that of its blueprint with its id."""
+    actor = client.host.known_actor(id)
+    return f"{actor.type_id}_{id}"
+
+
+@call
+def get_actor_class_name(client: Client, id: int) -> str:
+    """Return the name of an actor's class in the engine, which is that of its blueprint."""
+    return client.host.known_actor(id).type_id
+
+
+@call
 def get_actor_component_world_transform(client: Client, id: int, component: str) -> Transform:
     """Return the transform of a component, which is the actor's own."""
     return client.host.known_actor(id).transform
@@ -220,9 +233,13 @@ def spawn(client: Client, description: ActorDescription, transform: Transform, p
     return actor
 
 
+def _record(client: Client, actor: Actor) -> ActorRecord:
+    return actor_records.record(actor, client.host.streams, client.release)
+
+
 def _record_when_ready(client: Client, actor: Actor) -> ActorRecord | Awaitable[ActorRecord]:
     """Return the record of a new actor; of a sensor that needs the surfaces of the town, when these are ready."""
-    record, sensors = actor_records.record(actor, client.host.streams), client.host.sensors
+    record, sensors = _record(client, actor), client.host.sensors
     if sensors.is_ready(actor):
         return record
 

@@ -10,9 +10,10 @@ from carla_recap.server.calls import actors, unsupported, vehicles, world  # noq
 from carla_recap.server.calls.actors import spawn
 from carla_recap.server.calls.session import when_done
 from carla_recap.server.host import Client
+from carla_recap.server.protocol.releases import Release
 from carla_recap.server.rpc.codec import DecodeError, decoder
 from carla_recap.server.rpc.connection import error_text
-from carla_recap.server.rpc.registry import CALLS, Call, bare_call, unregistered_call
+from carla_recap.server.rpc.registry import CALLS, bare_call, unregistered_call
 from carla_recap.server.rpc.structs import ActorDescription, VehicleLightState
 from carla_recap.sim.geometry import Transform
 
@@ -43,35 +44,12 @@ def set_light_state(client: Client, id: int, bits: int) -> None:
     vehicles.set_vehicle_light_state(client, id, VehicleLightState(bits))
 
 
-_CONSOLE: Final = 20
+_CONSOLE: Final = "console_command"
 """The command for the console of Unreal Engine, which has no effect."""
-_COMMANDS: Final[tuple[Call | None, ...]] = (
-    None,
-    CALLS["destroy_actor"],
-    CALLS["apply_control_to_vehicle"],
-    CALLS["apply_ackermann_control_to_vehicle"],
-    CALLS["apply_control_to_walker"],
-    CALLS["apply_physics_control"],
-    CALLS["set_actor_transform"],
-    unregistered_call(vehicles.set_walker_state),
-    CALLS["set_actor_target_velocity"],
-    CALLS["set_actor_target_angular_velocity"],
-    CALLS["add_actor_impulse"],
-    CALLS["add_actor_force"],
-    CALLS["add_actor_angular_impulse"],
-    CALLS["add_actor_torque"],
-    CALLS["set_actor_simulate_physics"],
-    CALLS["set_actor_enable_gravity"],
-    CALLS["set_actor_autopilot"],
-    CALLS["show_vehicle_debug_telemetry"],
-    unregistered_call(set_light_state),
-    CALLS["set_actor_location"],
-    None,
-    CALLS["set_traffic_light_state"],
-)
-"""The commands in the order of their numbers: all but the spawn and the console command are calls."""
-_CONTROL: Final = _COMMANDS.index(CALLS["apply_control_to_vehicle"])
-_decode_spawn: Final = decoder(SpawnCommand)
+_SPAWN: Final = "spawn_actor"
+_CONTROL: Final = "apply_control_to_vehicle"
+_UNREGISTERED: Final = {each.__name__: unregistered_call(each) for each in (vehicles.set_walker_state, set_light_state)}
+"""The commands that are no calls."""
 
 
 @bare_call
@@ -99,10 +77,9 @@ def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> l
 
 def _apply_controls(client: Client, commands: list[Any]) -> list[Any] | None:
     """Execute commands that are all controls of vehicles, as a traffic manager's are; else return None and do nothing."""
+    own = client.release.commands.index(_CONTROL)
     try:
-        controls = [
-            (id, control) for ((number, (id, control)),) in commands if number.__class__ is int and number == _CONTROL
-        ]
+        controls = [(id, control) for ((number, (id, control)),) in commands if number.__class__ is int and number == own]
     except (TypeError, ValueError):
         return None
     if not controls or len(controls) < len(commands) or not vehicles.apply_controls_to_vehicles(client, controls):
@@ -120,12 +97,12 @@ def _answer(client: Client, command: Any, spawned: int | None = None) -> list[An
 
 def _execute(client: Client, command: Any, spawned: int | None) -> int:
     """Execute a command and return the id of its actor."""
-    number, fields = _unpacked(command)
-    if number == _CONSOLE:
+    name, fields = _unpacked(command, client.release)
+    if name == _CONSOLE:
         return 0
-    call = _COMMANDS[number]
-    if call is None:
-        return _spawn(client, _decode_spawn(fields))
+    if name == _SPAWN:
+        return _spawn(client, decoder(SpawnCommand, client.release)(fields))
+    call = _UNREGISTERED.get(name) or CALLS[name]
     if spawned is not None:
         fields = [spawned, *fields[1:]]
     call(client, fields)
@@ -142,14 +119,14 @@ def _spawn(client: Client, command: SpawnCommand) -> int:
     return id
 
 
-def _unpacked(command: Any) -> tuple[int, list[Any]]:
-    """Return the number of a command and its fields."""
+def _unpacked(command: Any, release: Release) -> tuple[str, list[Any]]:
+    """Return the name of a command of a release and its fields."""
     try:
         ((number, fields),) = command
     except (TypeError, ValueError):
         number = fields = None
     if number.__class__ is int and fields.__class__ is list and fields:
-        if 0 <= number < len(_COMMANDS):
-            return number, fields
+        if 0 <= number < len(release.commands):
+            return release.commands[number], fields
         raise DecodeError(f"apply_batch: there is no command {number}")
     raise DecodeError("apply_batch: a command of [[number, fields]] was expected")

@@ -31,7 +31,6 @@ from carla_recap.sim.town.loading import BUILT_IN
 _NEWS: Final = 0.1
 """Seconds until a client that has just been sent a new episode assigns its calls to that one."""
 _LOG: Final = logging.getLogger(__name__)
-_transform: Final = decoder(Transform)
 
 
 @call
@@ -93,7 +92,7 @@ async def replay_file(
     map begins a new episode with that map. Clients differ in the order of the options, but not in their types: the booleans
     replay_sensors and, since 2026, replay_weather; the offset, a transform; and, since 2025, the name of a map to replay on.
     """
-    sensors, weather, offset, map_name = _replay_options(option1, option2, option3, option4)
+    sensors, weather, offset, map_name = _replay_options(client, option1, option2, option3, option4)
     world = client.host.world
     world.stop_recorder()
     path = client.host.recordings.find(name)
@@ -174,7 +173,7 @@ def _recorded_map(path: Path) -> str:
     return name
 
 
-def _replay_options(*options: Any) -> tuple[bool, bool, Transform, str]:
+def _replay_options(client: Client, *options: Any) -> tuple[bool, bool, Transform, str]:
     """Return replay_sensors, replay_weather, the offset and the name of a map, with CARLA's defaults.
 
     Raises:
@@ -182,7 +181,7 @@ def _replay_options(*options: Any) -> tuple[bool, bool, Transform, str]:
     """
     flags = [option for option in options if option.__class__ is bool]
     names = [option for option in options if option.__class__ is str]
-    offsets = [_transform(option) for option in options if option.__class__ is list]
+    offsets = [decoder(Transform, client.release)(option) for option in options if option.__class__ is list]
     given = [option for option in options if option is not None]
     if len(given) > len(flags) + len(names) + len(offsets) or len(flags) > 2 or len(names) > 1 or len(offsets) > 1:
         raise DecodeError(f"replay_file: expected two booleans, a transform and the name of a map, found {given!r:.200}")

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-VERSION = "0.9.16"
-"""The version of the supported client."""
 _FOLDER: Final = "Carla/Maps"
 """The folder in the name of the current map; `get_available_maps` uses another one, as in CARLA."""
 _MAPS: Final = "/Game/Carla/Maps"
@@ -32,8 +30,8 @@ _MAPS: Final = "/Game/Carla/Maps"
 
 @call
 def version(client: Client) -> str:
-    """Return the version of CARLA."""
-    return VERSION
+    """Return the version of CARLA, which is the client's own."""
+    return client.release.name
 
 
 @call
@@ -154,6 +152,12 @@ def get_weather_parameters(client: Client) -> Weather:
 def set_weather_parameters(client: Client, weather: Weather) -> None:
     """Set the weather."""
     client.host.world.weather = weather
+
+
+@call
+def is_weather_enabled(client: Client) -> bool:
+    """Return whether there is weather: there always is."""
+    return True
 
 
 @call

@@ -7,7 +7,6 @@ from enum import StrEnum
 from typing import Any, Final
 
 from carla_recap.server.host import Client
-from carla_recap.server.rpc.codec import encoder
 from carla_recap.server.rpc.registry import CALLS, Call, CallError
 from carla_recap.server.rpc.structs import SkeletonPose
 from carla_recap.sim.geometry import Transform
@@ -71,6 +70,8 @@ _ACCEPTED: Final[dict[str, _Answer]] = {
     "apply_float_color_texture_to_objects": _Answer(_NO_SCENERY),
     "update_lights_state": _Answer(_NO_SCENERY),
     "update_day_night_cycle": _Answer(_NO_SCENERY),
+    "apply_texture_to_actor": _Answer(_NO_SCENERY),
+    "apply_texture_to_actor_float": _Answer(_NO_SCENERY),
     "enable_sensor_for_ros": _Answer(_NO_ROS),
     "disable_sensor_for_ros": _Answer(_NO_ROS),
     "is_sensor_enabled_for_ros": _Answer(_NO_ROS, bool, False),
@@ -93,14 +94,14 @@ def _accept(name: str, answer: _Answer) -> Call:
     def handler(client: Client) -> Any:
         return answer.value
 
-    return Call(name, handler, (), None if answer.type is None else encoder(answer.type), 0)
+    return Call(name, handler, (), answer.type, 0)
 
 
 def _refuse(name: str, reason: str) -> Call:
     def handler(client: Client) -> Any:
         raise CallError(f"{name}: {reason}")
 
-    return Call(name, handler, (), encoder(bytes), 0)
+    return Call(name, handler, (), bytes, 0)
 
 
 assert not CALLS.keys() & (_ACCEPTED.keys() | _REFUSED.keys())

@@ -10,6 +10,7 @@ from carla_recap.model.motion import GRAVITY
 from carla_recap.server import actor_records
 from carla_recap.server.calls.actors import expect
 from carla_recap.server.host import Client
+from carla_recap.server.protocol.releases import Label
 from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import BoxStruct, EnvironmentObject, LabelledPoint
 from carla_recap.server.sensors.rays import ActorBoxes, solid_actors
@@ -114,20 +115,20 @@ def project_point(client: Client, location: Location, direction: Vector, distanc
     end = Location(location.x + direction.x * far, location.y + direction.y * far, location.z + direction.z * far)
     expect_place("the end of a ray", end)
     met = _ray(client.host.world, location, end)
-    return (True, met[0]) if met else (False, LabelledPoint(Location(), 0))
+    return (True, met[0]) if met else (False, LabelledPoint(Location(), Label(0)))
 
 
 @call
-def get_all_level_BBs(client: Client, label: int) -> list[BoxStruct]:  # noqa: N802  (CARLA's name)
+def get_all_level_BBs(client: Client, label: Label) -> list[BoxStruct]:  # noqa: N802  (CARLA's name)
     """Return the boxes of the map's objects, which are traffic lights and signs, in the world."""
     return [_sign_box(sign) for sign in _signs(client.host.world, label)]
 
 
 @call
-def get_environment_objects(client: Client, label: int) -> list[EnvironmentObject]:
+def get_environment_objects(client: Client, label: Label) -> list[EnvironmentObject]:
     """Return the map's objects, which are traffic lights and signs."""
     return [
-        EnvironmentObject(sign.transform, _sign_box(sign), sign.id, _sign_name(sign), actor_records.tag(sign))
+        EnvironmentObject(sign.transform, _sign_box(sign), sign.id, _sign_name(sign), Label(actor_records.tag(sign)))
         for sign in _signs(client.host.world, label)
     ]
 
@@ -204,4 +205,4 @@ def _ground_label(world: World, point: Floats) -> int:
 
 
 def _point(point: Floats, label: int) -> LabelledPoint:
-    return LabelledPoint(Location(*point.tolist()), label)
+    return LabelledPoint(Location(*point.tolist()), Label(label))

@@ -1,7 +1,8 @@
 """Conversion between Python's types and the MessagePack values of CARLA's protocol.
 
 A struct, here a dataclass, is an array of its fields in order. An optional value is `[false]` or `[true, value]`. A struct
-may have more fields than expected, as newer clients send them, and fewer if fields have defaults.
+may have more fields than expected, as newer clients send them, and fewer if fields have defaults. What else a release of the
+client has differently is in its row of `protocol.releases`.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from carla_recap.errors import RecapError
+from carla_recap.server.protocol.releases import AttributeCode, Label, Labels, Release
 
 Convert = Callable[[Any], Any]
 
@@ -23,8 +25,8 @@ class DecodeError(RecapError):
 
 
 @cache
-def decoder(type: Any) -> Convert:
-    """Return a function that converts an unpacked value to a type; it raises `DecodeError` for a value of another type."""
+def decoder(type: Any, release: Release) -> Convert:
+    """Return what converts an unpacked value of a release to a type; it raises `DecodeError` for a value of another type."""
     origin, inner = get_origin(type), get_args(type)
     if type is Any:
         return _as_is
@@ -32,34 +34,49 @@ def decoder(type: Any) -> Convert:
         return _decode_float
     if type in (int, bool, str, bytes):
         return _scalar(type)
+    if type is Label:
+        return _decode_label(release)
+    if type is AttributeCode:
+        return lambda value: _scalar(int)(value) - release.first_attribute_type
+    if type in release.structs:
+        foreign = decoder(release.structs[type], release)
+        return lambda value: foreign(value).plain()
     if is_dataclass(type):
-        return _decode_struct(type)
+        return _decode_struct(type, release)
     if origin in (Union, UnionType):
-        return _decode_optional(_present(inner))
+        return _decode_optional(decoder(_present(inner), release))
     if origin is list:
-        return _decode_list(decoder(inner[0]), list)
+        return _decode_list(decoder(inner[0], release), list)
     if origin is tuple and inner[1:] == (...,):
-        return _decode_list(decoder(inner[0]), tuple)
+        return _decode_list(decoder(inner[0], release), tuple)
     if origin is tuple:
-        return _decode_tuple(tuple(map(decoder, inner)))
+        return _decode_tuple(tuple(decoder(part, release) for part in inner))
     raise TypeError(f"{type}: no type of the protocol")
 
 
 @cache
-def encoder(type: Any) -> Convert:
-    """Return a function that converts a value of a type to one that can be packed."""
+def encoder(type: Any, release: Release) -> Convert:
+    """Return what converts a value of a type to one that can be packed for a release."""
     origin, inner = get_origin(type), get_args(type)
     if type in (Any, float, int, bool, str, bytes):
         return _as_is
+    if type in (Label, Labels):
+        return _encode_labels(type, release)
+    if type is AttributeCode:
+        return lambda value: value + release.first_attribute_type
+    if type in release.structs:
+        foreign, own = release.structs[type], encoder(release.structs[type], release)
+        return lambda value: own(foreign.of(value))
     if is_dataclass(type):
-        return _encode_struct(type)
+        return _encode_struct(type, release)
     if origin in (Union, UnionType):
-        return _encode_optional(_present(inner))
+        present = encoder(_present(inner), release)
+        return lambda value: [False] if value is None else [True, present(value)]
     if origin is list or (origin is tuple and inner[1:] == (...,)):
-        each = encoder(inner[0])
+        each = encoder(inner[0], release)
         return _as_is if each is _as_is else lambda values: [each(value) for value in values]
     if origin is tuple:
-        parts = tuple(map(encoder, inner))
+        parts = tuple(encoder(part, release) for part in inner)
         if all(part is _as_is for part in parts):
             return _as_is
         return lambda values: [part(value) for part, value in zip(parts, values, strict=True)]
@@ -92,12 +109,32 @@ def _scalar(type: type) -> Convert:
     return decode
 
 
-def _decode_struct(type: Any) -> Convert:
+def _decode_label(release: Release) -> Convert:
+    """Return what converts a label of a release to the first of ours that is the same."""
+    labels = release.labels
+    integer = _scalar(int)
+    return lambda value: labels.index(value) if integer(value) in labels else value
+
+
+def _encode_labels(type: Any, release: Release) -> Convert:
+    labels = release.labels
+    if not labels:
+        return _as_is
+    return (lambda value: labels[value]) if type is Label else lambda value: bytes(labels[tag] for tag in value)
+
+
+def _fields(type: Any, release: Release) -> dict[str, Any]:
+    """Return the types of the fields that a struct has in a release."""
     hints = get_type_hints(type)
-    kinds = [hints[field.name] for field in fields(type)]
-    parts = [decoder(kind) for kind in kinds]
+    return {each.name: hints[each.name] for each in fields(type) if f"{type.__name__}.{each.name}" not in release.without}
+
+
+def _decode_struct(type: Any, release: Release) -> Convert:
+    types = _fields(type, release)
+    kinds = list(types.values())
+    parts = [(name, decoder(kind, release)) for name, kind in types.items()]
     numeric = set(kinds) <= {float, int, bool}
-    least = sum(field.default is MISSING and field.default_factory is MISSING for field in fields(type))
+    least = sum(each.default is MISSING and each.default_factory is MISSING for each in fields(type))
     name = type.__name__
 
     def decode(value: Any) -> Any:
@@ -105,23 +142,20 @@ def _decode_struct(type: Any) -> Convert:
             return type(*value)
         if value.__class__ is not list or len(value) < least:
             raise DecodeError(f"expected a {name} of {len(parts)} fields, found {_shown(value)}")
-        return type(*[part(item) for part, item in zip(parts, value, strict=False)])
+        return type(**{key: part(item) for (key, part), item in zip(parts, value, strict=False)})
 
     return decode
 
 
-def _encode_struct(type: Any) -> Convert:
-    hints = get_type_hints(type)
-    parts = [(field.name, encoder(hints[field.name])) for field in fields(type)]
+def _encode_struct(type: Any, release: Release) -> Convert:
+    parts = [(name, encoder(kind, release)) for name, kind in _fields(type, release).items()]
     if all(part is _as_is for _, part in parts):
         names = [name for name, _ in parts]
         return lambda value: [getattr(value, name) for name in names]
     return lambda value: [part(getattr(value, name)) for name, part in parts]
 
 
-def _decode_optional(type: Any) -> Convert:
-    inner = decoder(type)
-
+def _decode_optional(inner: Convert) -> Convert:
     def decode(value: Any) -> Any:
         if value.__class__ is list and value[:1] == [False]:
             return None
@@ -130,11 +164,6 @@ def _decode_optional(type: Any) -> Convert:
         raise DecodeError(f"expected an optional value, found {_shown(value)}")
 
     return decode
-
-
-def _encode_optional(type: Any) -> Convert:
-    inner = encoder(type)
-    return lambda value: [False] if value is None else [True, inner(value)]
 
 
 def _decode_list(each: Convert, make: Callable[[Any], Any]) -> Convert:

@@ -16,6 +16,8 @@ from carla_recap.server.quirks import unread_bytes
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator, Mapping
 
+    from carla_recap.server.protocol.clients import Address
+    from carla_recap.server.protocol.releases import Release
     from carla_recap.server.rpc.registry import Call
 
 _LOG: Final = logging.getLogger(__name__)
@@ -111,6 +113,10 @@ def connection_limit() -> int:
 class CallContext(Protocol):
     """The state of a client, which calls get as their first argument."""
 
+    @property
+    def release(self) -> Release:
+        """The release of the client."""
+
     def begin_call(self, name: str) -> None:
         """Take note of a call before it is served."""
 
@@ -151,16 +157,21 @@ class ClientConnection(asyncio.Protocol):
         self._transport: asyncio.Transport | None = None
         self._buffer = MessageBuffer()
         self._pending: set[asyncio.Future[Any]] = set()
-        self._is_refused = False
+        self._refusal = ""
         self._is_closed = False
         self._is_behind = False
         self._is_paused = False
 
     @property
+    def ends(self) -> tuple[Address, Address] | None:
+        """The addresses of the client and of the server; None without a network."""
+        names = [self._transport.get_extra_info(end) for end in ("peername", "sockname")] if self._transport else []
+        return (names[0][:2], names[1][:2]) if all(names) and names else None
+
+    @property
     def address(self) -> str:
         """The address of the client's machine."""
-        peer = None if self._transport is None else self._transport.get_extra_info("peername")
-        return peer[0] if peer else ""
+        return self.ends[0][0] if self.ends else ""
 
     @property
     def held(self) -> int:
@@ -207,9 +218,9 @@ class ClientConnection(asyncio.Protocol):
             self._pool.check_memory()
         return None
 
-    def refuse(self) -> None:
-        """Answer the first call with an error, and close."""
-        self._is_refused = True
+    def refuse(self, reason: str = "") -> None:
+        """Answer the first call with an error, by default that there are too many connections, and close."""
+        self._refusal = reason or self._pool.refusal
 
     def close(self) -> None:
         """Close the connection at once."""
@@ -220,6 +231,11 @@ class ClientConnection(asyncio.Protocol):
     def in_background(self, work: Awaitable[None]) -> None:
         """Run something after the current call; it is cancelled when the client leaves."""
         self._watch(asyncio.ensure_future(work))
+
+    def read_after(self, work: Awaitable[None]) -> None:
+        """Read nothing before some work is done."""
+        self._pause()
+        self.in_background(work)
 
     def _watch(self, task: asyncio.Future[Any]) -> None:
         self._pending.add(task)
@@ -268,8 +284,8 @@ class ClientConnection(asyncio.Protocol):
     def _take(self, request: Any) -> None:
         match request:
             case [0, int(number), str(name), [[*metadata], *arguments]]:
-                if self._is_refused:
-                    self._send([_REPLY, number, None, [[0, [self._pool.refusal]]]])
+                if self._refusal:
+                    self._send([_REPLY, number, None, [[0, [self._refusal]]]])
                     self._is_closed = True
                     if self._transport is not None:
                         self._transport.close()
@@ -293,31 +309,25 @@ class ClientConnection(asyncio.Protocol):
             answer = context.hold(name, answer)
             if isawaitable(answer):
                 return self._reply_later(number, call, answer, waits=waits)
-            return self._reply(number, call, answer)
+            return self._send([_REPLY, number, None, call.encoded(context, answer)])
         except Exception as error:
             return self._reply_error(number, call, error, waits=waits)
 
     def _reply_later(self, number: int, call: Call, answer: Awaitable[Any], *, waits: bool) -> None:
         """Reply when an answer is ready; it is a task itself, so that it is not left unawaited when the client leaves."""
+        context = self._context
 
         def reply(task: asyncio.Future[Any]) -> None:
             if task.cancelled():
                 return
             try:
-                self._reply(number, call, task.result())
+                self._send([_REPLY, number, None, call.encoded(context, task.result())])
             except Exception as error:
                 self._reply_error(number, call, error, waits=waits)
 
         task = asyncio.ensure_future(answer)
         task.add_done_callback(reply)
         self._watch(task)
-
-    def _reply(self, number: int, call: Call, answer: Any) -> None:
-        if call.result is None:
-            self._send([_REPLY, number, None, [[False]]])
-        else:
-            value = call.result(answer)
-            self._send([_REPLY, number, None, value if call.bare else [[1, value]]])
 
     def _reply_error(self, number: int, call: Call, error: Exception, *, waits: bool) -> None:
         """Reply with an error, and log it if the client does not wait for the reply, as then no script sees it."""

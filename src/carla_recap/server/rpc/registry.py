@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
+from functools import cache
 from types import UnionType
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Union, get_args, get_origin, get_type_hints
 
 from carla_recap.errors import RecapError
 from carla_recap.server.rpc.codec import Convert, DecodeError, decoder, encoder
+
+if TYPE_CHECKING:
+    from carla_recap.server.protocol.releases import Release
 
 Handler = Callable[..., Any]
 
@@ -24,16 +28,16 @@ class Call:
     Attributes:
         name: The name in CARLA's protocol.
         handler: The function that serves it, called with the client and the arguments.
-        arguments: The decoders of the arguments.
-        result: The encoder of the answer; None if the answer is only that the call is done.
+        arguments: The types of the arguments.
+        result: The type of the answer; None if the answer is only that the call is done.
         least: The number of required arguments.
         bare: Whether the answer is sent without the wrapping of CARLA's `Response`.
     """
 
     name: str
     handler: Handler
-    arguments: tuple[Convert, ...]
-    result: Convert | None
+    arguments: tuple[Any, ...]
+    result: Any
     least: int
     bare: bool = False
 
@@ -45,20 +49,25 @@ class Call:
         """
         if len(arguments) < self.least:
             raise DecodeError(f"{self.name}: expected {self.least} arguments, found {len(arguments)}")
+        decoded: list[Any] = []
         try:
-            decoded = [convert(value) for convert, value in zip(self.arguments, arguments, strict=False)]
-        except DecodeError:
-            raise self._argument_error(arguments) from None
+            for convert, value in zip(_decoders(self.arguments, client.release), arguments, strict=False):
+                decoded.append(convert(value))
+        except DecodeError as error:
+            raise DecodeError(f"{self.name}, argument {len(decoded) + 1}: {error}") from None
         return self.handler(client, *decoded)
 
-    def _argument_error(self, arguments: list[Any]) -> DecodeError:
-        """Return the error of the first argument that cannot be decoded."""
-        for number, (convert, value) in enumerate(zip(self.arguments, arguments, strict=False), 1):
-            try:
-                convert(value)
-            except DecodeError as error:
-                return DecodeError(f"{self.name}, argument {number}: {error}")
-        raise AssertionError
+    def encoded(self, client: Any, answer: Any) -> Any:
+        """Return an answer as it is sent to a client: as CARLA's `Response`, unless it is bare."""
+        if self.result is None:
+            return [[False]]
+        value = encoder(self.result, client.release)(answer)
+        return value if self.bare else [[1, value]]
+
+
+@cache
+def _decoders(types: tuple[Any, ...], release: Release) -> tuple[Convert, ...]:
+    return tuple(decoder(type, release) for type in types)
 
 
 CALLS: dict[str, Call] = {}
@@ -84,10 +93,9 @@ def unregistered_call(handler: Handler, *, bare: bool = False) -> Call:
         result = alternatives[0]
     elif get_origin(result) is Awaitable:
         (result,) = get_args(result)
-    arguments = tuple(decoder(type) for type in tuple(hints.values())[1:])
+    arguments = tuple(hints.values())[1:]
     least = len(arguments) - len(handler.__defaults__ or ())
-    encode = None if result is type(None) else encoder(result)
-    return Call(handler.__name__, handler, arguments, encode, least, bare)
+    return Call(handler.__name__, handler, arguments, None if result is type(None) else result, least, bare)
 
 
 def _register(handler: Handler, *, bare: bool) -> Handler:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from carla_recap.server.protocol.releases import AttributeCode, Label, Labels
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 
 
@@ -62,7 +63,7 @@ class AttributeDefinition:
     """An attribute of a blueprint."""
 
     id: str
-    type: int
+    type: AttributeCode
     value: str
     recommended: list[str]
     is_modifiable: bool
@@ -84,7 +85,7 @@ class AttributeValue:
     """An attribute of an actor."""
 
     id: str
-    type: int
+    type: AttributeCode
     value: str
 
 
@@ -114,7 +115,7 @@ class ActorRecord:
     parent: int
     description: ActorDescription
     box: BoxStruct
-    tags: bytes
+    tags: Labels
     token: bytes
 
 
@@ -178,7 +179,7 @@ class LabelledPoint:
     """A point on a surface, and the semantic class of the surface."""
 
     location: Location
-    label: int
+    label: Label
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,4 +190,4 @@ class EnvironmentObject:
     box: BoxStruct
     id: int
     name: str
-    label: int
+    label: Label

@@ -11,6 +11,7 @@ import numpy as np
 from carla_recap.rendering.camera import Camera, ImageKind
 from carla_recap.replay.pose import MIRROR
 from carla_recap.sensors.kinds import LARGEST_SIDE, NARROWEST, WIDEST
+from carla_recap.server.actor_records import release_of
 from carla_recap.server.sensors.feeds import axes, flag, number, row
 from carla_recap.server.sensors.images import CameraScene, Shot, View
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.scene.instances import Instances
+    from carla_recap.server.protocol.releases import Release
     from carla_recap.server.sensors.feeds import Feed, FeedContext
     from carla_recap.server.sensors.images import ImageThread
     from carla_recap.sim.actors.actor import Actor
@@ -43,6 +45,7 @@ _BLANK: Final[Mapping[ImageKind, bytes]] = {
     ImageKind.NORMALS: _GREY,
     ImageKind.FLOW: struct.pack("<2f", 0.0, 0.0),
 }
+_RED: Final = 2  # where the semantic tag is
 _EVENT: Final = np.dtype([("x", "<u2"), ("y", "<u2"), ("time", "<i8"), ("polarity", "?")])
 _LUMINANCE: Final = np.array([0.114, 0.587, 0.2989], np.float32)  # of blue, green and red
 _LEAST_THRESHOLD: Final = 0.01  # as in CARLA
@@ -58,11 +61,13 @@ class _ActiveCamera:
         sensor: The camera.
         kind: The kind of its images.
         has_events: Whether it sends events instead of images.
+        release: The release of the clients that listen.
     """
 
-    def __init__(self, sensor: Actor, kind: ImageKind, *, has_events: bool) -> None:
+    def __init__(self, sensor: Actor, kind: ImageKind, *, has_events: bool, release: Release) -> None:
         self.sensor = sensor
         self.kind = kind
+        self._release = release
         self.width, self.height = (_side(sensor, key) for key in _SIDES)
         self.fov = _fov(sensor)
         self.is_owed = False
@@ -76,6 +81,9 @@ class _ActiveCamera:
         def parts(image: Image) -> Iterable[bytes | memoryview]:
             if self._events is not None:
                 image = self._events.detect(image, elapsed)
+            elif self._release.labels and self.kind in (ImageKind.SEMANTIC, ImageKind.INSTANCE):
+                image = image.copy()
+                image[..., _RED] = self._release.relabelled(image[..., _RED])
             return self._header, np.ascontiguousarray(image).data.cast("B") if image.size else b""
 
         return parts
@@ -117,7 +125,8 @@ class Cameras:
         """
         active = self._active.get(stream)
         if active is None:
-            active = self._active[stream] = _ActiveCamera(sensor, kind, has_events=has_events)
+            release = release_of(stream)
+            active = self._active[stream] = _ActiveCamera(sensor, kind, has_events=has_events, release=release)
         active.is_owed |= is_due
         if active.is_owed:
             self._due[stream] = header

@@ -17,6 +17,7 @@ from weakref import WeakKeyDictionary
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.scene.materials import Tag
 from carla_recap.server import actor_records
+from carla_recap.server.protocol.releases import Labels
 from carla_recap.server.rpc.codec import encoder
 from carla_recap.server.rpc.structs import ActorDescription, ActorRecord, BoxStruct
 from carla_recap.server.sensors import active_cameras, feeds, rays
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from carla_recap.rendering.rays import RayScene
     from carla_recap.scene.instances import Instances
     from carla_recap.server.actor_records import DestroyedActor
+    from carla_recap.server.protocol.releases import Release
     from carla_recap.server.sensors.drawn_actors import WorldActors
     from carla_recap.server.sensors.feeds import Feed, MakeFeed, V2xMessage
     from carla_recap.server.streams import Streams
@@ -49,7 +51,6 @@ _SPAWN_PATIENCE: Final = 1.5  # s: calls of many scripts time out after 2 s
 _TICK_PATIENCE: Final = 0.8  # s: the tick itself takes time, too
 _NEEDING_SURFACES: Final = ("moderngl", "embreex")
 _CAMERA: Final = "sensor.camera."
-_ENCODE: Final = encoder(ActorRecord)
 _STATIC: Final = {
     Tag.ROADS: "road",
     Tag.SIDEWALKS: "sidewalk",
@@ -77,7 +78,6 @@ class SensorKind:
     """A kind of sensor.
 
     Attributes:
-        number: The number of its data in CARLA's protocol.
         support: How far it is supported.
         what: A description of its data for the documentation.
         make: Makes the feeds of such sensors.
@@ -87,7 +87,6 @@ class SensorKind:
         casts: Whether it needs the surfaces of the town.
     """
 
-    number: int
     support: Support
     what: str
     make: MakeFeed = silent
@@ -97,8 +96,8 @@ class SensorKind:
     casts: bool = False
 
 
-def _camera(number: int, image: ImageKind, what: str) -> SensorKind:
-    return SensorKind(number, Support.LIVE, what, image=image)
+def _camera(image: ImageKind, what: str) -> SensorKind:
+    return SensorKind(Support.LIVE, what, image=image)
 
 
 _COLLISIONS: Final = "each collision of its parent"
@@ -108,30 +107,41 @@ _CAM: Final = "cooperative awareness messages of other vehicles in range"
 
 SENSOR_KINDS: Final[Mapping[str, SensorKind]] = MappingProxyType(
     {
-        "sensor.camera.cosmos_visualization": SensorKind(16, Support.BLANK, "grey", active_cameras.blank),
-        "sensor.camera.depth": _camera(1, ImageKind.DEPTH, "the depth along the axis of view, up to 1,000 m"),
+        "sensor.camera.cosmos_visualization": SensorKind(Support.BLANK, "grey", active_cameras.blank),
+        "sensor.camera.depth": _camera(ImageKind.DEPTH, "the depth along the axis of view, up to 1,000 m"),
         "sensor.camera.dvs": SensorKind(
-            3, Support.LIVE, "changes of brightness between two images", image=ImageKind.RGB, has_events=True
+            Support.LIVE, "changes of brightness between two images", image=ImageKind.RGB, has_events=True
         ),
-        "sensor.camera.instance_segmentation": _camera(15, ImageKind.INSTANCE, "semantic tags and actor ids"),
-        "sensor.camera.normals": _camera(2, ImageKind.NORMALS, "normals of surfaces, in the axes of the world"),
-        "sensor.camera.optical_flow": _camera(8, ImageKind.FLOW, "motion since the image before"),
-        "sensor.camera.rgb": _camera(13, ImageKind.RGB, "the scene with sky, light and weather"),
-        "sensor.camera.semantic_segmentation": _camera(14, ImageKind.SEMANTIC, "CARLA's semantic tags"),
-        "sensor.lidar.ray_cast": SensorKind(11, Support.LIVE, _SURFACES, rays.lidar, casts=True),
-        "sensor.lidar.ray_cast_semantic": SensorKind(10, Support.LIVE, _SURFACES, rays.semantic_lidar, casts=True),
-        "sensor.other.collision": SensorKind(0, Support.LIVE, _COLLISIONS, feeds.collisions, by_event=True),
-        "sensor.other.gnss": SensorKind(4, Support.LIVE, _POSITION, feeds.gnss),
-        "sensor.other.imu": SensorKind(5, Support.LIVE, "the motion of its parent; with noise", feeds.imu),
-        "sensor.other.lane_invasion": SensorKind(6, Support.LIVE, "found by the client itself"),
-        "sensor.other.obstacle": SensorKind(7, Support.LIVE, f"{_SURFACES}; and barriers", rays.obstacles, casts=True),
-        "sensor.other.radar": SensorKind(9, Support.LIVE, _SURFACES, rays.radar, casts=True),
-        "sensor.other.rss": SensorKind(12, Support.SILENT, "needs a client that is built with RSS"),
-        "sensor.other.v2x": SensorKind(20, Support.LIVE, _CAM, v2x),
-        "sensor.other.v2x_custom": SensorKind(21, Support.LIVE, "messages that other such sensors in range `send`", v2x),
+        "sensor.camera.instance_segmentation": _camera(ImageKind.INSTANCE, "semantic tags and actor ids"),
+        "sensor.camera.normals": _camera(ImageKind.NORMALS, "normals of surfaces, in the axes of the world"),
+        "sensor.camera.optical_flow": _camera(ImageKind.FLOW, "motion since the image before"),
+        "sensor.camera.rgb": _camera(ImageKind.RGB, "the scene with sky, light and weather"),
+        "sensor.camera.semantic_segmentation": _camera(ImageKind.SEMANTIC, "CARLA's semantic tags"),
+        "sensor.lidar.ray_cast": SensorKind(Support.LIVE, _SURFACES, rays.lidar, casts=True),
+        "sensor.lidar.ray_cast_semantic": SensorKind(Support.LIVE, _SURFACES, rays.semantic_lidar, casts=True),
+        "sensor.other.collision": SensorKind(Support.LIVE, _COLLISIONS, feeds.collisions, by_event=True),
+        "sensor.other.gnss": SensorKind(Support.LIVE, _POSITION, feeds.gnss),
+        "sensor.other.imu": SensorKind(Support.LIVE, "the motion of its parent; with noise", feeds.imu),
+        "sensor.other.lane_invasion": SensorKind(Support.LIVE, "found by the client itself"),
+        "sensor.other.obstacle": SensorKind(Support.LIVE, f"{_SURFACES}; and barriers", rays.obstacles, casts=True),
+        "sensor.other.radar": SensorKind(Support.LIVE, _SURFACES, rays.radar, casts=True),
+        "sensor.other.rss": SensorKind(Support.SILENT, "needs a client that is built with RSS"),
+        "sensor.other.v2x": SensorKind(Support.LIVE, _CAM, v2x),
+        "sensor.other.v2x_custom": SensorKind(Support.LIVE, "messages that other such sensors in range `send`", v2x),
     }
 )
 """All kinds of sensors by the names of their blueprints."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Context:
+    """See `FeedContext`."""
+
+    release: Release
+    messages: Callable[[str, Actor], list[V2xMessage]]
+    instances: Callable[[], Instances]
+    ray_scene: Callable[[], RayScene | None]
+    actor_record: Callable[..., object]
 
 
 class Sensors:
@@ -209,12 +219,13 @@ class Sensors:
         """End what draws images."""
         self._images.close()
 
-    def actor_record(self, id: int | None, tag: int = Tag.WALLS) -> object:
-        """Return the record of an actor for msgpack; None stands for what is no actor, and has a semantic tag."""
-        return _ENCODE(_static(tag) if id is None else actor_records.record(self._find(id), self._streams))
+    def _actor_record(self, release: Release, id: int | None, tag: int = Tag.WALLS) -> object:
+        """See `FeedContext.actor_record`."""
+        record = _static(tag) if id is None else actor_records.record(self._find(id), self._streams, release)
+        return encoder(ActorRecord, release)(record)
 
-    def messages(self, type_id: str, receiver: Actor) -> list[V2xMessage]:
-        """Return the V2X messages of a kind of sensor in the latest tick, but for those of a receiver."""
+    def _messages(self, type_id: str, receiver: Actor) -> list[V2xMessage]:
+        """See `FeedContext.messages`."""
         return self._radio.sent(type_id, receiver)
 
     def queue_message(self, sensor: Actor, message: Any) -> None:
@@ -239,7 +250,7 @@ class Sensors:
                     self._send(stream, sensor, kind, frame)
                 except Exception as error:  # the tick goes on for all others
                     _LOG.error("a %s has failed, and sends nothing more: %r", sensor.type_id, error)
-                    self._feeds[stream] = silent(sensor, self)  # a client that is cut off would subscribe again at once
+                    self._feeds[stream] = lambda: ()  # a client that is cut off would subscribe again at once
             elif self._feeds.pop(stream, None) is not None:
                 self._streams.close(stream)
         try:
@@ -266,23 +277,29 @@ class Sensors:
             _LOG.error("V2X messages are lost: %r", error)
 
     def _send(self, stream: int, sensor: Actor, kind: SensorKind, frame: int) -> None:
+        release = actor_records.release_of(stream)
+        data = release.number(sensor.type_id)
+        if data is None:
+            return
         self._start(sensor)
         if stream not in self._feeds:
-            self._feeds[stream] = kind.make(sensor, self)
+            record = partial(self._actor_record, release)
+            context = _Context(release, self._messages, self.instances, self.ray_scene, record)
+            self._feeds[stream] = kind.make(sensor, context)
         if self._world.settings.no_rendering_mode and sensor.type_id.startswith(_CAMERA):
             return
         is_due = kind.by_event or self._is_due(sensor)
         if kind.image is not None:
-            header = self._header(sensor, kind, frame)
+            header = self._header(sensor, data, frame)
             self._cameras.take(stream, sensor, kind.image, header, is_due=is_due, has_events=kind.has_events)
         elif is_due:
             header = b""
             for payload in self._feeds[stream]():
-                header = header or self._header(sensor, kind, frame)
+                header = header or self._header(sensor, data, frame)
                 self._streams.send(stream, header + payload)
 
-    def _header(self, sensor: Actor, kind: SensorKind, frame: int) -> bytes:
-        return sensor_header(kind.number, frame, self._world.elapsed, sensor.transform)
+    def _header(self, sensor: Actor, data: int, frame: int) -> bytes:
+        return sensor_header(data, frame, self._world.elapsed, sensor.transform)
 
     def _is_due(self, sensor: Actor) -> bool:
         """Return whether a sensor ticks: in its first tick, and whenever a multiple of its interval has passed since."""
@@ -296,7 +313,7 @@ class Sensors:
 def _static(tag: int) -> ActorRecord:
     """Return the record of what is no actor, as CARLA describes it: its id is 0, and its name begins with static."""
     description = ActorDescription(0, f"static.{_STATIC.get(Tag(tag), 'other')}", [])
-    return ActorRecord(0, 0, description, BoxStruct(Location(), Vector()), bytes((tag,)), b"")
+    return ActorRecord(0, 0, description, BoxStruct(Location(), Vector()), Labels(bytes((tag,))), b"")
 
 
 def _end_of(work: Future[Any]) -> asyncio.Future[None]:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from carla_recap.rendering.rays import RayScene
     from carla_recap.scene.instances import Instances
     from carla_recap.sensors.noise import Numbers
+    from carla_recap.server.protocol.releases import Release
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.geometry import Location, Transform, Vector
     from carla_recap.util.arrays import Floats
@@ -47,6 +48,10 @@ class V2xMessage:
 
 class FeedContext(Protocol):
     """What feeds need besides their sensors."""
+
+    @property
+    def release(self) -> Release:
+        """The release of the clients that listen."""
 
     def messages(self, type_id: str, receiver: Actor) -> list[V2xMessage]:
         """Return the V2X messages of a kind of sensor in the latest tick, but for those of a receiver."""

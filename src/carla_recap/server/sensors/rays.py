@@ -156,7 +156,7 @@ def semantic_lidar(sensor: Actor, context: FeedContext) -> Feed:
         points = np.zeros(len(hits.ray), _SEMANTIC_POINT)
         points["location"] = rays[hits.ray] * hits.distance[:, None]
         points["cosine"] = hits.cosine
-        points["actor"], points["tag"] = hits.actor, hits.tag
+        points["actor"], points["tag"] = hits.actor, context.release.relabelled(hits.tag)
         yield own.frame(hits, rays, points)
 
     return frames

@@ -1,0 +1,5 @@
+"""What the releases of CARLA's client say differently, as a table, and which release a client is of."""
+
+from carla_recap.server.protocol.releases import DEFAULT, RELEASES, Release
+
+__all__ = ["DEFAULT", "RELEASES", "Release"]
