@@ -7,7 +7,7 @@ generated := src/carla_recap/v1
 durations := benchmarks/durations.txt
 demo_extras := sim,video,foxglove
 
-.PHONY: help venv test durations lint types proto check-proto models wheel check nuscenes docs bench performance soak search demo clean
+.PHONY: help venv test durations lint types proto check-proto models wheel check nuscenes clients docs bench performance soak search demo clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -48,6 +48,8 @@ wheel: venv ## Build the wheel and try it in an empty environment
 check: lint types check-proto wheel ## Everything but the tests
 
 nuscenes: build/nuscenes/stamp ## Install nuscenes-devkit, which reads datasets in tests, into build/nuscenes
+
+clients: build/clients/stamp ## Install CARLA's clients of other releases, with which tests talk to the server, into build/clients
 
 docs: venv ## Build the documentation as a site, in build/site, and check its links
 	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet
@@ -94,6 +96,14 @@ build/nuscenes/stamp:
 	@echo 'Installing nuscenes-devkit into build/nuscenes: about 560 MB.'
 	$(PYTHON) -m venv --clear build/nuscenes
 	build/nuscenes/bin/python -m pip install --quiet 'nuscenes-devkit>=1.2,<2'
+	@touch $@
+
+# The client of 0.10 with the package, too, whose captures are tested with it.
+build/clients/stamp: pyproject.toml
+	@echo "Installing CARLA's clients 0.9.15 and 0.10.0 into build/clients: about 150 MB to download."
+	for release in 0-9-15 0-10-0; do \
+		$(PYTHON) -m venv --clear build/clients/$$release && \
+		build/clients/$$release/bin/python -m pip install --quiet carla-$$release --editable '.[server]' || exit; done
 	@touch $@
 
 $(node_modules): tests/node/package-lock.json

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Coroutine
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgpack
 
@@ -16,27 +16,34 @@ from carla_recap.server.rpc.registry import CALLS
 from carla_recap.sim.town.loading import Town, load_town
 from carla_recap.sim.world import World
 
+if TYPE_CHECKING:
+    from carla_recap.server.protocol import Release
+
 
 class Inside:
     """A client inside the server.
 
+    Args:
+        release: The release of the client.
+
     Attributes:
         world: The served world.
         host: The host of that world.
+        client: What the host knows of the client.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, release: Release | None = None) -> None:
         self.world = World(_town())
-        self.host = Host(self.world)
-        self._client = client_inside(self.host)
+        self.host = Host(self.world, release=release)
+        self.client = client_inside(self.host)
 
     def call(self, name: str, *arguments: Any) -> Any:
         """Return the encoded answer to a call, without CARLA's `Response` around it; errors are raised."""
         entry = CALLS[name]
-        answer = entry(self._client, list(arguments))
+        answer = entry(self.client, list(arguments))
         if isinstance(answer, Coroutine):
             answer = asyncio.run(answer)
-        data = msgpack.packb(entry.encoded(self._client, answer), unicode_errors="surrogateescape")
+        data = msgpack.packb(entry.encoded(self.client, answer), unicode_errors="surrogateescape")
         response = msgpack.unpackb(data, unicode_errors="surrogateescape")
         return response if entry.bare else response[0][-1] or None
 

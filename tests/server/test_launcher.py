@@ -120,6 +120,7 @@ def test_help_lists_the_arguments() -> None:
         ("--carla-rpc-port=3000", ["--port=3000"]),
         ("-carla-streaming-port=0", ["--streaming-port=0"]),
         ("-Quality-Level=EPIC", ["--quality=epic"]),
+        ("-carla-release=0.9.15", ["--carla=0.9.15"]),
         ("CarlaUE4 Town02 -RenderOffscreen", ["--town", "Town02"]),
         ("/Game/Carla/Maps/Town03?listen", ["--town", "/Game/Carla/Maps/Town03"]),
         ("--maps folder --confine -nosound", ["--maps", "folder", "--confine"]),

@@ -25,6 +25,7 @@ _OPTIONS: Final = {
     "world-port": "--port",
     "carla-streaming-port": "--streaming-port",
     "fps": "--fps",
+    "carla-release": "--carla",
 }
 """The options of `carla-recap serve` by CARLA's arguments with a value."""
 _QUALITY: Final = "quality-level"
@@ -42,7 +43,8 @@ def launch() -> None:
     """Run the server with CARLA's arguments, in this process."""
     arguments = sys.argv[1:]
     if {"-h", "-help", "--help"} & set(arguments):
-        say("CarlaUE4.sh [MAP] [-carla-rpc-port=N] [-carla-streaming-port=N] [-quality-level=Low|Epic] [-fps=N] ...")
+        say("CarlaUE4.sh [MAP] [-carla-rpc-port=N] [-carla-streaming-port=N] [-quality-level=Low|Epic] [-fps=N]")
+        say("            [-carla-release=0.9.15] ...")
         say("CARLA's other arguments have no effect. These options of carla-recap serve can be added:")
         arguments = ["--help"]
     else:

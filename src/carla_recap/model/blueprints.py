@@ -1,6 +1,7 @@
 """The blueprints of CARLA 0.9.16 that have a body, as tables, and the sizes and boxes of actors.
 
-`vehicles.csv`, `walkers.csv` and `props.csv` beside this module list them.
+`vehicles.csv`, `walkers.csv` and `props.csv` beside this module list them, and `other_names.csv` the vehicles that other
+releases, up to 0.9.11 and 0.10, have under another name.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ _SMALL: Final = (0.15, 0.15, 0.15)
 _PREFIXES: Final[dict[BlueprintKind, str]] = {"vehicles": "vehicle", "walkers": "walker", "props": "static.prop"}
 
 
-def blueprint_rows(table: BlueprintKind) -> list[dict[str, str]]:
+def blueprint_rows(table: BlueprintKind | Literal["other_names"]) -> list[dict[str, str]]:
     """Return the rows of a table; their ids lack the prefix of the family."""
     with Path(__file__).with_name(f"{table}.csv").open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
@@ -62,6 +63,12 @@ def plain_name(type_id: str) -> str:
     return type_id.replace("_", "").replace("-", "").lower()
 
 
+@cache
+def other_names() -> Mapping[str, str]:
+    """Return the blueprints of 0.9.16 by the names that other releases have for them, or for similar vehicles."""
+    return MappingProxyType({f"vehicle.{row['id']}": f"vehicle.{row['like']}" for row in blueprint_rows("other_names")})
+
+
 def blueprint_size(type_id: str) -> Size | None:
     """Return the size of a blueprint, however its version of CARLA writes it; None of an unknown one."""
     return blueprint_sizes().get(type_id) or _plain_sizes().get(plain_name(type_id))
@@ -69,7 +76,9 @@ def blueprint_size(type_id: str) -> Size | None:
 
 @cache
 def _plain_sizes() -> dict[str, Size]:
-    return {plain_name(type_id): size for type_id, size in blueprint_sizes().items()}
+    sizes = blueprint_sizes()
+    others = {plain_name(type_id): sizes[like] for type_id, like in other_names().items()}
+    return others | {plain_name(type_id): size for type_id, size in sizes.items()}
 
 
 def blueprint_box(type_id: str, kind: int) -> BoundingBox | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from carla_recap.model.blueprints import blueprint_box
+from carla_recap.model.blueprints import blueprint_box, other_names
 from carla_recap.model.lives import BoundingBox
 from carla_recap.model.records import ActorKind
 from carla_recap.scene.materials import Color, Tag
@@ -273,7 +273,7 @@ def _color_of(attributes: Mapping[str, str]) -> Color | None:
 
 def _vehicle_of(type_id: str, attributes: Mapping[str, str], box: BoundingBox | None) -> str:
     """Return the model of a vehicle: by its name, else by its type, its wheels and its size."""
-    lowered = type_id.lower()
+    lowered = other_names().get(type_id, type_id).lower()
     for part, name in _VEHICLES:
         if part in lowered:
             return name

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from carla_recap.server.actor_records import ActorCache, encoded_definitions
 from carla_recap.server.controllers import AckermannController, ConstantVelocity, Takeover
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.town.loading import Town
     from carla_recap.sim.world import World
+
+
+_LOG: Final = logging.getLogger(__name__)
 
 
 class Host:
@@ -238,6 +242,7 @@ class Client:
     Attributes:
         host: The served world.
         release: The release that it is of.
+        refusal: Why all its calls are refused; empty if they are not.
         stream: The number of its stream of snapshots; see `SnapshotStreams`.
         cycle: The state of its traffic manager.
         pause: The pause of its traffic manager, while an episode begins.
@@ -249,23 +254,27 @@ class Client:
         self.pause: TrafficManagerPause | None = None
         self._connection = connection
         self.release = host.release or DEFAULT
+        self.refusal = ""
         self.stream = host.snapshots.open(self.release)
         if connection.ends is not None:
             connection.read_after(self._identify(*connection.ends))
 
     async def _identify(self, client: Address, server: Address) -> None:
-        """Find the release of the client; one of another release than all must have is refused before it crashes."""
+        """Find the release of the client; one of another release than all must have is refused before it crashes.
+
+        The answer to `version` tells it why, too: of errors, a client of 0.10 shows no text, but it shows a version.
+        """
         found = await asyncio.to_thread(release_of, client, server)
         if found is None or found is self.release:
-            return None
+            return
         if self.host.release is not None:
             own = self.host.release.name
-            found_one = f"expected a client of CARLA {own}, found one of {found.name}"
-            return self._connection.refuse(f"{found_one}: this server was started with --carla {own}")
+            self.refusal = f"expected a client of CARLA {own}, found one of {found.name}: the server runs with --carla {own}"
+            _LOG.warning("%s", self.refusal)
+            return
         self.release = found
         self.host.snapshots.close(self.stream)
         self.stream = self.host.snapshots.open(found)
-        return None
 
     @property
     def address(self) -> str:
@@ -285,7 +294,13 @@ class Client:
         self._connection.in_background(work)
 
     def begin_call(self, name: str) -> None:
-        """Take note of a call of the client, or of its traffic manager: they share a connection."""
+        """Take note of a call of the client, or of its traffic manager: they share a connection.
+
+        Raises:
+            CallError: The client is refused.
+        """
+        if self.refusal and name != "version":
+            raise CallError(self.refusal)
         self.cycle.begin_call(name)
 
     def hold(self, name: str, answer: Any) -> Any:

@@ -34,6 +34,7 @@ def running(
     confine: bool = False,
     stand_in: bool = False,
     quality: Quality = "epic",
+    carla: str = "auto",
 ) -> Iterator[int]:
     """Run a server until the end of a `with` block or of this process, however that ends; a recording is completed.
 
@@ -48,6 +49,7 @@ def running(
         confine: Refuse recordings outside the folder of recordings.
         stand_in: Serve the built-in town under the name of a map that is missing.
         quality: The quality of the images of cameras: "low" or "epic".
+        carla: The release of clients, such as "0.9.15"; others are refused. "auto": each client's own.
 
     Yields:
         The port, for `carla.Client("localhost", port)`.
@@ -55,7 +57,15 @@ def running(
     Raises:
         RecapError: The server does not start; the message is the server's.
     """
-    options = {"town": town, "port": port, "maps": maps, "recordings": recordings, "seed": seed, "quality": quality}
+    options = {
+        "town": town,
+        "port": port,
+        "maps": maps,
+        "recordings": recordings,
+        "seed": seed,
+        "quality": quality,
+        "carla": carla,
+    }
     arguments = [f"--{name}={value}" for name, value in options.items() if value not in (None, "")]
     arguments += [flag for flag, is_set in (("--confine", confine), ("--stand-in", stand_in)) if is_set]
     command = module_command("carla_recap", "serve", "--attached", *arguments)

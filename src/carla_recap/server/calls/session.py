@@ -30,8 +30,8 @@ _MAPS: Final = "/Game/Carla/Maps"
 
 @call
 def version(client: Client) -> str:
-    """Return the version of CARLA, which is the client's own."""
-    return client.release.name
+    """Return the version of CARLA, which is the client's own; to one that is refused, why it is."""
+    return client.refusal or client.release.name
 
 
 @call

@@ -118,7 +118,7 @@ class CallContext(Protocol):
         """The release of the client."""
 
     def begin_call(self, name: str) -> None:
-        """Take note of a call before it is served."""
+        """Take note of a call before it is served, or refuse it by a `RecapError`."""
 
     def hold(self, name: str, answer: Any) -> Any:
         """Return the answer to a call, or an awaitable of it."""
@@ -157,7 +157,7 @@ class ClientConnection(asyncio.Protocol):
         self._transport: asyncio.Transport | None = None
         self._buffer = MessageBuffer()
         self._pending: set[asyncio.Future[Any]] = set()
-        self._refusal = ""
+        self._is_refused = False
         self._is_closed = False
         self._is_behind = False
         self._is_paused = False
@@ -218,9 +218,9 @@ class ClientConnection(asyncio.Protocol):
             self._pool.check_memory()
         return None
 
-    def refuse(self, reason: str = "") -> None:
-        """Answer the first call with an error, by default that there are too many connections, and close."""
-        self._refusal = reason or self._pool.refusal
+    def refuse(self) -> None:
+        """Answer the first call with an error, and close."""
+        self._is_refused = True
 
     def close(self) -> None:
         """Close the connection at once."""
@@ -284,8 +284,8 @@ class ClientConnection(asyncio.Protocol):
     def _take(self, request: Any) -> None:
         match request:
             case [0, int(number), str(name), [[*metadata], *arguments]]:
-                if self._refusal:
-                    self._send([_REPLY, number, None, [[0, [self._refusal]]]])
+                if self._is_refused:
+                    self._send([_REPLY, number, None, [[0, [self._pool.refusal]]]])
                     self._is_closed = True
                     if self._transport is not None:
                         self._transport.close()
@@ -301,8 +301,8 @@ class ClientConnection(asyncio.Protocol):
         assert context is not None
         if call is None:
             return self._send([_REPLY, number, _unknown_call(name), None])
-        context.begin_call(name)
         try:
+            context.begin_call(name)
             answer = call(context, arguments)
             if self._transport is None and iscoroutine(answer):
                 return answer.close()  # the client has left

@@ -10,7 +10,7 @@ from math import pi
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
-from carla_recap.model.blueprints import blueprint_rows
+from carla_recap.model.blueprints import blueprint_rows, other_names
 from carla_recap.model.motion import GRAVITY
 from carla_recap.model.records import ActorKind
 from carla_recap.sensors.kinds import SENSOR_ATTRIBUTES
@@ -70,10 +70,16 @@ _FAMILIES: Final = "there are vehicle.*, walker.*, static.prop.*, sensor.*, stat
 
 
 class BlueprintLibrary:
-    """All blueprints, in the order of their names."""
+    """All blueprints, in the order of their names; those of other releases can be got, but are not listed.
 
-    def __init__(self, blueprints: list[Blueprint]) -> None:
+    Args:
+        blueprints: The blueprints.
+        others: Those of other releases.
+    """
+
+    def __init__(self, blueprints: list[Blueprint], others: Iterable[Blueprint] = ()) -> None:
         self._blueprints = {blueprint.id: blueprint for blueprint in blueprints}
+        self._others = {blueprint.id: blueprint for blueprint in others}
 
     def __len__(self) -> int:
         return len(self._blueprints)
@@ -82,7 +88,7 @@ class BlueprintLibrary:
         return iter(self._blueprints.values())
 
     def __contains__(self, id: str) -> bool:
-        return id in self._blueprints
+        return id in self._blueprints or id in self._others
 
     def get(self, id: str) -> Blueprint:
         """Return the blueprint of a name.
@@ -90,12 +96,12 @@ class BlueprintLibrary:
         Raises:
             SpawnError: There is none; the message has similar names.
         """
-        try:
-            return self._blueprints[id]
-        except KeyError:
+        found = self._blueprints.get(id) or self._others.get(id)
+        if found is None:
             near = get_close_matches(id, self._blueprints, n=3, cutoff=0.5)
             hint = f"did you mean {' or '.join(near)}?" if near else _FAMILIES
-            raise SpawnError(f"no blueprint {id!r}; {hint}") from None
+            raise SpawnError(f"no blueprint {id!r}; {hint}")
+        return found
 
     def resolve(self, blueprint: Blueprint | str, attributes: Iterable[str]) -> Blueprint:
         """Return a blueprint, given or by its name, that has attributes of the given names.
@@ -297,4 +303,8 @@ def standard_library() -> BlueprintLibrary:
     blueprints += [_walker(row) for row in blueprint_rows("walkers")]
     blueprints += [_prop(row) for row in blueprint_rows("props")]
     ordered = sorted([*blueprints, *_others()], key=lambda blueprint: blueprint.id)
-    return BlueprintLibrary([replace(blueprint, uid=uid) for uid, blueprint in enumerate(ordered, 1)])
+    numbered = {blueprint.id: replace(blueprint, uid=uid) for uid, blueprint in enumerate(ordered, 1)}
+    others = enumerate(other_names().items(), len(numbered) + 1)
+    return BlueprintLibrary(
+        list(numbered.values()), [replace(numbered[like], id=id, uid=uid, is_traffic=False) for uid, (id, like) in others]
+    )

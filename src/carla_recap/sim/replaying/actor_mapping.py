@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.blueprints import other_names
 from carla_recap.model.records import ActorKind
 from carla_recap.sim.actors.actor import Prop, Spectator
 from carla_recap.sim.actors.blueprints import Blueprint
@@ -138,7 +139,7 @@ class ActorMapping:
             return None
         spawned = self._world.place(blueprint, transform(pose), parent=parent, wanted_id=actor.id)
         self._spawned.add(actor.id)
-        if actor.type_id not in self._world.blueprints:
+        if actor.type_id != model:
             self.substitutes[actor.type_id] = model
             if isinstance(spawned, Prop):
                 spawned.set_collisions(False)  # its shape is unknown
@@ -178,14 +179,16 @@ def _make_kinematic(actor: Actor) -> None:
 def blueprint_for(actor: ActorLife, library: BlueprintLibrary) -> tuple[Blueprint, str]:
     """Return the blueprint of a recorded actor, with the id and the attributes that were recorded.
 
-    If the library does not have it, the rest is that of the most similar one: of the same kind, with as many wheels if
-    possible, with a similar id, and of a similar size if that is recorded; or a box, if there is none of its kind.
+    If the library does not have it, the rest is that of the one that it is another name of, else of the most similar one: of
+    the same kind, with as many wheels if possible, with a similar id, and of a similar size if that is recorded; or a box,
+    if there is none of its kind.
 
     Returns:
         The blueprint, and the id of the one in the library that it was made from; "" for a box.
     """
-    known = actor.type_id in library
-    model = library.get(actor.type_id) if known else _most_similar(actor, library)
+    name = other_names().get(actor.type_id, actor.type_id)
+    known = name in library and name == actor.type_id
+    model = library.get(name) if name in library else _most_similar(actor, library)
     attributes = {a.key: readable(a.value) for a in actor.spawn.attributes}
     if model is None:
         return Blueprint(actor.type_id, ActorKind.OTHER, attributes, _DEFAULT_BOX), ""

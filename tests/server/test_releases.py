@@ -1,0 +1,289 @@
+"""The releases of CARLA's client: their rows in the table, which one a client is of, and clients in their environments."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import struct
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import carla
+import pytest
+
+from carla_recap import open_recording
+from carla_recap.cli.server import RELEASES as CHOICES
+from carla_recap.server import running
+from carla_recap.server.protocol import DEFAULT, RELEASES, Release
+from carla_recap.server.protocol.chaos import ChaosControl
+from carla_recap.server.protocol.clients import release_of
+from carla_recap.server.rpc.codec import decoder, encoder
+from carla_recap.sim.actors.blueprints import standard_library
+from carla_recap.sim.geometry import Transform
+from carla_recap.sim.physics.physics_control import PhysicsControl
+from tests.server.inside import Inside
+from tests.waiting import PATIENCE
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = Path(__file__).with_name("releases_script.py")
+BY_NAME = {release.name: release for release in RELEASES}
+RUN = ("0.9.15", "0.9.16", "0.10.0")
+"""The releases whose clients are run."""
+ABSENT = {
+    "0.9.15": {
+        "cosmos_visualization_images_arrive",
+        "names_in_the_engine_are_read_and_textures_accepted",
+        "telemetry_is_read",
+        "v2x_messages_arrive",
+    },
+    "0.9.16": {"names_in_the_engine_are_read_and_textures_accepted"},
+    "0.10.0": {"cosmos_visualization_images_arrive", "telemetry_is_read", "v2x_messages_arrive"},
+}
+"""The steps of the script for which a client has no calls."""
+CAR, PLACE = "vehicle.lincoln.mkz_2020", [[500.0, 500.0, 0.5], [0.0, 0.0, 0.0]]
+DESCRIPTION = [0, CAR, []]
+
+
+def python_of(release: str) -> str:
+    """Return the interpreter of an environment with a client."""
+    if release == DEFAULT.name:
+        return sys.executable
+    python = ROOT / "build" / "clients" / release.replace(".", "-") / "bin" / "python"
+    if not python.exists():
+        pytest.skip(f"CARLA's client {release} is not installed: `make clients` does that")
+    return str(python)
+
+
+def free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+def output_of(release: str, *arguments: object) -> str:
+    command = [python_of(release), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert not done.returncode, done.stdout + done.stderr
+    return done.stdout
+
+
+# --- real clients ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("recordings")
+
+
+@pytest.fixture(scope="module")
+def server(folder: Path) -> Iterator[int]:
+    """A server for clients of all releases."""
+    with running(recordings=folder) as port:
+        yield port
+
+
+@pytest.mark.parametrize("release", RUN)
+def test_every_step_of_a_script_passes_with_a_client(server: int, release: str, tmp_path: Path) -> None:
+    results = json.loads(output_of(release, SCRIPT, server, tmp_path, free_port()))
+    assert results.pop("release") == release
+    assert {step: result for step, result in results.items() if result != "passed" and step not in ABSENT[release]} == {}
+    assert {step for step, result in results.items() if result.startswith("absent")} == ABSENT[release]
+
+
+@pytest.mark.parametrize("release", RUN)
+def test_the_sample_scripts_run_with_a_client(server: int, folder: Path, release: str) -> None:
+    name, samples = f"{release}.log", ROOT / "samples"
+
+    def output(script: str, *arguments: object) -> str:
+        return output_of(release, samples / f"{script}.py", f"--port={server}", f"-f={name}", *arguments)
+
+    assert "Stopped recording, destroyed 3" in output("start_recording", "-n=3", "-t=2", f"--tm-port={free_port()}")
+    created = re.findall(r"Create \d+: (vehicle\.\S+)", output("show_recorder_file_info"))
+    assert len(created) == 3
+    assert set(created) <= {blueprint.id for blueprint in BY_NAME[release].blueprints(standard_library())}
+    assert "Duration" in output("show_recorder_collisions", "-t=aa")
+    assert "Duration" in output("show_recorder_actors_blocked")
+    assert "Replaying File" in output("start_replaying", "-d=1")
+    with open_recording(folder / name) as recording:
+        assert recording.info.frames > 10
+
+
+def test_two_clients_of_different_releases_share_a_world(server: int) -> None:
+    script = (
+        "import carla, sys; world = carla.Client('127.0.0.1', int(sys.argv[1])).get_world(); world.wait_for_tick(30.0); "
+        "print(sorted(actor.type_id for actor in world.get_actors().filter('vehicle.*')))"
+    )
+    client = carla.Client("127.0.0.1", server)
+    client.set_timeout(PATIENCE)
+    world = client.get_world()
+    car = world.spawn_actor(world.get_blueprint_library().find(CAR), world.get_map().get_spawn_points()[0])
+    found = output_of("0.9.15", "-c", script, server)
+    assert CAR in found
+    assert car.destroy()
+
+
+def test_a_client_of_another_release_than_the_servers_is_told_so(capfd: pytest.CaptureFixture[str]) -> None:
+    with running(carla="0.9.14") as port:
+        client = carla.Client("127.0.0.1", port)
+        client.set_timeout(PATIENCE)
+        for call in (client.get_world, client.get_available_maps):
+            with pytest.raises(RuntimeError, match=r"expected a client of CARLA 0\.9\.14, found one of 0\.9\.16"):
+                call()
+        assert "found one of 0.9.16" in client.get_server_version()
+    assert "expected a client of CARLA 0.9.14, found one of 0.9.16" in capfd.readouterr().err
+
+
+def test_the_options_of_the_command_are_the_releases_of_the_table() -> None:
+    assert set(CHOICES) == {"auto", *BY_NAME}
+
+
+# --- which release a client is of ----------------------------------------------------------------------------------------
+
+CONNECTS = """
+import mmap, socket, sys
+with open(sys.argv[1], "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as library:
+    with socket.create_connection(("127.0.0.1", int(sys.argv[2]))) as connection:
+        connection.recv(1)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="the processes of this system cannot be looked at")
+@pytest.mark.parametrize("release", [*RELEASES, None], ids=lambda release: release.name if release else "none")
+def test_the_release_of_a_client_is_that_of_the_library_that_its_process_has_loaded(
+    release: Release | None, tmp_path: Path
+) -> None:
+    library = tmp_path / "libcarla.cpython-311-x86_64-linux-gnu.so"
+    older = RELEASES[RELEASES.index(release) :] if release else ()
+    library.write_bytes(b"\0".join((b"other", *(each.marker for each in older), b"text")))
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+        with subprocess.Popen([sys.executable, "-c", CONNECTS, library, str(port)]) as process:
+            connection, client = listening.accept()
+            with connection:
+                found = release_of(client, connection.getsockname())
+                away = release_of(("192.0.2.1", client[1]), connection.getsockname())
+            assert process.wait(PATIENCE) == 0
+    assert found is release
+    assert away is None
+
+
+# --- rows of the table ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("release", "world", "rgb", "gnss", "v2x", "transform", "types", "spawn"),
+    [
+        ("0.9.13", 15, 12, 3, None, 5, 0, 4),
+        ("0.9.14", 16, 13, 4, None, 6, 0, 4),
+        ("0.9.15", 16, 13, 4, None, 6, 0, 4),
+        ("0.9.16", 17, 13, 4, 20, 6, 1, 6),
+        ("0.10.0", 16, 13, 4, None, 6, 0, 4),
+    ],
+)
+def test_a_release_says_what_it_says_on_the_wire(
+    release: str, world: int, rgb: int, gnss: int, v2x: int | None, transform: int, types: int, spawn: int
+) -> None:
+    row, inside = BY_NAME[release], Inside(BY_NAME[release])
+    assert (row.number("world"), row.number("sensor.camera.rgb"), row.number("sensor.other.gnss")) == (world, rgb, gnss)
+    assert row.number("sensor.other.v2x") == v2x
+    assert inside.call("version") == release
+    streams, kept = inside.host.streams, {}
+    streams.keep = kept.__setitem__  # type: ignore[method-assign,assignment]
+    inside.host.tick()
+    assert struct.unpack_from("<Q", kept[inside.client.stream]) == (world,)
+    definitions = {definition[1]: definition for definition in inside.call("get_actor_definitions")}
+    assert ("sensor.other.v2x" in definitions) == (v2x is not None)
+    car = next(definition for id, definition in definitions.items() if id.startswith("vehicle."))
+    assert {attribute[0]: attribute[1] - types for attribute in car[3]}["number_of_wheels"] == 1
+    attachment = [0, ""] if spawn == 6 else []
+    then = [[transform, [0, [[510.0, 500.0, 0.5], [0.0, 0.0, 0.0]]]]]
+    ((_, id),) = inside.batch([0, [DESCRIPTION, PLACE, [False], *attachment, [then]]])[0]
+    (record,) = inside.call("get_actors_by_id", [id])
+    assert {attribute[0]: attribute[1] - types for attribute in record[2][2]}["number_of_wheels"] == 1
+    assert len(record[3]) == (4 if spawn == 6 else 3)
+    assert record[4] == bytes([10 if release == "0.9.13" else 14])
+    assert inside.world.actors[id].transform.location.x == pytest.approx(510.0, abs=0.01)
+
+
+def test_all_releases_but_0_9_16_stay_on_their_stream_when_an_episode_begins() -> None:
+    for release in RELEASES:
+        inside = Inside(release)
+        stream = inside.client.stream
+        inside.call("load_new_episode", "")
+        assert (inside.client.stream == stream) == (release.name != "0.9.16")
+        assert inside.call("get_episode_info")[0] == inside.world.episode
+
+
+def test_0_9_13_has_its_own_labels_commands_and_fields() -> None:
+    inside = Inside(BY_NAME["0.9.13"])
+    assert len(inside.call("get_weather_parameters")) == 13
+    assert len(inside.call("get_episode_settings")) == 10
+    inside.call("set_weather_parameters", [float(number) for number in range(13)])
+    assert inside.world.weather.rayleigh_scattering_scale == 12.0
+    lights = inside.call("get_environment_objects", 18)
+    assert len(lights) == len(inside.call("get_all_level_BBs", 18)) == len(inside.world.traffic_lights)
+    assert {light[4] for light in lights} == {18}
+    assert len(inside.call("get_environment_objects", 255)) >= len(lights)
+    point = inside.world.town.spawn_points[0].location
+    found = inside.call("project_point", [point.x, point.y, point.z + 5], [0.0, 0.0, -1.0], 10.0)
+    assert found[1][1] == 7
+    assert inside.batch([18, [1, 2]])[0][0][0] == 0
+    assert "vehicle.mitsubishi.fusorosa" not in {definition[1] for definition in inside.call("get_actor_definitions")}
+
+
+def test_0_10_has_its_own_vehicles_which_are_as_large_as_the_similar_ones() -> None:
+    inside = Inside(BY_NAME["0.10.0"])
+    vehicles = [each[1] for each in inside.call("get_actor_definitions") if each[1].startswith("vehicle.")]
+    assert len(vehicles) == 17
+    answer = inside.call("spawn_actor", [0, "vehicle.lincoln.mkz", []], PLACE)
+    box = inside.world.blueprints.get("vehicle.lincoln.mkz_2020").box
+    assert answer[2][1] == "vehicle.lincoln.mkz"
+    assert answer[3][1] == [box.extent.x, box.extent.y, box.extent.z]
+    assert inside.call("get_actor_name", answer[0]) == f"vehicle.lincoln.mkz_{answer[0]}"
+    assert inside.call("get_actor_class_name", answer[0]) == "vehicle.lincoln.mkz"
+    assert inside.call("is_weather_enabled") is True
+
+
+def test_the_physics_of_0_10_are_those_of_the_vehicle() -> None:
+    release = BY_NAME["0.10.0"]
+    encode, decode = encoder(PhysicsControl, release), decoder(PhysicsControl, release)
+    for blueprint in standard_library().filter("vehicle.*"):
+        control = blueprint.physics
+        assert control is not None
+        wire = encode(control)
+        assert len(wire) == len(fields(ChaosControl)) == 30
+        assert {len(wheel) for wheel in wire[28]} == {38}
+        found: Any = decode(json.loads(json.dumps(wire)))
+        for name in (
+            "torque_curve",
+            "max_rpm",
+            "final_ratio",
+            "mass",
+            "drag_coefficient",
+            "center_of_mass",
+            "steering_curve",
+        ):
+            assert getattr(found, name) == getattr(control, name), name
+        assert [gear.ratio for gear in found.forward_gears] == [gear.ratio for gear in control.forward_gears]
+        for mine, theirs in zip(found.wheels, control.wheels, strict=True):
+            same = ("tire_friction", "max_steer_angle", "radius", "max_brake_torque", "max_handbrake_torque", "position")
+            assert [getattr(mine, name) for name in same] == [getattr(theirs, name) for name in same]
+            assert mine.lat_stiff_value == pytest.approx(theirs.lat_stiff_value)
+
+
+def test_the_greatest_torque_of_0_10_scales_the_curve() -> None:
+    control = ChaosControl.of(PhysicsControl(torque_curve=((0.0, 400.0), (5000.0, 200.0))))
+    control.max_torque = 800.0
+    assert control.plain().torque_curve == ((0.0, 800.0), (5000.0, 400.0))
+
+
+def test_a_transform_is_decoded_alike_in_each_release() -> None:
+    for release in RELEASES:
+        assert decoder(Transform, release)(PLACE) == decoder(Transform, DEFAULT)(PLACE)
