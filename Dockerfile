@@ -27,7 +27,7 @@ VOLUME ["/recordings"]
 # calls, and streams
 EXPOSE 2000 2001
 HEALTHCHECK --interval=10s --timeout=10s --start-period=30s \
-    CMD ["python", "-c", "import carla; client = carla.Client('127.0.0.1', 2000); client.set_timeout(5); client.get_server_version()"]
+    CMD ["python", "-c", "import socket; s = socket.create_connection(('127.0.0.1', 2000), 5); s.sendall(bytes.fromhex('940001a776657273696f6e9191c2')); exit(not s.recv(1))"]
 ENTRYPOINT ["carla-recap"]
 # Inside a container, 127.0.0.1 is the container alone. Who can connect is what `docker run --publish` says.
 CMD ["serve", "--host", "0.0.0.0", "--confine"]

@@ -98,7 +98,7 @@ build/nuscenes/stamp:
 	build/nuscenes/bin/python -m pip install --quiet 'nuscenes-devkit>=1.2,<2'
 	@touch $@
 
-# The client of 0.10 with the package, too, whose captures are tested with it.
+# With the package, too: captures are tested with each client.
 build/clients/stamp: pyproject.toml
 	@echo "Installing CARLA's clients 0.9.15 and 0.10.0 into build/clients: about 150 MB to download."
 	for release in 0-9-15 0-10-0; do \

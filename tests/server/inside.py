@@ -45,7 +45,9 @@ class Inside:
             answer = asyncio.run(answer)
         data = msgpack.packb(entry.encoded(self.client, answer), unicode_errors="surrogateescape")
         response = msgpack.unpackb(data, unicode_errors="surrogateescape")
-        return response if entry.bare else response[0][-1] or None
+        if entry.bare:
+            return response
+        return None if entry.result is None else response[0][1]
 
     def batch(self, *commands: Any) -> list[Any]:
         """Return the answers to a batch of commands, each [number, fields]."""

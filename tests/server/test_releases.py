@@ -115,6 +115,22 @@ def test_the_sample_scripts_run_with_a_client(server: int, folder: Path, release
         assert recording.info.frames > 10
 
 
+@pytest.mark.parametrize("release", RUN)
+def test_a_client_captures_the_world_of_a_server(server: int, release: str, tmp_path: Path) -> None:
+    client = carla.Client("127.0.0.1", server)
+    client.set_timeout(PATIENCE)
+    world = client.get_world()
+    blueprint = world.get_blueprint_library().find(CAR)
+    blueprint.set_attribute("role_name", "hero")
+    car = world.spawn_actor(blueprint, world.get_map().get_spawn_points()[0])
+    output_of(release, "-m", "carla_recap", "capture", tmp_path / "a.mcap", f"--port={server}", "--duration=1")
+    assert car.destroy()
+    with open_recording(tmp_path / "a.mcap") as recording:
+        (hero,) = (actor for actor in recording.actors.values() if actor.type_id == CAR)
+        types = {each.key: each.type for each in hero.spawn.attributes}
+    assert (types["role_name"], types["number_of_wheels"]) == (3, 1)
+
+
 def test_two_clients_of_different_releases_share_a_world(server: int) -> None:
     script = (
         "import carla, sys; world = carla.Client('127.0.0.1', int(sys.argv[1])).get_world(); world.wait_for_tick(30.0); "

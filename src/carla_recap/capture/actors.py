@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from typing import TYPE_CHECKING, Any, Final
 
+import carla
 import numpy as np
 
 from carla_recap.errors import RecapWarning
@@ -16,8 +17,6 @@ from carla_recap.sim.recording.snapshots import WITH_POSE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    import carla
 
     from carla_recap.model.records import Physics
     from carla_recap.sim.recording.packets import Pose, Row
@@ -36,7 +35,7 @@ UNANSWERED: Final = (RuntimeError, *UNREADABLE)
 OWN: Final = "carla-recap"
 """The role of this package's own sensors, which are left out."""
 _STRING: Final = 3
-_TYPES_FROM: Final = 1  # clients number the types of attributes from 1, recordings from 0
+_FIRST_TYPE: Final = int(carla.ActorAttributeType.Bool)  # releases number types from 0 or 1, recordings from 0
 _KINDS: Final = {
     "vehicle.": ActorKind.VEHICLE,
     "walker.": ActorKind.WALKER,
@@ -191,7 +190,7 @@ def kind_of(type_id: str) -> ActorKind:
 
 def attribute_types(library: carla.BlueprintLibrary) -> Types:
     """Return the types of the attributes of each blueprint, as recordings number them."""
-    return {blueprint.id: {each.id: int(each.type) - _TYPES_FROM for each in blueprint} for blueprint in library}
+    return {blueprint.id: {each.id: int(each.type) - _FIRST_TYPE for each in blueprint} for blueprint in library}
 
 
 def spawn(actor: carla.Actor, pose: Pose, types: Types) -> Spawn:
@@ -227,8 +226,10 @@ def light_times(light: carla.TrafficLight) -> Row:
 
 
 def physics(vehicle: carla.Vehicle) -> list[Physics]:
-    """Return the physics of a vehicle; asks the server."""
+    """Return the physics of a vehicle, if they are described as in 0.9; asks the server."""
     control = vehicle.get_physics_control()
+    if not hasattr(control, "moi"):  # 0.10's, for which there is no record
+        return []
     torque_curve, steering_curve = (((at.x, at.y) for at in each) for each in (control.torque_curve, control.steering_curve))
     wheels = (wheel_row(wheel, (wheel.position.x, wheel.position.y, wheel.position.z)) for wheel in control.wheels)
     return [physics_record(vehicle.id, control, torque_curve, steering_curve, wheels)]
