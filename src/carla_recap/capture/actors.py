@@ -12,6 +12,7 @@ from carla_recap.errors import RecapWarning
 from carla_recap.model.lives import HERO
 from carla_recap.model.records import UE4, ActorKind, Attribute, Spawn
 from carla_recap.replay.pose import detach
+from carla_recap.sim.actors.attributes import attribute_type
 from carla_recap.sim.recording.packets import CM_PER_M, box_row, physics_record, pose, wheel_row
 from carla_recap.sim.recording.snapshots import WITH_POSE
 
@@ -34,7 +35,6 @@ UNANSWERED: Final = (RuntimeError, *UNREADABLE)
 """What CARLA's client raises if a request is not answered."""
 OWN: Final = "carla-recap"
 """The role of this package's own sensors, which are left out."""
-_STRING: Final = 3
 _FIRST_TYPE: Final = int(carla.ActorAttributeType.Bool)  # releases number types from 0 or 1, recordings from 0
 _KINDS: Final = {
     "vehicle.": ActorKind.VEHICLE,
@@ -201,8 +201,8 @@ def spawn(actor: carla.Actor, pose: Pose, types: Types) -> Spawn:
         pose: Its pose, in cm and degrees.
         types: The types of attributes.
     """
-    known = types.get(actor.type_id, {})
-    attributes = [Attribute(known.get(key, _STRING), key, value) for key, value in actor.attributes.items() if key]
+    known, given = types.get(actor.type_id, {}), actor.attributes.items()
+    attributes = [Attribute(known.get(key, attribute_type(key)), key, value) for key, value in given if key]
     return Spawn(actor.id, kind_of(actor.type_id), *pose, type_id=actor.type_id, attributes=attributes)
 
 
