@@ -46,7 +46,6 @@ _MAX_LANES_OF_SIDE: Final = 40
 _MAX_LANES_OF_JUNCTION: Final = 500  # CARLA's have up to 60
 _HIGHEST: Final = 1_000  # number of a lane
 _MAX_RECORDS: Final = 20_000  # of one kind, of a road or junction
-_MOST_CORNERS: Final = 100
 _MIN_LENGTH: Final = 0.01  # m of a road
 _MAX_LENGTH: Final = 40_000.0  # m of a road
 _MIN_SECTION: Final = 1e-3  # m
@@ -636,9 +635,7 @@ def _changes(markings: Iterable[Marking]) -> Iterator[Marking]:
 
 def _object(element: Element) -> RoadObject:
     outlines = [*element.findall("outline"), *element.findall("outlines/outline")]
-    corners, on_road = (
-        outlines[0].findall(tag)[:_MOST_CORNERS] if outlines else [] for tag in ("cornerLocal", "cornerRoad")
-    )
+    corners, on_road = ([*_all(outlines[0], tag)] if outlines else [] for tag in ("cornerLocal", "cornerRoad"))
     return RoadObject(
         id=element.get("id", ""),
         kind=element.get("type", "").lower(),

@@ -163,7 +163,7 @@ class RoutePlanner:
             return None if following is None else [following]
         length = abs(float(self._town.ends[lane]) - station)
         sign = -1.0 if self._town.lanes[lane].reverse else 1.0
-        along = station + sign * spacing * np.arange(1.0, min(int(length / spacing), _LONGEST) + 1)
+        along = station + sign * spacing * np.arange(1.0, int(length / spacing) + 1)
         places = [(lane, each) for each in along.tolist()]
         near = _apart(self._town.at(np.full(len(along), lane), along).position, end) <= spacing
         if near.any():

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import defaultdict
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.errors import RecapWarning
 from carla_recap.roads import network as roads
 from carla_recap.roads import opendrive
 from carla_recap.roads.network import LANE_KINDS
@@ -44,7 +46,10 @@ def drawn_stop_lines(found: Sequence[Road]) -> tuple[list[Floats], list[Floats]]
     Each is two points, (2, 3); the latter are at the stop lines of the road network, the left end first.
     """
     painted = [_painted(road, thing) for road in found for thing in road.objects if thing.name == "StopLine"]
-    painted = [line for line in painted if np.isfinite(line).all()][:_MOST_LINES]
+    painted = [line for line in painted if np.isfinite(line).all()]
+    if len(painted) > _MOST_LINES:
+        warnings.warn(f"of {len(painted):,} painted stop lines, {_MOST_LINES:,} are drawn", RecapWarning, stacklevel=2)
+        del painted[_MOST_LINES:]
     signals, table, _ = signal_tables(found)
     table = table[np.isin(signals["kind"][table["signal"]], (roads.LIGHT, roads.STOP))]
     lines = np.stack([np.stack([table[f"{axis}{end}"] for axis in "xyz"], axis=1) for end in "01"], axis=1)
@@ -78,8 +83,16 @@ class _Signals:
             for signal in road.signals:
                 places[signal.id].append((number, signal))
         for id, (road, signal) in defined_signals(found).items():
-            if signal.kind in _SIGNALS and len(self._lines) < _MOST_LINES:
-                self._add(id, road, signal, places[id][:_MOST_PLACES])
+            if signal.kind not in _SIGNALS:
+                continue
+            if len(self._lines) >= _MOST_LINES:
+                message = f"signals from {id} on are left out: those before have {_MOST_LINES:,} stop lines"
+                warnings.warn(message, RecapWarning, stacklevel=3)
+                break
+            if len(places[id]) > _MOST_PLACES:
+                message = f"of {len(places[id]):,} places of signal {id}, {_MOST_PLACES} are looked at"
+                warnings.warn(message, RecapWarning, stacklevel=3)
+            self._add(id, road, signal, places[id][:_MOST_PLACES])
 
     def tables(self) -> tuple[NDArray[np.void], NDArray[np.void], tuple[str, ...]]:
         """Return the signals, the stop lines, and the ids of the signals."""
