@@ -6,16 +6,32 @@ What the simulator's physics does not have is sent with CARLA's defaults, and ig
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Final
 
 from carla_recap.sim.geometry import Vector
 from carla_recap.sim.physics.physics_control import Curve, Gear, PhysicsControl, WheelPhysics
 
-_STIFFNESS = 50.0
+_STIFFNESS: Final = 50.0
 """The cornering stiffness of 0.10's usual wheels, 1,000, by that of 0.9's, 20."""
 
 
-def _down() -> Vector:
-    return Vector(0.0, 0.0, -1.0)
+_WHEEL: Final = {
+    "wheel_radius": "radius",
+    "friction_force_multiplier": "tire_friction",
+    "max_steer_angle": "max_steer_angle",
+    "max_brake_torque": "max_brake_torque",
+    "max_hand_brake_torque": "max_handbrake_torque",
+    "location": "position",
+}
+"""The fields of a wheel in 0.9 by those that are the same in 0.10."""
+_CONTROL: Final = {
+    **{name: name for name in ("torque_curve", "max_rpm", "final_ratio", "mass", "drag_coefficient", "center_of_mass")},
+    **{name: name for name in ("steering_curve", "use_sweep_wheel_collision")},
+    "rev_up_moi": "moi",
+    "use_automatic_gears": "use_gear_autobox",
+    "gear_change_time": "gear_switch_time",
+}
+"""The same of a physics control."""
 
 
 @dataclass(slots=True)
@@ -42,7 +58,7 @@ class ChaosWheel:
     max_wheelspin_rotation: float = 30.0
     external_torque_combine_method: int = 0
     lateral_slip_graph: Curve = ()
-    suspension_axis: Vector = field(default_factory=_down)
+    suspension_axis: Vector = field(default_factory=lambda: Vector(0.0, 0.0, -1.0))
     suspension_force_offset: Vector = field(default_factory=Vector)
     suspension_max_raise: float = 10.0
     suspension_max_drop: float = 10.0
@@ -65,39 +81,30 @@ class ChaosWheel:
     def of(cls, wheel: WheelPhysics, index: int) -> ChaosWheel:
         """Return a wheel of 0.9."""
         return cls(
-            wheel_radius=wheel.radius,
+            **{name: getattr(wheel, own) for name, own in _WHEEL.items()},
             cornering_stiffness=wheel.lat_stiff_value * _STIFFNESS,
-            friction_force_multiplier=wheel.tire_friction,
-            max_steer_angle=wheel.max_steer_angle,
             affected_by_steering=bool(wheel.max_steer_angle),
             affected_by_handbrake=bool(wheel.max_handbrake_torque),
-            max_brake_torque=wheel.max_brake_torque,
-            max_hand_brake_torque=wheel.max_handbrake_torque,
             wheel_index=index,
-            location=wheel.position,
-            old_location=wheel.position,
         )
 
     def plain(self) -> WheelPhysics:
         """Return it as a wheel of 0.9."""
-        return WheelPhysics(
-            tire_friction=self.friction_force_multiplier,
-            max_steer_angle=self.max_steer_angle if self.affected_by_steering else 0.0,
-            radius=self.wheel_radius,
-            max_brake_torque=self.max_brake_torque if self.affected_by_brake else 0.0,
-            max_handbrake_torque=self.max_hand_brake_torque if self.affected_by_handbrake else 0.0,
-            lat_stiff_value=self.cornering_stiffness / _STIFFNESS,
-            position=self.location,
-        )
+        wheel = WheelPhysics(**{own: getattr(self, name) for name, own in _WHEEL.items()})
+        wheel.lat_stiff_value = self.cornering_stiffness / _STIFFNESS
+        wheel.max_steer_angle *= self.affected_by_steering
+        wheel.max_brake_torque *= self.affected_by_brake
+        wheel.max_handbrake_torque *= self.affected_by_handbrake
+        return wheel
 
 
 @dataclass(slots=True)
 class ChaosControl:
     """How a vehicle moves; lengths in cm, the mass in kg, torques in N m, times in s."""
 
-    torque_curve: Curve
-    max_torque: float
-    max_rpm: float
+    torque_curve: Curve = ((0.0, 500.0), (5000.0, 500.0))
+    max_torque: float = 300.0
+    max_rpm: float = 5000.0
     idle_rpm: float = 1.0
     brake_effect: float = 1.0
     rev_up_moi: float = 1.0
@@ -131,43 +138,22 @@ class ChaosControl:
         """Return a physics control of 0.9."""
         gears = control.forward_gears or [Gear()]
         return cls(
-            control.torque_curve,
-            max((torque for _, torque in control.torque_curve), default=0.0),
-            control.max_rpm,
-            rev_up_moi=control.moi,
-            use_automatic_gears=control.use_gear_autobox,
-            gear_change_time=control.gear_switch_time,
-            final_ratio=control.final_ratio,
+            **{name: getattr(control, own) for name, own in _CONTROL.items()},
+            max_torque=max((torque for _, torque in control.torque_curve), default=0.0),
             forward_gear_ratios=[gear.ratio for gear in gears],
             reverse_gear_ratios=[gears[0].ratio],
             change_up_rpm=gears[0].up_ratio * control.max_rpm,
             change_down_rpm=gears[0].down_ratio * control.max_rpm,
-            mass=control.mass,
-            drag_coefficient=control.drag_coefficient,
-            center_of_mass=control.center_of_mass,
-            steering_curve=control.steering_curve,
             wheels=[ChaosWheel.of(wheel, index) for index, wheel in enumerate(control.wheels)],
-            use_sweep_wheel_collision=control.use_sweep_wheel_collision,
         )
 
     def plain(self) -> PhysicsControl:
         """Return it as a physics control of 0.9, whose curve is scaled so that the greatest torque is `max_torque`."""
+        control = PhysicsControl(**{own: getattr(self, name) for name, own in _CONTROL.items()})
         peak = max((torque for _, torque in self.torque_curve), default=0.0)
         scale = self.max_torque / peak if peak > 0 else 1.0
-        turns = max(self.max_rpm, 1.0)
-        down, up = self.change_down_rpm / turns, self.change_up_rpm / turns
-        return PhysicsControl(
-            torque_curve=tuple((rpm, torque * scale) for rpm, torque in self.torque_curve),
-            max_rpm=self.max_rpm,
-            moi=self.rev_up_moi,
-            use_gear_autobox=self.use_automatic_gears,
-            gear_switch_time=self.gear_change_time,
-            final_ratio=self.final_ratio,
-            forward_gears=[Gear(ratio, down, up) for ratio in self.forward_gear_ratios],
-            mass=self.mass,
-            drag_coefficient=self.drag_coefficient,
-            center_of_mass=self.center_of_mass,
-            steering_curve=self.steering_curve,
-            wheels=[wheel.plain() for wheel in self.wheels],
-            use_sweep_wheel_collision=self.use_sweep_wheel_collision,
-        )
+        control.torque_curve = tuple((rpm, torque * scale) for rpm, torque in self.torque_curve)
+        shares = [rpm / max(self.max_rpm, 1.0) for rpm in (self.change_down_rpm, self.change_up_rpm)]
+        control.forward_gears = [Gear(ratio, *shares) for ratio in self.forward_gear_ratios]
+        control.wheels = [wheel.plain() for wheel in self.wheels]
+        return control
