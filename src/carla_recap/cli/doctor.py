@@ -7,7 +7,7 @@ import os
 import platform
 import re
 from collections import defaultdict
-from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.metadata import PackageNotFoundError, distributions, requires, version
 from typing import Any, Final
 
 import click
@@ -19,6 +19,7 @@ from carla_recap.util.text import single_line
 _PACKAGE: Final = "carla-recap"
 _NO_FEATURES: Final = ("all", "dev")
 """The extras that bring nothing of their own."""
+_CLIENT: Final = re.compile(r"carla-[0-9-]+")
 _REQUIREMENT: Final = re.compile(r"([\w.-]+).*extra\s*==\s*['\"]([\w-]+)['\"]")
 _ON_PROCESSOR: Final = re.compile(r"llvmpipe|softpipe|swrast|swiftshader|software", re.IGNORECASE)
 """The names of OpenGL devices that are programs."""
@@ -52,8 +53,13 @@ def _versions() -> dict[str, str | None]:
         _PACKAGE: _version(_PACKAGE),
         "python": platform.python_version(),
         "system": platform.platform(),
-        "carla": _version("carla"),
+        "carla": _client(),
     }
+
+
+def _client() -> str | None:
+    """Return the version of CARLA's client, or the package that it is in, which may be named after its release."""
+    return _version("carla") or next((each.name for each in distributions() if _CLIENT.fullmatch(each.name)), None)
 
 
 def _drawing() -> dict[str, Any]:

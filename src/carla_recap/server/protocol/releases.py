@@ -111,7 +111,7 @@ _0_10_0: Final = replace(
     _0_9_15,
     name="0.10.0",
     marker=b"is_weather_enabled",
-    lacks=(*_0_9_15.lacks, "vehicle.*", "walker.pedestrian.000?", "walker.pedestrian.001[0-4]"),
+    lacks=(*_0_9_15.lacks, "vehicle.*", "walker.pedestrian.000?", "walker.pedestrian.001[0-4]", "walker.pedestrian.0052"),
     adds=tuple(f"vehicle.{id}" for id in _VEHICLES_OF_0_10),
     structs={PhysicsControl: ChaosControl},
 )
