@@ -1,0 +1,124 @@
+"""The frames of a log are those that are found a packet at a time, whatever the sizes of windows, runs and reads."""
+
+from __future__ import annotations
+
+import math
+from contextlib import closing
+from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from carla_recap.errors import FormatError
+from carla_recap.formats.carla_log import SHIFT, LogReader
+from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.records import UE4
+from tests import strategies
+from tests.samples import double, image, listed, log_header, packet, save, start, transform, warnings_ignored
+from tests.twins import log_frames as twin
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from carla_recap.model.records import RecordType
+
+NAMES = ("spawned", "collisions", "transforms", "velocities", "frame_end", "weather")
+
+
+@st.composite
+def logs(draw: st.DrawFn) -> bytes:
+    """Logs with runs of frames that are alike, but for numbers in them, and with damage; all packets of one size, often."""
+    data = log_header() + draw(st.sampled_from([b"", b"", packet(6, listed(transform(1))), packet(1)]))
+    number = 0
+    for _ in range(draw(st.integers(0, 6))):
+        found = draw(st.lists(strategies.packets(UE4), max_size=4))
+        packets = [(each.id, bytearray(each.payload)) for each in found]
+        for _ in range(draw(st.sampled_from([1, 1, 2, 3, 15, 17, 40]))):
+            number += draw(st.sampled_from([1, 1, 1, 7]))
+            data += start(number, draw(st.sampled_from([number / 20, number / 20, 0.3, math.nan])))
+            for _, payload in packets:
+                if payload and draw(st.integers(0, 9)) == 0:
+                    payload[draw(st.integers(0, len(payload) - 1))] = draw(st.integers(0, 255))
+            data += b"".join(packet(id, bytes(payload)) for id, payload in packets)
+    head, body = data[: len(log_header())], data[len(log_header()) :]
+    if draw(st.booleans()):
+        body = strategies.damaged(body, draw(strategies.mutations(len(body))))
+    return head + body + draw(st.sampled_from([b"", b"", b"\0\0\0", bytes(70), b"\0\x18\0\0\0"]))
+
+
+def types_of(reader: LogReader) -> list[RecordType | None]:
+    """The types by id as in the file."""
+    table = [*reader.header.table, *[None] * 256][:256]
+    return [table[SHIFT.get(id, id) if reader.header.shifted else id] for id in range(256)]
+
+
+def expected_images(
+    reader: LogReader, frames: list[twin.FoundFrame], names: set[str] | None, *, sparse: bool
+) -> list[tuple[Any, ...]]:
+    """The frames of the twin as `image` has them, with their packets of some types, unless these are empty."""
+    types, found = types_of(reader), []
+    for index, frame in enumerate(frames):
+        packets = [
+            (SHIFT.get(id, id) if reader.header.shifted else id, payload)
+            for id, payload in frame.packets
+            if names is None or (types[id] is not None and types[id].name in names and len(payload) != 2)
+        ]
+        if packets or not sparse:
+            found.append((index, frame.id, double(frame.elapsed), double(frame.duration), frame.preamble, packets))
+    return found
+
+
+def frames_within(frames: list[twin.FoundFrame], start: float, stop: float) -> list[int]:
+    """The positions of the frames from a time on, until the first one after these at another time or later."""
+    found: list[int] = []
+    is_late, has_begun = False, False
+    for position, frame in enumerate(frames):
+        is_early = start > -math.inf and not frame.elapsed >= start
+        has_begun = has_begun or not is_early
+        is_late = is_late or (has_begun and frame.elapsed >= stop and stop < math.inf)
+        if not (is_early or is_late):
+            found.append(position)
+    return found
+
+
+@given(
+    data=logs(),
+    window=st.sampled_from([29, 64, 100, 500, 4000, 2 << 20]),
+    names=st.one_of(st.none(), st.sets(st.sampled_from(NAMES))),
+    sparse=st.booleans(),
+    times=st.tuples(*[st.one_of(st.just(math.inf), st.floats(-0.1, 3), st.integers(0, 60).map(lambda n: n / 20))] * 2),
+)
+def test_frames_are_those_found_a_packet_at_a_time(
+    tmp_path: Path, data: bytes, window: int, names: set[str] | None, sparse: bool, times: tuple[float, float]
+) -> None:
+    path, head = save(tmp_path / "some.log", data), len(log_header())
+    whole = twin.read(data, head)
+    with patch("carla_recap.formats.log_scan._WINDOW", window), warnings_ignored():
+        with closing(LogReader(path)) as reader:
+            found, broken = [], None
+            try:
+                found.extend(image(frame) for frame in reader.frames(names, sparse=sparse))
+            except FormatError as error:
+                broken = error.offset
+            assert broken == whole.broken
+            expected = expected_images(reader, whole.frames, names, sparse=sparse)
+            assert found == expected
+            if broken is None:
+                last = next((frame for frame in whole.frames[::-1] if not frame.preamble), twin.FoundFrame())
+                extent = reader.extent()
+                number = sum(not frame.preamble for frame in whole.frames)
+                assert (extent.frames, extent.last_id, double(extent.duration)) == (number, last.id, double(last.elapsed))
+                assert b"".join(reader.tail()) == data[whole.end :]
+                start, stop = (-math.inf if times[0] == math.inf else times[0]), times[1]
+                part = [image(frame) for frame in reader.frames(names, sparse=sparse, start=start, stop=stop)]
+                inside = frames_within(whole.frames, start - SAME_TIME, stop - SAME_TIME)
+                assert part == [each for each in expected if each[0] in inside]
+                earlier = [n for n, frame in enumerate(whole.frames) if frame.elapsed <= stop + SAME_TIME]
+                at = reader.frame_at(stop)
+                every = expected_images(reader, whole.frames, None, sparse=False)
+                assert (at and image(at)) == (every[earlier[-1]] if earlier else None)
+        with closing(LogReader(path, lenient=True)) as reader:
+            frames = twin.read_leniently(data, head, types_of(reader))
+            found = [image(frame) for frame in reader.frames(names)]
+            assert found == expected_images(reader, frames, names, sparse=False)
