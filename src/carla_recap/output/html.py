@@ -12,16 +12,17 @@ from carla_recap.model.lives import ROAD_USERS, heroes_of
 from carla_recap.model.motion import possible_step
 from carla_recap.model.records import CM
 from carla_recap.output.text import text
-from carla_recap.queries.incidents import IncidentOptions, incidents
+from carla_recap.queries.incidents import IncidentOptions
 from carla_recap.queries.kinds import KINDS
-from carla_recap.queries.recorded_actors import actors
-from carla_recap.queries.summary import summary
+from carla_recap.queries.summary import SummarySearch
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from carla_recap.formats.base import Reader
+    from carla_recap.model.batch import Batch
+    from carla_recap.model.lives import ActorLife
     from carla_recap.queries.incidents import Incident
     from carla_recap.util.arrays import Floats
 
@@ -44,18 +45,20 @@ def recording_html(reader: Reader) -> str:
     Raises:
         FormatError: The file contradicts its format.
     """
-    options = IncidentOptions()
-    words = "".join(text(summary(reader, options)))
+    search = SummarySearch(reader, IncidentOptions())
+    places = _Places(search.actors)
+    search.read(places.add)
+    words = "".join(text(search.finish()))
     lines = "\n".join(visible(line) for line in [reader.location, *words.split("\n")])
-    return f"<pre>{escape(lines)}</pre>{_drawing(reader, incidents(reader, options))}"
+    heroes = {hero.id for hero in heroes_of(search.actors)}
+    return f"<pre>{escape(lines)}</pre>{_drawing(places.paths(), heroes, search.incidents)}"
 
 
-def _drawing(reader: Reader, found: Iterable[Incident]) -> str:
+def _drawing(paths: dict[int, Floats], heroes: set[int], found: Iterable[Incident]) -> str:
     """Return the paths from above, x to the right and y down, as CARLA's axes are; nothing if nothing moves."""
-    paths = {id: path for id, path in _paths(reader).items() if np.ptp(path[:, 1:], axis=0).max() > 0}
+    paths = {id: path for id, path in paths.items() if np.ptp(path[:, 1:], axis=0).max() > 0}
     if not paths:
         return ""
-    heroes = {hero.id for hero in heroes_of(actors(reader))}
     points = np.concatenate(list(paths.values()))[:, 1:]
     low, high = points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN
     short = np.maximum((high - low).max() * _SHORTEST - (high - low), 0.0) / 2
@@ -82,25 +85,32 @@ def _drawing(reader: Reader, found: Iterable[Incident]) -> str:
     )
 
 
-def _paths(reader: Reader) -> dict[int, Floats]:
-    """Return time, x and y in s and m of vehicles and walkers, every half second, (points, 3)."""
-    wanted = np.array([life.id for life in actors(reader) if life.kind in ROAD_USERS], np.uint32)
-    found: dict[int, list[Floats]] = {}
-    due = -np.inf
-    for batch in reader.batches(("transforms",)):
-        records, times = batch.records("transforms"), batch.elapsed
-        rows = []
-        for row in range(len(batch)) if records.size else ():
-            if times[row] >= due:
+class _Places:
+    """Collects where vehicles and walkers are, every half second."""
+
+    def __init__(self, lives: Iterable[ActorLife]) -> None:
+        self._wanted = np.array([life.id for life in lives if life.kind in ROAD_USERS], np.uint32)
+        self._ids, self._points = [np.empty(0, np.uint32)], [np.empty((0, 3))]
+        self._due = -np.inf
+
+    def add(self, batch: Batch) -> None:
+        """Process the next frames."""
+        rows, records = [], batch.records("transforms")
+        for row, time in enumerate(batch.elapsed.tolist() if records.size else ()):
+            if time >= self._due:
                 rows.append(row)
-                due = times[row] + _STEP
-        for column in np.flatnonzero(np.isin(records["id"][0], wanted)).tolist() if rows else ():
-            some = records[rows, column]
-            path = np.stack((times[rows], some["x"] * CM, some["y"] * CM), axis=1)
-            path = path[(np.abs(path[:, 1:]) < _FAR).all(axis=1)]
-            found.setdefault(int(records["id"][0, column]), []).append(path)
-    joined = {id: np.concatenate(parts) for id, parts in found.items()}
-    return {id: path for id, path in joined.items() if len(path)}
+                self._due = time + _STEP
+        records = records[rows]
+        times = np.broadcast_to(batch.elapsed[rows, None], records.shape)
+        points = np.stack((times, records["x"] * CM, records["y"] * CM), axis=-1)
+        kept = np.isin(records["id"], self._wanted) & (np.abs(points[..., 1:]) < _FAR).all(axis=-1)
+        self._ids.append(records["id"][kept])
+        self._points.append(points[kept])
+
+    def paths(self) -> dict[int, Floats]:
+        """Return time, x and y in s and m of each, (points, 3)."""
+        ids, points = np.concatenate(self._ids), np.concatenate(self._points)
+        return {id: points[ids == id] for id in dict.fromkeys(ids.tolist())}
 
 
 def _strips(path: Floats, low: Floats, scale: float) -> Iterator[Floats]:

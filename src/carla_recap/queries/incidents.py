@@ -94,6 +94,9 @@ class IncidentSearch:
         options: Which incidents to find, and what counts as one.
         near: The actors whose near misses count; None for all.
         series: Gets the motion in which near misses are found, too.
+
+    Attributes:
+        actors: The actors until the end of the part that is looked at.
     """
 
     def __init__(
@@ -108,6 +111,7 @@ class IncidentSearch:
         self._source, self._options = source, options
         self._kinds = kinds_named(options.kinds)
         actors, contacts = lives_and_contacts(source, stop=options.stop)
+        self.actors = actors
         self._actor = None if options.actor is None else find_actor(source.location, actors, options.actor).id
         search = Search(
             source=source, options=options, actors=actors, contacts=contacts, roads=options.roads, near=near, series=series
@@ -115,15 +119,19 @@ class IncidentSearch:
         makers = dict.fromkeys(kind.detector for name, kind in KINDS.items() if name in self._kinds)
         self._detectors = [make(search) for make in makers]
 
+    @property
+    def types(self) -> set[str]:
+        """The record types of which batches are to be added; none if all is known without them."""
+        needed = {name for detector in self._detectors for name in detector.types}
+        return needed | {name for detector in self._detectors for name in detector.also} if needed else needed
+
     def read(self) -> None:
         """Read the recording as far as it matters.
 
         Raises:
             FormatError: The file contradicts its format.
         """
-        types = {name for detector in self._detectors for name in detector.types}
-        if types:
-            types.update(name for detector in self._detectors for name in detector.also)
+        if types := self.types:
             for batch in self._source.batches(types, start=self._options.start, stop=self._options.stop):
                 self.add(batch)
 

@@ -12,18 +12,21 @@ import numpy as np
 
 from carla_recap.model.lives import ROAD_USERS, heroes_of
 from carla_recap.queries import Answer
-from carla_recap.queries.incidents import IncidentOptions, incidents
+from carla_recap.queries.incidents import IncidentOptions, IncidentSearch
 from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.recorded_actors import actors
 from carla_recap.queries.sensors import sensors
-from carla_recap.tables.trajectories import trajectories
+from carla_recap.tables.trajectories import MOTION, RowCollector, portions, trajectories_of
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from carla_recap.formats.base import Reader
+    from carla_recap.model.batch import Batch
     from carla_recap.model.lives import ActorLife
+    from carla_recap.queries.incidents import Incident
+    from carla_recap.tables.trajectories import Trajectories
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,28 +97,71 @@ def summary(source: Reader, options: IncidentOptions | None = None) -> Summaries
     Warns:
         RecapWarning: The map is unknown.
     """
-    found = Counter(incident.kind for incident in incidents(source, options or IncidentOptions(kinds="all")))
-    lives = actors(source)
-    kinds = Counter(life.kind for life in lives)
-    heroes = (_hero(source, life) for life in heroes_of(lives))
-    extent = source.extent()
-    row = RecordingSummary(
-        readable(source.header.map_name),
-        extent.frames,
-        extent.duration,
-        {kind: count for kind in (*ROAD_USERS, *kinds) if (count := kinds.get(kind))},
-        next((hero for hero in heroes if hero is not None), None),
-        {kind: found[kind] for kind in KINDS if found[kind]},
-        {sensor.id: sensor.type for sensor in sensors(source)},
-    )
-    found_summary = Summaries([row], source, compat=False)
-    found_summary.others = dict(Counter(life.type_id for life in lives if life.kind == "other").most_common())
-    return found_summary
+    search = SummarySearch(source, options or IncidentOptions(kinds="all"))
+    search.read()
+    return search.finish()
 
 
-def _hero(source: Reader, life: ActorLife) -> HeroSummary | None:
+class SummarySearch:
+    """Reads the motion of a recording once, for its summary, its incidents, and for what else asks for it.
+
+    Args:
+        source: The recording.
+        options: Which incidents to count. Of some of the recording, they are looked for in a read of their own.
+
+    Attributes:
+        actors: All actors.
+        incidents: The incidents, after the read.
+    """
+
+    def __init__(self, source: Reader, options: IncidentOptions) -> None:
+        self._source, self._search, self._is_whole = source, IncidentSearch(source, options), options.is_whole
+        self.actors = list(self._search.actors if options.stop == math.inf else actors(source))
+        self.incidents: Sequence[Incident] = ()
+        self._heroes = heroes_of(self.actors)
+        self._rows = RowCollector(MOTION, {hero.id for hero in self._heroes})
+
+    def read(self, also: Callable[[Batch], object] | None = None) -> None:
+        """Read the recording as far as it matters; call a function with the transforms in each batch, too.
+
+        Raises:
+            FormatError: The file contradicts its format.
+        """
+        types = {*(self._search.types if self._is_whole else ()), *(MOTION if self._heroes or also else ())}
+        for batches in portions(self._source.batches(types)) if types else ():
+            for batch in batches:
+                if self._is_whole:
+                    self._search.add(batch)
+                if also:
+                    also(batch)
+            self._rows.add(batches)
+        if not self._is_whole:
+            self._search.read()
+        self.incidents = self._search.finish()
+
+    def finish(self) -> Summaries:
+        """Return the summary."""
+        source, found = self._source, Counter(incident.kind for incident in self.incidents)
+        kinds, paths = Counter(life.kind for life in self.actors), trajectories_of(self._rows.finish())
+        heroes = (_hero(paths, life) for life in self._heroes)
+        extent = source.extent()
+        row = RecordingSummary(
+            readable(source.header.map_name),
+            extent.frames,
+            extent.duration,
+            {kind: count for kind in (*ROAD_USERS, *kinds) if (count := kinds.get(kind))},
+            next((hero for hero in heroes if hero is not None), None),
+            {kind: found[kind] for kind in KINDS if found[kind]},
+            {sensor.id: sensor.type for sensor in sensors(source)},
+        )
+        summaries = Summaries([row], source, compat=False)
+        summaries.others = dict(Counter(life.type_id for life in self.actors if life.kind == "other").most_common())
+        return summaries
+
+
+def _hero(paths: Trajectories, life: ActorLife) -> HeroSummary | None:
     """Return how a hero moves; None if it has no pose."""
-    path = trajectories(source, {life.id}).get(life.id)
+    path = paths.get(life.id)
     if path is None:
         return None
     path = path.during(life.spawned_at, life.end)

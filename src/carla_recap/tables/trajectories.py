@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 Axes = Literal["right-handed", "carla"]
 """Right-handed: x forward, y left, z up, as in ROS, Rerun and Foxglove. CARLA's own: y right, yaw and pitch reversed."""
 
+MOTION: Final = ("transforms", "velocities")
+"""The record types of which trajectories are made."""
 _FRAMES: Final = 1024  # that are handled at once
 
 
@@ -187,7 +189,11 @@ def trajectories(reader: Reader, actors: Collection[int] | None = None, *, axes:
     """
     if axes not in get_args(Axes):
         raise RecapError(f"axes must be one of {', '.join(get_args(Axes))}, not {axes!r}")
-    rows = actor_rows(reader, ("transforms", "velocities"), actors)
+    return trajectories_of(actor_rows(reader, MOTION, actors), axes=axes)
+
+
+def trajectories_of(rows: dict[str, dict[int, ActorRows]], *, axes: Axes = "right-handed") -> Trajectories:
+    """Return the trajectories that records of the types `MOTION` make, by type and actor; takes them out of the rows."""
     poses, recorded = rows["transforms"], rows["velocities"]
     flip = -1.0 if axes == "right-handed" else 1.0
     found = Trajectories()
@@ -259,13 +265,28 @@ def actor_rows(
     Raises:
         FormatError: The file contradicts its format.
     """
-    wanted = None if actors is None else np.array([id for id in actors if 0 <= id < 1 << 32], np.uint32)
-    pieces: dict[str, dict[int, list[ActorRows]]] = {name: {} for name in names}
+    collector = RowCollector(names, actors)
     for batches in portions(reader.batches(tuple(names), start=start, stop=stop)):
-        for name in names:
-            for id, rows in rows_by_actor(batches, name, wanted):
-                pieces[name].setdefault(id, []).append(rows)
-    return {name: {id: _joined(found.pop(id)) for id in list(found)} for name, found in pieces.items()}
+        collector.add(batches)
+    return collector.finish()
+
+
+class RowCollector:
+    """Collects the records of actors from batches; see `actor_rows`."""
+
+    def __init__(self, names: Collection[str], actors: Collection[int] | None = None) -> None:
+        self._wanted = None if actors is None else np.array([id for id in actors if 0 <= id < 1 << 32], np.uint32)
+        self._pieces: dict[str, dict[int, list[ActorRows]]] = {name: {} for name in names}
+
+    def add(self, batches: list[Batch]) -> None:
+        """Add the records of the next frames."""
+        for name, found in self._pieces.items():
+            for id, rows in rows_by_actor(batches, name, self._wanted):
+                found.setdefault(id, []).append(rows)
+
+    def finish(self) -> dict[str, dict[int, ActorRows]]:
+        """Return the records by type and actor."""
+        return {name: {id: _joined(found.pop(id)) for id in list(found)} for name, found in self._pieces.items()}
 
 
 def portions(batches: Iterable[Batch]) -> Iterator[list[Batch]]:
