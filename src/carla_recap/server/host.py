@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -66,6 +67,7 @@ class Host:
         constant_velocity: The controller of vehicles with a constant velocity.
         takeover: Ends the server's autopilot of vehicles that clients drive.
         on_settings: Callbacks for a change of the settings.
+        lookups: Where the releases of clients are looked up, one after the other: many at once would slow down ticks.
     """
 
     _encoder: SnapshotEncoder
@@ -97,6 +99,7 @@ class Host:
         world.controllers.append(self.ackermann)
         world.listeners.append(self.constant_velocity)
         self.on_settings: list[Callable[[], None]] = []
+        self.lookups = ThreadPoolExecutor(1, "carla-recap-releases")
         self._frames_before = 0
         self._loads_ahead = False
         self._actors = ActorCache()
@@ -159,6 +162,7 @@ class Host:
 
     def close(self) -> None:
         """End sensors, recording and replay."""
+        self.lookups.shutdown(wait=False, cancel_futures=True)
         self.sensors.close()
         self.world.close()
 
@@ -264,7 +268,8 @@ class Client:
 
         The answer to `version` tells it why, too: of errors, a client of 0.10 shows no text, but it shows a version.
         """
-        found = await asyncio.to_thread(release_of, client, server)
+        loop = asyncio.get_running_loop()
+        found = await loop.run_in_executor(self.host.lookups, release_of, client, server)
         if found is None or found is self.release:
             return
         if self.host.release is not None:

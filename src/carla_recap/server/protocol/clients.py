@@ -33,7 +33,7 @@ def release_of(client: Address, server: Address) -> Release | None:
     """
     if not (client[0].startswith(("127.", "::1", "::ffff:127.")) or client[0] == server[0]):
         return None
-    with suppress(OSError):
+    with suppress(OSError, ValueError):  # the latter of an empty file
         for socket in _sockets(client[1], server[1]):
             for library in _libraries(socket):
                 return _release_of_library(library)
