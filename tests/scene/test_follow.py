@@ -41,9 +41,9 @@ def test_an_actor_that_stands_is_measured_without_a_warning(tmp_path: Path) -> N
     assert found.speed.tolist() == [0, 0]
 
 
-def test_speed_is_that_of_the_last_step_where_none_is_recorded(tmp_path: Path) -> None:
+def test_speed_is_that_between_the_neighbours_where_none_is_recorded(tmp_path: Path) -> None:
     found = series(tmp_path, [{"transforms": [pose(1, x)]} for x in (0.0, 100.0, 300.0)])
-    assert found.speed == pytest.approx([10, 10, 20])
+    assert found.speed == pytest.approx([10, 15, 20])
 
 
 def test_after_a_jump_speed_is_unknown_and_the_camera_turns_at_once(tmp_path: Path) -> None:

@@ -142,7 +142,10 @@ class SummarySearch:
     def finish(self) -> Summaries:
         """Return the summary."""
         source, found = self._source, Counter(incident.kind for incident in self.incidents)
-        kinds, paths = Counter(life.kind for life in self.actors), trajectories_of(self._rows.finish())
+        kinds, spawned = Counter(life.kind for life in self.actors), dict[int, list[float]]()
+        for life in self.actors:
+            spawned.setdefault(life.id, []).append(life.spawned_at)
+        paths = trajectories_of(self._rows.finish(), spawned)
         heroes = (_hero(paths, life) for life in self._heroes)
         extent = source.extent()
         row = RecordingSummary(

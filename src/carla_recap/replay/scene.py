@@ -94,7 +94,8 @@ class SceneBatch:
         part.time, part.frames = self.time[rows], self.frames[rows]
         part.poses, part.light_states = self.poses[rows], self.light_states[rows]
         part.fresh, part.events = self.fresh and not later, () if later else self.events
-        part.following = self.following if rows.indices(len(self))[1] == len(self) else None
+        stop = rows.indices(len(self))[1]
+        part.following = self.following if stop == len(self) else self.frames.frame(stop)
         part._records = {}
         if "away" in vars(self):
             part.away = self.away[rows]

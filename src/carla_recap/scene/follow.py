@@ -13,13 +13,13 @@ import numpy as np
 
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.motion import TOP_SPEED, possible_step
+from carla_recap.model.motion import possible_step
 from carla_recap.model.records import CM
 from carla_recap.replay import Player, calm_headings, level, right_handed
 from carla_recap.replay.follow import LiveChoice
+from carla_recap.replay.motion import SceneMotion
 from carla_recap.replay.player import LiveScenes
 from carla_recap.replay.pose import LOCATION, YAW
-from carla_recap.replay.selection import array, find, numbers
 from carla_recap.scene.ahead import NO_LIGHT, LightAheadFinder, add_stop_points
 
 if TYPE_CHECKING:
@@ -50,7 +50,8 @@ class FollowedRecords:
     Attributes:
         time: The moments, in elapsed seconds, (scenes,).
         poses: Its poses, in cm and degrees, left-handed, (scenes, 6).
-        speed: Its speed in m/s as recorded; if it appears in the last scene, from its step to the next frame, (scenes,).
+        speed: Its speed in m/s, (scenes,); see `SceneMotion`.
+        recorded_speed: The recorded speed in m/s, by which a jump is told from a fast drive, (scenes,).
         controls: The recorded `CONTROLS`: pedals from 0 to 1, steering from -1 (left) to 1, (scenes, 3).
         light: The id of the traffic light ahead, or `NO_LIGHT`, (scenes,).
         light_state: Its state, in CARLA's numbers, (scenes,).
@@ -61,6 +62,7 @@ class FollowedRecords:
     time: Floats
     poses: Floats
     speed: Floats
+    recorded_speed: Floats
     controls: Floats
     light: Indices
     light_state: Indices
@@ -89,8 +91,6 @@ class FollowedSeries(FollowedRecords):
     """What is shown of the followed actor in some scenes; NaN where something is unknown.
 
     Attributes:
-        speed: Its speed in m/s: as recorded, else from its step since the scene before, or at first, from its step to the
-            next scene, (scenes,).
         jumped: Whether it has a pose, but cannot have come there from that of the scene before, (scenes,).
         camera: Level axes at the actor that turn calmly, as poses; the latest ones while it is absent, (scenes, 6).
         acceleration: The mean acceleration over the last 0.3 s, in m/s², (scenes,).
@@ -135,41 +135,6 @@ def followed_series(
     return actor.derive(FollowedRecords.joined([actor.read(batch) for batch in player.batches()]))
 
 
-def step_speeds(metres: Floats, seconds: Floats | float) -> Floats:
-    """Return the speeds of steps in m/s; NaN where a step takes no time, or is farther than any actor gets."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        speeds = metres / np.asarray(seconds)
-        return np.where((np.asarray(seconds) > 0) & (speeds <= TOP_SPEED), speeds, np.nan)
-
-
-def speeds_between(scene: Scene, neighbour: Scene) -> Floats:
-    """Return the speeds of the steps between a scene and the one before or after it, in m/s, (ids of the scene,)."""
-    speeds = np.full(len(scene.ids), np.nan)
-    where, found = find(scene.ids, neighbour.ids)
-    with np.errstate(invalid="ignore", over="ignore"):
-        steps = scene.poses[found, LOCATION] - neighbour.poses[where[found], LOCATION]
-        metres = np.sqrt((steps**2).sum(axis=1)) * CM
-    speeds[found] = step_speeds(metres, abs(scene.time - neighbour.time))
-    return speeds
-
-
-def speeds_of(scene: Scene, before: Scene | None) -> Floats:
-    """Return the speeds of all actors with recorded poses, as recorded, else from the step before, in m/s, (ids,).
-
-    Args:
-        scene: The scene.
-        before: The one before it, if any.
-    """
-    speeds = np.full(len(scene.ids), np.nan) if before is None else speeds_between(scene, before)
-    velocities = scene.velocities
-    if len(velocities):
-        where, found = find(scene.ids, velocities["id"])
-        with np.errstate(invalid="ignore"):  # a signaling NaN
-            recorded = np.sqrt((numbers(velocities)[where[found], LOCATION].astype(np.float64) ** 2).sum(axis=1))
-        speeds[found] = np.where(np.isfinite(recorded), recorded, speeds[found])
-    return speeds
-
-
 class FollowedActor:
     """Measures the followed actor in scenes, which come in order; after a seek, it begins anew.
 
@@ -184,7 +149,7 @@ class FollowedActor:
         self._begin()
 
     def _begin(self) -> None:
-        self._appeared = False
+        self._motion = SceneMotion()
         self._path = CalmPath()
         self._accelerations = _Accelerations()
         self._pedals = _HeldPedals()
@@ -200,46 +165,28 @@ class FollowedActor:
         poses = None if self.id is None else batch.pose_of(self.id)
         if poses is None:
             poses = np.full((len(batch), 6), np.nan)
-        velocities = self._records(batch, "velocities", ("x", "y", "z"))
-        speed = np.sqrt((velocities**2).sum(axis=1))
-        if not self._appeared:
-            known = np.flatnonzero(np.isfinite(poses).all(axis=1))
-            self._appeared = len(known) > 0
-            if known.tolist() == [len(batch) - 1] and math.isnan(speed[-1]):
-                speed[-1] = self._speed_ahead(batch, poses[-1])
+        ids = np.array([] if self.id is None else [self.id], np.uint32)
+        moving = self._motion.velocities(batch, ids, poses[:, None][:, : len(ids)])
+        speed = np.sqrt((moving**2).sum(axis=2)).sum(axis=1) if len(ids) else np.full(len(batch), np.nan)
+        recorded = np.sqrt((self._records(batch, "velocities", ("x", "y", "z")) ** 2).sum(axis=1))
         found, distance = self._light_ahead(batch, poses)
         lit = found != NO_LIGHT
         light, state = np.full(len(batch), NO_LIGHT), np.full(len(batch), NO_LIGHT)
         light[lit] = batch.light_states["id"][0][found[lit]]
         state[lit] = batch.light_states["state"][lit, found[lit]]
         controls = self._records(batch, "vehicle_controls", CONTROLS)
-        return FollowedRecords(batch.time, poses, speed, controls, light, state, distance)
+        return FollowedRecords(batch.time, poses, speed, recorded, controls, light, state, distance)
 
     def derive(self, records: FollowedRecords) -> FollowedSeries:
         """Return the series of scenes of which the records have been read, as many as one likes at once."""
-        path = self._path.add(records.time, records.poses, records.speed)
-        speed = np.where(np.isfinite(records.speed), records.speed, path.speed)
-        derived = {
-            "speed": speed,
-            "jumped": path.jumped,
-            "camera": path.camera,
-            "acceleration": self._accelerations.add(records.time, speed),
-            "pedals": self._pedals.add(records.time, records.controls[:, :2], speed),
-        }
-        return FollowedSeries(**{**vars(records), **derived})
-
-    def _speed_ahead(self, batch: SceneBatch, pose: Floats) -> float:
-        """Return the speed of the step from the last scene to the next frame; NaN without one, or after a jump."""
-        frame = batch.following
-        if frame is None:
-            return math.nan
-        records = array(frame["transforms"])
-        own = records[records["id"] == self.id]
-        if not len(own):
-            return math.nan
-        seconds = frame.elapsed - float(batch.time[-1])
-        metres = math.dist([float(own[-1][axis]) for axis in "xyz"], pose[LOCATION].tolist()) * CM
-        return float(step_speeds(np.asarray(metres), seconds)) if metres <= possible_step(seconds) else math.nan
+        path = self._path.add(records.time, records.poses, records.recorded_speed)
+        return FollowedSeries(
+            **vars(records),
+            jumped=path.jumped,
+            camera=path.camera,
+            acceleration=self._accelerations.add(records.time, records.speed),
+            pedals=self._pedals.add(records.time, records.controls[:, :2], records.speed),
+        )
 
     def _records(self, batch: SceneBatch, name: str, names: Sequence[str]) -> Floats:
         """Return some fields of the records of the actor, (scenes, fields); NaN unless all of a scene are finite."""
@@ -294,15 +241,17 @@ class LiveFollow:
 
 @dataclass(frozen=True, eq=False)
 class _PathPart:
-    """A part of an actor's path: see `FollowedSeries`; the speed is that of its steps within the part."""
+    """A part of an actor's path: see `FollowedSeries`."""
 
     camera: Floats
     jumped: Booleans
-    speed: Floats
 
 
 class CalmPath:
-    """The path of an actor from batch to batch, with level axes that follow it and turn calmly."""
+    """The path of an actor from batch to batch, with level axes that follow it and turn calmly.
+
+    Where a camera follows at once is no matter of motion: unlike `steps_joined`, steps up to 5 m are no jumps, for any time.
+    """
 
     def __init__(self) -> None:
         self._time = self._speed = np.nan  # of the latest known pose
@@ -329,17 +278,15 @@ class CalmPath:
         with np.errstate(invalid="ignore"):
             far = ~(metres <= possible_step(seconds, np.fmax(fastest[1:], fastest[:-1])))
         absent = np.diff(rows, prepend=-1 if self._is_known else -2) != 1
-        jumped, speed = np.zeros(len(time), np.bool_), np.full(len(time), np.nan)
+        jumped = np.zeros(len(time), np.bool_)
         jumped[rows] = far | absent
-        steps = np.where(jumped[rows], np.nan, step_speeds(metres, seconds))
-        speed[rows] = np.where(np.isnan(at[:-1]), np.append(steps[1:], np.nan)[: len(steps)], steps)
         headings = self._headings(at, path[1:, YAW], jumped[rows])
         camera = np.concatenate((self._camera[None], level(poses[rows], headings)))
         if len(rows):
             self._time, self._speed, self._pose = at[-1], fastest[-1], path[-1]
         if len(time):
             self._camera, self._is_known = camera[-1], bool(known[-1])
-        return _PathPart(camera[np.cumsum(known)], jumped, speed)
+        return _PathPart(camera[np.cumsum(known)], jumped)
 
     def _headings(self, time: Floats, yaws: Floats, jumped: Booleans) -> Floats:
         """Return the headings of the camera at poses with these yaws; the first time is that of the pose before them."""

@@ -24,6 +24,7 @@ from carla_recap.model.lives import HERO, find_actor, heroes_of
 from carla_recap.model.presence import FAR
 from carla_recap.model.records import CM
 from carla_recap.replay import Player
+from carla_recap.replay.motion import SceneMotion
 from carla_recap.replay.pose import LOCATION, MIRROR, YAW, attach, left_handed, right_handed, rotations
 from carla_recap.replay.recorded_map import load_map_of
 from carla_recap.roads.files import read_text
@@ -31,7 +32,7 @@ from carla_recap.scene.actor_instances import described_instances
 from carla_recap.scene.description import SceneDescriber
 from carla_recap.sensors.beams import LidarBeams, LidarReturns, RadarBeams, detections
 from carla_recap.sensors.cameras import PlacedSensor, RigCameras, camera_of
-from carla_recap.sensors.carrier_motion import CarrierMotion, velocities_of
+from carla_recap.sensors.carrier_motion import CarrierMotion
 from carla_recap.sensors.options import SensingOptions
 from carla_recap.sensors.position import Gnss, Imu, geo_reference
 
@@ -241,15 +242,15 @@ class _Moment(NamedTuple):
 
     Attributes:
         scene: The scene.
-        before: The one before it, if any.
-        step: The seconds since that one; at first, those that are usual.
+        velocities: The velocities of its `ids` in m/s, right-handed, (ids, 3), or 0; None if no sensor needs them.
+        step: The seconds since the one before; at first, those that are usual.
         instances: What is drawn of the actors.
         motion: The motion of the carrier; None if no sensor needs it.
         carrier: The carrier and what is attached to it, which rays do not meet.
     """
 
     scene: Scene
-    before: Scene | None
+    velocities: Floats | None
     step: float
     instances: Instances
     motion: Motion | None
@@ -316,6 +317,7 @@ class _Sensing:
             self._describer.recall_uncut(uncut)
         self._needs_motion = any(spec.kind in ("imu", "speedometer", "radar") for spec in self._rig)
         self._motions: dict[int, CarrierMotion] = {}
+        self._scene_motion = SceneMotion() if any(spec.kind == "radar" for spec in self._rig) else None
         self._cameras: RigCameras | None = None
         self._instruments: dict[str, _Instrument] = {}
         self._carrier: int | None = None
@@ -389,6 +391,7 @@ class _Sensing:
         if carrier != self._carrier and self._cameras is not None:
             self._cameras.forget()
         self._carrier = carrier
+        moving = None if self._scene_motion is None else np.nan_to_num(self._scene_motion.velocities(batch)[0])
         samples: dict[str, Sample] = {}
         images: list[Callable[[], dict[str, NDArray[Any]]]] = []
         cameras: dict[str, PlacedSensor] = {}
@@ -398,7 +401,7 @@ class _Sensing:
                 poses = right_handed(attach(left_handed(pose), self._mounts[due]))
                 instances = described_instances(description, marks=False)
                 motion = self._motion_of(carrier).at(scene.time) if self._needs_motion else None
-                moment = _Moment(scene, before, self._step(scene, before), instances, motion, _with_attached(scene, carrier))
+                moment = _Moment(scene, moving, self._step(scene, before), instances, motion, _with_attached(scene, carrier))
                 for row, own in zip(due, poses, strict=True):
                     spec = self._rig[row]
                     if spec.kind == "camera":
@@ -554,9 +557,10 @@ def _radar(spec: SensorSpec, rays: RayScene) -> _Instrument:
     def measure(moment: _Moment, pose: Floats) -> NDArray[np.void]:
         directions = beams.rays(caster.seconds(moment))
         hits = caster.cast(directions, moment, pose)
-        ids, velocities = moment.scene.ids, velocities_of(moment.scene, moment.before)
+        ids, velocities = moment.scene.ids, moment.velocities
         rows = np.minimum(np.searchsorted(ids, hits.actor), max(len(ids) - 1, 0))
         assert moment.motion is not None
+        assert velocities is not None
         towards = np.zeros((len(hits.actor), 3))
         if len(ids):
             towards = np.where((ids[rows] == hits.actor)[:, None], velocities[rows], 0.0)

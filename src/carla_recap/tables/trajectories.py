@@ -16,7 +16,7 @@ from carla_recap.tables import Columns, Tabular
 from carla_recap.tables.display import Preview, first_and_last
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -189,21 +189,33 @@ def trajectories(reader: Reader, actors: Collection[int] | None = None, *, axes:
     """
     if axes not in get_args(Axes):
         raise RecapError(f"axes must be one of {', '.join(get_args(Axes))}, not {axes!r}")
-    return trajectories_of(actor_rows(reader, MOTION, actors), axes=axes)
+    spawned: dict[int, list[float]] = {}
+    for frame in reader.frames(("spawned",), sparse=True):
+        for spawn in frame["spawned"]:
+            spawned.setdefault(spawn.id, []).append(frame.elapsed)
+    return trajectories_of(actor_rows(reader, MOTION, actors), spawned, axes=axes)
 
 
-def trajectories_of(rows: dict[str, dict[int, ActorRows]], *, axes: Axes = "right-handed") -> Trajectories:
-    """Return the trajectories that records of the types `MOTION` make, by type and actor; takes them out of the rows."""
+def trajectories_of(
+    rows: dict[str, dict[int, ActorRows]], spawned: Mapping[int, Sequence[float]], *, axes: Axes = "right-handed"
+) -> Trajectories:
+    """Return the trajectories that records make.
+
+    Args:
+        rows: The records of the types `MOTION`, by type and actor; they are taken out.
+        spawned: The elapsed seconds at which actors appear, by id: no velocity is derived from one life to the next.
+        axes: See `trajectories`.
+    """
     poses, recorded = rows["transforms"], rows["velocities"]
     flip = -1.0 if axes == "right-handed" else 1.0
     found = Trajectories()
     for id in list(poses):
         with np.errstate(invalid="ignore", over="ignore"):  # signalling NaN, and numbers of damaged files
-            found[id] = _trajectory(id, poses.pop(id), recorded.pop(id, None), flip)
+            found[id] = _trajectory(id, poses.pop(id), recorded.pop(id, None), spawned.get(id, []), flip)
     return found
 
 
-def _trajectory(id: int, poses: ActorRows, recorded: ActorRows | None, flip: float) -> Trajectory:
+def _trajectory(id: int, poses: ActorRows, recorded: ActorRows | None, spawned: Sequence[float], flip: float) -> Trajectory:
     records, time = poses.records, poses.time
     place = np.stack([records[axis].astype(np.float64) for axis in "xyz"]) * CM
     velocity = np.full(place.shape, np.nan)
@@ -212,7 +224,8 @@ def _trajectory(id: int, poses: ActorRows, recorded: ActorRows | None, flip: flo
         own = recorded.frame[where] == poses.frame
         velocity[:, own] = [recorded.records[axis][where[own]] for axis in "xyz"]
     known = np.isfinite(velocity).all(axis=0)
-    joined = steps_joined(time, place, np.sqrt((velocity**2).sum(axis=0))) & (np.diff(poses.frame) == 1)
+    life = np.searchsorted(np.sort(spawned), time, side="right")
+    joined = steps_joined(time, place, np.sqrt((velocity**2).sum(axis=0)), life) & (np.diff(poses.frame) == 1)
     velocity = velocities(time, place, velocity, joined)
     for values in (place, velocity):
         values[1] *= flip

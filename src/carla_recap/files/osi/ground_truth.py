@@ -12,6 +12,7 @@ import numpy as np
 
 from carla_recap.files.osi.message_types import GROUND_TRUTH, VERSION, message_class
 from carla_recap.model.lives import ROAD_USERS
+from carla_recap.replay.motion import SceneMotion
 from carla_recap.replay.pose import LOCATION, ROTATION, right_handed, wrap
 from carla_recap.scene.appearance import look_of_present
 from carla_recap.scene.materials import Tag
@@ -52,7 +53,7 @@ class GroundTruths:
         self._class = message_class(GROUND_TRUTH)
         self._host = host
         self._map_reference = map_reference
-        self._motion = _MotionEstimator()
+        self._motion = SceneMotion()
         self._actors: dict[int, tuple[ActorLife, Look | None]] = {}
 
     def messages(self, batch: SceneBatch) -> Iterator[tuple[int, Any]]:
@@ -61,9 +62,9 @@ class GroundTruths:
         A scene whose time is that of the one before, or negative, has none.
         """
         poses = right_handed(batch.poses)
-        velocities, accelerations = self._motion.of(batch, poses)
+        velocities, accelerations = np.nan_to_num(self._motion.velocities(batch)), np.nan_to_num(self._motion.accelerations)
         rotations = np.radians(wrap(poses[..., ROTATION]))
-        finite: Any = np.isfinite(np.concatenate((poses, velocities, accelerations), axis=2)).all(axis=2)
+        finite: Any = np.isfinite(poses).all(axis=2)
         objects = [(column, *found) for column, id in enumerate(batch.ids.tolist()) if (found := self._object(batch, id))]
         centers = {column: _center(poses[:, column], look.center) for column, _, look in objects}
         fixed, lights = self._fixed(batch), self._lights(batch)
@@ -168,49 +169,6 @@ def _add_lights(message: Any, states: NDArray[np.void], lights: Mapping[int, _Li
 
 
 _LATEST: Final = float(1 << 33)  # s; later times are no times of a recording
-
-
-class _MotionEstimator:
-    """Velocities and accelerations of actors, from batch to batch."""
-
-    def __init__(self) -> None:
-        self._time = -np.inf
-        self._latest: dict[int, tuple[Floats, Floats]] = {}  # location, and velocity (NaN: unknown), by actor
-
-    def of(self, batch: SceneBatch, poses: Floats) -> tuple[Floats, Floats]:
-        """Return the velocities in m/s and the accelerations in m/s² of the actors with poses, (scenes, ids, 3).
-
-        Velocities are the recorded ones, else derived from the locations. An acceleration is the change of the velocity
-        since the scene before; 0 in the first scene of an actor.
-        """
-        ids = batch.ids.tolist()
-        locations = poses[..., LOCATION]
-        velocities, known = np.zeros_like(locations), np.zeros(len(ids), np.bool_)
-        accelerations = np.zeros_like(locations)
-        if not ids:
-            self._time, self._latest = float(batch.time[-1]), {}
-            return velocities, accelerations
-        before = np.stack([self._latest[id][0] if id in self._latest else locations[0, i] for i, id in enumerate(ids)])
-        spans = np.diff(batch.time, prepend=self._time if np.isfinite(self._time) else batch.time[0])[:, None, None]
-        np.divide(np.diff(locations, axis=0, prepend=before[None]), spans, out=velocities, where=spans > 0)
-        known[:] = [id in self._latest for id in ids]
-        if len(batch) > 1:  # of a new actor, the velocity of its first step is the best guess
-            velocities[0, ~known] = velocities[1, ~known]
-            known[:] = True
-        recorded = batch.records("velocities")
-        if recorded.shape[1]:
-            index = np.minimum(np.searchsorted(recorded["id"][0], batch.ids), recorded.shape[1] - 1)
-            has = recorded["id"][0][index] == batch.ids
-            columns = recorded[:, index[has]]
-            velocities[:, has] = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=2) * (1.0, -1.0, 1.0)
-            known |= has
-        earlier = np.stack([self._latest[id][1] if id in self._latest else velocities[0, i] for i, id in enumerate(ids)])
-        earlier = np.where(np.isfinite(earlier), earlier, velocities[0])
-        np.divide(np.diff(velocities, axis=0, prepend=earlier[None]), spans, out=accelerations, where=spans > 0)
-        self._time = float(batch.time[-1])
-        latest = np.where(known[:, None], velocities[-1], np.nan)
-        self._latest = {id: (locations[-1, i], latest[i]) for i, id in enumerate(ids)}
-        return velocities, accelerations
 
 
 def _center(poses: Floats, center: tuple[float, float, float]) -> Floats:

@@ -16,11 +16,12 @@ from carla_recap.queries.measures.motion_table import MotionCollector
 from carla_recap.queries.measures.series import MARGIN, NO_OTHER, series_of
 from carla_recap.queries.recorded_actors import actors as recorded_actors
 from carla_recap.replay.events import Destroyed
+from carla_recap.replay.motion import SceneMotion
 from carla_recap.replay.player import Player
 from carla_recap.replay.pose import YAW
-from carla_recap.replay.selection import NO_IDS, find
+from carla_recap.replay.selection import find
 from carla_recap.scene.description import SceneDescriber
-from carla_recap.scene.follow import FollowedActor, speeds_between, speeds_of
+from carla_recap.scene.follow import FollowedActor
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from carla_recap.replay.scene import Scene, SceneBatch
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.description import SceneDescription
-    from carla_recap.util.arrays import Floats, Ids
+    from carla_recap.util.arrays import Floats
 
 
 BLOCK: Final = 128  # samples that are handled together
@@ -187,10 +188,8 @@ class Sampler:
         self._begin = 0  # the first sample of the block
         self._changed = False  # whether actors appeared or disappeared since the last sample
         self._columns = np.zeros(0, np.intp)  # the actors of the rows of a sample
-        self._before: Scene | None = None  # the scene before, if it belongs to the same interval
-        self._latest: Scene | None = None  # the scene of the latest sample, until the next scene
-        self._latest_ids: Ids = NO_IDS  # of the rows of that sample
-        self._appeared = np.zeros(0, np.bool_)  # whether each of its ids is not in the scene before
+        self._motion = SceneMotion()
+        self._moving: tuple[SceneBatch, Floats] | None = None  # the latest batch, and the speeds in it
         self._light_ids, self._light_states = b"", b""
         self._shown: dict[int, int] = {}  # the states of the traffic lights
 
@@ -203,7 +202,6 @@ class Sampler:
         """Begin an interval that does not continue the one before."""
         self._flush(ended=True)
         self._due = -math.inf
-        self._before = self._latest = None
 
     def add(self, scene: Scene, *, last: bool = False) -> None:
         """Add a scene, if a sample is due.
@@ -212,7 +210,9 @@ class Sampler:
             scene: The scene; all scenes of an interval must be given.
             last: Whether to take the sample in any case.
         """
-        before, self._before = self._before, scene
+        if self._moving is None or self._moving[0] is not scene.batch:
+            velocities = self._motion.velocities(scene.batch)
+            self._moving = scene.batch, np.sqrt((velocities**2).sum(axis=2))
         if scene.fresh:
             self._index.clear()
         for event in scene.events:
@@ -223,7 +223,6 @@ class Sampler:
         times = self._times
         if not math.isfinite(scene.time) or (times and scene.time <= times[-1]):
             return
-        self._complete_speeds(scene)
         if scene.time < self._due - _SAME_TIME and not last:
             return
         self._due = scene.time + self._step
@@ -238,9 +237,7 @@ class Sampler:
         shown = self._description.shown[scene.row]
         rows[shown, :3] = self._description.poses[scene.row][shown][:, _COLUMNS]
         where, recorded = find(self._description.ids, scene.ids)
-        rows[recorded, 3] = speeds_of(scene, before)[where[recorded]]
-        self._latest, self._latest_ids = scene, self._description.ids
-        self._appeared = np.isin(self._description.ids, NO_IDS if before is None else before.ids, invert=True)
+        rows[recorded, 3] = self._moving[1][scene.row][where[recorded]]
         self._block.append((self._columns, rows))
         self._note_lights(scene)
         if len(self._block) > BLOCK:
@@ -252,17 +249,6 @@ class Sampler:
         for actor in self._open:
             self._join(actor)
         return SampledReplay(np.array(self._times), self._spans, self._sampled, self._tracks, self._lights)
-
-    def _complete_speeds(self, following: Scene) -> None:
-        """Take unknown speeds of actors that appear in the latest sample from the step to the next scene."""
-        scene, self._latest = self._latest, None
-        if scene is None:
-            return
-        speeds = self._block[-1][1][:, 3]
-        unknown = np.flatnonzero(np.isnan(speeds) & self._appeared)
-        where, recorded = find(self._latest_ids[unknown], scene.ids)
-        if recorded.any():
-            speeds[unknown[recorded]] = speeds_between(scene, following)[where[recorded]]
 
     def _describe(self, scene: Scene) -> SceneDescription:
         """Return the description of the batch of a scene."""
