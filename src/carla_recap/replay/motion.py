@@ -62,11 +62,12 @@ class SceneMotion:
             recorded[-1] = right_handed_velocities(_numbers_of(ids, latest(array(frame["velocities"]))))[:, LOCATION]
             changed = [actor.id for actor in frame["spawned"]] + array(frame["destroyed"])["id"].tolist()
             places[-1, np.isin(ids, changed)] = np.nan
-        in_a_row = [values.transpose(2, 1, 0).reshape(3, -1) for values in (places, recorded)]  # one actor after the other
+        # One actor after the other:
+        path, known_velocity = (values.transpose(2, 1, 0).reshape(3, -1) for values in (places, recorded))
         times, actor = np.tile(time, len(ids)), np.repeat(np.arange(len(ids)), rows)
         with np.errstate(invalid="ignore", over="ignore"):
-            joined = steps_joined(times, in_a_row[0], np.sqrt((in_a_row[1] ** 2).sum(axis=0)), actor)
-            found = velocities(times, *in_a_row, joined).reshape(3, len(ids), rows).transpose(2, 1, 0)[1:-1]
+            joined = steps_joined(times, path, np.sqrt((known_velocity**2).sum(axis=0)), actor)
+            found = velocities(times, path, known_velocity, joined).reshape(3, len(ids), rows).transpose(2, 1, 0)[1:-1]
             follows = np.append(joined, False)[: len(times)].reshape(len(ids), rows).T[: len(batch), :, None]
             changes = np.diff(found, axis=0, prepend=before[None]) / np.diff(time[:-1])[:, None, None]
             self.accelerations = np.where(follows, changes, np.nan)
