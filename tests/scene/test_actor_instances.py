@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from carla_recap import open_recording
-from carla_recap.model.blueprints import blueprint_sizes
+from carla_recap.model.blueprints import blueprint_sizes, other_names
 from carla_recap.model.lives import BoundingBox
 from carla_recap.model.records import ActorKind
 from carla_recap.replay import Player
@@ -52,6 +52,11 @@ def test_every_vehicle_has_a_model_of_its_class():
     assert names["vehicle.gazelle.omafiets"] == "bicycle"
     assert names["vehicle.tesla.model3"] == "sedan"
     assert "box" not in names.values()
+    for type_id, like in other_names().items():
+        look, same = look_of(type_id, ActorKind.VEHICLE, {}), look_of(like, ActorKind.VEHICLE, {})
+        assert look is not None
+        assert same is not None
+        assert (look.model, look.half_extents) == (same.model, same.half_extents), type_id
 
 
 @pytest.mark.parametrize(
