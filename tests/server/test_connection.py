@@ -6,6 +6,7 @@ import asyncio
 import gc
 import logging
 import resource
+from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any
 
 import msgpack
@@ -19,7 +20,9 @@ from carla_recap.server.rpc.registry import unregistered_call
 from carla_recap.server.rpc.structs import VehicleLightState  # noqa: TC001  (calls read annotations)
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable
+    from collections.abc import Awaitable, Mapping
+
+    from carla_recap.server.rpc.registry import Call
 
 
 class Context:
@@ -49,6 +52,12 @@ class Transport(asyncio.Transport):
 
     def is_closing(self) -> bool:
         return False
+
+    def pause_reading(self) -> None:
+        pass
+
+    def resume_reading(self) -> None:
+        pass
 
     def get_write_buffer_size(self) -> int:
         return 0
@@ -92,8 +101,8 @@ def refused(context: Context) -> None:
 CALLS = {handler.__name__: unregistered_call(handler) for handler in (double, broken, unfit, slow, fails_late, refused)}
 
 
-def connected() -> tuple[ClientConnection, Transport]:
-    connection, transport = ClientConnection(CALLS, ConnectionPool(), lambda _: Context()), Transport()
+def connected(calls: Mapping[str, Call] = CALLS) -> tuple[ClientConnection, Transport]:
+    connection, transport = ClientConnection(calls, ConnectionPool(), lambda _: Context()), Transport()
     connection.connection_made(transport)
     return connection, transport
 
@@ -147,6 +156,27 @@ def test_arguments_of_newer_clients_are_ignored() -> None:
     assert replies(request(1, "double", 4, [True, [1, "new", 2]], True, "override", [[0, 0, 0], [0, 0, 0]])) == [
         [1, 1, None, [[1, 8]]]
     ]
+
+
+def test_calls_that_follow_wait_for_what_the_client_waits_for() -> None:
+    work: Future[None] = Future()
+    waited = [1, 1, None, [[False]]]
+
+    def wait(context: Context) -> None:
+        connection.read_after(asyncio.shield(asyncio.wrap_future(work)))
+
+    connection, transport = connected(CALLS | {"wait": unregistered_call(wait)})
+
+    async def run() -> tuple[list[list[Any]], list[list[Any]]]:
+        connection.data_received(request(1, "wait") + request(2, "double", 5))
+        await asyncio.sleep(0)
+        before = transport.replies
+        work.set_result(None)
+        while len(transport.replies) < 2:
+            await asyncio.sleep(0)
+        return before, transport.replies
+
+    assert asyncio.run(asyncio.wait_for(run(), 10)) == ([waited], [waited, [1, 2, None, [[1, 10]]]])
 
 
 def test_arguments_of_older_clients_may_be_missing() -> None:

@@ -4,10 +4,11 @@ import asyncio
 import gzip
 import re
 import sys
+import threading
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import carla
 import pytest
@@ -18,14 +19,17 @@ from carla_recap.model.records import Attribute, Spawn
 from carla_recap.queries.info import info
 from carla_recap.server import recordings as served
 from carla_recap.server import running
+from carla_recap.server.host import Host
 from carla_recap.server.recordings import Recordings
+from carla_recap.server.rpc.registry import CALLS
 from carla_recap.sim import World, load_town
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.geometry import Transform
+from carla_recap.sim.replaying import replayer
 from carla_recap.sim.traffic import populate
 from tests.samples import CARLA_LOGS
 from tests.server.client import connect, ticks
-from tests.server.inside import Inside
+from tests.server.inside import Inside, client_inside
 from tests.sim.recording.test_recorder import disk_of, run_until_it_fails
 
 if TYPE_CHECKING:
@@ -130,7 +134,7 @@ def test_a_folder_that_is_missing_elsewhere_is_answered_by_an_empty_text(client:
 
 def test_why_nothing_is_recorded_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with World(load_town(), recordings=tmp_path) as world:
-        assert Recordings(world).start(f"{tmp_path}/../absent/a.log", False) == ""
+        assert asyncio.run(Recordings(world).start(f"{tmp_path}/../absent/a.log", False)) == ""
     (record,) = caplog.records
     assert record.name == "carla_recap.server.recordings"
     assert re.search(r"start_recorder: .*/absent/a\.log: cannot be written: No such file or directory", record.message)
@@ -569,6 +573,72 @@ def test_a_recording_ends_a_replay_unless_a_newer_client_records_it(recordings: 
         assert inside.world.replayer.is_playing == goes_on
         inside.world.close()
         assert frames(Path(path)) == 1
+
+
+# --- while others are served ---------------------------------------------------------------------------------------------
+
+
+class Blocked:
+    """Something slow, which ends when other clients have been served; as long as it runs on the event loop, none is."""
+
+    def __init__(self, work: Callable[..., Any]) -> None:
+        self._work = work
+        self._has_begun, self._others_served = threading.Event(), threading.Event()
+
+    def __call__(self, *arguments: Any) -> Any:
+        self._has_begun.set()
+        assert self._others_served.wait(1.0), "other clients wait"
+        return self._work(*arguments)
+
+    async def serve_others(self, host: Host) -> None:
+        while not self._has_begun.is_set():
+            await asyncio.sleep(0)
+        CALLS["get_episode_info"](client_inside(host), [])
+        host.tick()
+        self._others_served.set()
+
+
+def test_clients_are_served_while_a_replay_is_opened(recordings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    host, opening = Host(World(load_town())), Blocked(replayer.open_reader)
+    monkeypatch.setattr(replayer, "open_reader", opening)
+
+    async def run() -> str:
+        replay = CALLS["replay_file"](client_inside(host), [str(recordings / "drive.mcap"), 0.0, 0.0, 0])
+        answer: str
+        answer, _ = await asyncio.gather(replay, opening.serve_others(host))
+        return answer
+
+    assert "Total time recorded: 3.95\n" in asyncio.run(run())
+    assert host.world.replayer.is_playing
+    host.close()
+
+
+@pytest.mark.parametrize("ending", ["stop_recorder", "start_recorder", "replay_file", "load_new_episode"])
+def test_clients_are_served_while_a_recording_is_completed(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str
+) -> None:
+    host, path = Host(World(load_town())), tmp_path / "ends.mcap"
+    arguments = {
+        "stop_recorder": [],
+        "start_recorder": [str(tmp_path / "next.mcap"), False],
+        "replay_file": [str(recordings / "drive.mcap"), 0.0, 0.0, 0],
+        "load_new_episode": ["", True, 0],
+    }[ending]
+
+    async def run() -> str:
+        client = client_inside(host)
+        await CALLS["start_recorder"](client, [str(path), False])
+        host.tick()
+        completing = Blocked(host.world.recorder._writer.close)
+        host.world.recorder._finish = completing
+        answer = CALLS[ending](client, arguments)
+        task = asyncio.ensure_future(answer) if asyncio.iscoroutine(answer) else asyncio.sleep(0)
+        await asyncio.gather(task, completing.serve_others(host))
+        info: str = await CALLS["show_recorder_file_info"](client, [str(path), False])
+        return info
+
+    assert "Frames: 1\n" in asyncio.run(run())
+    host.close()
 
 
 # --- confined ------------------------------------------------------------------------------------------------------------

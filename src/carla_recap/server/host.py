@@ -165,6 +165,7 @@ class Host:
         self.lookups.shutdown(wait=False, cancel_futures=True)
         self.sensors.close()
         self.world.close()
+        self.recordings.close()
 
     def publish(self) -> None:
         """Send a snapshot to all clients."""
@@ -285,6 +286,10 @@ class Client:
     def address(self) -> str:
         """The address of the client's machine."""
         return self._connection.address
+
+    def read_after(self, work: Awaitable[None]) -> None:
+        """Serve no more calls of the client before some work is done."""
+        self._connection.read_after(work)
 
     @property
     def known_episode(self) -> int:

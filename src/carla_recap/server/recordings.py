@@ -6,6 +6,7 @@ import asyncio
 import logging
 import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import NotARecording
@@ -50,8 +51,28 @@ class Recordings:
     def __init__(self, world: World, *, confined: bool = False) -> None:
         self._world = world
         self._confined = confined
+        self._thread = ThreadPoolExecutor(1, "carla-recap-recordings")
+        self._completed = self._prepared = self._thread.submit(lambda: None)
 
-    def start(self, name: str, additional_data: bool) -> str:
+    def prepare(self) -> None:
+        """Start in a thread the process that writes the next recording."""
+        self._prepared = self._thread.submit(self._world.recorder.prepare)
+
+    def stop(self) -> None:
+        """End the recording, if there is one; its file is completed in a thread, so that no tick waits for it."""
+        if self._world.recorder.path is not None:
+            self._completed = self._thread.submit(self._world.recorder.end())
+            self.prepare()
+
+    async def completed(self) -> None:
+        """Wait until the file of each recording that has ended is complete."""
+        await asyncio.shield(asyncio.wrap_future(self._completed))
+
+    def close(self) -> None:
+        """Wait until the threads have ended."""
+        self._thread.shutdown()
+
+    async def start(self, name: str, additional_data: bool) -> str:
         """Begin a recording; a recording without frames has its name at once, since clients do not wait for the end.
 
         Returns:
@@ -65,8 +86,11 @@ class Recordings:
         self._check(name, recording_path(name, self._world.recordings))
         destination = recorder.destination(name)
         self._check(name, destination)
-        if recorder.path is not None:
+        await asyncio.shield(asyncio.wrap_future(self._prepared))
+        while recorder.path is not None:
             _LOG.warning("start_recorder: the recording of %s ends, since %s begins", recorder.path, destination)
+            self.stop()
+            await asyncio.shield(asyncio.wrap_future(self._prepared))
         try:
             return str(recorder.start(name, additional_data, visible=True).absolute())
         except DestinationError as error:

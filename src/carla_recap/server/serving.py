@@ -78,7 +78,7 @@ async def serve(
         ticker = asyncio.create_task(Ticker(host).run())
         ready(port)
         if host.world.recorder.path is None:
-            host.world.recorder.prepare()
+            host.recordings.prepare()
         if load_ahead and not attached:  # such servers are started by tests, most of which have no cameras
             host.load_ahead()
         try:

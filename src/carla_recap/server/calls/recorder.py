@@ -10,11 +10,9 @@ import logging
 from collections.abc import Awaitable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any, Final
 
-from carla_recap.errors import NotARecording, RecapError
-from carla_recap.formats import open_reader
+from carla_recap.errors import NotARecording
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.collisions import collisions
 from carla_recap.queries.info import info
@@ -26,7 +24,6 @@ from carla_recap.server.rpc.registry import call
 from carla_recap.sim.errors import MapMissing
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.replaying.replayer import CHASE
-from carla_recap.sim.town.loading import BUILT_IN
 
 _NEWS: Final = 0.1
 """Seconds until a client that has just been sent a new episode assigns its calls to that one."""
@@ -34,7 +31,7 @@ _LOG: Final = logging.getLogger(__name__)
 
 
 @call
-def start_recorder(client: Client, name: str, additional_data: bool = False, stop_replayer: bool = True) -> str:
+async def start_recorder(client: Client, name: str, additional_data: bool = False, stop_replayer: bool = True) -> str:
     """Begin a recording and return its absolute path; an empty text where it cannot be written to.
 
     The suffix .mcap, or none, is for MCAP; any other one is for CARLA's format. A running replay ends, as in CARLA, unless
@@ -44,14 +41,14 @@ def start_recorder(client: Client, name: str, additional_data: bool = False, sto
     if stop_replayer and world.replayer.is_playing:
         _LOG.warning("start_recorder: the replay of %s ends, and its actors are destroyed", world.replayer.path)
         world.stop_replayer()
-    return client.host.recordings.start(name, additional_data)
+    return await client.host.recordings.start(name, additional_data)
 
 
 @call
 def stop_recorder(client: Client) -> None:
-    """Complete the recording; calls that follow, of any client, are answered when it is complete."""
-    client.host.world.stop_recorder()
-    client.host.world.recorder.prepare()
+    """End the recording; calls of the client that follow are answered when it is complete, as are those about recordings."""
+    client.host.recordings.stop()
+    client.read_after(client.host.recordings.completed())
 
 
 @call
@@ -93,35 +90,29 @@ async def replay_file(
     replay_sensors and, since 2026, replay_weather; the offset, a transform; and, since 2025, the name of a map to replay on.
     """
     sensors, weather, offset, map_name = _replay_options(client, option1, option2, option3, option4)
-    world = client.host.world
-    world.stop_recorder()
+    world, replayer = client.host.world, client.host.world.replayer
+    client.host.recordings.stop()
+    world.stop_replayer()
+    await client.host.recordings.completed()
     path = client.host.recordings.find(name)
     if not path.is_file():
-        world.stop_replayer()
         return recordings.replaying(path) + recordings.not_found(path)
-    maps, recorded = client.host.maps, map_name or await asyncio.to_thread(_recorded_map, path)
+    try:
+        opened = await asyncio.to_thread(replayer.open, path, start, max(duration, 0.0), follow_id, lenient=True)
+    except NotARecording:
+        return recordings.replaying(path) + recordings.NOT_A_RECORDING
+    maps, recorded = client.host.maps, map_name or opened.player.reader.header.map_name
     is_present = plain_name(recorded) == world.town.name
     is_only_here = maps.is_only_here(recorded, stand_in=bool(map_name))  # corridors stand in for the map of a recording
     town = await maps.load(recorded) if is_only_here and not is_present else None
     if town is None:
         await maps.preload(recorded, None if map_name else path)
+    client.host.recordings.stop()
     frames = world.frame
     try:
         if town is not None:
             world.reload(town)
-        replay = world.replayer.start(
-            str(path),
-            start,
-            max(duration, 0.0),
-            follow_id,
-            sensors,
-            offset,
-            replay_weather=weather,
-            map_name=map_name,
-            lenient=True,
-        )
-    except NotARecording:
-        return recordings.replaying(path) + recordings.NOT_A_RECORDING
+        replay = replayer.begin(opened, sensors, offset, replay_weather=weather, map_name=map_name)
     except MapMissing as error:
         return recordings.replaying(path) + recordings.map_missing(error)
     finally:
@@ -131,7 +122,7 @@ async def replay_file(
     replay = replace(replay, loaded=replay.loaded or town is not None)
     if replay.loaded:
         await asyncio.sleep(_NEWS)
-    return recordings.replay_begins(replay, world.replayer, max(start, replay.start), duration)
+    return recordings.replay_begins(replay, replayer, max(start, replay.start), duration)
 
 
 @call
@@ -159,18 +150,8 @@ def set_replayer_ignore_spectator(client: Client, ignore: bool) -> None:
 
 
 async def _answer(client: Client, name: str, query: recordings.Query) -> str:
+    await client.host.recordings.completed()
     return await recordings.answer(client.host.recordings.find_complete(name), query)
-
-
-def _recorded_map(path: Path) -> str:
-    """Return the name of the map of a recording; the name of the built-in town if it cannot be read."""
-    try:
-        reader = open_reader(path)
-    except RecapError:
-        return BUILT_IN
-    name = reader.header.map_name
-    reader.close()
-    return name
 
 
 def _replay_options(client: Client, *options: Any) -> tuple[bool, bool, Transform, str]:

@@ -219,6 +219,8 @@ async def load_new_episode(client: Client, name: str, reset_settings: bool = Tru
     host = client.host
     async with host.maps.loading:
         town = await host.maps.load(name) if name else host.world.town
+        host.recordings.stop()
+        await host.recordings.completed()
         await settled()
         if host.traffic_managers.has_one(client):
             client.pause = TrafficManagerPause()

@@ -157,6 +157,7 @@ class ClientConnection(asyncio.Protocol):
         self._transport: asyncio.Transport | None = None
         self._buffer = MessageBuffer()
         self._pending: set[asyncio.Future[Any]] = set()
+        self._awaited: asyncio.Future[Any] | None = None
         self._is_refused = False
         self._is_closed = False
         self._is_behind = False
@@ -233,9 +234,18 @@ class ClientConnection(asyncio.Protocol):
         self._watch(asyncio.ensure_future(work))
 
     def read_after(self, work: Awaitable[None]) -> None:
-        """Read nothing before some work is done."""
-        self._pause()
-        self.in_background(work)
+        """Read nothing, and serve no more calls, before some work is done; it is cancelled when the client leaves."""
+        if self._transport is not None:
+            self._pause()
+            self._awaited = asyncio.ensure_future(work)
+            self._watch(self._awaited)
+        elif iscoroutine(work):
+            work.close()
+
+    @property
+    def _is_busy(self) -> bool:
+        """Whether no more calls can be served for now."""
+        return self._is_behind or len(self._pending) >= _MOST_PENDING or self._awaited in self._pending
 
     def _watch(self, task: asyncio.Future[Any]) -> None:
         self._pending.add(task)
@@ -248,7 +258,7 @@ class ClientConnection(asyncio.Protocol):
                 self._take(request)
                 if self._is_closed:
                     return None
-                if self._is_behind or len(self._pending) >= _MOST_PENDING:
+                if self._is_busy:
                     return self._pause()
                 if count == _CALLS_AT_ONCE:
                     asyncio.get_running_loop().call_soon(self._resume)
@@ -260,6 +270,7 @@ class ClientConnection(asyncio.Protocol):
     def _serve_rest(self, transport: asyncio.Transport) -> None:
         """Serve the calls that arrived before the connection broke; see `unread_bytes`."""
         self._is_behind = self._is_paused = False
+        self._awaited = None
         self._serve_buffered()
         data = unread_bytes(transport)
         if data and not self._is_paused:
@@ -271,7 +282,7 @@ class ClientConnection(asyncio.Protocol):
             self._transport.pause_reading()
 
     def _resume(self) -> None:
-        if self._transport is None or not self._is_paused or self._is_behind or len(self._pending) >= _MOST_PENDING:
+        if self._transport is None or not self._is_paused or self._is_busy:
             return
         self._is_paused = False
         self._transport.resume_reading()

@@ -21,6 +21,7 @@ from carla_recap.sim.recording.writer_process import InProcessWriter, WriterProc
 
 if TYPE_CHECKING:
     import subprocess
+    from collections.abc import Callable
 
     from carla_recap.sim.recording.snapshots import SnapshotBatch
     from carla_recap.sim.world import World
@@ -111,10 +112,10 @@ class WorldRecorder:
     def prepare(self) -> None:
         """Start the process that writes the next recording, so that `start` does not wait for an interpreter.
 
-        The process ends with the recorder if no recording is started; a failure is left to `start`.
+        It may run in a thread. The process ends with the recorder if no recording is started; a failure is left to `start`.
         """
-        with self._lock, suppress(RecapError):
-            if self._spare is None or not self._spare.alive:
+        if self._spare is None:
+            with suppress(RecapError):
                 self._spare = weakref.finalize(self, discard_process, start_process())
 
     def _take_spare(self) -> subprocess.Popen[bytes] | None:
@@ -186,14 +187,24 @@ class WorldRecorder:
     def stop(self) -> None:
         """Complete the recording, and wait until it is complete; without a recording, do nothing."""
         with self._lock:
-            if self._writer is None or self._finish is None:
-                return
-            self._finish()
-            self.error, path = self._writer.error, self._writer.path.absolute()
+            self.end()()
+
+    def end(self) -> Callable[[], None]:
+        """End the recording with the latest tick; return what completes its file, which may run in a thread."""
+        with self._lock:
+            writer, finish = self._writer, self._finish
             self._writer = self._sampler = self._finish = None
-        if self.error is not None:
-            self.failures[path] = self.error
-            warnings.warn(f"the recording has ended: {self.error}", RecapWarning, stacklevel=2)
+
+        def complete() -> None:
+            if writer is None or finish is None:
+                return
+            finish()
+            self.error = writer.error
+            if self.error is not None:
+                self.failures[writer.path.absolute()] = self.error
+                warnings.warn(f"the recording has ended: {self.error}", RecapWarning, stacklevel=3)
+
+        return complete
 
     def __call__(self) -> None:
         """Record the tick that ends."""

@@ -93,7 +93,6 @@ class WriterProcess:
         self._process = spare or start_process()
         self.pid = self._process.pid
         try:
-            self._wait_until_ready()
             self._command("begin", path, header, force, format, visible)
             self._placeholder = path.stat().st_ino if visible else None
             self._thread.start()
@@ -165,13 +164,6 @@ class WriterProcess:
         if error is not None:
             raise _CommandFailed(error)
 
-    def _wait_until_ready(self) -> None:
-        assert self._process.stdout is not None
-        while (line := self._process.stdout.readline()) != _READY:
-            if not line:
-                code = self._process.wait()
-                raise RecapError(f"the process that writes recordings cannot be started: it has ended with exit code {code}")
-
     def _end(self) -> None:
         """End the process, which completes the recording before."""
         with suppress(OSError, ValueError):
@@ -182,16 +174,28 @@ class WriterProcess:
 
 
 def start_process() -> subprocess.Popen[bytes]:
-    """Start the process in a session of its own, where a terminal's signals, and those to this group, do not reach it.
+    """Start the process, and wait until it is ready.
+
+    It is in a session of its own, where a terminal's signals, and those to this group, do not reach it.
 
     Raises:
         RecapError: The process cannot be started.
     """
     command, pipe = module_command(__name__), subprocess.PIPE
     try:
-        return subprocess.Popen(command, stdin=pipe, stdout=pipe, env=module_environment(), start_new_session=True)
+        process = subprocess.Popen(command, stdin=pipe, stdout=pipe, env=module_environment(), start_new_session=True)
     except OSError as error:
         raise RecapError(f"the process that writes recordings cannot be started: {error}") from None
+    try:
+        assert process.stdout is not None
+        while (line := process.stdout.readline()) != _READY:
+            if not line:
+                code = process.wait()
+                raise RecapError(f"the process that writes recordings cannot be started: it has ended with exit code {code}")
+    except BaseException:
+        discard_process(process)
+        raise
+    return process
 
 
 def discard_process(process: subprocess.Popen[bytes]) -> None:

@@ -73,6 +73,23 @@ class Replay:
         return self.stop - self.start
 
 
+@dataclass(frozen=True, slots=True)
+class OpenedRecording:
+    """A recording that is about to be replayed.
+
+    Attributes:
+        path: Its path.
+        player: Its player, which has played the first scene.
+        scene: That scene.
+        follows: Whether the spectator follows an actor.
+    """
+
+    path: Path
+    player: Player
+    scene: Scene
+    follows: bool
+
+
 class Replayer:
     """Replays recordings in a world; a controller of its ticks.
 
@@ -164,9 +181,6 @@ class Replayer:
         offset: Transform | None = None,
         *,
         keep_town: bool = False,
-        replay_weather: bool = True,
-        map_name: str = "",
-        lenient: bool = False,
     ) -> Replay:
         """Begin a replay; a running recording is completed, and a running replay ends, with the actors spawned for it.
 
@@ -182,14 +196,9 @@ class Replayer:
             replay_sensors: Spawn the sensors of the recording, too.
             offset: The transform of the spectator relative to that actor, with the actor's yaw alone; None for `CHASE`.
             keep_town: Stay in the town, whatever the map of the recording is; a warning reports another one.
-            replay_weather: Change the weather as in the recording.
-            map_name: The map to replay on; "" for that of the recording.
-            lenient: As CARLA, accept a start after the end, which is the end, and an actor to follow that is missing, which
-                is none; else they are errors.
 
         Warns:
-            RecapWarning: There is no map of the recorded name, the town that is kept has another one, or `lenient` has
-                accepted something.
+            RecapWarning: There is no map of the recorded name, or the town that is kept has another one.
 
         Raises:
             RecapError: There is no such recording, it is damaged, or there is no such start or actor.
@@ -197,10 +206,29 @@ class Replayer:
         """
         self.stop()
         self._world.stop_recorder()
-        self.error = None
-        path = find_recording(name, self._world.recordings)
+        opened = self.open(find_recording(name, self._world.recordings), start, duration, follow)
+        return self.begin(opened, replay_sensors, offset, keep_town=keep_town)
+
+    def open(
+        self, path: Path, start: float = 0.0, duration: float = 0.0, follow: Follow | None = None, *, lenient: bool = False
+    ) -> OpenedRecording:
+        """Open a recording for a replay, and seek its start; it may run in a thread, as it leaves the world alone.
+
+        Args:
+            path: The recording.
+            start: See `start`.
+            duration: See `start`.
+            follow: See `start`.
+            lenient: As CARLA, accept a start after the end, which is the end, and an actor to follow that is missing, which
+                is none; else they are errors.
+
+        Warns:
+            RecapWarning: `lenient` has accepted something.
+
+        Raises:
+            RecapError: There is no such recording, it is damaged, or there is no such start or actor.
+        """
         reader = open_reader(path)
-        self._close = weakref.finalize(self, reader.close)
         try:
             if lenient:
                 start, follow = self._accept(reader, start, follow)
@@ -213,7 +241,45 @@ class Replayer:
                 ignore_hero=self.ignore_hero,
                 ignore_spectator=self.ignore_spectator,
             )
-            self._follow = player.followed if follow else None
+            scene = player.tick(0.0)
+            assert scene is not None
+        except BaseException:
+            reader.close()
+            raise
+        return OpenedRecording(path, player, scene, bool(follow))
+
+    def begin(
+        self,
+        opened: OpenedRecording,
+        replay_sensors: bool = False,
+        offset: Transform | None = None,
+        *,
+        keep_town: bool = False,
+        replay_weather: bool = True,
+        map_name: str = "",
+    ) -> Replay:
+        """Begin to replay an opened recording; see `start`.
+
+        Args:
+            opened: The recording, which is closed when the replay ends.
+            replay_sensors: See `start`.
+            offset: See `start`.
+            keep_town: See `start`.
+            replay_weather: Change the weather as in the recording.
+            map_name: The map to replay on; "" for that of the recording.
+
+        Raises:
+            MapMissing: The map is another one, and cannot be loaded.
+        """
+        self.stop()
+        self._world.stop_recorder()
+        self.error = None
+        path, player = opened.path, opened.player
+        player.time_factor = self._time_factor
+        reader = player.reader
+        self._close = weakref.finalize(self, reader.close)
+        try:
+            self._follow = player.followed if opened.follows else None
             self._offset = offset or CHASE
             chosen = map_name
             map_name = map_name or reader.header.map_name
@@ -222,7 +288,7 @@ class Replayer:
             earlier = self._mapping.replayed if path == self._path else {}
             self._path = path
             self._mapping = ActorMapping(self._world, replay_sensors=replay_sensors, earlier=earlier)
-            self._begin(player)
+            self._begin(player, opened.scene)
         except BaseException:
             self.stop()
             self._close()
@@ -350,7 +416,7 @@ class Replayer:
         self._corridors = town
         return True
 
-    def _begin(self, player: Player) -> None:
+    def _begin(self, player: Player, scene: Scene) -> None:
         world = self._world
         self._player = player
         self._kinematic = KinematicReplay(world, self._mapping)
@@ -359,8 +425,6 @@ class Replayer:
         self._frozen = world.signals.frozen.copy()
         world.signals.held = True
         self._shows_start = True
-        scene = player.tick(0.0)
-        assert scene is not None
         self._show(scene, 0.0, 0.0)
 
     def _release_to_autopilot(self) -> None:
