@@ -7,6 +7,7 @@ from contextlib import closing
 from typing import TYPE_CHECKING, Any
 from unittest.mock import patch
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -57,12 +58,13 @@ def expected_images(
     reader: LogReader, frames: list[twin.FoundFrame], names: set[str] | None, *, sparse: bool
 ) -> list[tuple[Any, ...]]:
     """The frames of the twin as `image` has them, with their packets of some types, unless these are empty."""
-    types, found = types_of(reader), []
+    names_by_id = [type and type.name for type in types_of(reader)]
+    found = []
     for index, frame in enumerate(frames):
         packets = [
             (SHIFT.get(id, id) if reader.header.shifted else id, payload)
             for id, payload in frame.packets
-            if names is None or (types[id] is not None and types[id].name in names and len(payload) != 2)
+            if names is None or (names_by_id[id] in names and len(payload) != 2)
         ]
         if packets or not sparse:
             found.append((index, frame.id, double(frame.elapsed), double(frame.duration), frame.preamble, packets))
@@ -82,6 +84,16 @@ def frames_within(frames: list[twin.FoundFrame], start: float, stop: float) -> l
     return found
 
 
+@pytest.mark.parametrize("broken", [b"\0" * 5 + b"\1" * 24, b"\0\3\0\0\0abc", b"\1\3\0\0\0abc"])
+@pytest.mark.parametrize("before", [b"", start(1, 0.0)])
+def test_a_frame_that_begins_where_a_broken_packet_ends_is_kept(tmp_path: Path, before: bytes, broken: bytes) -> None:
+    path = save(tmp_path / "broken.log", log_header() + before + broken + start(2, 0.05) + start(3, 0.1))
+    with closing(LogReader(path, lenient=True)) as reader:
+        found = [(frame.id, len(frame.packets)) for frame in reader.frames() if not frame.preamble]
+    assert found == [*([(1, 0)] if before else []), (2, 0), (3, 0)]
+    assert reader.lost_bytes == len(broken)
+
+
 @given(
     data=logs(),
     window=st.sampled_from([29, 64, 100, 500, 4000, 2 << 20]),
@@ -96,7 +108,8 @@ def test_frames_are_those_found_a_packet_at_a_time(
     whole = twin.read(data, head)
     with patch("carla_recap.formats.log_scan._WINDOW", window), warnings_ignored():
         with closing(LogReader(path)) as reader:
-            found, broken = [], None
+            found: list[tuple[Any, ...]] = []
+            broken = None
             try:
                 found.extend(image(frame) for frame in reader.frames(names, sparse=sparse))
             except FormatError as error:

@@ -68,7 +68,8 @@ def read_leniently(data: bytes, offset: int, types: Sequence[RecordType | None])
         else:
             following = _next_frame(data, offset + 1)
             is_sound = _has_size(id, payload) and _is_sound(types[id], payload)
-            is_checked = types[id] is not None and not types[id].opaque
+            type = types[id]
+            is_checked = type is not None and not type.opaque
             if end > len(data):
                 if following is None:
                     break

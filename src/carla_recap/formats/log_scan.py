@@ -217,7 +217,7 @@ class Scanner:
             if following is None:
                 self.end = offset
                 return
-            if following != offset + _FIRST_PACKET:
+            if (id, size) != (FRAME_START, START.size):
                 self.lost_bytes += following - offset
                 offset = following
         self.count, self._offset = index, offset
@@ -344,7 +344,7 @@ class Scanner:
                 step = self._next_packet(here, id, length)
                 if step is None:
                     break
-                if step != end:
+                if step != end or not id or (id == FRAME_END and length):
                     self.lost_bytes += step - here
                     here = step
                     continue
@@ -409,8 +409,7 @@ class Scanner:
     def _frame_inside(self, here: int, id: int, size: int) -> int | None:
         """Return where a frame begins inside a packet that is unsound or unknown: then its size is what is broken."""
         type = self._types[id]
-        payload = self._window.read(here + PACKET.size, size)
-        if type is not None and not type.opaque and is_sound(type, payload):
+        if type is not None and not type.opaque and is_sound(type, self._window.read(here + PACKET.size, size)):
             return None
         inside = self.next_frame(here + 1)
         return inside if inside is not None and inside < here + PACKET.size + size else None
