@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from carla_recap.formats.base import Reader
+    from carla_recap.formats.base import PartName, Reader
     from tests.queries.conftest import Make
 
 CAST = [Spawn(1, 1, type_id="vehicle.a"), Spawn(2, 2, type_id="walker.b"), Spawn(3, 3, type_id="traffic.traffic_light")]
@@ -130,10 +130,7 @@ OPTIONS: list[dict[str, Any]] = [
 class WithoutDigest(McapReader):
     """A reader of files without a digest."""
 
-    def hard_braking(self, deceleration: float) -> None:
-        return None
-
-    def impacts(self) -> None:
+    def digest(self, part: PartName) -> None:
         return None
 
 

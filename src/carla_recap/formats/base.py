@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, Self
 
 from carla_recap.errors import RecapError
 
@@ -14,10 +14,7 @@ if TYPE_CHECKING:
     from types import TracebackType
 
     from carla_recap.model.batch import Batch
-    from carla_recap.model.braking import Braking
-    from carla_recap.model.contacts import Impact
     from carla_recap.model.frame import Extent, Frame, Header
-    from carla_recap.model.stationary import BlockedRow
 
 PIECE = 1 << 20
 """The size in bytes of the pieces in which bytes without a schema are handed on."""
@@ -75,6 +72,24 @@ class TopicMessage(NamedTuple):
     topic: str
     elapsed: float
     data: bytes
+
+
+PartName = Literal["stretches", "braking", "contacts"]
+"""What queries would compute from all transforms: stationary intervals, hard braking, and beginnings of contacts."""
+
+
+@dataclass(frozen=True)
+class DigestPart:
+    """A part of the digest of a recording, which is kept among its events.
+
+    Attributes:
+        limits: What it depends on: of stretches the least duration in s and the distance in cm, of braking the deceleration
+            in m/s².
+        read: Returns its rows, as `formats/mcap/schema.py` has them, in no order; None if some are missing.
+    """
+
+    limits: tuple[float, ...]
+    read: Callable[[], list[tuple[Any, ...]] | None]
 
 
 class Reader(Protocol):
@@ -143,31 +158,8 @@ class Reader(Protocol):
         """Return the number of frames, the last id and the duration."""
         ...
 
-    def stationary_intervals(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
-        """Return the intervals in which actors were stationary, in no order; None if the file does not list them.
-
-        Args:
-            min_time: The shortest interval to return, in seconds.
-            min_distance: The distance in cm from which on an actor counts as moved.
-
-        Raises:
-            FormatError: The file contradicts its format.
-        """
-        return None
-
-    def hard_braking(self, deceleration: float) -> list[Braking] | None:
-        """Return the intervals in which vehicles brake hard, in no order; None if the file does not list them.
-
-        Args:
-            deceleration: The deceleration in m/s² from which on braking is hard.
-
-        Raises:
-            FormatError: The file contradicts its format.
-        """
-        return None
-
-    def impacts(self) -> list[Impact] | None:
-        """Return the impacts of all contacts; None if the file does not list them.
+    def digest(self, part: PartName) -> DigestPart | None:
+        """Return a part of the digest; None if the file has none.
 
         Raises:
             FormatError: The file contradicts its format.

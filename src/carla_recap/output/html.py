@@ -46,7 +46,7 @@ def recording_html(reader: Reader) -> str:
         FormatError: The file contradicts its format.
     """
     search = SummarySearch(reader, IncidentOptions())
-    places = _Places(search.actors)
+    places = _PlaceCollector(search.actors)
     search.read(places.add)
     words = "".join(text(search.finish()))
     lines = "\n".join(visible(line) for line in [reader.location, *words.split("\n")])
@@ -85,7 +85,7 @@ def _drawing(paths: dict[int, Floats], heroes: set[int], found: Iterable[Inciden
     )
 
 
-class _Places:
+class _PlaceCollector:
     """Collects where vehicles and walkers are, every half second."""
 
     def __init__(self, lives: Iterable[ActorLife]) -> None:

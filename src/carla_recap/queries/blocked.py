@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, TYPES, BlockedRow, StationaryTracker, check_limits
 from carla_recap.queries import Answer
+from carla_recap.queries.digest import listed_intervals
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -44,7 +45,7 @@ def blocked(
     """
     if not compat:
         check_limits(min_time, min_distance)
-    rows = None if compat else source.stationary_intervals(min_time, min_distance)
+    rows = None if compat else listed_intervals(source, min_time, min_distance)
     if rows is None:
         tracker = StationaryTracker(source.header.table, min_time, min_distance, compat=compat)
         for batch in source.batches(TYPES):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from carla_recap.formats.sources import is_remote
 from carla_recap.model.contacts import MOTION, Impact
+from carla_recap.queries.digest import listed_impacts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -36,7 +37,7 @@ def impacts(source: Reader, wanted: Mapping[Key, float]) -> dict[Key, Impact]:
     """
     if not wanted:
         return {}
-    found = {impact.key: impact for impact in source.impacts() or () if impact.key in wanted}
+    found = {impact.key: impact for impact in listed_impacts(source) or () if impact.key in wanted}
     times = {key: time for key, time in wanted.items() if key not in found}
     if times:
         search = ImpactSearch(times)

@@ -18,6 +18,7 @@ from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, StationaryTrack
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 from carla_recap.queries.blocked import blocked, longest_first
 from carla_recap.queries.contacts import LOOK_UPS, ImpactSearch, impacts, is_known, joined, read_spans
+from carla_recap.queries.digest import listed_braking, listed_intervals
 from carla_recap.queries.measures.definitions import DURATION, MEASURES, RELATIVE_SPEED
 from carla_recap.queries.measures.near_misses import (
     LONGEST,
@@ -270,7 +271,7 @@ class LongStopIncidents:
         source, limits = search.source, (search.options.min_time, search.options.min_distance)
         self._search = search
         self._heights = RoadHeights(list(search.actors))
-        self._listed: Sequence[BlockedRow] | None = source.stationary_intervals(*limits)
+        self._listed: Sequence[BlockedRow] | None = listed_intervals(source, *limits)
         if self._listed is None and not search.options.is_whole:  # of a part, stops may begin before and end behind it
             self._listed = blocked(source, *limits)
         self._tracker = StationaryTracker(source.header.table, *limits) if self._listed is None else None
@@ -305,7 +306,7 @@ class HardBrakingIncidents:
 
     def __init__(self, search: Search) -> None:
         self._search, deceleration = search, search.options.deceleration
-        self._listed = search.source.hard_braking(deceleration) if search.options.is_whole else None
+        self._listed = listed_braking(search.source, deceleration) if search.options.is_whole else None
         is_listed = self._listed is not None
         self._detector = None if is_listed else BrakingDetector(search.actors.ids("vehicle"), deceleration)
         self.types: Collection[str] = BRAKING_TYPES if self._detector else ()

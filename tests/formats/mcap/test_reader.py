@@ -31,6 +31,7 @@ from carla_recap.formats.mcap.index import CHUNK_LIMIT
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import NO_ACTOR, UE4, Spawn, WheelSet
 from carla_recap.queries.blocked import blocked
+from carla_recap.queries.digest import listed_braking, listed_impacts, listed_intervals
 from tests import strategies
 from tests.formats.mcap import forge
 from tests.formats.mcap.forge import Forge, chunk_records, data_records, messages_in, resealed, rewrite, seal
@@ -586,7 +587,7 @@ def test_stationary_intervals_are_read_from_the_events(tmp_path):
 
 
 class Blind:
-    """A reader that does not know of stretches."""
+    """A reader without a digest."""
 
     def __init__(self, reader):
         self._reader = reader
@@ -594,13 +595,13 @@ class Blind:
     def __getattr__(self, name):
         return getattr(self._reader, name)
 
-    def stationary_intervals(self, min_time, min_distance):
+    def digest(self, part):
         return None
 
 
 def stood(path):
     with reading(path) as reader:
-        return reader.stationary_intervals(1, 10)
+        return listed_intervals(reader, 1, 10)
 
 
 def test_stretches_that_another_program_left_out_are_missed(standing, tmp_path):
@@ -639,7 +640,7 @@ def struck(tmp_path):
 
 def digest_of(path):
     with reading(path) as reader:
-        return reader.hard_braking(6), reader.impacts()
+        return listed_braking(reader, 6), listed_impacts(reader)
 
 
 def test_braking_and_contacts_are_read_from_the_events(struck):
@@ -648,7 +649,7 @@ def test_braking_and_contacts_are_read_from_the_events(struck):
     assert (contact.key, contact.positions[0][0]) == ((50, 7, NO_ACTOR), 250.0)
     assert contact.velocities[0] == (pytest.approx(0.4), 0.0, 0.0)
     with reading(struck) as reader:
-        assert reader.hard_braking(7) is None
+        assert listed_braking(reader, 7) is None
 
 
 @pytest.mark.parametrize(("topic", "kept"), [("/vehicles/braking", [False, True]), ("/collisions/contacts", [True, False])])

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.fleet.index.tables import CHILDREN
 from carla_recap.formats import open_reader
+from carla_recap.formats.base import DigestPart
 from carla_recap.model.frame import SAME_TIME, Frame
 from carla_recap.model.lives import ROAD_USERS
 from carla_recap.model.lives import TYPES as ACTOR_TYPES
@@ -19,6 +20,7 @@ from carla_recap.model.motion import place_in_metres
 from carla_recap.model.stationary import MIN_DISTANCE
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.collisions import collisions
+from carla_recap.queries.digest import listed_intervals
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.queries.measures import measures
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
     from carla_recap.fleet.sources import SourceFile
-    from carla_recap.formats.base import Reader
+    from carla_recap.formats.base import PartName, Reader
     from carla_recap.model.batch import Batch
     from carla_recap.model.lives import ActorLife
     from carla_recap.model.stationary import BlockedRow
@@ -59,6 +61,7 @@ _actor = attrgetter(
     "destroyed_at",
     "parent",
 )
+_interval = attrgetter("id", "type_id", "start", "duration", "x", "y", "z")
 _box = attrgetter("x", "y", "z", "extent_x", "extent_y", "extent_z")
 
 
@@ -97,7 +100,7 @@ def _content(
     roads = _roads(info.map_name, road_map) if measured else None
     kinds = None if not measured else "all" if roads is not None else kinds_without_roads()
     heroes = [actor.id for actor in found if actor.is_hero and actor.kind in ROAD_USERS] if measured else []
-    stops = reader.stationary_intervals(SHORTEST_STOP, MIN_DISTANCE) or []
+    stops = listed_intervals(reader, SHORTEST_STOP, MIN_DISTANCE) or []
     rows: dict[str, Iterable[tuple[Any, ...]]] = {
         "actors": map(_actor_row, found),
         "stationary": map(_stop, stops),
@@ -181,11 +184,11 @@ class _ReadOnce:
         return list(self._reader.frames(_EVENTS, sparse=True))
 
     @cached_property
-    def _intervals(self) -> list[BlockedRow]:
-        listed = self._reader.stationary_intervals(SHORTEST_STOP, MIN_DISTANCE)
-        if listed is not None:
-            return listed
-        return list(blocked(self._reader, SHORTEST_STOP, MIN_DISTANCE))
+    def _stretches(self) -> DigestPart:
+        limits = SHORTEST_STOP, MIN_DISTANCE
+        listed = listed_intervals(self._reader, *limits)
+        rows = [_interval(row) for row in (blocked(self._reader, *limits) if listed is None else listed)]
+        return DigestPart(limits, lambda: rows)
 
     def frames(self, types: Collection[str] | None = None, **options: Any) -> Iterator[Frame]:
         """See `Reader.frames`."""
@@ -214,8 +217,6 @@ class _ReadOnce:
     def _is_small(self) -> bool:
         return self._reader.extent().frames <= _SMALL
 
-    def stationary_intervals(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
-        """See `Reader.stationary_intervals`."""
-        if min_time < SHORTEST_STOP or min_distance != MIN_DISTANCE:
-            return self._reader.stationary_intervals(min_time, min_distance)
-        return [row for row in self._intervals if row.duration >= min_time]
+    def digest(self, part: PartName) -> DigestPart | None:
+        """See `Reader.digest`."""
+        return self._stretches if part == "stretches" else self._reader.digest(part)

@@ -17,13 +17,14 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError, NotARecording, RecapWarning
-from carla_recap.formats.base import Reader
+from carla_recap.formats.base import DigestPart, Reader
 from carla_recap.formats.mcap.codec import WireError, decode_records
 from carla_recap.formats.mcap.frames import MESSAGES_LIMIT, Channels, FrameAssembler, ReadSelection, channel_messages, parsed
 from carla_recap.formats.mcap.index import METADATA_LIMIT, open_chunk, parse_metadata, read_record, read_summary
 from carla_recap.formats.mcap.schema import (
     BRAKING,
     CONTACTS,
+    DIGEST,
     EXPORT_METADATA,
     EXTENT_METADATA,
     HEADER_METADATA,
@@ -48,20 +49,18 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator
     from pathlib import Path
 
-    from carla_recap.formats.base import FurtherTopic, TopicMessage
+    from carla_recap.formats.base import FurtherTopic, PartName, TopicMessage
     from carla_recap.formats.mcap.index import ChunkIndex, Summary
     from carla_recap.formats.mcap.topics import FurtherTopics
     from carla_recap.formats.sources import ByteSource
-    from carla_recap.model.braking import Braking
-    from carla_recap.model.contacts import Impact
     from carla_recap.model.records import RecordType
-    from carla_recap.model.stationary import BlockedRow
 
 T = TypeVar("T")
 
 BLOCK_SIZE: Final = 256 << 10
 """Chunks that are smaller than this, in bytes, are taken several at a time."""
 _LARGE_BLOCK: Final = 4 << 20  # bytes
+_LIMITS: Final = {STATIONARY: 2, BRAKING: 1, CONTACTS: 0}  # numbers before that of the rows
 _WORTH_A_THREAD: Final = 2 << 20  # bytes of a file from which on chunks are decompressed ahead
 
 
@@ -176,36 +175,17 @@ class McapReader(Reader):
         messages = self._messages(TAIL_TOPIC)
         return (bytes(parsed(self.location, "tail", TAIL_MESSAGE, message).data) for message in messages)
 
-    def stationary_intervals(self, min_time: float, min_distance: float) -> list[BlockedRow] | None:
-        """Return the stationary intervals, read from the events; see `Reader.stationary_intervals`."""
-        least, distance, count, rule = self._digest_of(STATIONARY, 4)
-        is_same = min_time >= least and min_distance == distance and rule == STATIONARY_RULE
-        rows = self._listed(STATIONARY, count) if is_same else None
-        if rows is None:
+    def digest(self, part: PartName) -> DigestPart | None:
+        """Return a part of the digest, read from the events; see `Reader.digest`."""
+        type = next(each for each in DIGEST if each.name == part)
+        try:
+            numbers = tuple(float(number) for number in self.metadata[part].split())
+        except (KeyError, ValueError):
             return None
-        from carla_recap.model.stationary import BlockedRow
-
-        return [BlockedRow(**row._asdict()) for row in rows if row.duration >= min_time]
-
-    def hard_braking(self, deceleration: float) -> list[Braking] | None:
-        """Return the intervals of hard braking, read from the events; see `Reader.hard_braking`."""
-        listed, count = self._digest_of(BRAKING, 2)
-        rows = self._listed(BRAKING, count) if deceleration == listed else None
-        if rows is None:
+        limits = _LIMITS[type]
+        if len(numbers) <= limits or numbers[limits + 1 :] != ((STATIONARY_RULE,) if type is STATIONARY else ()):
             return None
-        from carla_recap.model.braking import Braking
-
-        return [Braking(*row) for row in rows]
-
-    def impacts(self) -> list[Impact] | None:
-        """Return the impacts, read from the events; see `Reader.impacts`."""
-        (count,) = self._digest_of(CONTACTS, 1)
-        rows = self._listed(CONTACTS, count)
-        if rows is None:
-            return None
-        from carla_recap.model.contacts import Impact
-
-        return [Impact(row[0], row[1], row[2], (row[3:6], row[6:9]), (row[9:12], row[12:])) for row in rows]
+        return DigestPart(numbers[:limits], partial(self._listed, type, numbers[limits]))
 
     def further_topics(self) -> dict[str, FurtherTopic]:
         """Return the topics beside those of a recording; see `Reader.further_topics`."""
@@ -237,18 +217,8 @@ class McapReader(Reader):
         opened = partial(self._opened, ahead=False)
         return FurtherTopics(self._source, self._summary, own, LogClock(self.header), opened)
 
-    def _digest_of(self, type: RecordType, size: int) -> list[float]:
-        """Return the numbers that the metadata have of a part of the digest; NaN where they have none."""
-        try:
-            numbers = [float(number) for number in self.metadata[type.name].split()]
-        except (KeyError, ValueError):
-            numbers = []
-        return numbers if len(numbers) == size else [math.nan] * size
-
     def _listed(self, type: RecordType, count: float) -> list[Any] | None:
-        """Return a part of the digest; None if there is none, or rows are missing, as if another program left some out."""
-        if math.isnan(count):
-            return None
+        """Return the rows of a part of the digest; None if some are missing, as if another program left them out."""
         try:
             rows = decode_records(type, [bytes(message) for message in self._messages(type.topic)])
         except WireError as error:
