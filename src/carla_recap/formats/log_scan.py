@@ -127,14 +127,7 @@ class Window:
         self._read(offset, 0)
 
     def grow(self, offset: int, size: int = 0) -> bool:
-        """Hold more bytes from an offset on than now.
-
-        Args:
-            offset: The offset in the file.
-            size: The number of bytes that are needed at least.
-
-        Returns:
-            Whether the file has more.
+        """Hold more bytes from an offset on than now, at least `size`; return whether the file has more.
 
         Raises:
             FormatError: That would be more than `FRAME_LIMIT`, or the file has shrunk.
@@ -200,12 +193,7 @@ class Scanner:
         self.offsets = Offsets()
 
     def runs(self, index: int, offset: int, *, preamble: bool) -> Iterator[Run]:
-        """Yield the runs from an offset on.
-
-        Args:
-            index: The position of the first frame in the recording.
-            offset: The offset of that frame, in bytes.
-            preamble: Whether it is the packets before the first frame.
+        """Yield the runs from the frame at an index on; `preamble`: whether it is the packets before the first frame.
 
         Raises:
             FormatError: The file contradicts its format.

@@ -48,12 +48,7 @@ def cache_size() -> tuple[int, int]:
 
 
 def content_key(content: bytes, *sources: str) -> str:
-    """Return the key of a map's content, for this version of the code.
-
-    Args:
-        content: The content.
-        sources: The folders of this package with the modules that make the entry.
-    """
+    """Return the key of a map's content, for this version of the modules in some folders, which make the entry."""
     return sha256(_digest(sources) + content).hexdigest()
 
 

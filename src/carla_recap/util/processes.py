@@ -35,11 +35,7 @@ def module_environment(**variables: str) -> dict[str, str]:
 
 
 def wait_or_kill(process: subprocess.Popen[Any], patience: float) -> int:
-    """Wait until a process has ended; kill it after `patience` seconds.
-
-    Returns:
-        The exit code.
-    """
+    """Wait until a process has ended, and return its exit code; kill it after `patience` seconds."""
     try:
         return process.wait(patience)
     except subprocess.TimeoutExpired:
@@ -48,11 +44,7 @@ def wait_or_kill(process: subprocess.Popen[Any], patience: float) -> int:
 
 
 def terminate(process: subprocess.Popen[Any], patience: float) -> int:
-    """Send SIGTERM to a process and wait until it has ended; kill it after `patience` seconds.
-
-    Returns:
-        The exit code.
-    """
+    """Send SIGTERM to a process, and return its exit code; kill it after `patience` seconds."""
     process.terminate()
     return wait_or_kill(process, patience)
 

@@ -47,8 +47,7 @@ def is_first(number: int) -> bool:
 def set_handlers(handler: Any) -> dict[signal.Signals, Any]:
     """Set the handler of `TERMINATION`, except for signals that are ignored, as under nohup, or have no handler in Python.
 
-    Returns:
-        The handlers until now.
+    Return the handlers until now.
     """
     numbers = [number for number in TERMINATION if signal.getsignal(number) not in (signal.SIG_IGN, None)]
     return {number: signal.signal(number, handler) for number in numbers}
@@ -84,10 +83,9 @@ def hold_termination() -> Iterator[None]:
 
 @contextmanager
 def call_on_termination(callback: Callable[[str], object]) -> Iterator[None]:
-    """Call a function instead of ending the process while a `with` block runs; outside the main thread, do nothing.
+    """Call a function with the name of the first signal, instead of ending the process, while a `with` block runs.
 
-    Args:
-        callback: Is called with the name of the first signal.
+    Outside the main thread, do nothing.
     """
     global _first
 
