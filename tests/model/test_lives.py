@@ -32,6 +32,11 @@ def test_an_id_that_is_used_again_belongs_to_the_latest_actor() -> None:
     assert (lives.ids(), lives.ids("vehicle"), lives.ids("sensor", "walker"), lives.ids("sensor")) == ([7], [7], [7], [])
 
 
+def test_an_actor_ends_where_another_one_gets_its_id() -> None:
+    lives = lives_of({"spawned": [CAR]}, {}, {"spawned": [WALKER]}, {}, {"destroyed": [(7,)]})
+    assert [(life.type_id, life.spawned_at, life.end) for life in lives] == [("vehicle.a", 0.0, 2.0), ("walker.b", 2.0, 4.0)]
+
+
 def test_parents_and_boxes_belong_to_the_present_actor() -> None:
     box = (8, 10.0, 20.0, 30.0, 100.0, 50.0, 25.0)
     lives = lives_of(

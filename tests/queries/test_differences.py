@@ -448,6 +448,14 @@ def test_events_are_the_same_up_to_a_second_apart(drive: Callable[..., Reader], 
     assert len(differences(a, b, time_tolerance=2.0).events) == 0
 
 
+def test_an_event_is_the_same_as_the_nearest_one(drive: Callable[..., Reader]) -> None:
+    hit = {"collisions": [(0, 10, 12, 1, 0)]}
+    both, one = drive(seconds=8, events={20: hit, 130: hit}), drive(seconds=8, events={130: hit})
+    for a, b, starts in ((both, one, (1.0, None)), (one, both, (None, 1.0))):
+        (row,) = differences(a, b, time_tolerance=10.0).events
+        assert (row.start_a, row.start_b) == starts
+
+
 def test_a_recording_that_ends_earlier(drive: Callable[..., Reader]) -> None:
     found = differences(drive(), drive(seconds=0.5), tolerance=1.0)
     assert found.summary == "41 frames in 2.00 s, and 11 in 0.50 s"

@@ -299,3 +299,9 @@ def refusal(text: str) -> str:
     except ValueError as error:
         return str(error)
     return ""
+
+
+@pytest.mark.parametrize(("text", "is_part"), [("-1", False), (" -1", False), ("-1.0", False), ("-01", False), ("0", True)])
+def test_a_road_is_part_of_a_junction_by_its_number(text: str, is_part: bool) -> None:
+    town = read_opendrive(opendrive(written_road().replace('junction="-1"', f'junction="{text}"')))
+    assert [each.in_junction for each in town.roads] == [is_part]

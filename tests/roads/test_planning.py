@@ -107,6 +107,13 @@ def test_a_route_has_a_point_each_metre() -> None:
     assert at.ahead == pytest.approx(np.tile((1.0, 0.0, 0.0), (len(x), 1)), abs=1e-6)
 
 
+def test_a_lane_for_driving_can_lead_to_one_for_parking() -> None:
+    parking = following(-2).replace('type="driving"', 'type="parking"')
+    town = lanes(linked(1, 0, None, 2, following(-1) + following(-2)), linked(2, 100, 1, None, following(-1) + parking))
+    at = RoutePlanner(town).route(np.array([(10.0, -1.75, 0.0), (150.0, -1.75, 0.0)]))
+    assert at.position[-1] == pytest.approx((149.0, -1.75, 0.0), abs=1.01)
+
+
 def test_a_route_changes_to_the_lane_beside() -> None:
     both = following(-1, (0, "both")) + following(-2)
     two = lanes(linked(1, 0, None, 2, both), linked(2, 100, 1, None, both))

@@ -39,6 +39,8 @@ def stationary(reader: Reader, min_time: float, min_distance: float, *, compat: 
             name = packet.type.name if packet.type else ""
             if name == "spawned":
                 for spawned in packet.records:
+                    if not compat and (replaced := actors.get(spawned.id)):
+                        report(spawned.id, replaced)
                     actors[spawned.id] = Actor(spawned.type_id)
                     newest = spawned.id
             elif name == "destroyed":
@@ -54,7 +56,7 @@ def stationary(reader: Reader, min_time: float, min_distance: float, *, compat: 
                     place = [record[axis] for axis in "xyz"]
                     if actor.place is None and compat:
                         actor.place = [record["x"].dtype.type(0)] * 3
-                    lies = abs(record["pitch"]) > 60 or abs(record["roll"]) > 60
+                    lies = any(60 < float(record[axis]) % 360 < 300 for axis in ("pitch", "roll"))
                     stays = actor.place is not None and not (lies and not compat and actor.type_id.startswith("walker."))
                     if stays and actor.place is not None:
                         dx, dy, dz = (new - old for new, old in zip(place, actor.place, strict=True))

@@ -6,12 +6,13 @@ import os
 import subprocess
 import sys
 import textwrap
-from errno import EPERM
+from errno import EINVAL, EIO, ENOSYS, EPERM
 from typing import TYPE_CHECKING
 
 import pytest
 
 from carla_recap import Header, RecapError, create_recording, create_writer
+from carla_recap.util import files
 from carla_recap.util.files import WholeFile, check_folder, new_folder, partials
 from tests.samples import names_in
 
@@ -28,6 +29,24 @@ def test_a_file_appears_when_it_is_complete(tmp_path: Path) -> None:
         file.write(b"34")
     assert path.read_bytes() == b"1234"
     assert names_in(tmp_path) == ["a.bin"]
+
+
+@pytest.mark.parametrize(("number", "appears"), [(EINVAL, True), (ENOSYS, True), (EIO, False)])
+def test_a_file_appears_on_a_file_system_that_cannot_sync(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, appears: bool
+) -> None:
+    def refuse(descriptor: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(files, "_SYNC", refuse)
+    file = WholeFile(tmp_path / "a")
+    file.write(b"abc")
+    if appears:
+        file.close()
+    else:
+        with pytest.raises(RecapError, match="cannot be written"):
+            file.close()
+    assert names_in(tmp_path) == (["a"] if appears else [])
 
 
 def test_a_file_that_fails_leaves_nothing(tmp_path: Path) -> None:

@@ -151,6 +151,8 @@ class ActorLives:
         name, present = packet.type.name if packet.type else "", self._present
         if name == "spawned":
             for spawn in packet.records:
+                if spawn.id in present:  # whose end is not recorded
+                    present[spawn.id].destroyed_at = elapsed
                 life = present[spawn.id] = ActorLife.of(spawn, elapsed)
                 self._append(life)
         elif name in TYPES:

@@ -154,6 +154,8 @@ class StationaryTracker:
         slot = self._slots.actors.get(id)
         if slot is None:
             slot = self._free.pop() if self._free else len(self._actors)
+        elif not self._compat and self._states["duration"][slot] >= self._min_time:
+            self._intervals.append(self._interval(slot))
         if slot == len(self._actors):
             self._actors.append((id, type_id))
             self._states = np.concatenate((self._states, np.zeros(1, self._states.dtype)))
@@ -257,5 +259,6 @@ class StationaryTracker:
         """Return which actors are no walkers that lie on the ground, (frames, actors)."""
         if not walks.any():
             return np.ones(records.shape, np.bool_)
-        lies: Booleans = (np.abs(records["pitch"]) > _LYING) | (np.abs(records["roll"]) > _LYING)
+        pitch, roll = (np.abs((records[axis].astype(np.float64) + 180.0) % 360.0 - 180.0) for axis in ("pitch", "roll"))
+        lies: Booleans = (pitch > _LYING) | (roll > _LYING)
         return ~(lies & walks)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections import defaultdict, deque
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Final
 
@@ -411,20 +411,23 @@ class _Comparison:
         """Return the incidents that are in one recording alone, or in both at different times, in order of time."""
         window = max(_SAME_EVENT, self._time_tolerance)
         rows: list[EventDifference] = []
-        open_events: dict[Hashable, deque[Incident]] = defaultdict(deque)
-        for incident in incidents(self._sides[0].source):
-            open_events[self._subject(0, incident)].append(incident)
-        for incident in incidents(self._sides[1].source):
-            earlier = open_events[self._subject(1, incident)]
-            while earlier and earlier[0].start < incident.start - window:
-                rows.append(_event(earlier.popleft(), None))
-            if not earlier or earlier[0].start > incident.start + window:
-                rows.append(_event(None, incident))
-                continue
-            other = earlier.popleft()
-            if _is_apart(other.start, incident.start, self._time_tolerance):
-                rows.append(_event(other, incident))
-        rows += [_event(incident, None) for left in open_events.values() for incident in left]
+        subjects: dict[Hashable, tuple[list[Incident], list[Incident]]] = defaultdict(lambda: ([], []))
+        for side in (0, 1):
+            for incident in incidents(self._sides[side].source):
+                subjects[self._subject(side, incident)][side].append(incident)
+        for pair in subjects.values():
+            starts = [np.array([incident.start for incident in each]) for each in pair]
+            with np.errstate(invalid="ignore"):
+                apart = np.nan_to_num(np.abs(starts[0][:, None] - starts[1]), nan=0.0, posinf=np.inf)
+            places = np.argwhere(apart <= window)
+            left = [set(range(len(each))) for each in pair]
+            for a, b in places[np.argsort(apart[tuple(places.T)], kind="stable")].tolist():  # the nearest first
+                if a in left[0] and b in left[1]:
+                    left[0].remove(a)
+                    left[1].remove(b)
+                    if _is_apart(pair[0][a].start, pair[1][b].start, self._time_tolerance):
+                        rows.append(_event(pair[0][a], pair[1][b]))
+            rows += [_event(pair[0][a], None) for a in left[0]] + [_event(None, pair[1][b]) for b in left[1]]
         return sorted(rows, key=lambda row: (_start(row), row.kind))
 
     def _subject(self, side: int, incident: Incident) -> Hashable:

@@ -265,7 +265,7 @@ class Road:
     @property
     def in_junction(self) -> bool:
         """Whether the road is part of a junction."""
-        return self.junction != OUTSIDE
+        return self.junction_number != int(OUTSIDE)
 
     def is_reverse(self, lane: int) -> bool:
         """Return whether the driving direction of a lane, by its number, is against that of the road."""

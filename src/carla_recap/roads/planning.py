@@ -89,8 +89,8 @@ class RoutePlanner:
         self._edges: dict[Node, dict[Node, _Edge]] = {}
         self._of_lane: dict[int, tuple[Node, Node]] = {}
         self._segments: list[tuple[Node, int, list[Place]]] = []
-        lanes = _driving_lanes(town)
-        self._starts = dict(zip(lanes.tolist(), town.at(lanes, town.starts[lanes]).position, strict=True))
+        lanes, every = _driving_lanes(town), np.arange(len(town.lanes))
+        self._starts = town.at(every, town.starts).position  # a lane for parking can follow one for driving
         self._ends = dict(zip(lanes.tolist(), town.at(lanes, town.ends[lanes]).position, strict=True))
         for lane in lanes.tolist():
             self._add(lane)

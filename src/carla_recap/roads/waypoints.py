@@ -104,7 +104,7 @@ class LaneMap:
 
     @cached_property
     def successors(self) -> list[tuple[int, ...]]:
-        """The indices of the lanes for cars that follow each lane."""
+        """The indices of the lanes for driving or parking that follow each lane."""
         return [tuple(self.number[name] for name in lane.successors if name in self.number) for lane in self.lanes]
 
     @cached_property

@@ -281,7 +281,7 @@ class Facts:
     @_once
     def positions(self, life: ActorLife) -> Positions:
         """Return the positions of an actor."""
-        trajectory = self._trajectories.get(life.id, Trajectory.empty(life.id)).during(life.spawned_at, life.end)
+        trajectory = self._trajectories.get(life.id, Trajectory.empty(life.id)).of_life(life)
         if len(trajectory):
             latest = np.maximum.accumulate(trajectory.time)
             trajectory = trajectory.at(np.append(True, trajectory.time[1:] > latest[:-1]))

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
+    from carla_recap.model.lives import ActorLife
     from carla_recap.util.arrays import Floats, Integers
 
 
@@ -101,6 +102,10 @@ class Trajectory(Columns):
         """Return the part between two times in elapsed seconds, without positions that are not finite."""
         finite = np.isfinite(self.x) & np.isfinite(self.y) & np.isfinite(self.z)
         return self.at((self.time >= start) & (self.time <= stop) & finite)
+
+    def of_life(self, life: ActorLife) -> Trajectory:
+        """Return the part of one of the actors that had the id, without positions that are not finite."""
+        return self.at(self.time < life.end).during(life.spawned_at, life.end)
 
     def at(self, rows: NDArray[np.bool_]) -> Trajectory:
         """Return the part that is flagged, (n,)."""

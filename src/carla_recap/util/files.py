@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from contextlib import contextmanager, suppress
 from errno import EEXIST, EISDIR
@@ -27,7 +28,16 @@ _SYNC_SECONDS: Final = 1.0
 _BUFFER_SIZE: Final = 1 << 20  # bytes
 _NAME_SIZE: Final = 200  # characters of the destination's name in the name of a partial file
 
-_write_to_disk = getattr(os, "fdatasync", os.fsync)  # some systems have only `fsync`
+_SYNC = getattr(os, "fdatasync", os.fsync)  # some systems have only `fsync`
+
+
+def _write_to_disk(descriptor: int) -> None:
+    """Write a file to the disk, if its file system can."""
+    try:
+        _SYNC(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOSYS):
+            raise
 
 
 def _partial_path(path: Path) -> Path:

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import closing
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from carla_recap.errors import RecapWarning
+from carla_recap.formats import open_reader
+from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn
-from carla_recap.queries.score import Route, Score
+from carla_recap.queries.score import Route, Score, score
 from carla_recap.roads import find_road_network
 from carla_recap.roads import network as roads
-from tests.queries.score.drives import END, OTHER, START, TICK, Drives, Y, at_speed, vehicle, westward
+from tests.queries.conftest import write
+from tests.queries.score.drives import END, OTHER, ROUTE, START, TICK, Drives, Y, at_speed, vehicle, westward
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from carla_recap.roads.network import RoadNetwork
@@ -79,7 +84,7 @@ def test_a_hero_far_from_the_route_has_left_it(drives: Drives) -> None:
 
 def test_a_hero_is_followed_for_5_m_of_the_route_in_a_tick(drives: Drives) -> None:
     assert "route_dev" not in kinds(drives(westward([98.0] * 20)))  # 4.9 m in a tick
-    with pytest.warns(RecapWarning, match="the speed of actor 7 is unknown in 8 of 8 frames, and counts as 0"):
+    with pytest.warns(RecapWarning, match="the speed of actor 7 is unknown in 8 of 8 frames, in which it counts as moving"):
         assert "route_dev" in kinds(drives(westward([240.0] * 8)))
 
 
@@ -279,6 +284,49 @@ def test_an_emergency_vehicle_that_stays_behind_was_not_let_pass(drives: Drives)
     assert kinds(drives(WHOLE, others={OTHER: (other, behind)})) == []
 
 
+# --- ids that are used again, and unknown speeds ---------------------------------------------------------------------------
+
+
+def scored(path: Path, frames: list[dict[str, Any]]) -> Score:
+    """Return the score of frames of 0.05 s along the route."""
+    write(path, frames, header=Header("Brickfield", 1_600_000_000), durations=[0.05] * len(frames))
+    with closing(open_reader(path)) as reader:
+        return score(reader, ROUTE)
+
+
+def moving(id: int, poses: Sequence[Pose]) -> list[tuple[float, ...]]:
+    return [(id, 100 * x, -100 * y, 0.0, 0.0, 0.0, -yaw) for x, y, yaw in poses]
+
+
+@pytest.mark.parametrize("is_destroyed", [True, False])
+def test_an_earlier_actor_with_an_id_is_not_scored(tmp_path: Path, is_destroyed: bool) -> None:
+    background = [vehicle(id, "background") for id in (8, 9)]
+    before = [{"transforms": [*moving(7, [(50.0, 100.0, 0.0)]), *moving(9, [(255.0, 5.0, 180.0)])]} for _ in range(40)]
+    before[0]["spawned"] = [vehicle(7), background[1]]
+    before.append({"destroyed": [(7,), (9,)]} if is_destroyed else {})
+    tracks = (7, WHOLE), (8, westward([6.0] * len(WHOLE), y=9.0)), (9, westward([10.0] * len(WHOLE), y=5.0))
+    frames = [{"transforms": list(each)} for each in zip(*(moving(*track) for track in tracks), strict=True)]
+    frames[0]["spawned"] = [vehicle(7, "hero"), *background]
+    found, alone = scored(tmp_path / "again.mcap", before + frames), scored(tmp_path / "once.mcap", frames)
+    assert (found.status, found.score, found.infractions) == ("Perfect", 100.0, ())
+    assert found.start == pytest.approx(41 * 0.05)
+    assert found.efficiency == alone.efficiency == pytest.approx(100 * 10 / 8, abs=0.01)
+
+
+def test_a_hero_whose_speed_is_unknown_counts_as_moving(tmp_path: Path) -> None:
+    tick, count = 1.05, 11  # poses that are more than 1 s apart
+    frames: list[dict[str, Any]] = [
+        {"transforms": moving(7, [pose])} for pose in westward([10.0] * count, start=START, tick=tick)
+    ]
+    frames[0]["spawned"] = [vehicle(7, "hero"), vehicle(8)]
+    frames[5]["collisions"] = [(0, 7, 8, True, False)]
+    path = tmp_path / "slow.mcap"
+    write(path, frames, header=Header("Brickfield", 1_600_000_000), durations=[tick] * count)
+    with closing(open_reader(path)) as reader, pytest.warns(RecapWarning, match="in which it counts as moving"):
+        found = score(reader, ROUTE)
+    assert kinds(found) == ["collisions_vehicle"]
+
+
 # --- without a route -----------------------------------------------------------------------------------------------------
 
 
@@ -300,10 +348,11 @@ def test_without_a_route_a_hero_that_stands_has_driven_until_it_is_blocked(drive
     stands = westward([1.0, *[0.0] * 40])
     assert drives(stands, route=None).status == "Driven"
     with (
-        pytest.warns(RecapWarning, match="the speed of actor 7 is unknown in 41 of 41 frames, and counts as 0"),
+        pytest.warns(RecapWarning, match="the speed of actor 7 is unknown in 41 of 41 frames, in which it counts as moving"),
         pytest.warns(RecapWarning, match="40 frames last longer than 5 s, the first at 0.00 s; of each, 5 s count"),
     ):
-        found = drives(stands, route=None, tick=10.0)
+        assert drives(stands, route=None, tick=10.0).status == "Driven"
+    found = drives(westward([1.0, *[0.0] * 190]), route=None, tick=1.0)
     assert (found.status, kinds(found)) == ("Failed - Agent got blocked", ["vehicle_blocked"])
 
 

@@ -102,8 +102,9 @@ class Drive:
 
 
 def ground_speed(path: Trajectory) -> Floats:
-    """Return the speed over the ground; 0 where it is unknown."""
-    return np.nan_to_num(np.hypot(path.vx, path.vy), posinf=0.0)
+    """Return the speed over the ground; NaN where it is unknown."""
+    speed = np.hypot(path.vx, path.vy)
+    return np.where(np.isfinite(speed), speed, np.nan)
 
 
 @dataclass(frozen=True, eq=False)

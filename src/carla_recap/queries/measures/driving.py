@@ -89,10 +89,11 @@ def traffic_shares(
     sums, counts = np.zeros((2, len(drive)))
     for path in others:
         frames = np.minimum(np.searchsorted(drive.time, path.time - SAME_TIME), len(drive) - 1)
-        both = np.abs(drive.time[frames] - path.time) < SAME_TIME
-        sums += np.bincount(frames[both], _reported_speed(drive, path, frames)[both], len(drive))
+        speed = _reported_speed(drive, path, frames)
+        both = (np.abs(drive.time[frames] - path.time) < SAME_TIME) & np.isfinite(speed)
+        sums += np.bincount(frames[both], speed[both], len(drive))
         counts += np.bincount(frames[both], minlength=len(drive))
-    known = counts > 0
+    known = (counts > 0) & np.isfinite(drive.speed)
     traffic = np.where(known, sums / np.maximum(counts, 1), 0.0)
     hero = np.where(known, drive.speed, 0.0)
     first, begin = 0, 0.0

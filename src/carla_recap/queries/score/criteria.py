@@ -18,7 +18,7 @@ from carla_recap.roads.lanes import DRIVING
 from carla_recap.roads.waypoints import NONE, PARKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from carla_recap.model.contacts import Contact
     from carla_recap.model.lives import ActorLife, ActorLives
@@ -120,7 +120,7 @@ def _deviation(drive: Drive, route: PlannedRoute) -> Iterator[tuple[int, Infract
 
 def _blocked(drive: Drive) -> Iterator[tuple[int, Infraction]]:
     """Yield the frame in which the hero has been stationary for too long, if there is one."""
-    since = np.maximum.accumulate(np.where(drive.speed >= _STATIONARY, np.arange(len(drive)), 0))
+    since = np.maximum.accumulate(np.where(drive.speed < _STATIONARY, 0, np.arange(len(drive))))
     stationary = np.where(drive.speed < _STATIONARY, drive.time - drive.time[since], 0.0)
     stationary[-1] += _CUT_OFF
     frames = np.flatnonzero(stationary > _BLOCKED)
@@ -316,14 +316,11 @@ def slow_quarters(drive: Drive, route: PlannedRoute, others: Iterable[Trajectory
             yield _infraction("min_speed_infractions", drive, end, text, share=1 - percentage / 100)
 
 
-def not_yielded(drive: Drive, others: Mapping[int, Trajectory], actors: ActorLives) -> Iterator[Infraction]:
+def not_yielded(drive: Drive, others: Iterable[tuple[ActorLife, Trajectory]]) -> Iterator[Infraction]:
     """Yield the emergency vehicles of scenarios that are behind the hero when they disappear, or at the end."""
-    for life in actors:
-        path = others.get(life.id)
-        if path is None or not is_emergency(life):
-            continue
-        frames = np.flatnonzero((path.time >= drive.time[0]) & (path.time <= min(drive.time[-1], life.end)))
-        if len(frames):
+    for life, path in others:
+        frames = np.flatnonzero((path.time >= drive.time[0]) & (path.time <= drive.time[-1]))
+        if len(frames) and is_emergency(life):
             row = int(frames[-1])
             frame = _frame_at(drive, float(path.time[row]))
             x, y, z = drive.position[frame] - (path.x[row], path.y[row], path.z[row])

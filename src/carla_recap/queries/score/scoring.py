@@ -23,7 +23,7 @@ from carla_recap.queries.score.route_files import repetition
 from carla_recap.roads.planning import RoutePlanner
 from carla_recap.roads.surfaces import load_road_network
 from carla_recap.roads.waypoints import load_lane_map
-from carla_recap.tables.trajectories import trajectories
+from carla_recap.tables.trajectories import Trajectory, trajectories
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -170,12 +170,13 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
     town, network = load_lane_map(path), load_road_network(path)
     actors, contacts = lives_and_contacts(source)
     hero = find_actor(source.location, [life for life in actors if life.kind == "vehicle"], options.actor, "vehicle")
-    others = {life.id for life in actors if life.role_name == BACKGROUND or criteria.is_emergency(life)}
-    paths = trajectories(source, {hero.id, *others})
-    whole = _drive(source, Drive.of(hero, paths.pop(hero.id)) if hero.id in paths else None, options)
+    lives = [hero, *(life for life in actors if life.role_name == BACKGROUND or criteria.is_emergency(life))]
+    paths = trajectories(source, {life.id for life in lives})
+    of_hero, *others = [(life, paths.get(life.id, Trajectory.empty(life.id)).of_life(life)) for life in lives]
+    whole = _drive(source, Drive.of(*of_hero), options)
     unknown = int(np.count_nonzero(np.isnan(whole.velocity).any(axis=1)))
     if unknown > 1:
-        text = f"the speed of actor {hero.id} is unknown in {unknown} of {len(whole)} frames, and counts as 0"
+        text = f"the speed of actor {hero.id} is unknown in {unknown} of {len(whole)} frames, in which it counts as moving"
         warnings.warn(f"{source.location}: {text}", RecapWarning, stacklevel=2)
     long = np.flatnonzero(np.diff(whole.time) > LONGEST_FRAME)
     if len(long):
@@ -186,14 +187,14 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
     drive = whole.part(0, end.frame)
     lines = StopLines(network)
     passed = criteria.passages(drive, lines)
-    background = [paths[life.id] for life in actors if life.role_name == BACKGROUND and life.id in paths]
+    background = [path for life, path in others if life.role_name == BACKGROUND and len(path)]
     found = [
         *criteria.collisions(drive, contacts, actors),
         *criteria.red_lights(drive, passed, lines, _lights(source, network, passed)),
         *criteria.stop_signs(drive, lines, actors),
         *criteria.outside_lanes(drive, planned, town),
         *criteria.slow_quarters(drive, planned, background),
-        *criteria.not_yielded(drive, paths, actors),
+        *criteria.not_yielded(drive, others),
         *([end.infraction] if end.infraction else []),
     ]
     counted = [each for each in found if INFRACTIONS[each.kind].counts(options.formula)]
@@ -222,10 +223,10 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
     )
 
 
-def _drive(source: Reader, drive: Drive | None, options: ScoreOptions) -> Drive:
+def _drive(source: Reader, drive: Drive, options: ScoreOptions) -> Drive:
     """Return the part of a drive that counts."""
-    rows = [] if drive is None else np.flatnonzero((drive.time >= options.start) & (drive.time <= options.stop)).tolist()
-    if drive is None or len(rows) < 2:
+    rows = np.flatnonzero((drive.time >= options.start) & (drive.time <= options.stop)).tolist()
+    if len(rows) < 2:
         raise RecapError(f"{source.location}: the vehicle to score has {len(rows)} poses; 2 or more were expected")
     return drive.part(rows[0], rows[-1])
 
