@@ -55,6 +55,12 @@ def test_numbers_are_stored_in_carlas_units_and_axes(table):
         assert frame["velocities"].tolist() == [(7, 3, -4, 0, 0, 0, 0)]
 
 
+def test_a_velocity_without_its_part_upward_is_recorded(table):
+    with table("time,id,x,y,yaw,vx,vy,vz\n0,7,1,2,90,3,4,\n1,7,1,2,90,3,4,5\n") as recording:
+        velocities = [frame["velocities"].tolist() for frame in recording]
+    assert velocities == [[(7, 3, -4, 0, 0, 0, 0)], [(7, 3, -4, 5, 0, 0, 0)]]
+
+
 def test_a_negative_zero_is_zero(table):
     with table("time,id,x,y\n-0,7,-0,1\n") as recording:
         (frame,) = recording

@@ -497,7 +497,9 @@ class _ImportedTracks:
         transforms = _by_moment(_records("transforms", columns), time[order], moments)
         axes = {axis: self._numbers[f"v{axis}"][order] for axis in "xyz" if f"v{axis}" in self._numbers}
         has_velocities = "x" in axes and "y" in axes
-        known = ~np.isnan(sum(axes.values(), np.zeros(len(order)))) if has_velocities else np.zeros(len(order), bool)
+        known = ~np.isnan(axes["x"] + axes["y"]) if has_velocities else np.zeros(len(order), bool)
+        if "z" in axes:
+            axes["z"] = np.nan_to_num(axes["z"])
         moving = {"id": ids[known], **{axis: values[known] for axis, values in axes.items()}}
         moving["angular_z"] = self._yaw_rates[order][known]
         velocities = _by_moment(_records("velocities", moving), time[order][known], moments)

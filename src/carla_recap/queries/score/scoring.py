@@ -170,7 +170,8 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
     town, network = load_lane_map(path), load_road_network(path)
     actors, contacts = lives_and_contacts(source)
     hero = find_actor(source.location, [life for life in actors if life.kind == "vehicle"], options.actor, "vehicle")
-    lives = [hero, *(life for life in actors if life.role_name == BACKGROUND or criteria.is_emergency(life))]
+    also = (life for life in actors if life.role_name == BACKGROUND or criteria.is_emergency(life))
+    lives = [hero, *(life for life in also if life is not hero)]
     paths = trajectories(source, {life.id for life in lives})
     of_hero, *others = [(life, paths.get(life.id, Trajectory.empty(life.id)).of_life(life)) for life in lives]
     whole = _drive(source, Drive.of(*of_hero), options)
