@@ -5,12 +5,19 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from typing import TYPE_CHECKING
 
 import carla
 import pytest
 
+from carla_recap import open_recording
+from carla_recap.sim.town.loading import load_town
+from tests.roads.towns import mirrored
 from tests.server.client import destroy, ticks
 from tests.waiting import PATIENCE
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 BEGIN = """
 import json, math, os, sys
@@ -98,6 +105,37 @@ for _ in range(200):
 print(json.dumps({"aside": aside, "driven": driven, "east": roads.get_spawn_points()[0].location.x}))
 world.apply_settings(carla.WorldSettings())
 """
+LEFT = """
+mirrored, recording = open(arguments[0]).read(), arguments[1]
+world = client.generate_opendrive_world(mirrored, carla.OpendriveGenerationParameters(), False)
+world.apply_settings(synchronous)
+roads = world.get_map()
+turned = lambda one, other: abs((one.rotation.yaw - other.rotation.yaw + 180) % 360 - 180)
+lane_at = lambda place: roads.get_waypoint(place.location)
+spawned = max(turned(point, lane_at(point).transform) for point in roads.get_spawn_points())
+client.start_recorder(recording, True)
+manager, vehicles = manage(12)
+hits, driven, against, left = [], 0.0, 0, 0
+sensor = world.get_blueprint_library().find("sensor.other.collision")
+sensors = [world.spawn_actor(sensor, carla.Transform(), vehicle) for vehicle in vehicles]
+for each in sensors:
+    each.listen(hits.append)
+for _ in range(200):
+    world.tick()
+    for vehicle in vehicles:
+        driven += vehicle.get_velocity().length() * 0.05
+        lane = lane_at(vehicle.get_transform())
+        if not lane.is_junction:
+            against += turned(vehicle.get_transform(), lane.transform) > 90
+            left += lane.lane_id > 0  # with the road, where traffic keeps left
+client.stop_recorder()
+for each in sensors:
+    each.stop()
+print(json.dumps({"spawned": spawned, "driven": driven, "hits": len(hits), "against": against, "left": left}))
+manager.set_synchronous_mode(False)
+manager.shut_down()
+world.apply_settings(carla.WorldSettings())
+"""
 LIVE = """
 world.apply_settings(carla.WorldSettings())
 manage(5, False)
@@ -179,6 +217,21 @@ def test_the_manager_drives_on_the_map_that_its_client_loads(client: carla.Clien
     assert result["east"] == pytest.approx(first + 300)
     assert result["driven"] > 100
     assert result["aside"] < 1.0
+
+
+def test_traffic_keeps_left(client: carla.Client, port: int, recordings: Path, tmp_path: Path) -> None:
+    town = tmp_path / "Mirrored.xodr"
+    town.write_text(mirrored(load_town().opendrive))
+    result = json.loads(run(LEFT, port, str(town), "left.log"))
+    client.load_world("Brickfield")
+    assert result["spawned"] < 0.5
+    assert result["driven"] > 500
+    assert (result["hits"], result["against"]) == (0, 0)
+    assert result["left"] > 0
+    with open_recording(recordings / "left.log") as recording:
+        assert list(recording.incidents(kinds=["collision", "wrong way"], road_map=town)) == []
+        town.write_text(town.read_text().replace('rule="LHT" ', ""))  # the same roads, where traffic keeps right
+        assert list(recording.incidents(kinds=["wrong way"], road_map=town)) != []
 
 
 def test_another_client_begins_episodes_while_it_lives(client: carla.Client, port: int) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import carla
 import numpy as np
 import pytest
 
@@ -11,8 +13,9 @@ from carla_recap.sim.actors.lights import GREEN, RED, YELLOW
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.town.junctions import Conflict, Junction, Signal, SignalKind
-from carla_recap.sim.town.loading import Town, load_town
+from carla_recap.sim.town.loading import Town, load_town, make_town
 from carla_recap.sim.world import World
+from tests.roads.towns import mirrored
 from tests.roads.towns import town as carla_town
 from tests.sim.flat import at, spawn_car
 from tests.sim.lanes import LIMIT, lane, ring, small_town
@@ -403,6 +406,21 @@ def test_the_traffic_of_a_town_flows_and_is_the_same_every_time() -> None:
     assert one.light_state.tobytes() == other.light_state.tobytes()
     moved = np.linalg.norm(one.position - start, axis=1)
     assert (moved > 10.0).mean() > 0.8
+
+
+def test_the_autopilot_keeps_left_as_the_client_does() -> None:
+    town = make_town(mirrored(load_town().opendrive), Path("Mirrored.xodr"))
+    roads, world, seen = carla.Map(town.name, town.opendrive), fill(town, 20), 0
+    for number in range(200):
+        world.tick()
+        assert not world.events.collisions
+        for place, yaw in zip(world.vehicles.position.tolist(), world.vehicles.yaw, strict=True) if number % 20 == 0 else ():
+            lane = roads.get_waypoint(carla.Location(*place))
+            if not lane.is_junction:
+                seen += 1
+                assert np.cos(np.radians(yaw - lane.transform.rotation.yaw)) > 0.7
+    assert seen > 100
+    assert (world.vehicles.speed > 1.0).mean() > 0.5
 
 
 def test_a_hundred_cars_drive_through_carlas_first_town() -> None:
