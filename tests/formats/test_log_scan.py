@@ -94,6 +94,16 @@ def test_a_frame_that_begins_where_a_broken_packet_ends_is_kept(tmp_path: Path, 
     assert reader.lost_bytes == len(broken)
 
 
+def test_packets_that_claim_the_rest_of_a_file_do_not_cost_reading_it_each_time(tmp_path: Path) -> None:
+    count = 2000
+    sizes = [39 * (count - number - 1) for number in range(count)]  # of all packets that follow
+    frames = [start(n, n / 20) + b"\6" + size.to_bytes(4, "little") + packet(1) for n, size in enumerate(sizes)]
+    path = save(tmp_path / "claims.log", log_header() + b"".join(frames))
+    with patch("carla_recap.formats.log_scan._WINDOW", 4096), closing(LogReader(path, lenient=True)) as reader:
+        assert sum(1 for _ in reader.frames()) == count
+        assert reader._source.bytes_read < 200 * path.stat().st_size
+
+
 @given(
     data=logs(),
     window=st.sampled_from([29, 64, 100, 500, 4000, 2 << 20]),

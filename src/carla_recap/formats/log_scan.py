@@ -15,7 +15,7 @@ import numpy as np
 
 from carla_recap.errors import FormatError
 from carla_recap.model.batch import equal_rows
-from carla_recap.model.layout import EMPTY_LIST, U16, Framing, PayloadError, check
+from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, U16, Framing, PayloadError, check
 from carla_recap.model.records import FRAME_END, FRAME_START
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ PACKETS_LIMIT: Final = 200_000
 FRAME_LIMIT: Final = 1 << 30
 """The largest frame that is read, in bytes."""
 _WINDOW: Final = 2 << 20  # bytes that are read at once
+_FIRST_PIECE: Final = 4 << 10  # bytes that are searched for a frame first; each piece is twice as large as the one before
 _PACKETS_IN_A_FRAME: Final = 256  # at most, where a frame is searched for in a damaged file
 _FIRST_PACKET: Final = PACKET.size + START.size  # its offset in a frame
 _SHORT_RUN: Final = 16  # frames; fewer take longer to compare than to be found one by one
@@ -384,8 +385,10 @@ class Scanner:
         return found
 
     def _find_frame(self, offset: int) -> int | None:
+        size = _FIRST_PIECE
         while offset < self._window.size:
-            piece = self._window.read(offset, _WINDOW)
+            piece = self._window.read(offset, size)
+            size = min(2 * size, _WINDOW)
             found = piece.find(START_HEAD)
             while found >= 0:
                 if self._looks_complete(offset + found):
@@ -397,10 +400,19 @@ class Scanner:
     def _frame_inside(self, here: int, id: int, size: int) -> int | None:
         """Return where a frame begins inside a packet that is unsound or unknown: then its size is what is broken."""
         type = self._types[id]
-        if type is not None and not type.opaque and is_sound(type, self._window.read(here + PACKET.size, size)):
+        if type is not None and not type.opaque and self._has_whole_records(type, here + PACKET.size, size):
             return None
         inside = self.next_frame(here + 1)
         return inside if inside is not None and inside < here + PACKET.size + size else None
+
+    def _has_whole_records(self, type: RecordType, offset: int, size: int) -> bool:
+        """Return whether a payload is sound; one whose size shows that it is not is not read."""
+        if type.fixed and type.framing is Framing.LIST:
+            count = self._window.read(offset, U16.size)
+            return size >= U16.size and size == U16.size + U16.unpack(count)[0] * type.dtype.itemsize
+        if size > OBJECTS_LIMIT:
+            return False
+        return is_sound(type, self._window.read(offset, size))
 
     def _looks_complete(self, offset: int) -> bool:
         offset += _FIRST_PACKET
