@@ -70,7 +70,9 @@ def test_gets_a_clean_world(carla_world):
     assert (settings.synchronous_mode, round(settings.fixed_delta_seconds, 6)) == (True, 0.05)
     assert carla_world.world.get_weather().cloudiness == 0
     assert vehicles(carla_world) == 0
-    assert carla_world.world.get_snapshot().timestamp.elapsed_seconds < 1
+    time = carla_world.world.get_snapshot().timestamp.elapsed_seconds
+    assert time < 1
+    assert round(time % 0.05, 6) in (0, 0.05)  # no tick was by the clock
 
 def test_is_recorded_and_meets_rules(carla_world):
     crash(carla_world)
@@ -116,6 +118,19 @@ def test_is_on_the_built_in_map_again(carla_world):
 @pytest.mark.carla(synchronous=False)
 def test_is_asynchronous(carla_world):
     carla_world.world.wait_for_tick(10.0)
+
+kept = []
+
+@pytest.mark.carla(synchronous=False)
+def test_leaves_sensors_and_a_callback(carla_world):
+    world = carla_world.world
+    car = spawn(world, "vehicle.tesla.model3", world.get_map().get_spawn_points()[0])
+    for name in ("other.imu", "other.gnss", "lidar.ray_cast"):
+        sensor = world.get_blueprint_library().find("sensor." + name)
+        kept.append(world.spawn_actor(sensor, carla.Transform(), attach_to=car))
+        kept[-1].listen(kept.append)
+    world.on_tick(kept.append)
+    world.wait_for_tick(60.0)
 
 @pytest.mark.carla(town="Brickfield")
 def test_has_a_wrong_marker(carla_world):

@@ -7,6 +7,7 @@ import re
 import shutil
 import socket
 import warnings
+import weakref
 from contextlib import ExitStack, suppress
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import pytest
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterator
+    from collections.abc import Callable, Generator, Iterator
     from pathlib import Path
 
     import carla
@@ -64,6 +65,9 @@ class _Server:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._stack = ExitStack()
+        self._patch = pytest.MonkeyPatch()
+        self._ends: list[Callable[[], object]] = []
+        self._note_callbacks()
         self.port = 0
         self.start()
 
@@ -81,9 +85,41 @@ class _Server:
             return True
         return False
 
+    def _note_callbacks(self) -> None:
+        """Note what sensors and worlds of the client are given to call."""
+        import carla
+
+        listen, on_tick = carla.Sensor.listen, carla.World.on_tick
+
+        def noted_listen(sensor: carla.Sensor, callback: Callable[[Any], object]) -> None:
+            listen(sensor, callback)
+            kept = weakref.ref(sensor)
+            self._ends.append(lambda: _stop(kept()))
+
+        def noted_on_tick(world: carla.World, callback: Callable[[Any], object]) -> int:
+            number: int = on_tick(world, callback)
+            self._ends.append(lambda: world.remove_on_tick(number))
+            return number
+
+        self._patch.setattr(carla.Sensor, "listen", noted_listen)
+        self._patch.setattr(carla.World, "on_tick", noted_on_tick)
+
+    def end_callbacks(self) -> None:
+        """End the callbacks of the client: one that outlives the interpreter aborts the process."""
+        while self._ends:
+            with suppress(RuntimeError):
+                self._ends.pop()()
+
     def close(self) -> None:
-        """End the process."""
+        """End the callbacks and the process."""
+        self.end_callbacks()
+        self._patch.undo()
         self._stack.close()
+
+
+def _stop(sensor: carla.Sensor | None) -> None:
+    if sensor is not None and sensor.is_listening:
+        sensor.stop()
 
 
 class CarlaWorld:
@@ -144,10 +180,14 @@ class CarlaWorld:
         import carla
 
         self.stop_recording()
-        self.world = self.client.load_world(name)
         step = self._options.get("fixed_delta_seconds", TICK)
         synchronous = self._options.get("synchronous", True)
-        self.world.apply_settings(carla.WorldSettings(synchronous_mode=synchronous, fixed_delta_seconds=step))
+        # An episode in asynchronous mode would tick by the clock until its settings are applied.
+        self.client.get_world().apply_settings(carla.WorldSettings(synchronous_mode=True, fixed_delta_seconds=step))
+        self.world = self.client.load_world(name, False)
+        if not synchronous:
+            self.world.apply_settings(carla.WorldSettings(synchronous_mode=False, fixed_delta_seconds=step))
+        self.world.reset_all_traffic_lights()
         self.client.start_recorder(str(self.recording), True)
         self._is_recording = True
         return self.world
@@ -197,7 +237,8 @@ class CarlaWorld:
             raise AssertionError("\n".join((f"{len(broken)} of {len(verdicts)} rules are broken", *lines)))
 
     def close(self) -> None:
-        """Complete the recording, and end the traffic manager; the server may have ended."""
+        """End callbacks and the traffic manager, and complete the recording; the server may have ended."""
+        self._server.end_callbacks()
         if self._is_recording and self._server.is_alive:
             self.client.set_timeout(_TO_END)
             with suppress(RuntimeError):

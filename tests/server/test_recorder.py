@@ -285,7 +285,7 @@ def test_a_recording_that_a_full_disk_has_ended_is_an_error_that_tells_where_it_
 
 def test_an_answer_that_is_too_long_is_none(recordings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(served, "_LONGEST", 1000)
-    with pytest.raises(RecapError, match=r"drive\.mcap: the answer has more than 1000 characters"):
+    with pytest.raises(RecapError, match=r"drive\.mcap: the answer has more than 1000 bytes"):
         asyncio.run(served.answer(recordings / "drive.mcap", partial(info, all=True, compat=True)))
 
 

@@ -34,8 +34,8 @@ Query = Callable[[Reader], Blocked | Collisions | Info]
 NOT_A_RECORDING: Final = "File is not a CARLA recorder\n"
 NOT_RECORDED: Final = ""
 """CARLA's answer where the file of a recording cannot be opened."""
-_LONGEST: Final = 1 << 29
-"""The most characters of an answer; the command line gives longer ones."""
+_LONGEST: Final = 100 << 20
+"""The most bytes of an answer: a connection for which more is kept may be closed. The command line gives longer ones."""
 _SHOWN: Final = 200  # characters of a name in a message
 _LOG: Final = logging.getLogger(__name__)
 
@@ -185,9 +185,9 @@ def _ask(path: Path, query: Query, is_over: threading.Event) -> str:
     try:
         for piece in text(query(reader)):
             pieces.append(piece)
-            length += len(piece)
+            length += len(piece.encode("utf-8", "surrogateescape"))
             if length > _LONGEST:
-                raise CallError(f"{path}: the answer has more than {_LONGEST} characters; `carla-recap info` gives it, too")
+                raise CallError(f"{path}: the answer has more than {_LONGEST} bytes; `carla-recap info` gives it, too")
             if is_over.is_set():
                 break
     finally:

@@ -201,7 +201,6 @@ class ClientConnection(asyncio.Protocol):
     def pause_writing(self) -> None:
         """See `asyncio.Protocol`."""
         self._is_behind = True
-        self._pool.check_memory()
 
     def resume_writing(self) -> None:
         """See `asyncio.Protocol`."""
@@ -352,6 +351,8 @@ class ClientConnection(asyncio.Protocol):
         data = _PACKER.pack(reply)
         if self._transport is not None and not self._transport.is_closing():
             self._transport.write(data)
+            if self._transport.get_write_buffer_size() > _LARGE_PART:
+                self._pool.check_memory()
 
 
 def error_text(name: str, error: Exception) -> str:
