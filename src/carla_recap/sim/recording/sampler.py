@@ -71,6 +71,7 @@ class WorldSampler:
         self._known: dict[str, int] | None = {
             field.name: len(getattr(world.pending, field.name)) for field in fields(TickEvents)
         }
+        self._replayed = list(world.pending.collisions)
         actors = list(world.actors.values())
         first = self._introduction(actors)
         first["parented"] = [(actor.id, actor.parent.id) for actor in actors if actor.parent is not None]
@@ -148,7 +149,10 @@ class WorldSampler:
         self._known = None
         if known is None:
             return events
-        return TickEvents(**{name: getattr(events, name)[count:] for name, count in known.items()})
+        later = TickEvents(**{name: getattr(events, name)[count:] for name, count in known.items()})
+        # Those of physics stand before those of a replay.
+        later.collisions = [each for each in events.collisions if all(each is not other for other in self._replayed)]
+        return later
 
     def _records(self, events: TickEvents) -> RecordsByType:
         records = self._introduction(events.spawned) if events.spawned else {}
