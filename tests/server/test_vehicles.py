@@ -10,6 +10,8 @@ import pytest
 
 from carla_recap import open_recording
 from carla_recap.errors import RecapError
+from carla_recap.sim.actors.moving import Vehicle
+from carla_recap.sim.geometry import Vector
 from tests.server.client import FAR, spawn, ticks
 from tests.server.inside import Inside
 
@@ -85,8 +87,28 @@ def test_a_physics_control_comes_back_as_it_was_sent(world: carla.World, car: ca
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [(11, 0.0), (11, -5.0), (11, 1e12), (12, -1.0), (1, math.nan), (0, [[0.0, math.inf]]), (15, [])],
-    ids=["no mass", "negative mass", "huge mass", "negative drag", "not a number", "infinite torque", "no wheels"],
+    [
+        (11, 0.0),
+        (11, -5.0),
+        (11, 1e12),
+        (12, -1.0),
+        (1, math.nan),
+        (0, [[0.0, math.inf]]),
+        (15, []),
+        (10, []),
+        (10, [[2.0, 0.5, 0.65]] * 13),
+    ],
+    ids=[
+        "no mass",
+        "negative mass",
+        "huge mass",
+        "negative drag",
+        "not a number",
+        "infinite torque",
+        "no wheels",
+        "no gears",
+        "13 gears",
+    ],
 )
 def test_a_physics_control_that_cannot_be_is_refused(inside: Inside, field: int, value: object) -> None:
     car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
@@ -230,3 +252,43 @@ def test_vehicles_in_a_lane_are_not_exactly_in_line(world: carla.World) -> None:
         assert place.distance_2d(start.location) < 0.0025
         first.destroy()
         second.destroy()
+
+
+def test_telemetry_of_a_recorded_gear_that_the_blueprint_lacks_is_that_of_its_highest(inside: Inside) -> None:
+    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
+    assert isinstance(car, Vehicle)
+    car.set_target_velocity(Vector(10.0, 10.0))
+    rows, row = car.rows, car.row
+    told = []
+    for gear in (car.gears, 9):
+        rows.gear[row] = gear
+        told.append(inside.call("get_telemetry_data", car.id))
+    assert told[1][5] == 9
+    assert told[1][4] == told[0][4] > 0
+    car.destroy()
+
+
+def test_a_velocity_that_is_too_high_in_other_axes_is_refused(inside: Inside) -> None:
+    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[0])
+    with pytest.raises(RecapError, match="at most 10000 m/s"):
+        inside.call("enable_actor_constant_velocity", car.id, [9000.0, 9000.0, 0.0])
+    inside.host.tick()
+    car.destroy()
+
+
+def test_what_raises_in_a_tick_costs_that_action_alone(caplog: pytest.LogCaptureFixture) -> None:
+    inside = Inside()
+    first, second = (inside.world.place("vehicle.tesla.model3", place) for place in inside.world.town.spawn_points[:2])
+    called = []
+    inside.world.listeners[:0] = [lambda: [][1]]  # type: ignore[list-item]  # raises
+    inside.world.listeners.append(lambda: called.append(1))
+    for car in (first, second):
+        inside.call("enable_actor_constant_velocity", car.id, [5.0, 0.0, 0.0])
+    velocities = inside.host.constant_velocity._velocities
+    velocities[next(iter(velocities))].x = 1e6  # as if its parts were too much once turned
+    frames = [inside.host.tick() for _ in range(3)]
+    assert frames == [frames[0], frames[0] + 1, frames[0] + 2]
+    assert called == [1, 1, 1]
+    assert list(velocities) == [second]
+    assert second.velocity.length() == pytest.approx(5.0, abs=1e-6)
+    assert len(caplog.records) == 2

@@ -18,7 +18,7 @@ from carla_recap.sim.actors.actor import Prop, Sensor
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
 from carla_recap.sim.errors import DeadActor, SimError, SpawnError
 from carla_recap.sim.geometry import Location, Transform, Vector
-from carla_recap.sim.settings import PRESETS, Weather
+from carla_recap.sim.settings import PRESETS, Weather, seeded_date
 from carla_recap.sim.town.junctions import SignalKind
 from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_town, flat_world, light, spawn_car
@@ -494,3 +494,10 @@ def test_the_physics_of_sleeping_vehicles_can_be_switched_off() -> None:
 def test_the_weather_is_a_weather(weather: object) -> None:
     with World(seed=1) as world, pytest.raises(SimError, match=r"a Weather was expected, such as PRESETS\['HardRainNoon'\]"):
         world.weather = weather  # type: ignore[assignment]
+
+
+def test_a_source_date_that_is_no_number_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "abc")
+    for date in (lambda: World(flat_town()).date, seeded_date):
+        with pytest.raises(SimError, match="SOURCE_DATE_EPOCH: expected whole Unix seconds, found 'abc'"):
+            date()

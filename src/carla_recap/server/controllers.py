@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -17,10 +17,12 @@ from carla_recap.sim.actors.moving import VehicleControl
 from carla_recap.sim.geometry import Location, Transform, Vector
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from carla_recap.sim.actors.moving import Vehicle
     from carla_recap.sim.world import World
+
+T = TypeVar("T")
 
 _RESPONSE: Final = 0.3  # s: the time constant of the speed
 _MOST: Final = 8.0  # m/s²: the default limit
@@ -75,11 +77,7 @@ class AckermannController:
 
     def step(self, delta: float) -> None:
         """Act at the beginning of a tick; see `World.controllers`."""
-        for vehicle, state in tuple(self._states.items()):
-            if vehicle.is_alive:
-                vehicle.apply_control(_control(vehicle, state, delta))
-            else:
-                del self._states[vehicle]
+        _for_each(self._states, lambda vehicle, state: vehicle.apply_control(_control(vehicle, state, delta)))
 
     def drive(self, vehicle: Vehicle, control: AckermannControl) -> None:
         """Drive a vehicle from now on."""
@@ -120,6 +118,18 @@ def _control(vehicle: Vehicle, state: _AckermannState, delta: float) -> VehicleC
     return VehicleControl(throttle.item(), steer, brake.item(), reverse=backwards)
 
 
+def _for_each(states: dict[Vehicle, T], act: Callable[[Vehicle, T], None]) -> None:
+    """Act for each vehicle that still exists; one whose action raises is left alone from now on."""
+    for vehicle, state in tuple(states.items()):
+        try:
+            if vehicle.is_alive:
+                act(vehicle, state)
+                continue
+        except Exception:
+            _LOG.exception("%r: its control ends here", vehicle)
+        del states[vehicle]
+
+
 def _limited(value: float, around: float, most: float) -> float:
     return min(max(value, around - most), around + most)
 
@@ -135,16 +145,12 @@ class ConstantVelocity:
 
     def __call__(self) -> None:
         """Act at the end of a tick; see `World.listeners`."""
-        for vehicle, velocity in tuple(self._velocities.items()):
-            if vehicle.is_alive:
-                _set_velocity(vehicle, velocity)
-            else:
-                del self._velocities[vehicle]
+        _for_each(self._velocities, _set_velocity)
 
     def hold(self, vehicle: Vehicle, velocity: Vector) -> None:
         """Hold the velocity of a vehicle, in its own axes and m/s."""
-        self._velocities[vehicle] = velocity
         _set_velocity(vehicle, velocity)
+        self._velocities[vehicle] = velocity
 
     def release(self, vehicle: Vehicle) -> None:
         """Stop holding the velocity of a vehicle."""

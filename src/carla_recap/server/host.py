@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 
 _LOG: Final = logging.getLogger(__name__)
+_MAX_LOGGED: Final = 100  # errors that are not logged again
 
 
 class Host:
@@ -98,6 +99,8 @@ class Host:
         self.takeover = Takeover(world)
         world.controllers.append(self.ackermann)
         world.listeners.append(self.constant_velocity)
+        world.on_error = self._log_error
+        self._logged: set[tuple[str, str]] = set()
         self.on_settings: list[Callable[[], None]] = []
         self.lookups = ThreadPoolExecutor(1, "carla-recap-releases")
         self._frames_before = 0
@@ -134,6 +137,13 @@ class Host:
         self.sensors.send(self.frame)
         self.publish()
         return self.frame
+
+    def _log_error(self, actor: object, error: Exception) -> None:
+        """Log what a controller or listener of the world has raised in a tick, once for each text."""
+        key = type(actor).__name__, str(error)
+        if key not in self._logged:
+            self._logged = {*self._logged, key} if len(self._logged) < _MAX_LOGGED else {key}
+            _LOG.error("a tick goes on without %s: %s", *key, exc_info=error)
 
     def begin_episode(self, town: Town, client: Client) -> None:
         """Begin a new episode for a client, and send its first snapshot to all; see `SnapshotStreams.renew`."""

@@ -68,7 +68,20 @@ class Clock:
 
 def seeded_date() -> int:
     """Return the date of recordings of a seed in Unix seconds: that of $SOURCE_DATE_EPOCH, else 2026-01-01 10:00 UTC."""
-    return int(os.environ.get("SOURCE_DATE_EPOCH", _DATE))
+    return source_date(_DATE)
+
+
+def source_date(otherwise: float) -> int:
+    """Return the date of $SOURCE_DATE_EPOCH in Unix seconds; where it is not set, another one.
+
+    Raises:
+        SimError: It is no whole number.
+    """
+    text = os.environ.get("SOURCE_DATE_EPOCH", str(int(otherwise)))
+    try:
+        return int(text)
+    except ValueError:
+        raise SimError(f"SOURCE_DATE_EPOCH: expected whole Unix seconds, found {text!r:.60}") from None
 
 
 @dataclass(frozen=True, slots=True)

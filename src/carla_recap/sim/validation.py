@@ -94,12 +94,12 @@ def expect_transform(what: str, transform: Transform, *, of: object = None) -> N
 
 
 def expect_velocity(what: str, velocity: Vector, *, of: object = None) -> None:
-    """Make sure that a velocity in m/s is within bounds.
+    """Make sure that a velocity in m/s is within bounds, in whichever axes.
 
     Raises:
         SimError: It is too high.
     """
-    _expect_at_most(what, of, "m/s", _MAX_SPEED, velocity.x, velocity.y, velocity.z)
+    _expect_at_most(what, of, "m/s", _MAX_SPEED, velocity.x, velocity.y, velocity.z, velocity.length())
 
 
 def expect_push(what: str, impulse: Vector, mass: float, *, of: object = None) -> None:

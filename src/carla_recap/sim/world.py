@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 import warnings
 from math import ceil
@@ -16,7 +15,7 @@ from carla_recap.sim.actors.blueprints import standard_library
 from carla_recap.sim.actors.registry import ActorIds, ActorRegistry
 from carla_recap.sim.actors.stepping import ActorMotion
 from carla_recap.sim.errors import SimError, SpawnError
-from carla_recap.sim.settings import Clock, Settings, Weather
+from carla_recap.sim.settings import Clock, Settings, Weather, source_date
 from carla_recap.sim.town.loading import Town, load_town
 from carla_recap.sim.traffic.controllers import Traffic
 from carla_recap.sim.validation import expect_numbers, expect_seconds
@@ -65,6 +64,7 @@ class World:
         recordings: The folder of recordings, if one was given.
         maps: The folder of maps, if one was given.
         parameters: What recordings as MCAP say that the world is run with, as texts.
+        on_error: Called with a controller or listener that raises in a tick, and the error; without it, the tick raises.
 
     Raises:
         SimError: The seed is negative, or the length of a tick out of range.
@@ -90,6 +90,7 @@ class World:
         self._date = date
         self.controllers: list[Controller] = []
         self.listeners: list[Callable[[], None]] = []
+        self.on_error: Callable[[object, Exception], None] | None = None
         self.recordings = recordings
         self.maps = maps
         self.parameters: Mapping[str, str] = {name: str(value) for name, value in (parameters or {}).items()}
@@ -146,7 +147,7 @@ class World:
     @property
     def date(self) -> int:
         """The date of a recording that begins now, in Unix seconds."""
-        return int(os.environ.get("SOURCE_DATE_EPOCH", time.time())) if self._date is None else self._date
+        return source_date(time.time()) if self._date is None else self._date
 
     # --- actors -------------------------------------------------------------------------------------------------------
 
@@ -393,7 +394,7 @@ class World:
         expect_seconds("a tick", delta)
         delta = self._registry.clock.delta = float(delta)
         for controller in tuple(self.controllers):
-            controller.step(delta)
+            self._act(controller, controller.step, delta)
         self.signals.step(delta)
         collisions = self._motion.advance(delta)
         for trigger in self._registry.triggers:
@@ -401,8 +402,17 @@ class World:
         self._registry.clock.advance()
         self._registry.end_tick(collisions)
         for listener in tuple(self.listeners):
-            listener()
+            self._act(listener, listener)
         return self.frame
+
+    def _act(self, actor: object, act: Callable[..., None], *arguments: float) -> None:
+        """Let a controller or listener act; see `on_error`."""
+        try:
+            act(*arguments)
+        except Exception as error:
+            if self.on_error is None:
+                raise
+            self.on_error(actor, error)
 
     def run(self, seconds: float) -> None:
         """Tick for some simulated time.

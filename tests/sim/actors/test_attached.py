@@ -13,6 +13,7 @@ from carla_recap.sim.geometry import Location, Transform, Vector
 from tests.sim.flat import at, flat_world, spawn_car
 
 if TYPE_CHECKING:
+    from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.world import World
 
 
@@ -122,3 +123,20 @@ def test_the_autopilot_of_a_parent_ignores_attached_actors() -> None:
     parent.set_autopilot(True)
     world.run(5)
     assert parent.velocity.length() > 3.0
+
+
+def test_a_chain_of_any_length_follows_and_is_destroyed_from_its_end() -> None:
+    world = flat_world()
+    parent: Actor = truck(world)
+    ids = [parent.id]
+    for _ in range(1500):
+        parent = world.spawn("static.prop.box01", at(0.01), parent=parent)
+        ids.append(parent.id)
+    world.tick()
+    first = world.actors[ids[0]]
+    there = first.transform.transform(Location(15.0))
+    assert astuple(parent.transform.location) == pytest.approx(astuple(there), abs=1e-6)
+    assert (parent.velocity, parent.acceleration) == (first.velocity, first.acceleration)
+    first.destroy()
+    world.tick()
+    assert world.events.destroyed == ids[::-1]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from typing import TYPE_CHECKING
 
 import pytest
@@ -124,3 +126,14 @@ def test_nested_triggers_restore_the_friction_in_any_order() -> None:
     assert frictions(vehicle) == [2.0] * 4
     second.destroy()
     assert frictions(vehicle) == before
+
+
+def test_an_episode_is_freed_after_a_reload_with_a_car_in_a_trigger() -> None:
+    world = flat_world()
+    spawn_car(world, at(0.0))
+    trigger(world)
+    world.tick()
+    episode = weakref.ref(world.spectator.context)
+    world.reload()
+    gc.collect()
+    assert episode() is None

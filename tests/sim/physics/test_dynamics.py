@@ -437,3 +437,17 @@ def test_any_wheels_may_steer(steering: tuple[float, ...]) -> None:
             world.tick()
     assert np.isfinite(world.vehicles.position).all()
     assert np.isfinite(world.vehicles.rotation).all()
+
+
+def test_pushes_without_physics_do_not_act_later() -> None:
+    world = flat_world()
+    vehicle = spawn_car(world, at(0.0))
+    vehicle.set_simulate_physics(False)
+    for _ in range(10):
+        vehicle.add_force(Vector(1e5))
+        vehicle.add_impulse(Vector(1e4))
+        world.tick()
+    vehicle.set_simulate_physics(True)
+    world.tick()
+    assert vehicle.velocity.length() == 0.0
+    assert vehicle.transform.location.x == 0.0

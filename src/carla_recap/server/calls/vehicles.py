@@ -161,7 +161,8 @@ def get_telemetry_data(client: Client, id: int) -> Telemetry:
     vehicle = expect(client, id, Vehicle)
     rows, row, control, built = vehicle.rows, vehicle.row, vehicle.control, vehicle.physics_control
     speed = rows.speed[row].item()
-    gear = built.forward_gears[max(abs(control.gear), 1) - 1] if built.forward_gears else None
+    # a replayed vehicle has the gear that was recorded, which can be one that its blueprint lacks
+    gear = built.forward_gears[min(max(abs(control.gear), 1), len(built.forward_gears)) - 1]
     load = built.mass * GRAVITY / max(len(built.wheels), 1)
     wheels = [
         WheelTelemetry(wheel.tire_friction, omega=speed / (wheel.radius / _CM), tire_load=load, normalized_tire_load=1.0)
@@ -169,7 +170,7 @@ def get_telemetry_data(client: Client, id: int) -> Telemetry:
         if wheel.radius > 0
     ]
     turns = max((abs(wheel.omega) for wheel in wheels), default=0.0) * 60 / (2 * pi)
-    rpm = min(turns * abs(built.final_ratio * gear.ratio), built.max_rpm) if gear and control.gear else 0.0
+    rpm = min(turns * abs(built.final_ratio * gear.ratio), built.max_rpm) if control.gear else 0.0
     drag = rows.air[row].item() * speed * speed
     return Telemetry(speed, control.steer, control.throttle, control.brake, rpm, control.gear, drag, wheels)
 

@@ -33,7 +33,10 @@ class Actor:
         parent: The actor that it is attached to.
         children: The actors that are attached to it.
         is_alive: Whether it has not been destroyed.
+        has_motion: Whether it has a motion of its own, and not that of its parent.
     """
+
+    has_motion = False
 
     def __init__(
         self,
@@ -85,9 +88,17 @@ class Actor:
     @property
     def transform(self) -> Transform:
         """A copy of its transform in the world. Setting it moves the actor; an attached one, relative to its parent."""
-        if self.parent is not None and self.is_alive:
-            return attached_transform(self.parent, self._transform)
-        return self._transform.copy()
+        actor: Actor = self
+        chain: list[Transform] = []
+        while actor.parent is not None and actor.is_alive and not actor.has_motion:
+            chain.append(actor._transform)
+            actor = actor.parent
+        if not chain:
+            return self._transform.copy()
+        place = actor.transform
+        for relative in reversed(chain):
+            place = place.attached(relative)
+        return place
 
     @transform.setter
     def transform(self, value: Transform) -> None:
@@ -103,17 +114,24 @@ class Actor:
     @property
     def velocity(self) -> Vector:
         """Its velocity in m/s."""
-        return self.parent.velocity if self.parent is not None else Vector()
+        return Vector() if (carrier := self._carrier()) is None else carrier.velocity
 
     @property
     def angular_velocity(self) -> Vector:
         """Its angular velocity in degrees/s."""
-        return self.parent.angular_velocity if self.parent is not None else Vector()
+        return Vector() if (carrier := self._carrier()) is None else carrier.angular_velocity
 
     @property
     def acceleration(self) -> Vector:
         """Its acceleration in m/s²."""
-        return self.parent.acceleration if self.parent is not None else Vector()
+        return Vector() if (carrier := self._carrier()) is None else carrier.acceleration
+
+    def _carrier(self) -> Actor | None:
+        """Return the nearest actor with a motion of its own among those that it is attached to."""
+        carrier = self.parent
+        while carrier is not None and not carrier.has_motion:
+            carrier = carrier.parent
+        return carrier
 
     def destroy(self) -> bool:
         """Destroy it and what is attached to it; return False if it had been destroyed before."""

@@ -72,6 +72,7 @@ class WalkerControl:
 class MovingActor(Actor):
     """An actor whose numbers are a row of a struct of arrays."""
 
+    has_motion = True
     _group = VEHICLE
 
     @property
@@ -274,9 +275,11 @@ class Vehicle(MovingActor):
         self.rows.set_physics(self.row, self._physics_control, self.box)
 
     def add_impulse(self, impulse: Vector) -> None:
-        """Apply an impulse in N s, in the axes of the world."""
+        """Apply an impulse in N s, in the axes of the world; one without physics is not moved by it."""
         rows, row = self.rows, self.row
         expect_push("the change of velocity", impulse, rows.mass[row].item(), of=self)
+        if not rows.simulated[row]:
+            return
         change = np.zeros((len(rows), 2))
         change[row] = np.array((impulse.x, impulse.y)) / rows.mass[row]
         rows.add_velocities(change)

@@ -100,6 +100,7 @@ class ActorRegistry:
         events: The events of the latest tick.
         pending: The events since the latest tick.
         triggers: All friction triggers.
+        occupied: The vehicles in triggers: the friction of their tyres outside, and the triggers; the latest one acts.
         ids: The ids of the world's actors, also of those of earlier episodes.
     """
 
@@ -121,6 +122,7 @@ class ActorRegistry:
         self.events = TickEvents()
         self.pending = TickEvents()
         self.triggers: list[FrictionTrigger] = []
+        self.occupied: dict[Vehicle, tuple[list[float], list[FrictionTrigger]]] = {}
         self.ids = ids
         for barrier in town.barriers:
             self.plane.add_wall(barrier)
@@ -187,8 +189,16 @@ class ActorRegistry:
             return False
         if isinstance(actor, (Spectator, Sign)):
             raise SimError(f"{actor!r} belongs to the town and cannot be destroyed")
-        for child in list(actor.children):
-            self.destroy(child)
+        remaining, parents_first = [actor], []
+        while remaining:
+            parents_first.append(remaining.pop())
+            remaining += parents_first[-1].children
+        for each in reversed(parents_first):
+            self._remove(each)
+        return True
+
+    def _remove(self, actor: Actor) -> None:
+        """Remove an actor to which nothing is attached."""
         if actor.parent is not None:
             actor.parent.children.remove(actor)
         if isinstance(actor, FrictionTrigger):
@@ -203,7 +213,6 @@ class ActorRegistry:
             self.plane.remove(actor.body)
         del self._actors[actor.id]
         self.pending.destroyed.append(actor.id)
-        return True
 
     def move_attached(self) -> None:
         """Move the vehicles and walkers that are attached to others along with these."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -79,22 +78,18 @@ class FrictionTrigger(Actor):
         return value if 0 <= value <= LARGEST else _DEFAULTS[key]
 
 
-_OCCUPIED: Final[WeakKeyDictionary[Vehicle, tuple[list[float], list[FrictionTrigger]]]] = WeakKeyDictionary()
-"""The vehicles in triggers: the friction of their tyres outside, and the triggers, of which the latest one acts."""
-
-
 def _enter(vehicle: Vehicle, trigger: FrictionTrigger) -> None:
     outside = [wheel.tire_friction for wheel in vehicle.physics_control.wheels]
-    _OCCUPIED.setdefault(vehicle, (outside, []))[1].append(trigger)
+    vehicle.context.occupied.setdefault(vehicle, (outside, []))[1].append(trigger)
     _set_friction(vehicle, [trigger.friction] * len(outside))
 
 
 def _leave(vehicle: Vehicle, trigger: FrictionTrigger) -> None:
-    outside, triggers = _OCCUPIED[vehicle]
+    outside, triggers = vehicle.context.occupied[vehicle]
     triggers.remove(trigger)
     _set_friction(vehicle, [triggers[-1].friction] * len(outside) if triggers else outside)
     if not triggers:
-        del _OCCUPIED[vehicle]
+        del vehicle.context.occupied[vehicle]
 
 
 def _set_friction(vehicle: Vehicle, frictions: list[float]) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from carla_recap.model.motion import GRAVITY
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Vector
-from carla_recap.sim.validation import expect_numbers
+from carla_recap.sim.validation import expect_between, expect_numbers
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -149,12 +149,13 @@ def expect_physics(what: str, control: PhysicsControl) -> None:
         control: The physics control.
 
     Raises:
-        SimError: It has no gear or no wheel, or a number is too large, or too small.
+        SimError: It has no wheel, no gear or more than 12, or a number is too large, or too small.
     """
     expect_numbers(what, control)
     wheels = control.wheels
-    if not wheels or not control.forward_gears:
-        raise SimError(f"{what}: a forward gear and a wheel at least were expected")
+    if not wheels:
+        raise SimError(f"{what}: expected a wheel at least, found none")
+    expect_between(f"{what}: forward gears", len(control.forward_gears), 1, GEARS - 2)
     if control.mass < LEAST_MASS or any(wheel.lat_stiff_value < LEAST_STIFFNESS for wheel in wheels):
         least = f"a mass of {LEAST_MASS:g} kg and a lateral stiffness of tyres of {LEAST_STIFFNESS:g} or more"
         raise SimError(f"{what}: {least} were expected")

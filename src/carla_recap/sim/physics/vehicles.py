@@ -176,7 +176,7 @@ class Vehicles(MovingBodies):
         if not self.sticky.all():
             self._release_controls()
         if self.force.any():
-            self.add_velocities(self.force * seconds / self.mass[:, None])
+            self.add_velocities(np.where(self.simulated[:, None], self.force * seconds / self.mass[:, None], 0.0))
             self.force[:] = 0
         slow = (self.speed != 0) | (self.sideways != 0) | (self.turning != 0)  # what is too slow to go on has yet to stop
         self.awake = self._in_motion() | slow & self.simulated
