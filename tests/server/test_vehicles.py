@@ -280,7 +280,7 @@ def test_what_raises_in_a_tick_costs_that_action_alone(caplog: pytest.LogCapture
     inside = Inside()
     first, second = (inside.world.place("vehicle.tesla.model3", place) for place in inside.world.town.spawn_points[:2])
     called = []
-    inside.world.listeners[:0] = [lambda: [][1]]  # type: ignore[list-item]  # raises
+    inside.world.listeners[:0] = [lambda: [][1]]  # raises
     inside.world.listeners.append(lambda: called.append(1))
     for car in (first, second):
         inside.call("enable_actor_constant_velocity", car.id, [5.0, 0.0, 0.0])
