@@ -96,7 +96,7 @@ def test_of_an_actor_that_is_not_measured_only_the_speed_is_plotted(chromium: Ch
 def test_the_values_at_the_present_time_are_shown(chromium: Chrome, followed: Path) -> None:
     page = Page(chromium, followed)
     page.browser.execute_script("replay.clock.seek(3)")
-    page.until(lambda: page.ask("document.querySelectorAll('#readings output')[0].textContent") == "21")
+    page.until(lambda: page.ask("document.querySelectorAll('#readings output')[0].textContent") == "22")
     assert "to truck 2" in page.text("readings")
     page.press("g")
     assert page.ask("[replay.plots.isOpen, document.getElementById('plots').offsetHeight]") == [False, 0]
