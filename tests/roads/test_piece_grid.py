@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from carla_recap.roads import find_road_network, network
@@ -31,6 +31,7 @@ def assert_as_one_by_one(roads, points, headings):
     heading=st.none() | st.floats(-3.2, 3.2),
     columns=st.sampled_from((2, 3)),
 )
+@example(near=[(1767, 20.25, 4.0, 0.0)], heading=0.0, columns=2)  # on a lane against its direction, beside another one
 @settings(deadline=None)
 def test_lanes_are_those_that_are_found_one_by_one(near, heading, columns):
     roads = find_road_network("Brickfield")

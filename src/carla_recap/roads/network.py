@@ -145,7 +145,7 @@ class RoadNetwork:
         if headings is not None:
             headings = np.asarray(headings, np.float64)
         found = self._near.find(points, headings)
-        far = np.flatnonzero(~np.isfinite(found["beside"]) | ~np.isfinite(found["outside"]))
+        far = np.flatnonzero((found["cost"] > _MARGIN) | ~np.isfinite(found["outside"]))  # farther lanes may cost less
         if len(far):
             found[far] = self._far.find(points[far], None if headings is None else headings[far])
         junctions = np.append(self.lanes["junction"], NONE)[found["lane"]]
@@ -185,6 +185,7 @@ class RoadNetwork:
 
 _FOUND: Final = np.dtype(
     [
+        ("cost", "f8"),
         ("lane", "i8"),
         ("offset", "f8"),
         ("beside", "f8"),
@@ -254,7 +255,7 @@ class _PieceGrid:
         found = np.zeros(len(points), _FOUND)
         found["lane"] = NONE
         found["offset"] = found["heading"] = found["limit"] = np.nan
-        found["beside"] = found["outside"] = np.inf
+        found["cost"] = found["beside"] = found["outside"] = np.inf
         with np.errstate(all="ignore"):
             for start in range(0, len(points), _BLOCK):
                 part = slice(start, start + _BLOCK)
@@ -265,6 +266,7 @@ class _PieceGrid:
         near = self._search(points, headings)
         known = np.flatnonzero((near["piece"] != NONE) & (near["beside"] <= self._margin))
         piece = near["piece"][known]
+        found["cost"][known] = near["cost"][known]
         found["lane"][known], found["limit"][known] = self._lane[piece], self._limit[piece]
         found["heading"][known] = np.arctan2(self._shapes.ahead_y[piece], self._shapes.ahead_x[piece])
         found["offset"][known], found["beside"][known] = near["offset"][known], near["beside"][known]
