@@ -14,7 +14,7 @@ import pytest
 from carla_recap.server.actor_records import stream_of
 from carla_recap.server.host import Host
 from carla_recap.server.sensors import SENSOR_KINDS, Support, dispatch
-from carla_recap.server.sensors.rays import ActorBoxes
+from carla_recap.server.sensors.rays import ActorBoxes, visible_actors
 from carla_recap.server.streams import Subscriber
 from carla_recap.sim.actors.blueprints import standard_library
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
@@ -478,6 +478,15 @@ def test_what_is_attached_to_the_same_vehicle_is_invisible() -> None:
     detector = sensor(host, "other.obstacle", car, at(2.5, z=0.8), distance="10")
     host.tick()
     assert detector.take() == []
+
+
+def test_a_long_chain_of_what_is_attached_is_invisible() -> None:
+    world = flat_world()
+    part: Actor = world.spawn("vehicle.tesla.model3", at(0.0))
+    other = world.spawn("vehicle.tesla.model3", at(20.0))
+    for _ in range(1100):
+        part = world.spawn("static.prop.box01", at(0.01, z=0.5), parent=part)
+    assert visible_actors(world.spawn("sensor.lidar.ray_cast", at(0.0), parent=part)) == [other]
 
 
 @pytest.mark.parametrize("kind", sorted(SENSOR_KINDS))

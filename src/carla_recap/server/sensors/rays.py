@@ -82,11 +82,13 @@ def _own_actors(sensor: Actor) -> set[Actor]:
     carrier = sensor
     while carrier.parent is not None:
         carrier = carrier.parent
-    return _with_children(carrier)
-
-
-def _with_children(actor: Actor) -> set[Actor]:
-    return {actor}.union(*map(_with_children, actor.children))
+    own: set[Actor] = set()
+    remaining = [carrier]
+    while remaining:
+        actor = remaining.pop()
+        own.add(actor)
+        remaining += actor.children
+    return own
 
 
 class ActorBoxes(OrientedBoxes):
