@@ -56,6 +56,19 @@ def test_a_jump_is_no_motion(tmp_path: Path) -> None:
         assert motion.at(time).acceleration == pytest.approx((0, 0, 0), abs=0.05)
 
 
+def test_from_one_life_of_an_id_to_the_next_is_no_motion(tmp_path: Path) -> None:
+    path = tmp_path / "lives.mcap"
+    with carla_recap.create_recording(path, map_name="Brickfield", date=0) as recorder:
+        for index in range(12):
+            spawned = {"spawned": [Spawn(1, ActorKind.VEHICLE)]} if index in (0, 6, 9) else {}
+            place = {} if index == 5 else {"transforms": [(1, 400.0 * (index >= 6) + 400.0 * (index >= 9), 0, 0, 0, 0, 0)]}
+            recorder.add_frame(0.1 * index, **spawned, **place, destroyed=[(1,)] if index == 5 else [])
+    with carla_recap.open_recording(path) as recording:
+        motion = CarrierMotion(recording, 1)
+    for time in np.linspace(0, 1.1, 50):
+        assert [part.tolist() for part in motion.at(time)] == [[0, 0, 0]] * 3
+
+
 def test_numbers_that_are_none(tmp_path: Path) -> None:
     times = np.arange(6) * 0.05
     forward = np.array((0.0, 0.1, np.nan, np.inf, 0.4, 0.5))

@@ -164,9 +164,11 @@ def test_the_options_of_the_command_are_the_releases_of_the_table() -> None:
 
 CONNECTS = """
 import mmap, socket, sys
-with open(sys.argv[1], "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as library:
-    with socket.create_connection(("127.0.0.1", int(sys.argv[2]))) as connection:
-        connection.recv(1)
+port, *libraries = sys.argv[1:]
+files = [open(library, "rb") for library in libraries]
+mapped = [mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) for file in files]
+with socket.create_connection(("127.0.0.1", int(port))) as connection:
+    connection.recv(1)
 """
 
 
@@ -178,16 +180,19 @@ def test_the_release_of_a_client_is_that_of_the_library_that_its_process_has_loa
     library = tmp_path / "libcarla.cpython-311-x86_64-linux-gnu.so"
     older = RELEASES[RELEASES.index(release) :] if release else ()
     library.write_bytes(b"\0".join((b"other", *(each.marker for each in older), b"text")))
+    other = tmp_path / "libcarla_msgs__rosidl_generator_py.so"
+    other.write_bytes(b"messages of ROS")
     with socket.create_server(("127.0.0.1", 0)) as listening:
         port = listening.getsockname()[1]
-        with subprocess.Popen([sys.executable, "-c", CONNECTS, library, str(port)]) as process:
+        with subprocess.Popen([sys.executable, "-c", CONNECTS, str(port), library, other]) as process:
             connection, client = listening.accept()
             with connection:
                 found = release_of(client, connection.getsockname())
                 away = release_of(("192.0.2.1", client[1]), connection.getsockname())
+                beside = release_of(("127.0.0.2", client[1]), connection.getsockname())
             assert process.wait(PATIENCE) == 0
     assert found is release
-    assert away is None
+    assert away is beside is None
 
 
 # --- rows of the table ---------------------------------------------------------------------------------------------------

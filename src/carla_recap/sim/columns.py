@@ -58,7 +58,8 @@ class StructOfArrays:
     def remove_row(self, row: int) -> None:
         """Remove a row; the rows behind it move up."""
         for name in self.COLUMNS:
-            setattr(self, name, np.delete(getattr(self, name), row, axis=0))
+            values: NDArray[Any] = getattr(self, name)
+            setattr(self, name, np.concatenate((values[:row], values[row + 1 :])))
         self.count -= 1
 
     def _buffer_for(self, name: str) -> NDArray[Any]:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
     from carla_recap.model.lives import ActorLife
-    from carla_recap.util.arrays import Floats, Integers
+    from carla_recap.util.arrays import Booleans, Floats, Integers
 
 
 Axes = Literal["right-handed", "carla"]
@@ -194,11 +194,28 @@ def trajectories(reader: Reader, actors: Collection[int] | None = None, *, axes:
     """
     if axes not in get_args(Axes):
         raise RecapError(f"axes must be one of {', '.join(get_args(Axes))}, not {axes!r}")
+    return trajectories_of(actor_rows(reader, MOTION, actors), spawn_times(reader), axes=axes)
+
+
+def spawn_times(reader: Reader, start: float = -math.inf, stop: float = math.inf) -> dict[int, list[float]]:
+    """Return the elapsed seconds at which actors appear, by id."""
     spawned: dict[int, list[float]] = {}
-    for frame in reader.frames(("spawned",), sparse=True):
+    for frame in reader.frames(("spawned",), sparse=True, start=start, stop=stop):
         for spawn in frame["spawned"]:
             spawned.setdefault(spawn.id, []).append(frame.elapsed)
-    return trajectories_of(actor_rows(reader, MOTION, actors), spawned, axes=axes)
+    return spawned
+
+
+def of_one_life(time: Floats, frame: Integers, spawned: Sequence[float]) -> Booleans:
+    """Return whether each frame of an id and its next one follow each other in one life, (n - 1,).
+
+    Args:
+        time: Elapsed seconds, (n,).
+        frame: The indices of the frames, (n,).
+        spawned: The elapsed seconds at which actors of the id appear.
+    """
+    life = np.searchsorted(np.sort(spawned), time, side="right")
+    return np.asarray((np.diff(frame) == 1) & (np.diff(life) == 0))
 
 
 def trajectories_of(
@@ -229,8 +246,7 @@ def _trajectory(id: int, poses: ActorRows, recorded: ActorRows | None, spawned: 
         own = recorded.frame[where] == poses.frame
         velocity[:, own] = [recorded.records[axis][where[own]] for axis in "xyz"]
     known = np.isfinite(velocity).all(axis=0)
-    life = np.searchsorted(np.sort(spawned), time, side="right")
-    joined = steps_joined(time, place, np.sqrt((velocity**2).sum(axis=0)), life) & (np.diff(poses.frame) == 1)
+    joined = steps_joined(time, place, np.sqrt((velocity**2).sum(axis=0))) & of_one_life(time, poses.frame, spawned)
     velocity = velocities(time, place, velocity, joined)
     for values in (place, velocity):
         values[1] *= flip

@@ -451,3 +451,24 @@ def test_pushes_without_physics_do_not_act_later() -> None:
     world.tick()
     assert vehicle.velocity.length() == 0.0
     assert vehicle.transform.location.x == 0.0
+
+
+def test_vehicles_of_one_physics_control_share_their_tables() -> None:
+    world = flat_world()
+    first, second, other = (
+        world.spawn(name, at(10.0 * number))
+        for number, name in enumerate([*["vehicle.tesla.model3"] * 2, "vehicle.audi.tt"])
+    )
+    assert isinstance(first, Vehicle)
+    assert isinstance(second, Vehicle)
+    own, tables = world.vehicles.table, world.vehicles.tables
+    assert own[0] == own[1] != own[2]
+    for ratio in range(1, 50):
+        control = second.physics_control
+        second.physics_control = replace(control, final_ratio=float(ratio))
+    assert len(tables) == 3
+    assert not np.array_equal(tables.forces[own[0]], tables.forces[own[1]])
+    assert np.array_equal(tables.best_force[own[1]], tables.forces[own[1], 1:-1].max(axis=0))
+    first.destroy()
+    assert world.vehicles.table.tolist() == [own[1], own[2]]
+    assert other.is_alive

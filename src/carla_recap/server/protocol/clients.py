@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mmap
 from contextlib import suppress
+from ipaddress import IPv6Address, ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -34,25 +35,40 @@ def release_of(client: Address, server: Address) -> Release | None:
     if not (client[0].startswith(("127.", "::1", "::ffff:127.")) or client[0] == server[0]):
         return None
     with suppress(OSError, ValueError):  # the latter of an empty file
-        for socket in _sockets(client[1], server[1]):
+        for socket in _sockets(client, server):
             for library in _libraries(socket):
-                return _release_of_library(library)
+                if (release := _release_of_library(library)) is not None:
+                    return release
     return None
 
 
-def _sockets(port: int, other: int) -> Iterator[str]:
-    """Yield the sockets of this machine from a port to another one, as links of open files name them."""
+def _sockets(client: Address, server: Address) -> Iterator[str]:
+    """Yield the sockets of this machine from an address to another one, as links of open files name them."""
+    ends = [_plain(client), _plain(server)]
     for table in _TABLES:
         with suppress(OSError):
             for line in (_PROCESSES / table).read_text().splitlines()[1:]:
                 columns = line.split()
-                ports = [int(columns[end].rpartition(":")[2], 16) for end in (_LOCAL, _REMOTE)]
-                if ports == [port, other] and columns[_INODE] != "0":
+                if columns[_INODE] != "0" and [_address(columns[end]) for end in (_LOCAL, _REMOTE)] == ends:
                     yield f"socket:[{columns[_INODE]}]"
 
 
+def _address(text: str) -> Address:
+    """Return an address of a table, such as 0100007F:07D0: words of four bytes, the last byte first."""
+    host, _, port = text.rpartition(":")
+    words = bytes.fromhex(host)
+    return _plain((str(ip_address(b"".join(words[at : at + 4][::-1] for at in range(0, len(words), 4)))), int(port, 16)))
+
+
+def _plain(address: Address) -> Address:
+    """Return an address with its host in one form: without a zone, and as one of IPv4 if it is one."""
+    host = ip_address(address[0].partition("%")[0])
+    mapped = host.ipv4_mapped if isinstance(host, IPv6Address) else None
+    return str(mapped or host), address[1]
+
+
 def _libraries(socket: str) -> Iterator[Path]:
-    """Yield CARLA's library of each process that has a socket open, the latest process first."""
+    """Yield what may be CARLA's library in each process that has a socket open, the latest process first."""
     numbers = (int(folder.name) for folder in _PROCESSES.iterdir() if folder.name.isdecimal())
     for folder in (_PROCESSES / str(number) for number in sorted(numbers, reverse=True)):
         with suppress(OSError):  # it is another user's, or has ended

@@ -102,7 +102,9 @@ class MovingBodies(StructOfArrays):
         self.plane.remove(body)
         self.remove_row(row)
         del self.actors[row], self.bodies[row]
-        self._rows = {other.id: index for index, other in enumerate(self.actors)}
+        del self._rows[actor]
+        for other in self.actors[row:]:
+            self._rows[other.id] -= 1
         return body
 
     def place(self, row: int, position: tuple[float, float, float], rotation: tuple[float, float, float]) -> None:

@@ -8,17 +8,17 @@ speed; at low speed it becomes the motion of rolling wheels: the radius of a tur
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from carla_recap.model.motion import GRAVITY
-from carla_recap.sim.columns import column
+from carla_recap.sim.columns import StructOfArrays, column
 from carla_recap.sim.physics.moving_bodies import MovingBodies
 from carla_recap.sim.physics.physics_control import GEARS, SPEEDS, columns
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -40,6 +40,38 @@ _SLIP_SPEED: Final = 0.02  # m/s: keeps the slip of standing wheels finite
 _TABLE: Final = np.zeros(len(SPEEDS))
 _STEEPEST: Final = 0.5  # the slope of a road, rise by run
 _LEAST: Final = np.array([[0.0], [-1.0], [0.0]])  # of throttle, steering and brake
+
+
+class DriveTables(StructOfArrays):
+    """What engine, gearbox and steering give by speed; vehicles of one physics control share a row."""
+
+    forces: Floats = column(np.zeros((GEARS, len(_TABLE))))
+    """The greatest force of the engine by gear and speed, in N, (n, gears, speeds); see `physics_control`."""
+    best_force: Floats = column(_TABLE)
+    """The greatest of them by speed, in N, (n, speeds)."""
+    usual_gear: NDArray[np.int64] = column(_TABLE.astype(np.int64))
+    """The gear of moderate driving by speed, (n, speeds)."""
+    lock_share: Floats = column(_TABLE)
+    """The share of the full lock that steering reaches, by speed, (n, speeds)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._keys: list[bytes] = []
+
+    def row(self, values: Mapping[str, NDArray[Any]], used: Integers) -> int:
+        """Return the row of some values, which is one that is not used yet if none has them."""
+        key = b"".join(values[name].tobytes() for name in self.COLUMNS)
+        if key in self._keys:
+            return self._keys.index(key)
+        free = np.setdiff1d(np.arange(len(self)), used)
+        if not len(free):
+            self._keys.append(key)
+            return self.append_row(**values)
+        row = int(free[0])
+        self._keys[row] = key
+        for name, value in values.items():
+            getattr(self, name)[row] = value
+        return row
 
 
 class Vehicles(MovingBodies):
@@ -105,23 +137,21 @@ class Vehicles(MovingBodies):
     """The greatest force of the rear brakes, in N."""
     full_lock: Floats = column(1.0)
     """The greatest angle of the front wheels, in radians."""
-    forces: Floats = column(np.zeros((GEARS, len(_TABLE))))
-    """The greatest force of the engine by gear and speed, in N, (n, gears, speeds); see `physics_control`."""
-    best_force: Floats = column(_TABLE)
-    """The greatest of them by speed, in N, (n, speeds)."""
-    usual_gear: NDArray[np.int64] = column(_TABLE.astype(np.int64))
-    """The gear of moderate driving by speed, (n, speeds)."""
-    lock_share: Floats = column(_TABLE)
-    """The share of the full lock that steering reaches, by speed, (n, speeds)."""
+    table: Integers = column(np.int64(0))
+    """The rows of `tables` that are theirs."""
 
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__(plane, height)
         self._written = np.empty((0, 3))
         self._moved = np.empty(0, np.bool_)
+        self.tables = DriveTables()
 
     def set_physics(self, row: int, control: PhysicsControl, box: Box) -> None:
         """Set the columns that follow from a physics control."""
-        for name, value in columns(control, box, weightless=bool(self.weightless[row])).items():
+        values = columns(control, box, weightless=bool(self.weightless[row]))
+        tables = {name: values.pop(name) for name in DriveTables.COLUMNS}
+        self.table[row] = self.tables.row(tables, np.delete(self.table, row))
+        for name, value in values.items():
             getattr(self, name)[row] = value
         if self.simulated[row]:
             self.bodies[row].mass, self.bodies[row].moment = self.mass[row].item(), self.moment[row].item()
@@ -161,7 +191,8 @@ class Vehicles(MovingBodies):
         resistance = self.air[rows] * speed * speed + mass * (GRAVITY * _ROLLING)
         coasting = mass * _COASTING - resistance
         force = mass * acceleration
-        best = np.maximum(np.where(backwards, self.forces[rows, -1, column], self.best_force[rows, column]), 1.0)
+        tables, own = self.tables, self.table[rows]
+        best = np.maximum(np.where(backwards, tables.forces[own, -1, column], tables.best_force[own, column]), 1.0)
         throttle = np.clip((force + resistance) / best, 0, 1)
         brakes = np.maximum(self.front_brake[rows] + self.rear_brake[rows], 1.0)
         brake = np.clip((coasting - force) / brakes, 0, 1)
@@ -282,9 +313,8 @@ def _column_of(speed: Floats) -> Integers:
 def _advance(fleet: Vehicles, seconds: float) -> None:
     """Advance the speeds of the vehicles that are awake by a step of a length in s."""
     speed = _column_of(np.abs(fleet.speed))
-    every = np.arange(len(fleet))
-    _steer(fleet, fleet.lock_share[every, speed], seconds)
-    drive = _drive(fleet, every, speed)
+    _steer(fleet, fleet.tables.lock_share[fleet.table, speed], seconds)
+    drive = _drive(fleet, speed)
     forward, right, turning = _slide(fleet, drive, seconds)
     np.copyto(fleet.speed, forward, where=fleet.awake)
     np.copyto(fleet.sideways, right, where=fleet.awake)
@@ -298,12 +328,13 @@ def _steer(fleet: Vehicles, share: Floats, seconds: float) -> None:
     fleet.steer_angle += _within(missing, -most, most)
 
 
-def _drive(fleet: Vehicles, every: Integers, speed: Integers) -> Floats:
+def _drive(fleet: Vehicles, speed: Integers) -> Floats:
     """Return the forces of the engines in N, negative backwards, and shift the gears."""
-    automatic = np.where(fleet.reverse, -1, fleet.usual_gear[every, speed])
+    tables, own = fleet.tables, fleet.table
+    automatic = np.where(fleet.reverse, -1, tables.usual_gear[own, speed])
     np.copyto(fleet.gear, automatic, where=~fleet.manual)
     backwards = fleet.reverse | (fleet.gear < 0)
-    force = np.where(fleet.manual | backwards, fleet.forces[every, fleet.gear, speed], fleet.best_force[every, speed])
+    force = np.where(fleet.manual | backwards, tables.forces[own, fleet.gear, speed], tables.best_force[own, speed])
     force = np.minimum(_within(fleet.throttle, 0, 1) * force, fleet.traction)
     return np.where(backwards, -force, force)
 
