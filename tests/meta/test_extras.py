@@ -42,11 +42,11 @@ def asked_for(extra: str, python: str, machine: dict[str, str]) -> set[str]:
 @pytest.mark.parametrize("python", PYTHONS)
 def test_carla_is_required_where_it_exists(python: str, machine: dict[str, str]) -> None:
     exists = python < "3.13" and machine in (LINUX, WINDOWS)
-    for extra in ("carla", "server", "all", "dev"):
+    for extra in ("carla", "all", "dev"):
         assert ("carla" in asked_for(extra, python, machine)) == exists
     assert asked_for("server", python, machine) >= {"pymunk", "msgpack"}
     assert asked_for("all", python, machine) >= {"pandas", "pyarrow", "rerun-sdk", "pymunk", "msgpack"}
-    assert "carla" not in asked_for("sim", python, machine) | asked_for("rerun", python, machine)
+    assert "carla" not in asked_for("server", python, machine) | asked_for("rerun", python, machine)
 
 
 def test_the_versions_of_python() -> None:

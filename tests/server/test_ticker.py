@@ -3,31 +3,41 @@
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING
+
+import pytest
 
 from carla_recap.server.host import Host
 from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.serving import Ticker
 from tests.sim.flat import flat_world
 
-if TYPE_CHECKING:
-    import pytest
 
-
-async def test_a_failing_tick_is_logged_and_others_follow(caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize(
+    ("fails", "messages"),
+    [
+        ("listener", ["a tick goes on without function: 'lost'"]),
+        ("publish", ["a tick has failed: KeyError('lost')"] * 3),
+    ],
+)
+async def test_a_failing_tick_is_logged_and_others_follow(
+    fails: str, messages: list[str], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     host = Host(flat_world())
     host.apply_settings(EpisodeSettings(fixed_delta_seconds=0.002))
     failures = iter(range(3))
 
-    def listener() -> None:
+    def fail() -> None:
         if next(failures, None) is not None:
             raise KeyError("lost")
 
-    host.world.listeners.append(listener)
+    if fails == "listener":
+        host.world.listeners.append(fail)
+    else:
+        monkeypatch.setattr(host, "publish", fail)
 
     pace = asyncio.create_task(Ticker(host).run())
     while host.frame < 6:
         assert not pace.done()
         await asyncio.sleep(0.005)
     pace.cancel()
-    assert caplog.messages == ["a tick has failed: KeyError('lost')"] * 3
+    assert caplog.messages == messages

@@ -129,7 +129,7 @@ def test_the_caller_chooses_the_kinds_of_incidents(crossing: dict[str, Path], tm
 def test_errors_contain_the_final_path_of_a_clip(
     crossing: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(path: Path, *args: Any) -> Any:
+    def full(path: Path, *args: Any, **options: Any) -> Any:
         raise RecapError(f"{path}: cannot be written: No space left on device")
 
     monkeypatch.setattr("carla_recap.editing.clip.create_writer", full)
