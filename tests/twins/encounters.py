@@ -147,6 +147,9 @@ class Twin:
         speed = poses[frame].speed
         for seconds in ahead:
             wanted = speed * seconds
+            if wanted == 0:
+                found.append(poses[frame]._replace(vx=0.0, vy=0.0))
+                continue
             while place + 1 < len(frames) - 1 and covered[place + 1] < wanted:
                 place += 1
             a = poses[frames[place]]
@@ -232,7 +235,7 @@ class Twin:
                 for few in _encounters(hits, lambda hit: hit[0] * STEP):
                     arrived, lag = min(few, key=lambda hit: (hit[1], hit[0]))
                     time = self.refined(first, second, arrived, lag)
-                    if time <= longest:
+                    if time <= longest + 1e-6:
                         ids = (self.table.actors[row].id for row in (second, first))
                         left = (arrived - lag) * STEP
                         found.append((second, first, Miss(*ids, left, arrived * STEP, arrived * STEP, math.inf, 0, time)))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from carla_recap.formats import open_reader
@@ -41,6 +41,8 @@ def twin_of(reader: Reader) -> Twin:
 
 
 @settings(max_examples=EXAMPLES)
+@example(4186472194, 1.0, 0.12287142939322877, 3.4, 7)  # an actor that turns where it stands
+@example(3614351163, 3.0, 1.5, 8.0, 1024)  # a time that is equal to its limit
 @given(
     st.integers(0, 2**32 - 1), LIMITS, LIMITS, st.sampled_from([0.0, 0.0, 1.0, 3.4, 8.0]), st.sampled_from([1, 7, 23, 1024])
 )
@@ -62,6 +64,7 @@ def test_near_misses(tmp_path: Path, seed: int, longest: float, soonest: float, 
 
 
 @settings(max_examples=EXAMPLES)
+@example(1117692447, 7)  # an actor that turns where it stands
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1, 7, 23, 1024]))
 def test_measures(tmp_path: Path, seed: int, frames: int) -> None:
     """The extremes, and the values over time, of every actor."""

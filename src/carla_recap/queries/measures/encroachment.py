@@ -232,7 +232,8 @@ class CrossingSearch:
                     joined[-1] = best._replace(begin=joined[-1].begin, end=each.end)
                 else:
                     joined.append(each)
-        return [each.encounter for each in joined if each.encounter.post_encroachment_time <= self._longest]
+        longest = self._longest + SAME_TIME  # 30 steps of 0.05 s are 1.5 s, whatever is rounded
+        return [each.encounter for each in joined if each.encounter.post_encroachment_time <= longest]
 
 
 def encounters(one: Indices, other: Indices, time: Floats) -> Iterator[Indices]:

@@ -84,9 +84,13 @@ def _path_ahead(
         wanted = covered[frame[rows]][:, None] + distance[rows]
         known = np.minimum(wanted, covered[end][:, None])
         present = np.flatnonzero(~np.isnan(table.x[each]))
-        ended = wanted >= covered[end][:, None]  # also where it stands there, and turns
+        moments = [distance[rows] == 0, wanted >= covered[end][:, None]]  # where it may stand and turn
         x[rows], y[rows], yaw[rows] = (
-            np.where(ended, values[each, end][:, None], np.interp(known, covered[present], values[each, present]))
+            np.select(
+                moments,
+                [values[each, frame[rows]][:, None], values[each, end][:, None]],
+                np.interp(known, covered[present], values[each, present]),
+            )
             for values in (table.x, table.y, table.heading)
         )
         before = np.searchsorted(covered, covered[end] - _BEND, side="right") - 1
