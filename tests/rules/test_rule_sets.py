@@ -380,7 +380,7 @@ def test_a_file_that_cannot_be_read_is_an_error(tmp_path):
     for path, message in [
         (tmp_path / "absent.toml", "cannot be read: No such file"),
         (tmp_path, "cannot be read: Is a directory"),
-        (save(tmp_path / "latin.toml", b"[rules.\xe4]"), "byte 7: UTF-8 was expected"),
+        (save(tmp_path / "latin.toml", b"[rules.\xe4]"), "byte 7: expected UTF-8"),
         (save(tmp_path / "large.toml", b"# \n" * 4_000_000), "is larger than 64 kB"),
     ]:
         with pytest.raises(RecapError, match=message) as error:

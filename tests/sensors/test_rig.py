@@ -252,7 +252,7 @@ def test_a_file_is_read_and_named_in_errors(tmp_path: Path) -> None:
     [
         (b"", "line 1: Expecting value; JSON was expected"),
         (b'[{"id": "a",}]', "line 1: "),
-        (b"[\xff]", "byte 1: UTF-8 was expected"),
+        (b"[\xff]", "byte 1: expected UTF-8"),
         (b"[" * 100_000, "is nested too deeply"),
         (b'[{"a": ' * 10_000, "is nested too deeply"),
         (b"[" + b"1" * 5000 + b"]", "has a number of thousands of digits"),

@@ -14,7 +14,8 @@ import carla
 import pytest
 
 import carla_recap
-from carla_recap.errors import RecapError, RecapWarning
+from carla_recap.errors import Closed, RecapError, RecapWarning
+from carla_recap.formats import open_reader
 from carla_recap.model.records import Attribute, Spawn
 from carla_recap.queries.info import info
 from carla_recap.server import recordings as served
@@ -638,6 +639,55 @@ def test_clients_are_served_while_a_recording_is_completed(
         return info
 
     assert "Frames: 1\n" in asyncio.run(run())
+    host.close()
+
+
+def test_a_recording_that_cannot_be_completed_is_logged_and_others_can_be_asked_about(
+    recordings: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    host = Host(World(load_town()))
+
+    def fail() -> None:
+        raise OSError("lost")
+
+    async def run() -> str:
+        client = client_inside(host)
+        await CALLS["start_recorder"](client, [str(tmp_path / "ends.mcap"), False])
+        host.tick()
+        writer = host.world.recorder._writer
+        host.world.recorder._finish = fail
+        CALLS["stop_recorder"](client, [])
+        writer.close()
+        info: str = await CALLS["show_recorder_file_info"](client, [str(recordings / "drive.mcap"), False])
+        return info
+
+    assert "Frames: 80\n" in asyncio.run(run())
+    assert "a recording could not be completed: lost" in caplog.messages
+    host.close()
+
+
+def test_a_replay_whose_map_cannot_be_prepared_leaves_no_file_open(
+    recordings: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    host, opened = Host(World(load_town())), []
+
+    def note(*about: Any) -> Any:
+        opened.append(reader := open_reader(*about))
+        return reader
+
+    async def fail(*about: Any) -> None:
+        raise RecapError("no memory")
+
+    monkeypatch.setattr(replayer, "open_reader", note)
+    monkeypatch.setattr(host.maps, "preload", fail)
+
+    async def run() -> None:
+        await CALLS["replay_file"](client_inside(host), [str(recordings / "drive.mcap"), 0.0, 0.0, 0])
+
+    with pytest.raises(RecapError, match="no memory"):
+        asyncio.run(run())
+    with pytest.raises(Closed):
+        opened[0].check_open()
     host.close()
 
 

@@ -20,6 +20,7 @@ from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.blueprints import blueprint_like
 from carla_recap.model.layout import MAX_COUNT
 from carla_recap.model.lives import HERO
+from carla_recap.model.motion import neighbours, steps_joined
 from carla_recap.model.records import CM, NO_ACTOR, UE4, ActorKind, Spawn, attributes
 from carla_recap.util.files import IS_LFS_POINTER, LFS_POINTER
 from carla_recap.util.text import first_of
@@ -269,20 +270,20 @@ def _lines(path: Path, file: IO[bytes]) -> Iterator[str]:
     while line := file.readline(_LONGEST_LINE):
         number += 1
         if len(line) == _LONGEST_LINE:
-            raise RecapError(f"{path}: line {number}: a line of less than {_LONGEST_LINE} bytes was expected")
+            raise RecapError(f"{path}: line {number}: expected a line of less than {_LONGEST_LINE} bytes")
         if number > _LINES:
             raise RecapError(f"{path}: line {number}: at most {_LINES:,} lines are read")
         try:
             yield line.decode("utf-8-sig" if number == 1 else "utf-8")
         except UnicodeDecodeError:
-            raise RecapError(f"{path}: line {number}: no UTF-8; a CSV file was expected") from None
+            raise RecapError(f"{path}: line {number}: expected a CSV file, found bytes that are no UTF-8") from None
 
 
 def _read(path: Path, given: Mapping[str, str], units: _Units, position: TrackPosition) -> _Table:
     """Return the rows of a file; see `import_tracks`."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):
-            raise RecapError(f"{path}: is no regular file; a CSV file was expected")
+            raise RecapError(f"{path}: is no regular file; expected a CSV file")
         with path.open("rb") as file:
             rows = _rows(path, file)
             _, header = next(rows, (0, None))
@@ -344,7 +345,7 @@ def _parse(
         if not row:
             continue
         if len(row) != width:
-            raise RecapError(f"{path}: line {line}: {len(row)} values, {width} were expected")
+            raise RecapError(f"{path}: line {line}: expected {width} values, found {len(row)}")
         values = {name: _number(path, line, name, row[positions[name]], limit) for name, limit in limits.items()}
         if math.isnan(values["time"] + values["x"] + values["y"]):
             left_out.append(line)
@@ -355,7 +356,7 @@ def _parse(
         for name, known in texts.items():
             text = row[positions[name]].strip()
             if len(text) > _LONGEST:
-                raise RecapError(f"{path}: line {line}: {name} has {len(text)} characters; at most {_LONGEST} were expected")
+                raise RecapError(f"{path}: line {line}: {name}: expected at most {_LONGEST} characters, found {len(text)}")
             if not text and name == "id":
                 raise RecapError(f"{path}: line {line}: the id is empty")
             which[name].append(known.setdefault(text, len(known)))
@@ -374,7 +375,7 @@ def _number(path: Path, line: int, name: str, text: str, limit: float) -> float:
     try:
         value = float(text.strip() or "nan")
     except ValueError:
-        raise RecapError(f"{path}: line {line}: {name} is {text[:40]!r}; a number was expected") from None
+        raise RecapError(f"{path}: line {line}: {name}: expected a number, found {text[:40]!r}") from None
     if math.isinf(value):
         return math.nan
     if abs(value) > limit:
@@ -421,9 +422,8 @@ class _ImportedTracks:
             yaw[facing] = np.degrees(np.arctan2(vy, vx))[facing]
         for name in _POSE:
             np.nan_to_num(self._numbers.setdefault(name, np.zeros(len(time))), copy=False)
-        place = np.arange(len(order))  # of a row in this order; its neighbours are rows of the same object
-        before = order[np.maximum(place - 1, edges[of_row[order]])]
-        after = order[np.minimum(place + 1, edges[of_row[order] + 1] - 1)]
+        places = np.stack([self._numbers[axis][order] * CM for axis in "xyz"])
+        before, after = (order[rows] for rows in neighbours(steps_joined(time[order], places, actor=of_row[order])))
         turned = np.remainder(yaw[after] - yaw[before] + 180.0, 360.0) - 180.0
         seconds = time[after] - time[before]
         self._yaw_rates = np.zeros(len(time))  # degrees/s

@@ -146,7 +146,8 @@ def _once(ask: Callable[P, T]) -> Callable[P, T]:
     @wraps(ask)
     def answer(*about: P.args, **more: P.kwargs) -> T:
         facts: Any = about[0]
-        question = (ask.__name__, *(id(each) if isinstance(each, ActorLife) else each for each in about[1:]))
+        values = (*about[1:], *more.values())
+        question = (ask.__name__, *(id(each) if isinstance(each, ActorLife) else each for each in values))
         if question not in facts.answers:
             try:
                 facts.answers[question] = ask(*about, **more)

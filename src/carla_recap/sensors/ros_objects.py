@@ -88,7 +88,7 @@ def _sensor(members: Mapping[str, Any], place: str) -> tuple[dict[str, Any], Flo
         raise RecapError(f"{place}: spawn_point: expected an object with x, y, z, roll, pitch and yaw")
     repeated = getattr(members, "repeated", "") or getattr(point, "repeated", "")
     if repeated:
-        raise RecapError(f"{place}: {visible(repeated)[:64]}: is there twice; once was expected")
+        raise RecapError(f"{place}: {visible(repeated)[:64]}: is there twice")
     known = SENSOR_TYPES[_type(members)].attributes if _type(members) in SENSOR_TYPES else {}
     given = {key: value for key, value in members.items() if key not in ("spawn_point", "attached_objects")}
     texts = {key: known[key].parse(value) for key, value in given.items() if isinstance(value, str) and key in known}

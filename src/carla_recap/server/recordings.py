@@ -6,7 +6,7 @@ import asyncio
 import logging
 import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import NotARecording
@@ -62,11 +62,12 @@ class Recordings:
         """End the recording, if there is one; its file is completed in a thread, so that no tick waits for it."""
         if self._world.recorder.path is not None:
             self._completed = self._thread.submit(self._world.recorder.end())
+            self._completed.add_done_callback(_log_error)
             self.prepare()
 
     async def completed(self) -> None:
-        """Wait until the file of each recording that has ended is complete."""
-        await asyncio.shield(asyncio.wrap_future(self._completed))
+        """Wait until the file of each recording that has ended is complete, or has failed, which is in the log."""
+        await asyncio.wait([asyncio.wrap_future(self._completed)])
 
     def close(self) -> None:
         """Wait until the threads have ended."""
@@ -134,6 +135,11 @@ class Recordings:
         folder = recordings_folder(self._world.recordings)
         if self._confined and not is_within(path, folder):
             raise CallError(f"{_shown(name)}: is outside the folder of recordings, {folder}; this server is confined to it")
+
+
+def _log_error(completed: Future[None]) -> None:
+    if (error := completed.exception()) is not None:
+        _LOG.error("a recording could not be completed: %s", error)
 
 
 def _expect_name(name: str) -> None:

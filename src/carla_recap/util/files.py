@@ -247,7 +247,7 @@ def read_document(path: Path | str, largest: int, expected: str) -> str:
     """
     try:
         if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
-            raise RecapError(f"{path}: is not a regular file; {expected} was expected")
+            raise RecapError(f"{path}: is not a regular file; expected {expected}")
         with Path(path).open("rb") as file:
             content = file.read(largest + 1)
     except (OSError, ValueError) as error:
@@ -256,11 +256,11 @@ def read_document(path: Path | str, largest: int, expected: str) -> str:
         raise RecapError(f"{path}: {IS_LFS_POINTER}")
     if len(content) > largest:
         size = f"{largest >> 20} MB" if largest >> 20 else f"{largest >> 10} kB"
-        raise RecapError(f"{path}: is larger than {size}; {expected} was expected")
+        raise RecapError(f"{path}: is larger than {size}; expected {expected}")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise RecapError(f"{path}: byte {error.start}: UTF-8 was expected") from None
+        raise RecapError(f"{path}: byte {error.start}: expected UTF-8") from None
 
 
 def reason_of(error: OSError | ValueError) -> str:

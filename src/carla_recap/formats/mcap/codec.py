@@ -104,7 +104,7 @@ def parse(module: str, name: str, data: Buffer) -> Any:
     from google.protobuf.message import DecodeError
 
     if len(data) > OBJECTS_LIMIT:
-        raise WireError(f"a {name} of at most {OBJECTS_LIMIT} bytes was expected, this has {len(data)}")
+        raise WireError(f"expected a {name} of at most {OBJECTS_LIMIT} bytes, found {len(data)}")
     message = message_class(module, name)()
     try:
         message.ParseFromString(bytes(data))

@@ -173,7 +173,7 @@ class Encounter:
 
 
 class _TableCrossing(NamedTuple):
-    """A crossing in a table: from the first to the last time of arrivals, with the one that is soonest after leaving."""
+    """A crossing in a table: the first and the last time of its arrivals, and the soonest one after leaving."""
 
     begin: float
     end: float

@@ -259,7 +259,7 @@ def _find(source: Reader, lives: Iterable[ActorLife], name: ActorName) -> int:
 def _find_pair(source: Reader, lives: Iterable[ActorLife], name: ActorName, other: ActorName) -> tuple[int, int]:
     first, second = _find(source, lives, name), _find(source, lives, other)
     if first == second:
-        raise RecapError(f"{source.location}: {name} and {other} are one actor; two different ones were expected")
+        raise RecapError(f"{source.location}: {name} and {other} are one actor; expected two")
     return first, second
 
 

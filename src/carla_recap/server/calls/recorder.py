@@ -103,10 +103,14 @@ async def replay_file(
         return recordings.replaying(path) + recordings.NOT_A_RECORDING
     maps, recorded = client.host.maps, map_name or opened.player.reader.header.map_name
     is_present = plain_name(recorded) == world.town.name
-    is_only_here = maps.is_only_here(recorded, stand_in=bool(map_name))  # corridors stand in for the map of a recording
-    town = await maps.load(recorded) if is_only_here and not is_present else None
-    if town is None:
-        await maps.preload(recorded, None if map_name else path)
+    try:
+        is_only_here = maps.is_only_here(recorded, stand_in=bool(map_name))  # corridors stand in for a recording's map
+        town = await maps.load(recorded) if is_only_here and not is_present else None
+        if town is None:
+            await maps.preload(recorded, None if map_name else path)
+    except BaseException:
+        opened.player.reader.close()
+        raise
     client.host.recordings.stop()
     frames = world.frame
     try:

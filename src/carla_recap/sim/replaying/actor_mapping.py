@@ -179,9 +179,9 @@ def _make_kinematic(actor: Actor) -> None:
 def blueprint_for(actor: ActorLife, library: BlueprintLibrary) -> tuple[Blueprint, str]:
     """Return the blueprint of a recorded actor, with the id and the attributes that were recorded.
 
-    If the library does not have it, the rest is that of the one that it is another name of, else of the most similar one: of
-    the same kind, with as many wheels if possible, with a similar id, and of a similar size if that is recorded; or a box,
-    if there is none of its kind.
+    If the library does not have it, the rest is that of the blueprint with another name for it, else of the most similar
+    one: of the same kind, with as many wheels if possible, with a similar id, and of a similar size if that is recorded; or
+    a box, if there is none of its kind.
 
     Returns:
         The blueprint, and the id of the one in the library that it was made from; "" for a box.
