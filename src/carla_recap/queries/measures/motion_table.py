@@ -244,11 +244,13 @@ class MotionCollector:
                 start = int(np.searchsorted(clock, clock[first] - self._before))
                 stop = int(np.searchsorted(clock, clock[last - 1] + self._after, side="right"))
                 margins = first - start + stop - last
-                ids = self._poses.ids(start, stop)
+                contacts = self._contacts_within(self._time[start:stop])
+                touching = [id for each in contacts for id in each.ids if id in self._lives]  # also without poses then
+                ids = np.union1d(self._poses.ids(start, stop), np.array(touching, np.uint32))
                 if last - first <= max(margins, 1) or len(ids) * (stop - start) <= _VALUES:
                     break
                 last = first + (last - first + 1) // 2
-            yield self._table(ids, start, first, last, stop)
+            yield self._table(ids, contacts, start, first, last, stop)
             self._done = last
         if self._done < len(clock):
             dropped = int(np.searchsorted(clock, clock[self._done] - self._before))
@@ -256,8 +258,13 @@ class MotionCollector:
             self._velocities.drop(dropped)
             self._time, self._done = self._time[dropped:], self._done - dropped
 
+    def _contacts_within(self, time: Floats) -> tuple[Contact, ...]:
+        """Return the contacts that matter at some times: who was hit before may still be thrown."""
+        begin, end = np.fmin.reduce(time) - THROWN, np.fmax.reduce(time)
+        return tuple(each for each in self._contacts if each.start <= end + SAME_TIME and each.stop >= begin - SAME_TIME)
+
     @np.errstate(invalid="ignore")  # of signalling NaN
-    def _table(self, ids: Ids, start: int, first: int, last: int, stop: int) -> MotionTable:
+    def _table(self, ids: Ids, contacts: tuple[Contact, ...], start: int, first: int, last: int, stop: int) -> MotionTable:
         time = self._time[start:stop]
         rows, actors, lived = [], [], []
         for row, id in enumerate(ids.tolist()):
@@ -298,7 +305,7 @@ class MotionCollector:
             width=size[:, 1],
             height=size[:, 2],
             offset=offset,
-            contacts=tuple(each for each in self._contacts if each.start <= time[-1] and each.stop >= time[0] - THROWN),
+            contacts=contacts,
         )
 
 
