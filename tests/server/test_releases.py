@@ -117,6 +117,7 @@ def test_the_sample_scripts_run_with_a_client(server: int, folder: Path, release
 
 @pytest.mark.parametrize("release", RUN)
 def test_a_client_captures_the_world_of_a_server(server: int, release: str, tmp_path: Path) -> None:
+    python_of(release)
     client = carla.Client("127.0.0.1", server)
     client.set_timeout(PATIENCE)
     world = client.get_world()
@@ -136,6 +137,7 @@ def test_two_clients_of_different_releases_share_a_world(server: int) -> None:
         "import carla, sys; world = carla.Client('127.0.0.1', int(sys.argv[1])).get_world(); world.wait_for_tick(30.0); "
         "print(sorted(actor.type_id for actor in world.get_actors().filter('vehicle.*')))"
     )
+    python_of("0.9.15")
     client = carla.Client("127.0.0.1", server)
     client.set_timeout(PATIENCE)
     world = client.get_world()
