@@ -174,6 +174,17 @@ async def test_a_tick_does_not_wait_long_for_a_subscription_that_never_comes() -
     assert time.monotonic() - begin >= 0.2
 
 
+async def test_the_end_of_an_earlier_wait_does_not_end_a_later_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(quirks, "_SUBSCRIBED_BY", 0.1)
+    pending, client = PendingSubscriptions(), object()
+    pending.expect(3, client)
+    monkeypatch.setattr(quirks, "_SUBSCRIBED_BY", PATIENCE)
+    pending.expect(3, client)
+    await asyncio.sleep(0.2)
+    assert [subscription.done() for subscription in pending.of(client)] == [False]
+    pending.arrived(3)
+
+
 # --- threads that are busy with the episode before ------------------------------------------------------------------------
 
 

@@ -26,6 +26,7 @@ from pymunk.batch import BodyFields, Buffer, get_space_bodies
 from carla_recap.sim.actors.actor import Actor, Prop, Sensor, Spectator
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, VehicleControl, Walker, WalkerControl
+from carla_recap.sim.actors.triggers import FrictionTrigger
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
@@ -100,6 +101,22 @@ class WorldMachine(RuleBasedStateMachine):
         if actor is not None and len(self.world.actors) < self.fewest + MOST:
             self.world.spawn(blueprint, Transform(Location(0.5, 0.0, 2.0)), parent=actor)
 
+    @rule(blueprint=st.sampled_from(VEHICLES + PROPS), parent=actors, length=st.sampled_from((2, 30)))
+    def attach_chain(self, blueprint: str, parent: int, length: int) -> None:
+        """Attach actors, each to the one before."""
+        self.note("attach_chain", blueprint, parent, length)
+        actor = self.pick(parent)
+        for _ in range(length):
+            if actor is not None and len(self.world.actors) < self.fewest + MOST:
+                actor = self.world.spawn(blueprint, Transform(Location(0.5, 0.0, 0.1), Rotation(yaw=5.0)), parent=actor)
+
+    @rule(index=indices, friction=st.sampled_from(("0.0", "3.5f", "nonsense")), extent=st.sampled_from(("0", "500", "1e9")))
+    def trigger(self, index: int, friction: str, extent: str) -> None:
+        self.note("trigger", index, friction, extent)
+        if len(self.world.actors) < self.fewest + MOST:
+            size = dict.fromkeys(("extent_x", "extent_y", "extent_z"), extent)
+            self.world.place("static.trigger.friction", self.place_at(index, 0.0, 0.0), friction=friction, **size)
+
     @rule(actor=actors)
     def destroy(self, actor: int) -> None:
         self.note("destroy", actor)
@@ -151,6 +168,34 @@ class WorldMachine(RuleBasedStateMachine):
         self.note("push", actor, speed)
         if isinstance(found := self.pick(actor), MovingActor):
             found.set_target_velocity(Vector(speed, 0.5 * speed))
+
+    @rule(actor=actors, impulse=st.sampled_from((-2e4, 10.0, 1e6)), force=flags)
+    def shove(self, actor: int, impulse: float, force: bool) -> None:
+        self.note("shove", actor, impulse, force)
+        if isinstance(found := self.pick(actor), Vehicle):
+            (found.add_force if force else found.add_impulse)(Vector(impulse, -impulse, 0.0))
+
+    @rule(actor=actors, enabled=flags)
+    def weightless(self, actor: int, enabled: bool) -> None:
+        self.note("weightless", actor, enabled)
+        if isinstance(found := self.pick(actor), MovingActor):
+            found.set_enable_gravity(enabled)
+
+    @rule(actor=actors)
+    def fall(self, actor: int) -> None:
+        self.note("fall", actor)
+        if isinstance(found := self.pick(actor), Walker):
+            found.rows.fall(found.row)
+
+    @rule(actor=actors, gears=st.integers(1, 12), gear=st.integers(-1, 12))
+    def shift(self, actor: int, gears: int, gear: int) -> None:
+        """Give a vehicle another gearbox, and a gear that it may lack in the next one."""
+        self.note("shift", actor, gears, gear)
+        if isinstance(found := self.pick(actor), Vehicle):
+            control = found.physics_control
+            control.forward_gears = [copy(control.forward_gears[0]) for _ in range(gears)]
+            found.physics_control = control
+            found.apply_control(VehicleControl(1.0, manual_gear_shift=True, gear=min(gear, gears)))
 
     @rule(actor=actors, throttle=st.sampled_from((0.0, 1.0)), steer=st.sampled_from((-1.0, 0.0)), reverse=flags)
     def control(self, actor: int, throttle: float, steer: float, reverse: bool) -> None:
@@ -281,6 +326,16 @@ class WorldMachine(RuleBasedStateMachine):
             assert not (actor.parent is not None and movers.simulated[row])
             if not movers.carried[row]:
                 assert np.allclose(body.position, movers.position[row, :2], atol=NEAR), f"{actor!r} is not where its body is"
+
+    @invariant()
+    def triggers_know_the_vehicles_within(self) -> None:
+        context = self.world.spectator.context
+        triggers = [actor for actor in self.world.actors.values() if isinstance(actor, FrictionTrigger)]
+        assert context.triggers == triggers
+        for vehicle, (_, entered) in context.occupied.items():
+            assert vehicle.context is context
+            assert entered
+            assert set(entered) <= set(triggers)
 
     @invariant()
     def families_agree(self) -> None:

@@ -112,23 +112,23 @@ class PendingSubscriptions:
     """The subscriptions that clients are about to make: they have asked for the token of a stream."""
 
     def __init__(self) -> None:
-        self._pending: dict[int, tuple[object, asyncio.Future[None]]] = {}
+        self._pending: dict[int, tuple[object, asyncio.Future[None], asyncio.TimerHandle]] = {}
 
     def expect(self, stream: int, client: object) -> None:
         """Expect a client to subscribe to a stream, over another connection."""
         self.arrived(stream)
         loop = asyncio.get_running_loop()
-        self._pending[stream] = client, loop.create_future()
-        loop.call_later(_SUBSCRIBED_BY, self.arrived, stream)
+        self._pending[stream] = client, loop.create_future(), loop.call_later(_SUBSCRIBED_BY, self.arrived, stream)
 
     def of(self, client: object) -> list[asyncio.Future[None]]:
         """Return the subscriptions that a client is about to make; a tick of this client waits for them."""
-        return [subscription for subscriber, subscription in self._pending.values() if subscriber is client]
+        return [subscription for subscriber, subscription, _ in self._pending.values() if subscriber is client]
 
     def arrived(self, stream: int) -> None:
         """End the wait for a subscription, if there is one."""
         if stream in self._pending:
-            _, subscription = self._pending.pop(stream)
+            _, subscription, limit = self._pending.pop(stream)
+            limit.cancel()
             subscription.set_result(None)
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.server.protocol.releases import WORLD
+from carla_recap.sim.actors.actor import transforms
 from carla_recap.sim.actors.lights import GREEN, Sign, TrafficLight
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.town.junctions import NO_LIGHT, Rules
@@ -154,8 +155,8 @@ class SnapshotEncoder:
         for name in _TIMES:
             lights[name] = getattr(world.signals, name)
         lights["state"] = world.signals.state
-        for row, actor in zip(others, self._others, strict=True):
-            row["numbers"][:6] = _pose(actor.transform)
+        for row, transform in zip(others, transforms(self._others), strict=True):
+            row["numbers"][:6] = _pose(transform)
         return self._arrays
 
     def _assemble(self, actors: list[Actor]) -> None:

@@ -6,11 +6,12 @@ import time
 import warnings
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
 from carla_recap.errors import RecapWarning
+from carla_recap.sim.actors.actor import transforms
 from carla_recap.sim.actors.blueprints import standard_library
 from carla_recap.sim.actors.registry import ActorIds, ActorRegistry
 from carla_recap.sim.actors.stepping import ActorMotion
@@ -64,7 +65,7 @@ class World:
         recordings: The folder of recordings, if one was given.
         maps: The folder of maps, if one was given.
         parameters: What recordings as MCAP say that the world is run with, as texts.
-        on_error: Called with a controller or listener that raises in a tick, and the error; without it, the tick raises.
+        on_error: Called with what raises in a tick (a controller, trigger or listener) and the error; else the tick raises.
 
     Raises:
         SimError: The seed is negative, or the length of a tick out of range.
@@ -397,16 +398,16 @@ class World:
             self._act(controller, controller.step, delta)
         self.signals.step(delta)
         collisions = self._motion.advance(delta)
-        for trigger in self._registry.triggers:
-            trigger.update(self._registry.vehicles)
+        for trigger, place in zip(triggers := self._registry.triggers, transforms(triggers), strict=True):
+            self._act(trigger, trigger.update, self._registry.vehicles, place)
         self._registry.clock.advance()
         self._registry.end_tick(collisions)
         for listener in tuple(self.listeners):
             self._act(listener, listener)
         return self.frame
 
-    def _act(self, actor: object, act: Callable[..., None], *arguments: float) -> None:
-        """Let a controller or listener act; see `on_error`."""
+    def _act(self, actor: object, act: Callable[..., None], *arguments: Any) -> None:
+        """Let a controller, trigger or listener act; see `on_error`."""
         try:
             act(*arguments)
         except Exception as error:

@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from carla_recap.server.snapshots import SnapshotEncoder
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, VehicleControl, Walker
 from carla_recap.sim.geometry import Location, Transform, Vector
 from tests.sim.flat import at, flat_world, spawn_car
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.world import World
 
@@ -123,6 +126,25 @@ def test_the_autopilot_of_a_parent_ignores_attached_actors() -> None:
     parent.set_autopilot(True)
     world.run(5)
     assert parent.velocity.length() > 3.0
+
+
+def test_a_tick_of_a_chain_composes_each_transform_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    world = flat_world()
+    parent: Actor = truck(world)
+    for blueprint in ("static.prop.box01", "static.trigger.friction") * 50:
+        parent = world.spawn(blueprint, at(0.01), parent=parent)
+    encoder = SnapshotEncoder(world)
+    world.start_recorder(tmp_path / "chain.log")
+    composed: list[Transform] = []
+    attached = Transform.attached
+    monkeypatch.setattr(Transform, "attached", lambda own, other: composed.append(other) or attached(own, other))
+    world.tick()
+    encoder.encode(1, 1)
+    world.stop_recorder()
+    assert len(composed) <= 4 * 100
+    composed.clear()
+    world.actors[parent.id - 100].destroy()
+    assert len(composed) == 100
 
 
 def test_a_chain_of_any_length_follows_and_is_destroyed_from_its_end() -> None:

@@ -83,8 +83,11 @@ def set_actor_location(client: Client, id: int, location: Location) -> None:
 
 @call
 def set_actor_target_velocity(client: Client, id: int, velocity: Vector) -> None:
-    """Set the velocity of a vehicle or walker, in m/s."""
-    expect(client, id, MovingActor).set_target_velocity(velocity)
+    """Set the velocity of a vehicle, in m/s; it has no effect on a walker, which has no physical body in CARLA."""
+    mover = expect(client, id, MovingActor)
+    expect_velocity("the velocity", velocity, of=mover)
+    if isinstance(mover, Vehicle):
+        mover.set_target_velocity(velocity)
 
 
 @call
@@ -114,13 +117,13 @@ def disable_actor_constant_velocity(client: Client, id: int) -> None:
 
 @call
 def add_actor_impulse(client: Client, id: int, impulse: Vector) -> None:
-    """Apply an impulse to an actor, in N s and the world's axes."""
+    """Apply an impulse to a vehicle, in N s and the world's axes; see `set_actor_target_velocity` about walkers."""
     _apply_impulse(expect(client, id, MovingActor), impulse)
 
 
 @call
 def add_actor_impulse_at_location(client: Client, id: int, impulse: Vector, location: Location) -> None:
-    """Apply an impulse to an actor at a location, in N s and m and the world's axes."""
+    """Apply an impulse to a vehicle at a location, in N s and m and the world's axes."""
     mover = expect(client, id, MovingActor)
     _apply_angular_impulse(mover, _angular_impulse(mover, location, impulse))
     _apply_impulse(mover, impulse)
@@ -128,13 +131,13 @@ def add_actor_impulse_at_location(client: Client, id: int, impulse: Vector, loca
 
 @call
 def add_actor_force(client: Client, id: int, force: Vector) -> None:
-    """Apply a force to an actor during the next tick, in N and the world's axes."""
+    """Apply a force to a vehicle during the next tick, in N and the world's axes."""
     _apply_impulse(expect(client, id, MovingActor), _during_tick(client, force))
 
 
 @call
 def add_actor_force_at_location(client: Client, id: int, force: Vector, location: Location) -> None:
-    """Apply a force to an actor at a location during the next tick, in N and m and the world's axes."""
+    """Apply a force to a vehicle at a location during the next tick, in N and m and the world's axes."""
     add_actor_impulse_at_location(client, id, _during_tick(client, force), location)
 
 
@@ -272,14 +275,10 @@ def _movable(client: Client, id: int) -> Actor:
 
 
 def _apply_impulse(mover: MovingActor, impulse: Vector) -> None:
-    """Change the velocity of an actor by an impulse, in N s."""
-    mass = mover.rows.mass[mover.row].item()
-    expect_push("the change of velocity", impulse, mass, of=mover)
+    """Change the velocity of a vehicle by an impulse, in N s."""
+    expect_push("the change of velocity", impulse, mover.rows.mass[mover.row].item(), of=mover)
     if isinstance(mover, Vehicle):
         mover.add_impulse(impulse)
-    else:
-        velocity = mover.velocity
-        mover.set_target_velocity(Vector(velocity.x + impulse.x / mass, velocity.y + impulse.y / mass, velocity.z))
 
 
 def _apply_angular_impulse(mover: MovingActor, impulse: float) -> None:

@@ -13,6 +13,7 @@ from carla_recap.scene.actor_instances import instances
 from carla_recap.scene.appearance import look_of
 from carla_recap.scene.description import LookColumns
 from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehicles
+from carla_recap.sim.actors.actor import transforms
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.recording.packets import CM_PER_M, pose, spawn
@@ -64,8 +65,8 @@ class WorldActors:
         for movers, (rows, sources) in ((world.vehicles, self._vehicles), (world.walkers, self._walkers)):
             poses[rows, :3] = movers.position[sources] * CM_PER_M
             poses[rows, 3:] = movers.rotation[sources][:, [2, 0, 1]]
-        for row, actor in self._others:
-            poses[row] = pose(actor.transform)
+        own, others = self._others
+        poses[own] = np.array([pose(transform) for transform in transforms(others)]).reshape(-1, 6)
         found = instances(self._actors, right_handed(poses), *self._lamps_and_steering())
         away = self._heights.away(found.ids, poses[None])[0]
         return found.take(~away) if away.any() else found
@@ -84,12 +85,11 @@ class WorldActors:
         self._walkers = _paired(row_of, self._world.walkers)
         lights = [(row_of[light.id], row) for row, light in enumerate(self._world.traffic_lights) if light.id in row_of]
         self._lights: tuple[Rows, Rows] = _columns(lights)
-        self._others = []
+        others = [actor for actor in drawn if not isinstance(actor, (MovingActor, Sign))]
+        self._others = [row_of[actor.id] for actor in others], others
         for row, actor in enumerate(drawn):
-            if not isinstance(actor, MovingActor):
+            if isinstance(actor, Sign):
                 self._poses[row] = pose(actor.transform)
-                if not isinstance(actor, Sign):
-                    self._others.append((row, actor))
 
     def _lamps_and_steering(self) -> tuple[NDArray[np.uint64], NDArray[np.float64]]:
         """Return the lit lamps of all that are drawn, and the angles of their front wheels; see `instances`."""

@@ -13,7 +13,7 @@ from carla_recap.scene.materials import Tag
 from carla_recap.sensors.beams import LidarBeams, LidarReturns, RadarBeams, detections
 from carla_recap.server import actor_records
 from carla_recap.server.sensors.feeds import axes, flag, interval, number, numbers, packed, row, warn_of
-from carla_recap.sim.actors.actor import Prop
+from carla_recap.sim.actors.actor import Prop, transforms
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.geometry import Vector
 
@@ -104,9 +104,9 @@ class ActorBoxes(OrientedBoxes):
 
     def __init__(self, actors: Sequence[Actor], margin: float = 0.0) -> None:
         self.actors = actors
-        transforms = [actor.transform for actor in actors]
-        centres = [transform.transform(actor.box.location) for transform, actor in zip(transforms, actors, strict=True)]
-        axes = np.array([transform.rotation.matrix() for transform in transforms]).reshape(-1, 3, 3)
+        places = transforms(actors)
+        centres = [place.transform(actor.box.location) for place, actor in zip(places, actors, strict=True)]
+        axes = np.array([place.rotation.matrix() for place in places]).reshape(-1, 3, 3)
         super().__init__(rows(centres), axes, rows(actor.box.extent for actor in actors) + margin)
 
 

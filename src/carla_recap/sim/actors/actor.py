@@ -14,6 +14,8 @@ from carla_recap.sim.physics.plane import PROP
 from carla_recap.sim.validation import expect_transform
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import pymunk
 
     from carla_recap.model.records import ActorKind
@@ -88,17 +90,7 @@ class Actor:
     @property
     def transform(self) -> Transform:
         """A copy of its transform in the world. Setting it moves the actor; an attached one, relative to its parent."""
-        actor: Actor = self
-        chain: list[Transform] = []
-        while actor.parent is not None and actor.is_alive and not actor.has_motion:
-            chain.append(actor._transform)
-            actor = actor.parent
-        if not chain:
-            return self._transform.copy()
-        place = actor.transform
-        for relative in reversed(chain):
-            place = place.attached(relative)
-        return place
+        return self._transform.copy() if self.parent is None or not self.is_alive else transforms([self])[0]
 
     @transform.setter
     def transform(self, value: Transform) -> None:
@@ -188,6 +180,20 @@ class Sensor(Actor):
 
 class Spectator(Actor):
     """The viewpoint of the user."""
+
+
+def transforms(actors: Sequence[Actor]) -> list[Transform]:
+    """Return the transforms of actors in the world; each transform that others are relative to is computed once."""
+    found: dict[Actor, Transform] = {}
+    for actor in actors:
+        base, chain = actor, []
+        while base not in found and base.parent is not None and base.is_alive and not base.has_motion:
+            chain.append(base)
+            base = base.parent
+        found[base] = place = found.get(base) or base.transform
+        for each in reversed(chain):
+            found[each] = place = place.attached(each._transform)
+    return [found[actor] for actor in actors]
 
 
 def attached_transform(parent: Actor, relative: Transform) -> Transform:

@@ -193,18 +193,19 @@ class ActorRegistry:
         while remaining:
             parents_first.append(remaining.pop())
             remaining += parents_first[-1].children
+        for each in parents_first:
+            each.mark_destroyed()
         for each in reversed(parents_first):
             self._remove(each)
         return True
 
     def _remove(self, actor: Actor) -> None:
-        """Remove an actor to which nothing is attached."""
+        """Remove a destroyed actor to which nothing is attached."""
         if actor.parent is not None:
             actor.parent.children.remove(actor)
         if isinstance(actor, FrictionTrigger):
             self.triggers.remove(actor)
             actor.release()
-        actor.mark_destroyed()
         if isinstance(actor, (Vehicle, Walker)):
             self._attached.pop(actor, None)
             del self._owners[actor.rows.remove(actor.id).id]

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from carla_recap.sim.actors.moving import Vehicle
+    from carla_recap.sim.geometry import Transform
     from carla_recap.sim.physics.vehicles import Vehicles
 
 _CM: Final = 0.01  # m
@@ -27,9 +28,9 @@ class FrictionTrigger(Actor):
 
     _entered: Sequence[Vehicle] = ()
 
-    def update(self, vehicles: Vehicles) -> None:
-        """Set the friction of vehicles that have entered, and restore that of vehicles that have left."""
-        inside = self._inside(vehicles)
+    def update(self, vehicles: Vehicles, place: Transform) -> None:
+        """Set the friction of vehicles that have entered it at a place, and restore that of vehicles that have left."""
+        inside = self._inside(vehicles, place)
         for vehicle in self._entered:
             if vehicle not in inside:
                 _leave(vehicle, self)
@@ -49,12 +50,11 @@ class FrictionTrigger(Actor):
         """The friction of the tyres inside."""
         return self._number("friction")
 
-    def _inside(self, vehicles: Vehicles) -> list[Vehicle]:
+    def _inside(self, vehicles: Vehicles, place: Transform) -> list[Vehicle]:
         """Return the vehicles whose boxes overlap that of the trigger, by the axes of both boxes."""
         if not len(vehicles):
             return []
         length, width, height = (self._number(f"extent_{axis}") * _CM for axis in "xyz")
-        place = self.transform
         x, y, z = (vehicles.position - (place.location.x, place.location.y, place.location.z)).T
         own, their = np.radians(place.rotation.yaw), np.radians(vehicles.rotation[:, 1])
         cos, sin = np.abs(np.cos(their - own)), np.abs(np.sin(their - own))

@@ -19,6 +19,7 @@ import numpy as np
 
 from carla_recap.model.frame import Packet
 from carla_recap.model.records import NO_ACTOR
+from carla_recap.sim.actors.actor import transforms
 from carla_recap.sim.actors.lights import Sign, TrafficLight
 from carla_recap.sim.actors.moving import MovingActor, Vehicle
 from carla_recap.sim.actors.registry import TickEvents
@@ -207,7 +208,7 @@ class _OtherActors:
     @property
     def poses(self) -> NDArray[np.float64]:
         """Their poses, (n, 6)."""
-        return np.array([pose(actor.transform) for actor in self.actors]).reshape(-1, 6)
+        return np.array([pose(transform) for transform in transforms(self.actors)]).reshape(-1, 6)
 
 
 def _packed(records: RecordsByType) -> dict[str, Packet]:
