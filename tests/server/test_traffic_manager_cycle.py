@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import asyncio
 import socket
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
@@ -7,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import msgpack
 import pytest
 
+from carla_recap.server.traffic_manager import TrafficManagerPause
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -100,6 +102,19 @@ def test_the_manager_whose_turn_it_is_is_woken(wire: socket.socket) -> None:
         first.settimeout(0.1)
         with pytest.raises(TimeoutError):
             first.accept()
+
+
+async def test_a_pause_waits_for_each_manager() -> None:
+    """Without it, the thread of a second manager looks at the episode while the client has none."""
+    pause = TrafficManagerPause(2)
+    beginning = asyncio.create_task(pause.begin(lambda: None))
+    held = [asyncio.create_task(pause.hold("apply_batch", "done"))]
+    await asyncio.sleep(0.05)
+    assert not beginning.done()
+    held.append(asyncio.create_task(pause.hold("apply_batch", "done")))
+    await beginning
+    await pause.end(lambda: True)
+    assert await asyncio.gather(*held) == ["done", "done"]
 
 
 def answered_request(caller: socket.socket) -> list[Any]:

@@ -17,7 +17,7 @@
 | its process aborts, now and then | `quirks.settled` \
 | `test_the_world_is_loaded_anew_while_images_are_drawn`, `test_nothing_of_an_episode_is_sent_after_its_end` |
 | meanwhile, the thread of its traffic manager looks at the episode | its process aborts \
-| `traffic_manager.TrafficManagerPause` | `test_episodes_begin_while_it_lives` |
+| `traffic_manager.TrafficManagerPause` | `test_episodes_begin_while_it_lives`, `test_a_pause_waits_for_each_manager` |
 | the client resets its traffic manager only when a snapshot has another episode than `get_episode_info` had \
 | on a map that it has loaded, its traffic drives along the lanes of the map before | `host.Client` \
 | `test_the_manager_drives_on_the_map_that_its_client_loads` |

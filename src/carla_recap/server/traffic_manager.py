@@ -63,9 +63,9 @@ class TrafficManagerRegistry:
         """Return the machine on which the manager of a port runs; None if there is no manager."""
         return self._running[port][0] if port in self._running else None
 
-    def has_one(self, client: TrafficManagerOwner) -> bool:
-        """Return whether a client runs a manager."""
-        return any(owner is client for _, owner in self._running.values())
+    def count(self, client: TrafficManagerOwner) -> int:
+        """Return how many managers a client runs."""
+        return sum(owner is client for _, owner in self._running.values())
 
     def unsettled(self) -> list[asyncio.Future[None]]:
         """Return futures that are done when no manager can miss a tick; see `TrafficManagerCycle`."""
@@ -158,15 +158,19 @@ async def _wake(host: str, port: int) -> None:
 
 
 class TrafficManagerPause:
-    """A pause of the traffic manager of a client, while that changes to a new episode.
+    """A pause of the traffic managers of a client, while that changes to a new episode.
 
-    Between the end of `load_new_episode` and the first snapshot that it gets, the client has no episode. Its traffic manager
+    Between the end of `load_new_episode` and the first snapshot that it gets, the client has no episode. A traffic manager
     runs in a thread of the client's process and aborts that process if it looks at the episode then. It cannot look while it
     waits for the answer to a call: so the server holds that answer back.
+
+    Args:
+        managers: How many managers the client runs.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, managers: int) -> None:
         self._held = {LAST_CALL}
+        self._missing = managers
         self._called = asyncio.Event()
         self._over = asyncio.Event()
 
@@ -175,7 +179,7 @@ class TrafficManagerPause:
         return self._hold(answer) if name in self._held else answer
 
     async def begin(self, new_frame: Callable[[], None]) -> None:
-        """Wait for a call of the manager; there is none if it waits for a tick of its client.
+        """Wait for a call of each manager; there is none of one that waits for a tick of its client.
 
         Args:
             new_frame: Sends the client a snapshot, which makes a manager that does not wait begin a cycle.
@@ -197,6 +201,8 @@ class TrafficManagerPause:
         self._over.set()
 
     async def _hold(self, answer: Any) -> Any:
-        self._called.set()
+        self._missing -= 1
+        if not self._missing:
+            self._called.set()
         await self._over.wait()
         return answer

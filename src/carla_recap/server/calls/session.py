@@ -222,8 +222,8 @@ async def load_new_episode(client: Client, name: str, reset_settings: bool = Tru
         host.recordings.stop()
         await host.recordings.completed()
         await settled()
-        if host.traffic_managers.has_one(client):
-            client.pause = TrafficManagerPause()
+        if managers := host.traffic_managers.count(client):
+            client.pause = TrafficManagerPause(managers)
             await client.pause.begin(partial(host.publish_again, client))
             client.in_background(_end_pause(client.pause, client))
         if reset_settings:
