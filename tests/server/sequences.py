@@ -91,7 +91,8 @@ class CallingClient:
         clock.tick()
         outcome = said[0].strip()
         if not said[0].endswith("\n"):
-            outcome += f" ends the client ({self._process.wait()}): seed {seed}"
+            self.close()
+            outcome += f" ends the client ({self._process.returncode}): seed {seed}"
             self._start()
         return outcome
 
@@ -105,8 +106,8 @@ class CallingClient:
             said.append("")
 
     def close(self) -> None:
-        self._process.kill()
-        self._process.wait()
+        with self._process:  # which closes its pipes
+            self._process.kill()
 
 
 def run(

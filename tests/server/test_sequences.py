@@ -1,11 +1,11 @@
-"""No client can stop the world of the others, whatever it calls: `python -m tests.server.sequences` makes many more calls."""
+"""No client can stop the world of the others, whatever it calls; `python -m tests.server.sequences` makes more calls."""
 
 from __future__ import annotations
 
 from tests.server.sequences import run
 from tests.waiting import PATIENCE
 
-CALLS = 100
+CALLS = 60
 BRIEF = 1.0
 """The processor time in s for which one client keeps another waiting at most, on a busy machine."""
 
