@@ -397,12 +397,8 @@ def test_a_changed_message_is_read_as_protobuf_reads_it(index, byte, cut):
     type = UE4.named("spawned")
     message = bytearray(codec.head(1, 0.0) + codec.encode(type, pack(type, SPAWNED)))
     message[index : index + cut] = bytes([byte])
-    try:
-        found = codec.decode(type, bytes(message))
-    except codec.WireError:
-        return
-    directly = codec.decode_objects(type, bytes(message))
-    assert directly is None or pack(type, directly) == found
+    directly = codec._decode_in_order(type, bytes(message))
+    assert directly is None or directly == codec._decode_by_protobuf(type, bytes(message))
 
 
 def test_a_number_without_an_end_costs_no_time():
@@ -423,29 +419,7 @@ def test_a_number_that_takes_more_than_a_byte_is_read(name, field, value):
 def test_spawns_are_read_without_protobuf():
     type = UE4.named("spawned")
     payload = pack(type, SPAWNED)
-    message = codec.head(1, 0.0) + codec.encode(type, payload)
-    assert codec.decode_objects(type, message) == SPAWNED == unpack(type, codec.decode(type, message))[0]
-
-
-def test_spawns_with_equal_attributes_share_none_of_them():
-    type = UE4.named("spawned")
-    message = codec.head(1, 0.0) + codec.encode(type, pack(type, SPAWNED))
-    first, second = codec.decode_objects(type, message)
-    first.attributes[0].value = "other"
-    first.attributes.clear()
-    assert [second] == SPAWNED[1:] == codec.decode_objects(type, message)[1:]
-
-
-def test_more_spawns_than_a_packet_counts_are_no_records():
-    type = UE4.named("spawned")
-    one = codec.encode(type, pack(type, SPAWNED[:1]))
-    assert len(codec.decode_objects(type, codec.head(1, 0.0) + MAX_COUNT * one)) == MAX_COUNT
-    assert codec.decode_objects(type, codec.head(1, 0.0) + (MAX_COUNT + 1) * one) is None
-
-
-def test_packets_that_are_kept_as_bytes_have_no_objects():
-    physics = UE5.named("physics")
-    assert codec.decode_objects(physics, codec.head(1, 0.0)) is None
+    assert codec._decode_in_order(type, codec.head(1, 0.0) + codec.encode(type, payload)) == payload
 
 
 @pytest.mark.parametrize("change", ["a byte less", "a byte more", "a field more", "a flag that does not fit", "broken text"])
@@ -459,7 +433,7 @@ def test_spawns_of_another_form_are_left_to_protobuf(change):
     message = codec.head(1, 0.0) + codec.encode(type, bytes(payload))
     changed = {"a byte less": message[:-1], "a byte more": message + b"\0", "a field more": message + b"\x7a\x01\x00"}
     message = changed.get(change, message)
-    assert codec.decode_objects(type, message) is codec._decode_in_order(type, message) is None
+    assert codec._decode_in_order(type, message) is None
 
 
 @pytest.mark.parametrize("count", [2, 1500])

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
-from dataclasses import astuple
 from functools import cache, lru_cache
 from importlib import import_module
 from itertools import accumulate, pairwise
@@ -42,7 +41,7 @@ from carla_recap.model.layout import (
 from carla_recap.model.records import Group
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from google.protobuf.message import Message
     from numpy.typing import NDArray
@@ -62,7 +61,6 @@ VARINT, FIXED64, LEN, FIXED32 = 0, 1, 2, 5
 
 _WIRE_TYPES: Final = {"u4": FIXED32, "i4": FIXED32, "f4": FIXED32, "u8": FIXED64, "f8": FIXED64}
 _LEAST: Final = 7  # bytes of a record with nothing but an id
-_ENDING: Final = 1 << 10  # bytes behind the first numbers of a record: fewer are cached, such as those of a blueprint
 
 
 class WireError(ValueError):
@@ -188,30 +186,27 @@ class WireNumbers:
 
     Attributes:
         blank: The bytes of the message, all numbers being zero.
-        sources: The offset in the payload of each byte of a number.
-        targets: Its offset in the message.
+        targets: The offset in the message of each byte of a number.
         masks: Of each of these bytes, the bits that are not free: a number of one byte is to fit a varint of one byte.
         values: The numbers in the message, as bytes.
-        numbers: The numbers in the message.
     """
 
     def __init__(self, numbers: Numbers, first: int = 1) -> None:
-        blank, targets, masks, values, codes = bytearray(), list[int](), bytearray(), "", "<"
-        for (number, kind), code in zip(numbers.fields.values(), numbers.codes, strict=True):
+        blank, targets, masks, values = bytearray(), list[int](), bytearray(), "<"
+        self._fields: list[tuple[bytes, int, str]] = []
+        for number, kind in numbers.fields.values():
             size = 1 if kind == FLAG else int(kind[1:])
             name = tag(number + first - 1, _WIRE_TYPES.get(kind, VARINT))
+            self._fields.append((name, size, kind))
             blank += name
             targets += range(len(blank), len(blank) + size)
             masks += bytes((0 if size > 1 else 0xFE if kind == FLAG else 0x80,)) * size
             blank += bytes(size)
             values += f"{len(name)}x{size}s"
-            codes += f"{len(name)}x{code}"
         self.blank = bytes(blank)
-        self.sources = np.arange(len(targets))
         self.targets = np.array(targets)
         self.masks = np.frombuffer(bytes(masks), np.uint8)
         self.values = struct.Struct(values)
-        self.numbers = struct.Struct(codes)
         fixed_bits = np.full(len(blank), 0xFF, np.uint8)
         fixed_bits[self.targets] = self.masks
         self._fixed_bits = int.from_bytes(fixed_bits.tobytes(), "little")
@@ -220,6 +215,19 @@ class WireNumbers:
     def matches(self, data: bytes) -> bool:
         """Return whether some bytes are these numbers in a message."""
         return len(data) == len(self.blank) and not (int.from_bytes(data, "little") ^ self._blank_bits) & self._fixed_bits
+
+    def encode(self, payload: bytes, offset: int) -> tuple[bytes, bool]:
+        """Return the numbers at an offset of a payload as a message has them, and whether each has its size in `blank`."""
+        parts, fits = list[bytes](), True
+        for name, size, kind in self._fields:
+            value = payload[offset : offset + size]
+            offset += size
+            if size == 1 and value[0] > (1 if kind == FLAG else 0x7F):
+                fits = False
+                signed = int.from_bytes(value, signed=kind == "i1")
+                value = b"\1" if kind == FLAG else varint(signed & 0xFFFF_FFFF_FFFF_FFFF)
+            parts += (name, value)
+        return b"".join(parts), fits
 
 
 @cache
@@ -382,6 +390,7 @@ class PacketTemplate(NamedTuple):
         return payloads
 
 
+Places = list[tuple[int, int, WireNumbers]]  # of numbers: their offsets in a payload and in a message
 _templates: dict[RecordType, PacketTemplate] = {}  # of the latest packet of each type
 
 
@@ -433,11 +442,11 @@ def decode(type: RecordType, data: Buffer) -> bytes:
     payloads = template.decode(_row(data)) if template else None
     if payloads is not None:
         return payloads.tobytes()
-    payload = (_decode_in_order(type, bytes(data)) if len(data) <= OBJECTS_LIMIT else None) or _decode_by_protobuf(
-        type, data
-    )
+    found = _decode_in_order(type, bytes(data)) if len(data) <= OBJECTS_LIMIT else None
+    payload = found or _decode_by_protobuf(type, data)
     if type.group is Group.STATE:
-        _keep(type, payload)
+        with suppress(PayloadError):  # there may be anything in a field `raw`
+            _encode_any(type, payload)  # which keeps its structure
     return payload
 
 
@@ -464,7 +473,7 @@ def decode_records(type: RecordType, messages: Sequence[Buffer]) -> list[Any]:
     if together is not None:
         return [row for records in together for row in records.tolist()]
     try:
-        found = [decode_objects(type, message) or unpack(type, decode(type, message))[0] for message in messages]
+        found = [unpack(type, decode(type, message))[0] for message in messages]
     except PayloadError as error:
         raise WireError(str(error)) from None
     return [row for records in found for row in (records.tolist() if isinstance(records, np.ndarray) else records)]
@@ -474,103 +483,61 @@ def _row(data: Buffer) -> NDArray[np.uint8]:
     return np.frombuffer(data, np.uint8)[None]
 
 
-def _keep(type: RecordType, payload: bytes) -> None:
-    """Keep the structure of a packet, if messages can have it."""
-    with suppress(PayloadError):  # there may be anything in a field `raw`
-        template, exact = _template(type, payload)
-        if exact:
-            _templates[type] = template
-
-
 def _encode_any(type: RecordType, payload: Buffer) -> bytes:
-    """Return the body of a message of a payload whose structure is new."""
+    """Return the body of a message of a payload, and keep its structure, except for events: few have that of another one."""
     data = bytes(payload)
-    if type.group is not Group.STATE:  # few events have the structure of another one, so that a template is of no use
-        body = _serialized(type, locate(type, data)[0], data)
-        if _decode_in_order(type, head(0, 0.0) + body) == data:
-            return body
-    template, exact = _template(type, data)
-    if exact and type.group is Group.STATE:
-        _templates[type] = template
-    raw = b"" if exact else tag(RAW, LEN) + varint(len(data)) + data
-    return template.body.tobytes() + raw
-
-
-def _template(type: RecordType, data: bytes) -> tuple[PacketTemplate, bool]:
-    """Return the structure of a packet, and whether its message gives the payload back.
-
-    Where the numbers are in a message shows when two are compared, whose numbers have bytes of 0 and of 1.
-
-    Raises:
-        PayloadError: The payload contradicts the type's layout.
-    """
     span, rest = locate(type, data)
-    leaves = list(_leaves(span))
-    numbers = [leaf for leaf in leaves if isinstance(leaf, tuple)]
-    clean = all(_as_utf8(data[leaf]).encode() == data[leaf] for leaf in leaves if isinstance(leaf, slice))
-    sources = np.concatenate([np.empty(0, np.intp), *(offset + form.sources for offset, form in numbers)])
-    masks = np.concatenate([np.empty(0, np.uint8), *(form.masks for _, form in numbers)])
-    payload = np.frombuffer(data, np.uint8)
-    zeros, ones = payload.copy(), payload.copy()
-    zeros[sources], ones[sources] = 0, 1
-    body = np.frombuffer(bytearray(_serialized(type, span, zeros.tobytes())), np.uint8)
-    targets = np.flatnonzero(body != np.frombuffer(_serialized(type, span, ones.tobytes()), np.uint8))
-    fits = not (payload[sources] & masks).any()
-    if fits:
-        body[targets] = payload[sources]
-    else:  # a number that takes more than a byte moves all that follows
-        body = np.frombuffer(_serialized(type, span, data), np.uint8)
-    payload_mask, body_mask = np.full(len(payload), 0xFF, np.uint8), np.full(len(body), 0xFF, np.uint8)
-    payload_mask[sources] = body_mask[targets] = masks
-    return PacketTemplate(payload, body, sources, targets, payload_mask, body_mask), fits and clean and not rest
-
-
-def _leaves(span: Span) -> Iterator[tuple[int, WireNumbers] | slice]:
-    """Yield what records consist of in a payload: the offset and form of numbers, and the bytes of texts."""
-    for index in range(span.number):
-        parts = span.records[index] if span.layout.make else [span.offset + index * span.layout.dtype.itemsize]
-        for step, part in zip(span.layout.steps, parts, strict=True):
-            if isinstance(step, Numbers):
-                yield part, wire_numbers(step)  # type: ignore[misc]
-            elif isinstance(part, slice):
-                yield part
-            else:
-                yield from _leaves(part)  # type: ignore[arg-type]
-
-
-def _as_utf8(text: bytes) -> str:
-    return text.decode("utf-8", "replace")
-
-
-# --- by protobuf -------------------------------------------------------------------------------------------------------
-
-
-def _serialized(type: RecordType, span: Span, data: bytes) -> bytes:
-    """Return the body of a message of some records of a payload."""
-    message: Any = message_class(type.name, type.message_name)()
     if type.framing is Framing.SINGLE:
-        setattr(message, type.items, span.layout.steps[0].struct.unpack_from(data)[0])  # type: ignore[union-attr]
+        (numbers,) = span.layout.steps
+        body, is_exact = wire_numbers(numbers, ITEMS).encode(data, 0)  # type: ignore[arg-type]
+        places: Places = []
     else:
-        _fill(getattr(message, type.items), span, data)
-    body: bytes = message.SerializeToString()
+        body, places, is_exact = _write_items(ITEMS, span, data)
+    if rest or not is_exact:
+        return body + tag(RAW, LEN) + varint(len(data)) + data
+    if type.group is Group.STATE:
+        _templates[type] = _template(data, body, places)
     return body
 
 
-def _fill(items: Any, span: Span, data: bytes) -> None:
-    """Add records of a payload to a field of a message."""
-    layout = span.layout
+def _write_items(number: int, span: Span, data: bytes) -> tuple[bytes, Places, bool]:
+    """Return records of a payload as a field, where numbers are in both, and whether the field gives the records back."""
+    out, places, is_exact = bytearray(), Places(), True
     for index in range(span.number):
-        item = items.add()
-        parts = span.records[index] if layout.make else [span.offset + index * layout.dtype.itemsize]
-        for step, part in zip(layout.steps, parts, strict=True):
+        item, inside = bytearray(), Places()
+        parts = span.records[index] if span.layout.make else [span.offset + index * span.layout.dtype.itemsize]
+        for step, part in zip(span.layout.steps, parts, strict=True):
             if isinstance(step, Numbers):
-                values = step.struct.unpack_from(data, part)  # type: ignore[arg-type]
-                for (name, (_, kind)), value in zip(step.fields.items(), values, strict=True):
-                    setattr(item, name, bool(value) if kind == FLAG else value)
+                form = wire_numbers(step)
+                found, fits = form.encode(data, part)  # type: ignore[arg-type]
+                inside.append((part, len(item), form))  # type: ignore[arg-type]
             elif isinstance(part, slice):
-                setattr(item, step.name, _as_utf8(data[part]))
+                text = data[part].decode("utf-8", "replace").encode()
+                found, fits = tag(step.number, LEN) + varint(len(text)) + text, text == data[part]
             else:
-                _fill(getattr(item, step.name), part, data)  # type: ignore[arg-type]
+                found, nested, fits = _write_items(step.number, part, data)  # type: ignore[arg-type, union-attr]
+                inside += [(source, len(item) + target, form) for source, target, form in nested]
+            item += found
+            is_exact &= fits
+        out += tag(number, LEN) + varint(len(item))
+        places += [(source, len(out) + target, form) for source, target, form in inside]
+        out += item
+    return bytes(out), places, is_exact
+
+
+def _template(data: bytes, body: bytes, places: Places) -> PacketTemplate:
+    """Return the structure of a packet whose message gives the payload back."""
+    nothing = np.empty(0, np.intp)
+    sources = np.concatenate([nothing, *(np.arange(source, source + len(form.targets)) for source, _, form in places)])
+    targets = np.concatenate([nothing, *(target + form.targets for _, target, form in places)])
+    masks = np.concatenate([np.empty(0, np.uint8), *(form.masks for *_, form in places)])
+    payload_mask, body_mask = np.full(len(data), 0xFF, np.uint8), np.full(len(body), 0xFF, np.uint8)
+    payload_mask[sources] = body_mask[targets] = masks
+    payload, body_bytes = (np.frombuffer(each, np.uint8) for each in (data, body))
+    return PacketTemplate(payload, body_bytes, sources, targets, payload_mask, body_mask)
+
+
+# --- by protobuf -------------------------------------------------------------------------------------------------------
 
 
 def _decode_by_protobuf(type: RecordType, data: Buffer) -> bytes:
@@ -624,52 +591,14 @@ def _layout_of(items: Any, layouts: Sequence[CompiledLayout]) -> CompiledLayout:
 def _decode_in_order(type: RecordType, data: bytes) -> bytes | None:
     """Return the payload of a message that is as `encode` writes it, with all bits of its numbers; None for others.
 
-    Protobuf makes quiet NaNs of signalling ones where numbers are of 32 bits.
+    Protobuf makes quiet NaNs of signalling ones where numbers are of 32 bits, and its import takes 15 ms, a fifth of the
+    time of `collisions` on a small recording.
     """
     parts: list[bytes] = []
     with suppress(ValueError, IndexError, struct.error):
         end = _read_items(parts, data, HEAD.size, len(data), ITEMS, U16, compiled(type))
         return b"".join(parts) if end == len(data) and read_head(data) is not None else None
     return None
-
-
-def decode_objects(type: RecordType, data: Buffer) -> list[Any] | None:
-    """Return the records of a message of events whose size varies; None for one not as `encode` writes it, or of state.
-
-    Protobuf's import takes 15 ms, a fifth of the time of `collisions` on a small recording, whose spawns are read this way.
-    Many actors have the same blueprint and attributes: what follows the numbers of a record is decoded once.
-    """
-    layout = compiled(type)
-    if layout.make is None or type.opaque or layout.choices > 1 or type.group is Group.STATE or len(data) > OBJECTS_LIMIT:
-        return None
-    first, message, name, found = layout.steps[0], bytes(data), tag(ITEMS, LEN), list[Any]()
-    assert isinstance(first, Numbers)
-    form, offset, end = wire_numbers(first), HEAD.size, len(message)
-    size = len(form.blank)
-    with suppress(ValueError, IndexError, struct.error):
-        while message.startswith(name, offset):
-            start, offset = _read_size(message, offset + len(name), end)
-            if not form.matches(message[start : start + size]):
-                return None
-            ending = message[start + size : offset]
-            values = (_ending if len(ending) <= _ENDING else _ending.__wrapped__)(type, ending)
-            rest = [value if make is None else [make(*item) for item in value] for value, make in values]
-            found.append(layout.make(*form.numbers.unpack_from(message, start), *rest))
-        return found if offset == end and len(found) <= MAX_COUNT and read_head(message) is not None else None
-    return None
-
-
-@lru_cache(maxsize=1 << 10)
-def _ending(type: RecordType, data: bytes) -> list[tuple[Any, Callable[..., Any] | None]]:
-    """Return the values behind the first numbers of a record: a text, or the values of each item, and the items' class."""
-    first, *steps = compiled(type).steps
-    assert isinstance(first, Numbers)
-    parts = [U16.pack(1), bytes(first.struct.size)]
-    _read_steps(parts, data, 0, len(data), steps)
-    ((record,), _) = unpack(type, b"".join(parts))
-    makes = [step.layouts[0].make if isinstance(step, Items) else None for step in steps]
-    values = [getattr(record, step.name) for step in steps if not isinstance(step, Numbers)]
-    return [([astuple(item) for item in value] if make else value, make) for value, make in zip(values, makes, strict=True)]
 
 
 def _read_items(

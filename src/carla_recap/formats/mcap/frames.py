@@ -142,12 +142,7 @@ class MessagePacket(Packet):
             FormatError: The message contradicts its schema.
         """
         together = self._source.records
-        if together is not None:
-            return together[self._index]
-        if self._records is None and self._payload is None:
-            assert self.type
-            self._records = codec.decode_objects(self.type, self._source.messages[self._index])
-        return super().records
+        return super().records if together is None else together[self._index]
 
     def error(self, error: PayloadError) -> FormatError:
         """Return the error of a payload, kept in the message as it is, that contradicts its layout."""
