@@ -11,7 +11,7 @@ import math
 from collections import defaultdict
 from fnmatch import fnmatch
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self, TypeVar
 
 import numpy as np
 
@@ -30,7 +30,7 @@ except ImportError:
     raise MissingExtra("MetricsLog", "carla") from None
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator
+    from collections.abc import Callable, Collection, Iterator
     from pathlib import Path
     from types import TracebackType
 
@@ -47,6 +47,26 @@ _EVENTS: Final = (
     *("collisions", "trigger_volumes", "physics", "light_times", "scene_lights"),
 )
 _FULL_COLOR: Final = 255
+Value = TypeVar("Value")
+
+
+def _in_frames(ask: Callable[[MetricsLog, int, int], Value]) -> Callable[..., list[Value]]:
+    """Return the method with the values of an actor from a first frame to a last one, both included."""
+
+    def answer(log: MetricsLog, actor_id: int, first_frame: int | None = None, last_frame: int | None = None) -> list[Value]:
+        last = log.get_total_frame_count() if last_frame is None else last_frame
+        return [ask(log, actor_id, frame) for frame in range(1 if first_frame is None else first_frame, last + 1)]
+
+    return answer
+
+
+def _by_actor(ask: Callable[[MetricsLog, int, int], Value]) -> Callable[..., dict[int, Value]]:
+    """Return the method with the values in a frame by actor: of all that have one, or of those in a list that are there."""
+
+    def answer(log: MetricsLog, frame: int, actor_list: Collection[int] | None = None) -> dict[int, Value]:
+        return {id: ask(log, id, frame) for id in log._present(frame, actor_list)}
+
+    return answer
 
 
 class MetricsLog:
@@ -181,34 +201,16 @@ class MetricsLog:
         pitch, yaw, roll = (float(values[row]) for values in (path.pitch, path.yaw, path.roll))
         return carla.Transform(location, carla.Rotation(pitch, yaw, roll))
 
-    def get_all_actor_transforms(
-        self, actor_id: int, first_frame: int | None = None, last_frame: int | None = None
-    ) -> list[carla.Transform | None]:
-        """Return the transforms of an actor from a first frame to a last one, both included."""
-        return [self.get_actor_transform(actor_id, frame) for frame in self._frames(first_frame, last_frame)]
-
-    def get_actor_transforms_at_frame(
-        self, frame: int, actor_list: Collection[int] | None = None
-    ) -> dict[int, carla.Transform | None]:
-        """Return the transforms in a frame by actor: of all that have one, or of those in a list that are in the frame."""
-        return {id: self.get_actor_transform(id, frame) for id in self._present(frame, actor_list)}
+    get_all_actor_transforms = _in_frames(get_actor_transform)
+    get_actor_transforms_at_frame = _by_actor(get_actor_transform)
 
     def get_actor_velocity(self, actor_id: int, frame: int) -> carla.Vector3D | None:
         """Return the velocity of an actor in a frame in m/s, derived from its positions if it was not recorded."""
         path, row = self._pose(actor_id, frame)
         return None if path is None else carla.Vector3D(*(float(values[row]) for values in (path.vx, path.vy, path.vz)))
 
-    def get_all_actor_velocities(
-        self, actor_id: int, first_frame: int | None = None, last_frame: int | None = None
-    ) -> list[carla.Vector3D | None]:
-        """Return the velocities of an actor from a first frame to a last one, both included."""
-        return [self.get_actor_velocity(actor_id, frame) for frame in self._frames(first_frame, last_frame)]
-
-    def get_actor_velocities_at_frame(
-        self, frame: int, actor_list: Collection[int] | None = None
-    ) -> dict[int, carla.Vector3D | None]:
-        """Return the velocities in a frame by actor; see `get_actor_transforms_at_frame`."""
-        return {id: self.get_actor_velocity(id, frame) for id in self._present(frame, actor_list)}
+    get_all_actor_velocities = _in_frames(get_actor_velocity)
+    get_actor_velocities_at_frame = _by_actor(get_actor_velocity)
 
     def get_actor_angular_velocity(self, actor_id: int, frame: int) -> carla.Vector3D | None:
         """Return the angular velocity of an actor in a frame in degrees/s.
@@ -223,17 +225,8 @@ class MetricsLog:
             return None
         return carla.Vector3D(*(_rate(path.time, angles, index) for angles in (path.roll, path.pitch, path.yaw)))
 
-    def get_all_actor_angular_velocities(
-        self, actor_id: int, first_frame: int | None = None, last_frame: int | None = None
-    ) -> list[carla.Vector3D | None]:
-        """Return the angular velocities of an actor from a first frame to a last one, both included."""
-        return [self.get_actor_angular_velocity(actor_id, frame) for frame in self._frames(first_frame, last_frame)]
-
-    def get_actor_angular_velocities_at_frame(
-        self, frame: int, actor_list: Collection[int] | None = None
-    ) -> dict[int, carla.Vector3D | None]:
-        """Return the angular velocities in a frame by actor; see `get_actor_transforms_at_frame`."""
-        return {id: self.get_actor_angular_velocity(id, frame) for id in self._present(frame, actor_list)}
+    get_all_actor_angular_velocities = _in_frames(get_actor_angular_velocity)
+    get_actor_angular_velocities_at_frame = _by_actor(get_actor_angular_velocity)
 
     def get_actor_acceleration(self, actor_id: int, frame: int) -> carla.Vector3D | None:
         """Return the acceleration of an actor in m/s²: the change of its velocity since the frame before; 0 in its first."""
@@ -245,17 +238,8 @@ class MetricsLog:
             return carla.Vector3D(0, 0, 0)
         return carla.Vector3D(*(float(values[row] - values[row - 1]) / seconds for values in (path.vx, path.vy, path.vz)))
 
-    def get_all_actor_accelerations(
-        self, actor_id: int, first_frame: int | None = None, last_frame: int | None = None
-    ) -> list[carla.Vector3D | None]:
-        """Return the accelerations of an actor from a first frame to a last one, both included."""
-        return [self.get_actor_acceleration(actor_id, frame) for frame in self._frames(first_frame, last_frame)]
-
-    def get_actor_accelerations_at_frame(
-        self, frame: int, actor_list: Collection[int] | None = None
-    ) -> dict[int, carla.Vector3D | None]:
-        """Return the accelerations in a frame by actor; see `get_actor_transforms_at_frame`."""
-        return {id: self.get_actor_acceleration(id, frame) for id in self._present(frame, actor_list)}
+    get_all_actor_accelerations = _in_frames(get_actor_acceleration)
+    get_actor_accelerations_at_frame = _by_actor(get_actor_acceleration)
 
     # --- vehicles and walkers ------------------------------------------------------------------------------------------
 
@@ -387,9 +371,6 @@ class MetricsLog:
                 f"{self._recording.location}: no frame {frame}; frames count from 0 here, and there are {count}"
             )
         return min(frame, count - 1)
-
-    def _frames(self, first: int | None, last: int | None) -> range:
-        return range(1 if first is None else first, (self.get_total_frame_count() if last is None else last) + 1)
 
     def _pose(self, actor_id: int, frame: int) -> tuple[Trajectory, int] | tuple[None, int]:
         """Return the trajectory of an actor and the row of a frame in it; None if it has no transform there."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections import deque
 from dataclasses import dataclass, field
 from math import isqrt
 from numbers import Integral
@@ -308,69 +309,44 @@ class HashOrder:
     """
 
     def __init__(self) -> None:
-        self._next: dict[int, int | None] = {_FRONT: None}
-        self._buckets = 0
-        self._before: dict[int, int] = {}  # by bucket, the entry that its first one follows
+        self._size = self._count = 0  # the numbers of buckets and entries
+        self._buckets: dict[int, deque[int]] = {}  # those with entries, the last one in front
 
     def ids(self) -> Iterator[int]:
         """Yield the ids."""
-        id = self._next[_FRONT]
-        while id is not None:
-            yield id
-            id = self._next[id]
+        return (id for bucket in reversed(self._buckets.values()) for id in bucket)
 
     def add(self, id: int) -> None:
         """Add an id if it is not present."""
-        if id in self._next:
+        if self._size and id in self._buckets.get(id % self._size, ()):
             return
-        if len(self._next) > self._buckets:  # of which one is the front
+        if self._count >= self._size:
             # The number of buckets is a power of two only in a table of 2, which grows from an empty one.
-            self._grow(_next_prime(max(2 * self._buckets + 1, 2)))
-        bucket = id % self._buckets
-        if bucket in self._before:
-            self._put_behind(self._before[bucket], id)
-            return
-        self._put_behind(_FRONT, id)
-        self._before[bucket] = _FRONT
-        behind = self._next[id]
-        if behind is not None:
-            self._before[behind % self._buckets] = id
+            self._grow(_next_prime(max(2 * self._size + 1, 2)))
+        self._count += 1
+        self._buckets.setdefault(id % self._size, deque()).appendleft(id)
 
     def remove(self, id: int) -> None:
         """Remove an id that is present."""
-        bucket = id % self._buckets
-        before = self._before[bucket]
-        while self._next[before] != id:
-            before = self._next[before]  # type: ignore[assignment]
-        behind = self._next[before] = self._next.pop(id)
-        if behind is None or behind % self._buckets != bucket:
-            if before == self._before[bucket]:
-                del self._before[bucket]
-            if behind is not None:
-                self._before[behind % self._buckets] = before
+        bucket = self._buckets[id % self._size]
+        bucket.remove(id)
+        self._count -= 1
+        if not bucket:
+            del self._buckets[id % self._size]
 
-    def _put_behind(self, before: int, id: int) -> None:
-        self._next[id] = self._next[before]
-        self._next[before] = id
-
-    def _grow(self, buckets: int) -> None:
-        """Distribute the list over more buckets: each entry goes behind the one before the first entry of its bucket."""
-        self._buckets = buckets
-        self._before = {}
-        last, latest = _FRONT, None
-        while (id := self._next[last]) is not None:
-            bucket = id % buckets
-            if bucket == latest:
-                last = id
-            elif bucket not in self._before:
-                self._before[bucket] = last
-                last, latest = id, bucket
+    def _grow(self, size: int) -> None:
+        """Distribute the list over more buckets: each entry becomes the first of its bucket, or follows on the last."""
+        buckets: dict[int, deque[int]] = {}
+        latest = None
+        for id in self.ids():
+            bucket = buckets.get(id % size)
+            if bucket is None:
+                latest, buckets[id % size] = id % size, deque((id,))
+            elif latest == id % size:
+                bucket.append(id)
             else:
-                self._next[last] = self._next[id]
-                self._put_behind(self._before[bucket], id)
-
-
-_FRONT = -1  # the key of the first id
+                bucket.appendleft(id)
+        self._size, self._buckets = size, dict(reversed(buckets.items()))
 
 
 def _next_prime(number: int) -> int:
