@@ -6,9 +6,8 @@ Nothing is aligned: places are those of the map, and times are elapsed seconds.
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
@@ -16,18 +15,9 @@ import numpy as np
 from carla_recap.errors import RecapError
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import HERO, ActorLife
-from carla_recap.model.records import Spawn
 from carla_recap.queries.incidents import Incident, incidents
 from carla_recap.queries.matching import Match, MatchedBy, match
-from carla_recap.queries.paths import (
-    ActorFrames,
-    PathDifference,
-    RecordedPaths,
-    compare_paths,
-    compare_states,
-    pair_frames,
-)
-from carla_recap.queries.recorded_actors import actors
+from carla_recap.queries.paths import PathDifference, RecordedPaths, StateDifference, compare
 from carla_recap.roads.find import map_key
 from carla_recap.tables import Rows
 from carla_recap.util.text import readable
@@ -264,76 +254,23 @@ def differences(
             raise RecapError(f"a {name} of {value:g} cannot be; it must be 0 or more")
     if time_tolerance is None:
         time_tolerance = TIME_TOLERANCE if tolerance > 0 else 0.0
-    return _Comparison((_Side(a), _Side(b)), tolerance, time_tolerance).answer(events=events)
-
-
-class _Side:
-    """One of the recordings, and its actors by number: in order of appearance, those whose spawn is not recorded last."""
-
-    def __init__(self, source: Reader) -> None:
-        self.source = source
-        self.lives = list(actors(source))
-        self.paths = RecordedPaths.of(source)
-        self._numbers: dict[int, list[int]] = defaultdict(list)
-        for number, life in enumerate(self.lives):
-            self._numbers[life.id].append(number)
-        self.unknown: dict[int, int] = {}
-        for id in self.paths.poses:
-            if id not in self._numbers:
-                self.unknown[id] = len(self.lives)
-                self._numbers[id].append(len(self.lives))
-                spawn = Spawn(id, x=math.nan, y=math.nan, z=math.nan)
-                self.lives.append(ActorLife(id, "", "", "", math.nan, spawn=spawn))
-        self.poses, self.states = self._by_number(self.paths.poses), self._by_number(self.paths.states)
-
-    def number(self, id: int, time: float) -> int | None:
-        """Return the number of the actor that had an id at a time, as `ActorLives.at` has it."""
-        numbers = self._numbers.get(id)
-        if numbers is None or id in self.unknown:
-            return None
-        return numbers[max(bisect_right(numbers, time, key=lambda number: self.lives[number].spawned_at) - 1, 0)]
-
-    def _by_number(self, by_id: dict[int, ActorFrames]) -> dict[int, ActorFrames]:
-        found: dict[int, ActorFrames] = {}
-        for id, (frame, values) in by_id.items():
-            numbers = self._numbers.get(id, [])
-            if len(numbers) == 1:
-                found[numbers[0]] = ActorFrames(frame, values)
-                continue
-            again = [self.lives[number].spawned_at for number in numbers[1:]]
-            turn = np.searchsorted(again, self.paths.elapsed[frame], "right")
-            for which, number in enumerate(numbers):
-                if len(rows := np.flatnonzero(turn == which)):
-                    found[number] = ActorFrames(frame[rows], values[rows])
-        return found
-
-    def about(self) -> ComparedRecording:
-        with np.errstate(invalid="ignore"):
-            steps = np.diff(self.paths.elapsed)
-        steps = steps[np.isfinite(steps)]
-        extent, map_name = self.source.extent(), readable(self.source.header.map_name)
-        step = float(np.median(steps)) if len(steps) else math.nan
-        return ComparedRecording(self.source.location, map_name, extent.frames, extent.duration, step)
+    return _Comparison((RecordedPaths(a), RecordedPaths(b)), tolerance, time_tolerance).answer(events=events)
 
 
 class _Comparison:
     """Two recordings, and what counts as equal; see `differences`."""
 
-    def __init__(self, sides: tuple[_Side, _Side], tolerance: float, time_tolerance: float) -> None:
+    def __init__(self, sides: tuple[RecordedPaths, RecordedPaths], tolerance: float, time_tolerance: float) -> None:
         self._sides = a, b = sides
         self._tolerance, self._time_tolerance = tolerance, time_tolerance
-        self._about = a.about(), b.about()
-        self._clock = _clock(a.paths.elapsed, b.paths.elapsed)
-        self._pairs = pair_frames(a.paths.elapsed, b.paths.elapsed)
-        candidates = [[n for n, life in enumerate(side.lives) if self._counts(side, n, life)] for side in sides]
+        self._about = _about(a), _about(b)
+        self._clock = _clock(a.elapsed, b.elapsed)
+        candidates = [[n for n, life in enumerate(side.lives) if life.type_id != _SPECTATOR] for side in sides]
         matches = match(*([side.lives[n] for n in some] for side, some in zip(sides, candidates, strict=True)))
         self._matches = [Match(candidates[0][a], candidates[1][b], by) for a, b, by in matches]
+        self._paths, self._states = compare(a, b, {match.a: match.b for match in self._matches}, tolerance)
         self._matches += [Match(a.unknown[id], b.unknown[id], "id") for id in sorted(a.unknown.keys() & b.unknown.keys())]
         self._tracks = [{match[side]: track for track, match in enumerate(self._matches)} for side in (0, 1)]
-
-    @staticmethod
-    def _counts(side: _Side, number: int, life: ActorLife) -> bool:
-        return life.type_id != _SPECTATOR and life.id not in side.unknown
 
     def answer(self, *, events: bool) -> Differences:
         """Return all differences."""
@@ -357,11 +294,8 @@ class _Comparison:
     def _actor(self, match: Match) -> ActorDifference:
         sides = self._sides
         a, b = (side.lives[number] for side, number in zip(sides, match[:2], strict=True))
-        poses_a, poses_b = (side.poses.get(number) for side, number in zip(sides, match[:2], strict=True))
-        path, is_exact = PathDifference(), not self._tolerance
-        if poses_a and poses_b:
-            path = compare_paths(poses_a, poses_b, self._pairs, sides[0].paths.elapsed, self._tolerance)
-        in_a, in_b = (len(poses.frame) if poses else 0 for poses in (poses_a, poses_b))
+        in_a, in_b = (side.poses[number] for side, number in zip(sides, match[:2], strict=True))
+        path, is_exact = self._paths.get(match.a, PathDifference()), not self._tolerance
         is_apart = path.first is not None or (is_exact and path.heading > 0)
         is_everywhere = in_a == in_b == path.frames if is_exact and self._clock is None else (in_a == 0) == (in_b == 0)
         return ActorDifference(
@@ -377,7 +311,7 @@ class _Comparison:
             spawned_at_b=b.spawned_at,
             destroyed_at_a=a.destroyed_at,
             destroyed_at_b=b.destroyed_at,
-            **path._asdict(),
+            **{field.name: getattr(path, field.name) for field in fields(path)[:-3]},
         )
 
     def _lives_differ(self, a: ActorLife, b: ActorLife) -> bool:
@@ -394,18 +328,10 @@ class _Comparison:
         return _is_apart(end_a, end_b, allowed) or (only_one and not allowed)
 
     def _light(self, match: Match) -> LightDifference:
-        a, b = self._sides
-        states = a.states.get(match.a), b.states.get(match.b)
-        first, seconds = None, 0.0
-        if states[0] and states[1]:
-            frames = compare_states(states[0], states[1], self._pairs)
-            first = float(a.paths.elapsed[frames[0]]) if len(frames) else None
-            lasts = a.paths.duration[frames]
-            seconds = float(np.where(np.isfinite(lasts), np.maximum(lasts, 0.0), 0.0).sum())
-        differs = first is not None and (seconds > self._time_tolerance or not self._time_tolerance)
-        life = a.lives[match.a]
-        x, y, _ = life.place
-        return LightDifference(life.id, b.lives[match.b].id, x, y, differs, first, seconds)
+        a, b = (side.lives[number] for side, number in zip(self._sides, match[:2], strict=True))
+        found = self._states.get(match.a, StateDifference())
+        differs = found.first is not None and (found.seconds > self._time_tolerance or not self._time_tolerance)
+        return LightDifference(a.id, b.id, *a.place[:2], differs, found.first, found.seconds)
 
     def _events(self) -> list[EventDifference]:
         """Return the incidents that are in one recording alone, or in both at different times, in order of time."""
@@ -443,6 +369,15 @@ class _Comparison:
                 is_spectator = self._sides[side].lives[number].type_id == _SPECTATOR
                 found.append((3, 0) if is_spectator else (side, number))
         return incident.kind, tuple(sorted(found))
+
+
+def _about(side: RecordedPaths) -> ComparedRecording:
+    with np.errstate(invalid="ignore"):
+        steps = np.diff(side.elapsed)
+    steps = steps[np.isfinite(steps)]
+    extent, map_name = side.source.extent(), readable(side.source.header.map_name)
+    step = float(np.median(steps)) if len(steps) else math.nan
+    return ComparedRecording(side.source.location, map_name, extent.frames, extent.duration, step)
 
 
 def _clock(a: Floats, b: Floats) -> float | None:

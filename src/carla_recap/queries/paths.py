@@ -6,73 +6,113 @@ Frames are compared on their elapsed times. Nothing is aligned or shifted.
 from __future__ import annotations
 
 import math
-from collections import defaultdict
+from bisect import bisect_right
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.lives import ActorLife
 from carla_recap.model.motion import possible_step
-from carla_recap.model.records import CM
-from carla_recap.tables.trajectories import portions, rows_by_actor
+from carla_recap.model.records import CM, Spawn
+from carla_recap.model.segment import SegmentBuffer, segments
+from carla_recap.queries.recorded_actors import actors
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
+    from carla_recap.model.batch import Batch
     from carla_recap.util.arrays import Booleans, Floats, Indices
 
 _FIELDS: Final = {"transforms": ("x", "y", "z", "yaw"), "light_states": ("state",)}
+_FRAMES: Final = 1024  # that are compared at once
 _ROUNDING: Final = 1e-9  # degrees; between angles that are whole turns apart
 
 
 class ActorFrames(NamedTuple):
-    """The frames that have a record of an actor, ascending, (n,), and fields of the records, (n, fields)."""
+    """Fields of the records of an actor in some frames, (fields, frames), and which of these have a record, (frames,)."""
 
-    frame: NDArray[np.int32]
     values: NDArray[Any]
+    known: Booleans
 
 
-@dataclass(frozen=True, eq=False)
 class RecordedPaths:
-    """What is compared of a recording.
+    """What is compared of a recording, read once, some frames at a time.
 
     Attributes:
         elapsed: The elapsed seconds of its frames, (frames,).
         duration: The seconds from each frame to the next one, (frames,).
-        poses: x, y and z in cm and yaw in degrees of the actors, by id.
-        states: The states of the traffic lights, by id.
+        lives: Its actors by number: in order of appearance, then those whose spawn is not recorded, as they are met.
+        unknown: The numbers of the latter, by id.
+        poses: In how many of the frames so far each actor has a pose, by number.
     """
 
-    elapsed: Floats
-    duration: Floats
-    poses: dict[int, ActorFrames]
-    states: dict[int, ActorFrames]
+    def __init__(self, source: Reader) -> None:
+        self.source = source
+        self.lives = list(actors(source))
+        self.unknown: dict[int, int] = {}
+        self.poses: Counter[int] = Counter()
+        self._numbers: dict[int, list[int]] = defaultdict(list)
+        for number, life in enumerate(self.lives):
+            self._numbers[life.id].append(number)
+        times = [np.stack((each.elapsed, each.duration)) for each in source.batches(()) if not each.preamble]
+        self.elapsed, self.duration = np.concatenate([np.empty((2, 0)), *times], axis=1)
+        self._batches = (batch for batch in source.batches(tuple(_FIELDS)) if not batch.preamble)
+        self._buffers = {name: SegmentBuffer() for name in _FIELDS}
+        self._first = self._done = 0  # the first frame that is in memory, and the one after the latest that was returned
 
-    @classmethod
-    def of(cls, source: Reader) -> RecordedPaths:
-        """Read a recording.
+    def number(self, id: int, time: float) -> int | None:
+        """Return the number of the actor that had an id at a time, as `ActorLives.at` has it."""
+        numbers = self._numbers.get(id)
+        if numbers is None or id in self.unknown:
+            return None
+        return numbers[max(bisect_right(numbers, time, key=lambda number: self.lives[number].spawned_at) - 1, 0)]
+
+    def window(self, start: int, stop: int) -> dict[str, dict[int, ActorFrames]]:
+        """Return the records of some frames, by type and number of the actor; none before the start are read later.
 
         Raises:
             FormatError: The file contradicts its format.
         """
-        elapsed, duration, first = [np.empty(0)], [np.empty(0)], 0
-        pieces: dict[str, dict[int, list[ActorFrames]]] = {name: defaultdict(list) for name in _FIELDS}
-        for batches in portions(batch for batch in source.batches(tuple(_FIELDS)) if not batch.preamble):
-            if len(elapsed) == 1:
-                first = batches[0].index
-            elapsed.append(np.concatenate([batch.elapsed for batch in batches]))
-            duration.append(np.concatenate([batch.duration for batch in batches]))
-            for name, fields in _FIELDS.items():
-                for id, rows in rows_by_actor(batches, name):
-                    values = np.stack([rows.records[field] for field in fields], axis=1)
-                    pieces[name][id].append(ActorFrames((rows.frame - first).astype(np.int32), values))
-        found = {
-            name: {id: ActorFrames(*map(np.concatenate, zip(*by_id.pop(id), strict=True))) for id in list(by_id)}
-            for name, by_id in pieces.items()
-        }
-        return cls(np.concatenate(elapsed), np.concatenate(duration), found["transforms"], found["light_states"])
+        for skipped in range(self._done, start, _FRAMES):
+            self.window(skipped, min(skipped + _FRAMES, start))
+        transforms = self._buffers["transforms"]
+        while self._first + transforms.frames < stop and (batch := next(self._batches, None)) is not None:
+            self._add(batch)
+        for buffer in self._buffers.values():
+            buffer.drop(start - self._first)
+        self._first = start
+        found = {name: dict(self._by_number(name, stop)) for name in _FIELDS}
+        for number, poses in found["transforms"].items():
+            self.poses[number] += np.count_nonzero(poses.known[self._done - start :])
+        self._done = stop
+        return found
+
+    def _add(self, batch: Batch) -> None:
+        for name, buffer in self._buffers.items():
+            found = list(segments(records)) if (records := batch.records(name)).size else []
+            for id in (id for segment in found for id in dict.fromkeys(segment.ids.tolist()) if name == "transforms"):
+                if id not in self._numbers:
+                    self.unknown[id] = len(self.lives)
+                    self._numbers[id].append(len(self.lives))
+                    spawn = Spawn(id, x=math.nan, y=math.nan, z=math.nan)
+                    self.lives.append(ActorLife(id, "", "", "", math.nan, spawn=spawn))
+            buffer.add(found, len(batch))
+
+    def _by_number(self, name: str, stop: int) -> Iterator[tuple[int, ActorFrames]]:
+        buffer, count, time = self._buffers[name], stop - self._first, self.elapsed[self._first : stop]
+        ids = buffer.ids(0, count)
+        values, known = buffer.dense(_FIELDS[name], ids, 0, count)
+        for row, id in enumerate(ids.tolist()):
+            numbers = self._numbers.get(id, [])
+            turn = np.searchsorted([self.lives[number].spawned_at for number in numbers[1:]], time, "right")
+            for which, number in enumerate(numbers):
+                yield number, ActorFrames(values[:, row], known[row] & (turn == which))
 
 
 class FramePairs(NamedTuple):
@@ -121,8 +161,9 @@ def _ascending(time: Floats) -> Floats:
     return np.maximum.accumulate(np.nan_to_num(np.fmax(time, 0.0)))
 
 
-class PathDifference(NamedTuple):
-    """How far two paths part: fields of `ActorDifference`."""
+@dataclass
+class PathDifference:
+    """How far two paths part; the first attributes are those of `ActorDifference`, beside them sums of finite distances."""
 
     frames: int = 0
     first: float | None = None
@@ -133,71 +174,118 @@ class PathDifference(NamedTuple):
     max_at: float = math.nan
     final: float = math.nan
     heading: float = 0.0
+    finite: int = 0
+    total: float = 0.0
+    squares: float = 0.0
+
+    def add(self, time: Floats, mine: Floats, theirs: Floats, tolerance: float) -> None:
+        """Add the poses of both in the next frames, (4, frames), the last one of which is known.
+
+        Args:
+            time: The elapsed seconds of the frames, (frames,).
+            mine: x, y and z in cm and yaw in degrees in the first recording.
+            theirs: The same in the second one.
+            tolerance: The distance in m beyond which paths differ.
+        """
+        same = (mine == theirs) | (np.isnan(mine) & np.isnan(theirs))
+        steps = np.where(same, 0.0, mine - theirs)
+        distance = np.sqrt((steps[:3] ** 2).sum(axis=0)) * CM
+        finite = distance[np.isfinite(distance)]
+        distance = np.where(np.isfinite(distance), distance, np.inf)
+        turn = np.abs(_turn(steps[3]))
+        beyond, largest = np.flatnonzero(distance > tolerance), distance.argmax().item()
+        if self.first is None and len(beyond):
+            self.first, self.first_distance = time.item(beyond[0]), distance.item(beyond[0])
+        if not distance[largest] <= self.max:
+            self.max, self.max_at = distance.item(largest), time.item(largest)
+        self.frames += len(time)
+        self.final = distance.item(-1)
+        self.heading = max(self.heading, np.where(np.isfinite(turn) & (turn > _ROUNDING), turn, 0.0).max().item())
+        self.finite += len(finite)
+        self.total += finite.sum().item()
+        self.squares += (finite**2).sum().item()
+        if self.finite:
+            self.mean, self.rms = self.total / self.finite, math.sqrt(self.squares / self.finite)
+
+
+class StateDifference:
+    """How long the states of a traffic light differ: the first time at which they do, and the seconds."""
+
+    first: float | None = None
+    seconds = 0.0
 
 
 @np.errstate(all="ignore")
-def compare_paths(a: ActorFrames, b: ActorFrames, pairs: FramePairs, time: Floats, tolerance: float) -> PathDifference:
-    """Return how far the paths of an actor part, at the frames of a.
+def compare(
+    a: RecordedPaths, b: RecordedPaths, partners: Mapping[int, int], tolerance: float
+) -> tuple[dict[int, PathDifference], dict[int, StateDifference]]:
+    """Return how far the paths of actors part, and how long the states of lights differ, by number in a.
+
+    Both are read to their ends. Actors whose spawn is in neither of them are compared if they have the same id.
 
     Args:
-        a: The poses in recording a.
-        b: Those in recording b.
-        pairs: Which frames of b are around those of a.
-        time: The elapsed seconds of the frames of a.
+        a: The recording at whose frames they are compared.
+        b: The other one.
+        partners: The numbers in b of the actors of a.
         tolerance: The distance in m beyond which paths differ.
     """
-    theirs, known = _interpolated(a, b, pairs)
-    mine, theirs, time = a.values[known], theirs[known], time[a.frame[known]]
-    if not len(time):
-        return PathDifference()
-    same = (mine == theirs) | (np.isnan(mine) & np.isnan(theirs))
-    steps = np.where(same, 0.0, mine - theirs)
-    distance = np.sqrt((steps[:, :3] ** 2).sum(axis=1)) * CM
-    is_finite = np.isfinite(distance)
-    finite = distance[is_finite]
-    distance = np.where(is_finite, distance, np.inf)
-    turn = np.abs(_turn(steps[:, 3]))
-    beyond, largest = np.flatnonzero(distance > tolerance), int(distance.argmax())
-    return PathDifference(
-        frames=len(time),
-        first=float(time[beyond[0]]) if len(beyond) else None,
-        first_distance=float(distance[beyond[0]]) if len(beyond) else None,
-        mean=float(finite.mean()) if len(finite) else math.nan,
-        rms=float(np.sqrt((finite**2).mean())) if len(finite) else math.nan,
-        max=float(distance[largest]),
-        max_at=float(time[largest]),
-        final=float(distance[-1]),
-        heading=float(np.where(np.isfinite(turn) & (turn > _ROUNDING), turn, 0.0).max()),
-    )
+    pairs = pair_frames(a.elapsed, b.elapsed)
+    paths: dict[int, PathDifference] = defaultdict(PathDifference)
+    states: dict[int, StateDifference] = defaultdict(StateDifference)
+    start = stop = 0
+    while stop < len(a.elapsed):
+        start, stop = stop, min(stop + _FRAMES, len(a.elapsed))
+        while stop - start > 1 and pairs.after[start:stop].max() - pairs.before[start] > 2 * _FRAMES:
+            stop = start + (stop - start) // 2
+        ours, valid = a.window(start, stop), pairs.before[start:stop] >= 0
+        if not valid.any():
+            continue
+        some = FramePairs(*(each[start:stop][valid] for each in pairs))
+        first = some.before.min().item()
+        theirs = b.window(first, some.after.max().item() + 1)
+        some = some._replace(before=some.before - first, after=some.after - first)
+        time, duration = a.elapsed[start:stop][valid], a.duration[start:stop][valid]
+        known = {number: b.unknown[id] for id, number in a.unknown.items() if id in b.unknown} | dict(partners)
+        for name in _FIELDS:
+            for number in ours[name].keys() & known.keys():
+                if (other := theirs[name].get(known[number])) is None:
+                    continue
+                mine = ActorFrames(ours[name][number].values[:, valid], ours[name][number].known[valid])
+                if name == "transforms":
+                    _compare_poses(paths[number], mine, other, some, time, tolerance)
+                else:
+                    _compare_states(states[number], mine, other, some, time, duration)
+    b.window(len(b.elapsed), len(b.elapsed))
+    return paths, states
 
 
-def compare_states(a: ActorFrames, b: ActorFrames, pairs: FramePairs) -> NDArray[np.int32]:
-    """Return the frames of a in which the state of a traffic light is that of neither of the frames of b around them."""
-    before, is_before = _rows_of(b, pairs.before[a.frame])
-    after, is_after = _rows_of(b, pairs.after[a.frame])
-    differs = is_before & (a.values != b.values[before])[:, 0] & ((a.values != b.values[after])[:, 0] | ~is_after)
-    frames: NDArray[np.int32] = a.frame[differs]
-    return frames
+def _compare_poses(
+    path: PathDifference, mine: ActorFrames, other: ActorFrames, pairs: FramePairs, time: Floats, tolerance: float
+) -> None:
+    """Add the frames in which both poses are known; that of b is interpolated, but not across a jump."""
+    known = mine.known & other.known[pairs.before] & other.known[pairs.after]
+    theirs = other.values[:, pairs.before].astype(np.float64)
+    between = pairs.before != pairs.after
+    if between.any():
+        steps = other.values[:, pairs.after] - theirs
+        steps[3] = _turn(steps[3])
+        known &= ~(np.sqrt((steps[:3] ** 2).sum(axis=0)) * CM > possible_step(pairs.seconds))
+        theirs = np.where(between, theirs + pairs.weight * steps, theirs)
+    if known.any():
+        path.add(time[known], mine.values[:, known], theirs[:, known], tolerance)
 
 
-def _interpolated(a: ActorFrames, b: ActorFrames, pairs: FramePairs) -> tuple[Floats, Booleans]:
-    """Return the poses of b at the frames of a, (n, 4), and whether they are known: not across a jump, (n,)."""
-    before, is_before = _rows_of(b, pairs.before[a.frame])
-    poses = b.values[before].astype(np.float64)
-    if (pairs.before == pairs.after).all():
-        return poses, is_before
-    after, is_after = _rows_of(b, pairs.after[a.frame])
-    steps = b.values[after] - poses
-    steps[:, 3] = _turn(steps[:, 3])
-    is_jump = np.sqrt((steps[:, :3] ** 2).sum(axis=1)) * CM > possible_step(pairs.seconds[a.frame])
-    between = poses + pairs.weight[a.frame, None] * steps
-    return np.where((before != after)[:, None], between, poses), is_before & is_after & ~is_jump
-
-
-def _rows_of(rows: ActorFrames, frame: Indices) -> tuple[Indices, Booleans]:
-    """Return the row of each frame, and whether there is one."""
-    row = np.minimum(np.searchsorted(rows.frame, frame), len(rows.frame) - 1)
-    return row, rows.frame[row] == frame
+def _compare_states(
+    light: StateDifference, mine: ActorFrames, other: ActorFrames, pairs: FramePairs, time: Floats, duration: Floats
+) -> None:
+    """Add the frames in which the state is that of neither of the frames of b around them."""
+    (state,), (before,), (after,) = mine.values, other.values[:, pairs.before], other.values[:, pairs.after]
+    differs = mine.known & other.known[pairs.before] & (state != before)
+    differs &= (state != after) | ~other.known[pairs.after]
+    if differs.any():
+        light.first = time[differs].item(0) if light.first is None else light.first
+        lasts = duration[differs]
+        light.seconds += np.where(np.isfinite(lasts), np.maximum(lasts, 0.0), 0.0).sum().item()
 
 
 def _turn(degrees: Floats) -> Floats:
