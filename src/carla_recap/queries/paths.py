@@ -89,7 +89,7 @@ class RecordedPaths:
         self._first = start
         found = {name: dict(self._by_number(name, stop)) for name in _FIELDS}
         for number, poses in found["transforms"].items():
-            self.poses[number] += np.count_nonzero(poses.known[self._done - start :])
+            self.poses[number] += int(np.count_nonzero(poses.known[self._done - start :]))
         self._done = stop
         return found
 
@@ -129,6 +129,10 @@ class FramePairs(NamedTuple):
     after: Indices
     weight: Floats
     seconds: Floats
+
+    def of(self, rows: Indices, first: int) -> FramePairs:
+        """Return those of some frames of a, with frames of b counted from one of them."""
+        return FramePairs(self.before[rows] - first, self.after[rows] - first, self.weight[rows], self.seconds[rows])
 
 
 @np.errstate(all="ignore")
@@ -237,14 +241,13 @@ def compare(
         start, stop = stop, min(stop + _FRAMES, len(a.elapsed))
         while stop - start > 1 and pairs.after[start:stop].max() - pairs.before[start] > 2 * _FRAMES:
             stop = start + (stop - start) // 2
-        ours, valid = a.window(start, stop), pairs.before[start:stop] >= 0
-        if not valid.any():
+        ours, valid = a.window(start, stop), np.flatnonzero(pairs.before[start:stop] >= 0)
+        if not len(valid):
             continue
-        some = FramePairs(*(each[start:stop][valid] for each in pairs))
-        first = some.before.min().item()
-        theirs = b.window(first, some.after.max().item() + 1)
-        some = some._replace(before=some.before - first, after=some.after - first)
-        time, duration = a.elapsed[start:stop][valid], a.duration[start:stop][valid]
+        rows = start + valid
+        first, last = pairs.before[rows].min().item(), pairs.after[rows].max().item()
+        theirs, some = b.window(first, last + 1), pairs.of(rows, first)
+        time, duration = a.elapsed[rows], a.duration[rows]
         known = {number: b.unknown[id] for id, number in a.unknown.items() if id in b.unknown} | dict(partners)
         for name in _FIELDS:
             for number in ours[name].keys() & known.keys():

@@ -442,8 +442,8 @@ def decode(type: RecordType, data: Buffer) -> bytes:
     payloads = template.decode(_row(data)) if template else None
     if payloads is not None:
         return payloads.tobytes()
-    found = _decode_in_order(type, bytes(data)) if len(data) <= OBJECTS_LIMIT else None
-    payload = found or _decode_by_protobuf(type, data)
+    in_order = _decode_in_order(type, bytes(data)) if len(data) <= OBJECTS_LIMIT else None
+    payload = in_order or _decode_by_protobuf(type, data)
     if type.group is Group.STATE:
         with suppress(PayloadError):  # there may be anything in a field `raw`
             _encode_any(type, payload)  # which keeps its structure
@@ -489,7 +489,7 @@ def _encode_any(type: RecordType, payload: Buffer) -> bytes:
     span, rest = locate(type, data)
     if type.framing is Framing.SINGLE:
         (numbers,) = span.layout.steps
-        body, is_exact = wire_numbers(numbers, ITEMS).encode(data, 0)  # type: ignore[arg-type]
+        body, is_exact = wire_numbers(numbers, ITEMS).encode(data, 0)
         places: Places = []
     else:
         body, places, is_exact = _write_items(ITEMS, span, data)
@@ -515,7 +515,7 @@ def _write_items(number: int, span: Span, data: bytes) -> tuple[bytes, Places, b
                 text = data[part].decode("utf-8", "replace").encode()
                 found, fits = tag(step.number, LEN) + varint(len(text)) + text, text == data[part]
             else:
-                found, nested, fits = _write_items(step.number, part, data)  # type: ignore[arg-type, union-attr]
+                found, nested, fits = _write_items(step.number, part, data)  # type: ignore[arg-type]
                 inside += [(source, len(item) + target, form) for source, target, form in nested]
             item += found
             is_exact &= fits
