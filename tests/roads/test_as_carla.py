@@ -116,7 +116,7 @@ def assert_equal_crossings(roads: TownRoads, theirs: Any) -> None:
             )
             for left, marking, side in sides:
                 allowed = bool(marking and marking.lane_change & side)
-                assert lane.may_cross(float(lane.stations[row]), left=left) == allowed
+                assert lane.allowed(float(lane.stations[row])).crossings[not left] == allowed
 
 
 def test_planners_may_cross_the_markings_that_carlas_may(both: tuple[TownRoads, Any]) -> None:

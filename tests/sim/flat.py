@@ -9,7 +9,7 @@ import numpy as np
 from carla_recap.sim.actors.moving import Vehicle, Walker
 from carla_recap.sim.geometry import Location, Rotation, Transform
 from carla_recap.sim.town.junctions import Junction, Signal, SignalKind
-from carla_recap.sim.town.lanes import Lane
+from carla_recap.sim.town.lanes import NO_LANE, Lane
 from carla_recap.sim.town.loading import Town
 from carla_recap.sim.town.sidewalks import WalkwayGraph
 from carla_recap.sim.world import World
@@ -35,8 +35,8 @@ def lane(index: int = 0, y: float = 0.0, junction: int | None = None) -> Lane:
         limits=np.full(len(x), 14.0),
         successors=(index,),
         predecessors=(index,),
-        left=None,
-        right=None,
+        left=np.full(len(x), NO_LANE),
+        right=np.full(len(x), NO_LANE),
         junction=junction,
         turn="straight",
         reverse=False,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carla_recap.sim.town.lanes import Lane
+from carla_recap.sim.town.lanes import NO_LANE, Lane
 from carla_recap.sim.town.loading import Town
 from carla_recap.sim.town.sidewalks import WalkwayGraph
 
@@ -30,8 +30,12 @@ def lane(
     turn: Turn = "straight",
     left: int | None = None,
     right: int | None = None,
+    changes: tuple[float, float] = (0.0, np.inf),
 ) -> Lane:
-    """A lane of pieces: each a length in m, and how many degrees it turns to the right on that."""
+    """A lane of pieces: each a length in m, and how many degrees it turns to the right on that.
+
+    The markings allow to change to the lanes beside it within a range of its length.
+    """
     length = sum(piece[0] for piece in pieces)
     s = np.linspace(0, length, round(length) + 1)
     knots = np.cumsum([0, *(piece[0] for piece in pieces)])
@@ -42,8 +46,9 @@ def lane(
     steps = np.stack((np.cos(middle), np.sin(middle)), axis=1) * length / (len(fine) - 1)
     places = np.concatenate((np.array((start,)), start + np.cumsum(steps, axis=0)))
     points = np.column_stack((places, np.zeros(len(fine))))[::40]
-    limits = np.full(len(s), LIMIT)
-    return Lane(index, 1, 0, -1, False, points, s, heading[::40], 3.5, limits, successors, (), left, right, junction, turn)
+    limits, allowed = np.full(len(s), LIMIT), (changes[0] <= s) & (s <= changes[1])
+    beside = (np.where(allowed, NO_LANE if side is None else side, NO_LANE) for side in (left, right))
+    return Lane(index, 1, 0, -1, False, points, s, heading[::40], 3.5, limits, successors, (), *beside, junction, turn)
 
 
 def ring(*pieces: tuple[float, float], start: tuple[float, float] = (0.0, 0.0)) -> list[Lane]:

@@ -112,8 +112,7 @@ def _differing(lane: LaneGeometry, index: int, point: Any, lanes: dict[Any, Any]
         "left": (point["left"], list(beside[0]) if beside[0] in lanes else None),
         "right": (point["right"], list(beside[1]) if beside[1] in lanes else None),
     }
-    if index == len(lane.stations) // 2:
-        facts["change"] = point["change"], _CHANGES[lane.changes]
+    facts["change"] = point["change"], _CHANGES[lane.allowed(float(lane.stations[index])).changes]
     if index == last:
         facts["next"] = _known(point["next"], lanes), _known(leading[0] - leading[1], lanes)
     if index == first:

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice, takewhile
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -40,6 +40,20 @@ _SHARE: Final = 4096  # of a metre, to which the end of a lane is exact
 _TO_DEGREES: Final = single(180.0) / single(np.pi)
 
 
+class Permission(NamedTuple):
+    """What the markings of a lane allow from a station on.
+
+    Attributes:
+        station: The distance along the road.
+        changes: Whether `carla.Map` allows to change to the lane on the left, and on the right; it does without a marking.
+        crossings: The same for CARLA's route planner, which changes only across a marking.
+    """
+
+    station: float
+    changes: tuple[bool, bool]
+    crossings: tuple[bool, bool]
+
+
 @dataclass(frozen=True, eq=False)
 class LaneGeometry:
     """The course of a lane along a section of a road.
@@ -56,9 +70,7 @@ class LaneGeometry:
         right: The points of the border to the right.
         headings: The driving directions, (n,).
         reverse: Whether the driving direction is from the last point to the first, against that of the road.
-        changes: Whether the markings allow to change to the lane on the left, and to the lane on the right.
-        crossings: The stations, ascending, from which on the markings allow CARLA's route planner to change to the left, and
-            to the right, or not; it does not change where there is no marking.
+        permissions: What its markings allow, each from a station on, ascending.
         successors: The road, section and id of each lane that follows.
         limits: The speed limits at the stations in m/s, (n,); NaN where there is none.
     """
@@ -74,8 +86,7 @@ class LaneGeometry:
     right: Floats
     headings: Floats
     reverse: bool
-    changes: tuple[bool, bool]
-    crossings: tuple[tuple[float, bool, bool], ...]
+    permissions: tuple[Permission, ...]
     successors: tuple[Name, ...]
     limits: Floats
 
@@ -84,10 +95,9 @@ class LaneGeometry:
         """Whether the lane is for cars."""
         return self.kind == DRIVING
 
-    def may_cross(self, station: float, *, left: bool) -> bool:
-        """Return whether the markings at a station allow a planner to change to the lane on the left or on the right."""
-        _, to_left, to_right = [each for each in self.crossings if each[0] <= station][-1]
-        return to_left if left else to_right
+    def allowed(self, station: float) -> Permission:
+        """Return what the markings at a station allow."""
+        return [each for each in self.permissions if each.station <= station][-1]
 
     def borders(self) -> Iterator[tuple[Name, Floats]]:
         """Yield the two borders, each with a key that it shares with the neighbouring lane."""
@@ -182,8 +192,7 @@ class TownRoads:
             centre - to_border,
             headings,
             reverse,
-            _changes(road, lane, beside, float(stations[len(stations) // 2]) - section.start),
-            tuple(_crossings(road, section, lane, beside)),
+            tuple(_permissions(road, section, lane, beside)),
             tuple(dict.fromkeys(self._successors(road, section, lane))),
             lane_limits(road, section, lane, self._signs[road.number], stations),
         )
@@ -312,34 +321,29 @@ def _polynomial(x: Floats, coefficients: Sequence[float]) -> Floats:
     return value
 
 
-def _changes(road: Road, lane: RoadLane, beside: RoadLane | None, along: float) -> tuple[bool, bool]:
-    """Return whether the markings of a lane, at a distance from the start of its section, allow to change left and right.
+def _permissions(road: Road, section: RoadSection, lane: RoadLane, beside: RoadLane | None) -> Iterator[Permission]:
+    """Yield what the markings of a lane allow along its section.
 
     The words for which CARLA's library allows the changes are these, whatever OpenDRIVE means by them.
     """
-    outer, inner = (_marked(each, along) for each in (lane, beside))
     outwards = "increase" if lane.id < 0 else "decrease"
     inwards = "increase" if (lane.id > 0 if road.keeps_left else lane.id < -1) else "decrease"
-    allowed = inner in ("both", inwards), outer in ("both", outwards)
-    return allowed[::-1] if road.keeps_left else allowed
-
-
-def _crossings(
-    road: Road, section: RoadSection, lane: RoadLane, beside: RoadLane | None
-) -> Iterator[tuple[float, bool, bool]]:
-    """Yield from which stations on the markings of a lane allow a planner to change to the left and to the right."""
     starts = {mark.start for each in (lane, beside) if each is not None for mark in each.markings}
     for along in (-math.inf, *sorted(starts)):
-        inwards = _marked(beside, along, "none") in ("both", "decrease")
-        outwards = _marked(lane, along, "none") in ("both", "increase")
-        yield section.start + along, *((outwards, inwards) if road.keeps_left else (inwards, outwards))
+        inner, outer = _marked(beside, along), _marked(lane, along)
+        changes = inner in (None, "both", inwards), outer in (None, "both", outwards)
+        crossings = inner in ("both", "decrease"), outer in ("both", "increase")
+        if road.keeps_left:
+            changes, crossings = changes[::-1], crossings[::-1]
+        yield Permission(section.start + along, changes, crossings)
 
 
-def _marked(lane: RoadLane | None, along: float, without: str = "both") -> str:
-    """Return the changes that the marking of a lane allows, or those without a marking."""
+def _marked(lane: RoadLane | None, along: float) -> str | None:
+    """Return the changes that the marking of a lane allows; None without a marking."""
     marks = [] if lane is None else list(takewhile(lambda mark: mark.start <= along, lane.markings))
-    found = marks[-1].changes if marks else without
-    return found if found in ("increase", "decrease", "none") else "both"
+    if not marks:
+        return None
+    return marks[-1].changes if marks[-1].changes in ("increase", "decrease", "none") else "both"
 
 
 def _crossing(road: Road, thing: RoadObject) -> Floats:

@@ -185,7 +185,8 @@ class RoutePlanner:
             return
         sides = [False, True]  # to the left?
         for on, station in points:
-            for left in [side for side in sides if self._town.lanes[on].may_cross(station, left=side)]:
+            to_left, to_right = self._town.lanes[on].allowed(station).crossings
+            for left in [side for side in sides if (to_left if side else to_right)]:
                 other = self._town.beside(on, left=left)
                 if other is not None and other in self._of_lane:
                     change = _Edge([], (on, station), (other, station), 0, is_change=True)

@@ -14,6 +14,7 @@ from carla_recap.sim.actors.blueprints import COLLISION_SENSOR
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
+from carla_recap.sim.town.lanes import NO_LANE
 
 if TYPE_CHECKING:
     from carla_recap.sim.town.lanes import Lane
@@ -44,7 +45,8 @@ def straight_section(town: Town, length: float, *, single: bool = False) -> tupl
     """
     length += 2 * _MARGIN
     for lane in town.lanes:
-        if lane.junction is not None or lane.length < length or (single and (lane.left, lane.right) != (None, None)):
+        is_single = np.maximum(lane.left, lane.right).max() == NO_LANE
+        if lane.junction is not None or lane.length < length or (single and not is_single):
             continue
         bends = np.flatnonzero(np.abs(np.diff(lane.heading)) > _STRAIGHT)
         ends = np.concatenate(([0.0], lane.s[bends], [lane.length]))

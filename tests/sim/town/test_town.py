@@ -14,6 +14,7 @@ import pytest
 from carla_recap.errors import RecapError
 from carla_recap.roads import find_map, load_map
 from carla_recap.sim.town.junctions import SignalKind
+from carla_recap.sim.town.lanes import NO_LANE
 from carla_recap.sim.town.loading import BUILT_IN, Town, load_town, main_lanes, make_town
 from tests.roads.towns import lane, mirrored, opendrive, road, section, town
 from tests.sim.two_levels import two_levels
@@ -109,14 +110,27 @@ def test_turns_in_junctions(brickfield: Town) -> None:
 
 
 def test_lanes_beside_each_other_where_the_marks_allow_to_change(brickfield: Town) -> None:
-    pairs = [(one, brickfield.lanes[one.right]) for one in brickfield.lanes if one.right is not None]
+    pairs = [(one, brickfield.lanes[one.right[0]]) for one in brickfield.lanes if one.right[0] != NO_LANE]
     assert len(pairs) == 6
     for one, right in pairs:
-        assert right.left == one.index
-        assert one.left is None
+        assert set(one.right.tolist()) == {right.index}
+        assert set(right.left.tolist()) == {one.index}
+        assert set(one.left.tolist()) == {NO_LANE}
         s, aside = brickfield.project([one.index], right.points[5:6, 0], right.points[5:6, 1], [5.0])
         assert s == pytest.approx(right.s[5], abs=0.01)
         assert aside == pytest.approx(3.5, abs=0.01)
+
+
+@pytest.mark.parametrize("rule", ["RHT", "LHT"])
+def test_a_marking_allows_changes_from_where_it_begins(tmp_path: Path, rule: str) -> None:
+    marks = "".join(f'<roadMark sOffset="{s}" type="broken" laneChange="{word}"/>' for s, word in ((0, "none"), (60, "both")))
+    lanes = lane(-1).replace("</lane>", f"{marks}</lane>") + lane(-2)
+    town = made_of(tmp_path, road(sections=section(0, right=lanes)).replace("<road ", f'<road rule="{rule}" '))
+    outer, inner = sorted(town.lanes, key=lambda each: each.lane_id)
+    stations = inner.s if rule == "RHT" else inner.length - inner.s
+    to_outer, to_inner = (inner.right, outer.left) if rule == "RHT" else (inner.left, outer.right)
+    assert to_outer.tolist() == np.where(stations >= 60, outer.index, NO_LANE).tolist()
+    assert to_inner.tolist() == np.where(stations >= 60, inner.index, NO_LANE).tolist()
 
 
 def test_speed_limits(brickfield: Town) -> None:

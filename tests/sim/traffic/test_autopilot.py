@@ -295,14 +295,17 @@ def test_indicates_turns(side: str, bit: int) -> None:
     assert vehicle.transform.rotation.yaw == pytest.approx(90.0 * sign, abs=1.0)
 
 
-def test_overtakes_a_standing_vehicle_on_the_next_lane() -> None:
-    world = world_of(lane(0, (500, 0), right=1), lane(1, (500, 0), start=(0, 3.5), left=0))
+@pytest.mark.parametrize(("changes", "overtakes"), [((0, 500), True), ((100, 160), True), ((200, 500), False)])
+def test_overtakes_a_standing_vehicle_where_the_marking_allows_it(changes: tuple[int, int], overtakes: bool) -> None:
+    world = world_of(lane(0, (500, 0), right=1), lane(1, (500, 0), start=(0, 3.5), left=0, changes=changes))
     standing, vehicle = car(world, 150.0, 3.5, drives=False), car(world, 20.0, 3.5)
     standing.apply_control(VehicleControl(hand_brake=True))
     bits = 0
     for _ in ticks(world, 30.0):
         bits |= vehicle.light_state
-    assert vehicle.transform.location.x > 180.0
+    assert (vehicle.transform.location.x > 180.0) == overtakes
+    if not overtakes:
+        return
     assert vehicle.transform.location.y == pytest.approx(0.0, abs=0.3)
     assert bits & LEFT_BLINKER
     assert not bits & RIGHT_BLINKER

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
     Turn = Literal["straight", "left", "right"]
 
+NO_LANE: Final = -1
+"""The index where there is no lane."""
 _SPACING: Final = 1.0  # m between points
 DEFAULT_LIMIT: Final = 30 / 3.6  # m/s: CARLA's, where a map says nothing
 _BEND: Final = np.radians(35)  # what bends less goes straight on
@@ -57,8 +59,9 @@ class Lane:
         limits: The speed limits at the points in m/s, (n,).
         successors: The lanes that begin where it ends.
         predecessors: The lanes that end where it begins.
-        left: The lane of the same direction on the left, if the marks allow to change to it.
-        right: The one on the right.
+        left: At each point, the lane of the same direction on the left, if the markings there allow to change to it, or
+            `NO_LANE`, (n,).
+        right: The one on the right, (n,).
         junction: The id of the junction that it lies in; None outside of junctions.
         turn: The turn that it takes there.
     """
@@ -75,8 +78,8 @@ class Lane:
     limits: Floats
     successors: tuple[int, ...]
     predecessors: tuple[int, ...]
-    left: int | None
-    right: int | None
+    left: Integers
+    right: Integers
     junction: int | None
     turn: Turn
 
@@ -117,11 +120,10 @@ def _lane(
     length = max(float(np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1).sum()), _SHORTEST)
     bend = rows[-1, 3] - rows[0, 3]
     is_straight = course.junction == NO_JUNCTION or abs(bend) < _BEND
-    outwards = 1 if course.reverse else -1  # numbers ascend to the left of the road's own direction
-    left, right = (
-        index.get((course.road, course.section, course.id + step)) if allowed else None
-        for step, allowed in zip((-outwards, outwards), course.changes, strict=True)
-    )
+    to_right = 1 if course.reverse else -1  # numbers ascend to the left of the road's own direction
+    beside = [index.get((course.road, course.section, course.id + step), NO_LANE) for step in (-to_right, to_right)]
+    allowed = np.array([course.allowed(station).changes for station in rows[:, 5].tolist()])
+    left, right = np.where(allowed, beside, NO_LANE).T
     return Lane(
         index=number,
         road_id=course.road,

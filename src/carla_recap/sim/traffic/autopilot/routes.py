@@ -66,7 +66,7 @@ class LaneNetwork:
         entry_limit: The speed limit at the beginning of each lane in m/s.
         entry_speed: The speed that the curves of each lane allow at its beginning, in m/s.
         junction: The junction that each lane belongs to, or `NONE`.
-        left: The adjacent lane on the left that vehicles may change to, or `NONE`.
+        left: At each point, the adjacent lane on the left that vehicles may change to there, or `NONE`.
         right: The same on the right.
         turn: The turn on each lane that drivers indicate: -1 left, 0 none, 1 right.
         successors: The lanes that follow each lane, without those that lead to a dead end, if there are others.
@@ -82,9 +82,9 @@ class LaneNetwork:
         self.length = index.length
         self.entry_limit = index.limits[index.first]
         self.entry_speed = self._safe_speed[index.first]
-        self.junction = _optional([lane.junction for lane in lanes])
-        self.left = _optional([lane.left for lane in lanes])
-        self.right = _optional([lane.right for lane in lanes])
+        self.junction = np.array([NONE if lane.junction is None else lane.junction for lane in lanes], np.int64)
+        self.left = np.concatenate([lane.left for lane in lanes])
+        self.right = np.concatenate([lane.right for lane in lanes])
         self.turn = np.array([{"left": -1, "straight": 0, "right": 1}[lane.turn] for lane in lanes])
         self.successors = _successors(lanes)
 
@@ -132,10 +132,6 @@ class LaneNetwork:
         along = away @ (np.cos(index.heading[point]), np.sin(index.heading[point]))
         s = (point - index.first[lane]) * index.spacing[lane] + along
         return lane, float(np.clip(s, 0, self.length[lane]))
-
-
-def _optional(values: list[int | None]) -> Integers:
-    return np.array([NONE if value is None else value for value in values], np.int64)
 
 
 def _curvature(lane: Lane) -> Floats:
@@ -360,7 +356,9 @@ def lane_changes(state: AutopilotState, leader: tuple[Floats, Floats], decision:
     """
     cars, drivers, routes, network, vehicles = state
     lane = routes.lanes[:, 0]
-    left, right = network.left[lane], network.right[lane]
+    s = routes.position - routes.starts[:, 0]
+    point = network.points(lane, s)[0]
+    left, right = network.left[point], network.right[point]
     able: Booleans = (np.arange(len(lane)) + decision) % _TURNS == 0
     able &= ((left != NONE) | (right != NONE)) & (transition_progress(drivers, routes.position) >= 1)
     able = able & (drivers.stop_line - routes.position - cars.half_length > _BEFORE_STOP_LINE)
@@ -368,7 +366,7 @@ def lane_changes(state: AutopilotState, leader: tuple[Floats, Floats], decision:
         able & np.isinf(drivers.junction_end) & (np.abs(drivers.lateral_offset) < _CENTRED) & _is_straight(routes, network)
     )
     distance, speed = leader
-    limit = network.limit(lane, routes.position - routes.starts[:, 0])
+    limit = network.limit(lane, s)
     slowed = (distance < _NEAR * drivers.desired_gap(cars.speed, cars.speed)) & (speed < _SLOW * limit)
     for row in np.flatnonzero(able & slowed).tolist():
         for side, other in ((-1, int(left[row])), (1, int(right[row]))):
