@@ -123,7 +123,7 @@ def test_lanes_beside_each_other_where_the_marks_allow_to_change(brickfield: Tow
 
 @pytest.mark.parametrize("rule", ["RHT", "LHT"])
 def test_a_marking_allows_changes_from_where_it_begins(tmp_path: Path, rule: str) -> None:
-    marks = "".join(f'<roadMark sOffset="{s}" type="broken" laneChange="{word}"/>' for s, word in ((0, "none"), (60, "both")))
+    marks = '<roadMark sOffset="0" laneChange="none"/><roadMark sOffset="60" laneChange="both"/>'
     lanes = lane(-1).replace("</lane>", f"{marks}</lane>") + lane(-2)
     town = made_of(tmp_path, road(sections=section(0, right=lanes)).replace("<road ", f'<road rule="{rule}" '))
     outer, inner = sorted(town.lanes, key=lambda each: each.lane_id)
