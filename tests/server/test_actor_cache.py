@@ -18,7 +18,7 @@ from carla_recap.sim.errors import DeadActor
 from tests.sim.flat import at, flat_world
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor
 
 
 def spawned(host: Host, x: float = 0.0, role_name: str = "autopilot") -> Actor:

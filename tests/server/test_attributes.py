@@ -9,7 +9,7 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.server.actor_records import check_attributes
-from carla_recap.sim.actors.blueprints import standard_library
+from carla_recap.sim.blueprints import standard_library
 from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
 from tests.server.inside import Inside

@@ -15,7 +15,7 @@ from tests.server.client import FAR, spawn
 from tests.server.inside import Inside
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor
 
 command = carla.command
 HERE = [[500.0, 500.0, 0.0], [0.0, 0.0, 0.0]]

@@ -22,7 +22,7 @@ from carla_recap.server.protocol import DEFAULT, RELEASES, Release
 from carla_recap.server.protocol.chaos import ChaosControl
 from carla_recap.server.protocol.clients import release_of
 from carla_recap.server.rpc.codec import decoder, encoder
-from carla_recap.sim.actors.blueprints import standard_library
+from carla_recap.sim.blueprints import standard_library
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.physics.physics_control import PhysicsControl
 from tests.server.inside import Inside
@@ -241,7 +241,7 @@ def test_all_releases_but_0_9_16_stay_on_their_stream_when_an_episode_begins() -
         stream = inside.client.stream
         inside.call("load_new_episode", "")
         assert (inside.client.stream == stream) == (release.name != "0.9.16")
-        assert inside.call("get_episode_info")[0] == inside.world.episode
+        assert inside.call("get_episode_info")[0] == inside.world.episode.number
 
 
 def test_0_9_13_has_its_own_labels_commands_and_fields() -> None:

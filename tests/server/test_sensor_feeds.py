@@ -16,14 +16,14 @@ from carla_recap.server.host import Host
 from carla_recap.server.sensors import SENSOR_KINDS, Support, dispatch
 from carla_recap.server.sensors.rays import ActorBoxes, visible_actors
 from carla_recap.server.streams import Subscriber
-from carla_recap.sim.actors.blueprints import standard_library
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
+from carla_recap.sim.blueprints import standard_library
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from tests.sim.flat import at, flat_world
 
 if TYPE_CHECKING:
     from carla_recap.server.sensors.feeds import Feed, FeedContext
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor
 
 HERE = Transform()
 HEADER = struct.Struct("<QQd6f")

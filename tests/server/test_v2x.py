@@ -23,7 +23,7 @@ from tests.waiting import wait_until
 
 if TYPE_CHECKING:
     from carla_recap.server.host import Host
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor
 
 CAM = np.dtype(
     {

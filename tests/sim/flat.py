@@ -15,7 +15,7 @@ from carla_recap.sim.town.sidewalks import WalkwayGraph
 from carla_recap.sim.world import World
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.actor import Collision
+    from carla_recap.sim.episode import Collision
 
 LENGTH = 8000.0
 

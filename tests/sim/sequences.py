@@ -23,10 +23,11 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule, run_state_machine_as_test
 from pymunk.batch import BodyFields, Buffer, get_space_bodies
 
-from carla_recap.sim.actors.actor import Actor, Prop, Sensor, Spectator
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, VehicleControl, Walker, WalkerControl
+from carla_recap.sim.actors.props import Prop, Sensor
 from carla_recap.sim.actors.triggers import FrictionTrigger
+from carla_recap.sim.episode import Actor, Spectator
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
@@ -266,7 +267,7 @@ class WorldMachine(RuleBasedStateMachine):
         self.world.set_replayer_time_factor(factor)
         self.world.replay_file(self.recording, start, 0.0, None, sensors)
 
-    @precondition(lambda self: self.world.replayed is not None)
+    @precondition(lambda self: self.world.episode.replayed is not None)
     @rule(keep=flags)
     def stop_replay(self, keep: bool) -> None:
         self.note("stop_replay", keep)
@@ -276,7 +277,7 @@ class WorldMachine(RuleBasedStateMachine):
 
     @invariant()
     def bodies_have_owners(self) -> None:
-        space = self.world.plane.space
+        space = self.world.episode.plane.space
         bodies = set(space.bodies)
         expected: dict[pymunk.Body, Actor] = {}
         for movers in (self.world.vehicles, self.world.walkers):
@@ -284,7 +285,7 @@ class WorldMachine(RuleBasedStateMachine):
         expected |= {actor.body: actor for actor in self.world.actors.values() if isinstance(actor, Prop) and actor.body}
         assert set(expected) <= bodies, "a body of an actor is not in the space"
         for body in bodies:
-            owner = self.world.owner(body.id)
+            owner = self.world.episode.owners.get(body.id)
             assert owner is not None, "a body has no owner"
             assert self.world.actors.get(owner.id) is owner, f"{owner!r} has a body, but is not in the world"
             assert expected.get(body, owner) is owner
@@ -297,7 +298,7 @@ class WorldMachine(RuleBasedStateMachine):
 
     @invariant()
     def chipmunk_has_the_bodies_of_pymunk(self) -> None:
-        space, buffer = self.world.plane.space, Buffer()
+        space, buffer = self.world.episode.plane.space, Buffer()
         get_space_bodies(space, BodyFields.BODY_ID | BodyFields.POSITION, buffer)
         ids = np.frombuffer(buffer.int_buf(), np.uintp).tolist()
         assert sorted(ids) == sorted(body.id for body in (space.static_body, *space.bodies))
@@ -329,13 +330,12 @@ class WorldMachine(RuleBasedStateMachine):
 
     @invariant()
     def triggers_know_the_vehicles_within(self) -> None:
-        context = self.world.spectator.context
+        episode = self.world.episode
         triggers = [actor for actor in self.world.actors.values() if isinstance(actor, FrictionTrigger)]
-        assert context.triggers == triggers
-        for vehicle, (_, entered) in context.occupied.items():
-            assert vehicle.context is context
+        assert episode.triggers == triggers
+        for _, entered in episode.occupied.values():
             assert entered
-            assert set(entered) <= set(triggers)
+            assert set(entered) <= {trigger.id for trigger in triggers}
 
     @invariant()
     def families_agree(self) -> None:

@@ -14,8 +14,8 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.model.records import ActorKind
-from carla_recap.sim.actors.actor import Prop, Sensor
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
+from carla_recap.sim.actors.props import Prop, Sensor
 from carla_recap.sim.errors import DeadActor, SimError, SpawnError
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.settings import PRESETS, Weather, seeded_date
@@ -333,8 +333,8 @@ def test_a_new_episode_has_no_actors_of_the_old_one() -> None:
 
 def test_the_date_is_that_of_source_date_epoch(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1234567")
-    assert World(flat_town()).date == 1234567
-    assert World(flat_town(), date=7).date == 7
+    assert World(flat_town()).recorder.date == 1234567
+    assert World(flat_town(), date=7).recorder.date == 7
 
 
 def test_the_spectator_can_be_moved() -> None:
@@ -348,7 +348,7 @@ def test_parked_vehicles_cost_no_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     cars = [vehicle(world, 10.0 * number) for number in range(50)]
     world.run(1)
     steps: list[float] = []
-    monkeypatch.setattr(world.plane, "step", lambda seconds: steps.append(seconds) or [])
+    monkeypatch.setattr(world.episode.plane, "step", lambda seconds: steps.append(seconds) or [])
     world.run(5)
     assert not steps
     cars[0].apply_control(VehicleControl(throttle=1.0))
@@ -362,10 +362,10 @@ def test_fast_vehicles_are_simulated_in_small_steps() -> None:
     for speed, steps in ((10.0, 1), (45.0, 3), (400.0, 10)):
         car.set_target_velocity(Vector(speed))
         world.tick()
-        assert world.plane.space.current_time_step == pytest.approx(0.05 / steps)
+        assert world.episode.plane.space.current_time_step == pytest.approx(0.05 / steps)
     world.settings.substepping = False
     world.tick()
-    assert world.plane.space.current_time_step == pytest.approx(0.05)
+    assert world.episode.plane.space.current_time_step == pytest.approx(0.05)
 
 
 def state_after_a_pile_up() -> str:
@@ -461,7 +461,7 @@ def test_a_town_by_its_name() -> None:
     with pytest.raises(RecapError, match="town 'Atlantis': expected"):
         world.reload("Atlantis")
     world.reload("Brickfield")
-    assert world.episode == 2
+    assert world.episode.number == 2
 
 
 _SLEEPING_CARS = """
@@ -498,6 +498,6 @@ def test_the_weather_is_a_weather(weather: object) -> None:
 
 def test_a_source_date_that_is_no_number_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "abc")
-    for date in (lambda: World(flat_town()).date, seeded_date):
+    for date in (lambda: World(flat_town()).recorder.date, seeded_date):
         with pytest.raises(SimError, match="SOURCE_DATE_EPOCH: expected whole Unix seconds, found 'abc'"):
             date()

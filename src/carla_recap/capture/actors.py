@@ -12,7 +12,7 @@ from carla_recap.errors import RecapWarning
 from carla_recap.model.lives import HERO
 from carla_recap.model.records import UE4, ActorKind, Attribute, Spawn
 from carla_recap.replay.pose import detach
-from carla_recap.sim.actors.attributes import attribute_type
+from carla_recap.sim.attributes import attribute_type
 from carla_recap.sim.recording.packets import CM_PER_M, box_row, physics_record, pose, wheel_row
 from carla_recap.sim.recording.snapshots import WITH_POSE
 

@@ -27,8 +27,8 @@ from carla_recap.server.rpc.structs import (
     AttributeValue,
     BoxStruct,
 )
-from carla_recap.sim.actors.attributes import ATTRIBUTE_TYPES, attribute_type, is_restricted
 from carla_recap.sim.actors.lights import Sign
+from carla_recap.sim.attributes import ATTRIBUTE_TYPES, attribute_type, is_restricted
 from carla_recap.sim.geometry import Location, Vector
 
 if TYPE_CHECKING:
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 
     from carla_recap.server.protocol.releases import Release
     from carla_recap.server.streams import Streams
-    from carla_recap.sim.actors.actor import Actor
-    from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
+    from carla_recap.sim.blueprints import Blueprint, BlueprintLibrary
+    from carla_recap.sim.episode import Actor
     from carla_recap.sim.geometry import Box, Transform
 
 
@@ -148,7 +148,7 @@ def record(actor: Actor | DestroyedActor, streams: Streams, release: Release) ->
     if isinstance(actor, DestroyedActor):
         attributes, parent = actor.attributes, None
     else:
-        attributes = readable_attributes(actor.blueprint, actor.attributes, actor.context.blueprints)
+        attributes = readable_attributes(actor.blueprint, actor.attributes, actor.episode.blueprints)
         parent = actor.parent
     values = [AttributeValue(key, AttributeCode(attribute_type(key)), value) for key, value in attributes.items()]
     return ActorRecord(
@@ -171,7 +171,7 @@ def box(actor: Actor | DestroyedActor) -> BoxStruct:
 
 def _trigger_volume(sign: Sign) -> BoxStruct:
     """Return the box before the stop lines, across all lanes concerned; it is as long as a lane is wide."""
-    town, transform = sign.context.town, sign.transform
+    town, transform = sign.episode.town, sign.transform
     lanes, s = zip(*sign.signal.stops, strict=True)
     halves = np.array([town.lanes[lane].width / 2 for lane in lanes])[:, None]
     location = transform.location
@@ -224,7 +224,7 @@ def _tags(actor: Actor | DestroyedActor) -> Iterable[int]:
 
 
 def _destroyed(actor: Actor) -> DestroyedActor:
-    attributes = readable_attributes(actor.blueprint, actor.attributes, actor.context.blueprints)
+    attributes = readable_attributes(actor.blueprint, actor.attributes, actor.episode.blueprints)
     changes = tuple((key, value) for key, value in attributes.items() if actor.blueprint.attributes.get(key) != value)
     return DestroyedActor(actor.id, actor.blueprint, changes, actor.transform)
 

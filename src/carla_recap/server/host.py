@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from carla_recap.server.protocol.releases import Release
     from carla_recap.server.rpc.connection import ClientConnection
     from carla_recap.server.traffic_manager import TrafficManagerPause
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor
     from carla_recap.sim.town.loading import Town
     from carla_recap.sim.world import World
 
@@ -126,7 +126,7 @@ class Host:
     @property
     def episode(self) -> int:
         """The number of the episode."""
-        return self.world.episode
+        return self.world.episode.number
 
     def tick(self, delta: float | None = None) -> int:
         """Tick the world, send the data of sensors and the snapshot, and return the number of the frame."""
@@ -200,7 +200,7 @@ class Host:
 
     def check_episode(self, frames: int) -> bool:
         """Return whether a new episode has begun, after the given number of frames of the last one."""
-        if self._episode == self.world.episode:
+        if self._episode == self.world.episode.number:
             return False
         self._frames_before += frames + 1
         self._begin()
@@ -241,7 +241,7 @@ class Host:
             self._actors.evict(id)
 
     def _begin(self) -> None:
-        self._episode = self.world.episode
+        self._episode = self.world.episode.number
         self._is_new = True
         self._actors.evict_destroyed()
         self._encoder = SnapshotEncoder(self.world)

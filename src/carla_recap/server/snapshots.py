@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.server.protocol.releases import WORLD
-from carla_recap.sim.actors.actor import transforms
-from carla_recap.sim.actors.lights import GREEN, Sign, TrafficLight
+from carla_recap.sim.actors.lights import Sign, TrafficLight
 from carla_recap.sim.actors.moving import MovingActor
+from carla_recap.sim.episode import transforms
+from carla_recap.sim.signals import GREEN
 from carla_recap.sim.town.junctions import NO_LIGHT, Rules
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.server.protocol.releases import Release
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor
     from carla_recap.sim.geometry import Transform
     from carla_recap.sim.physics.moving_bodies import MovingBodies
     from carla_recap.sim.physics.vehicles import Vehicles

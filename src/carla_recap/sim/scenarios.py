@@ -10,8 +10,8 @@ import numpy as np
 
 from carla_recap.model.lives import HERO
 from carla_recap.scene.lamps import LEFT_BLINKER, RIGHT_BLINKER
-from carla_recap.sim.actors.blueprints import COLLISION_SENSOR
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
+from carla_recap.sim.blueprints import COLLISION_SENSOR
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.town.lanes import NO_LANE

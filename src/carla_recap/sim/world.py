@@ -6,41 +6,45 @@ import time
 import warnings
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
 import numpy as np
 
 from carla_recap.errors import RecapWarning
-from carla_recap.sim.actors.actor import transforms
-from carla_recap.sim.actors.blueprints import standard_library
-from carla_recap.sim.actors.registry import ActorIds, ActorRegistry
+from carla_recap.sim.actors import spawning
+from carla_recap.sim.actors.lights import TrafficLight, traffic_lights
 from carla_recap.sim.actors.stepping import ActorMotion
-from carla_recap.sim.errors import SimError, SpawnError
-from carla_recap.sim.settings import Clock, Settings, Weather, source_date
+from carla_recap.sim.blueprints import standard_library
+from carla_recap.sim.episode import ActorIds, Episode, transforms
+from carla_recap.sim.errors import SimError
+from carla_recap.sim.settings import Clock, Settings, Weather
 from carla_recap.sim.town.loading import Town, load_town
-from carla_recap.sim.traffic.controllers import Traffic
-from carla_recap.sim.validation import expect_numbers, expect_seconds
+from carla_recap.sim.traffic.traffic import Traffic
+from carla_recap.sim.validation import expect_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from carla_recap.replay.follow import Follow
-    from carla_recap.sim.actors.actor import Actor, Spectator
-    from carla_recap.sim.actors.blueprints import Blueprint
-    from carla_recap.sim.actors.lights import Signals, TrafficLight
-    from carla_recap.sim.actors.registry import TickEvents
+    from carla_recap.sim.blueprints import Blueprint
+    from carla_recap.sim.episode import Actor, Spectator, TickEvents
     from carla_recap.sim.geometry import Transform
-    from carla_recap.sim.physics.plane import Plane
     from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.sim.physics.walkers import Walkers
     from carla_recap.sim.recording.recorder import WorldRecorder
-    from carla_recap.sim.replaying.replayer import Replay, Replayer
-    from carla_recap.sim.traffic.autopilot import Autopilot
-    from carla_recap.sim.traffic.controllers import Controller
-    from carla_recap.sim.traffic.pedestrians import PedestrianNavigation
+    from carla_recap.sim.replaying.replayer import OpenedRecording, Replay, Replayer
+    from carla_recap.sim.signals import Signals
 
 _DELTA: Final = 0.05  # s: the default length of a tick
 _ROUNDING: Final = 1e-6
+
+
+class Controller(Protocol):
+    """Something that acts at the beginning of each tick."""
+
+    def step(self, delta: float) -> None:
+        """Act at the beginning of a tick of a length in s."""
 
 
 class World:
@@ -58,9 +62,9 @@ class World:
     Attributes:
         blueprints: The blueprint library.
         settings: The settings of the simulation.
-        episode: The number of the episode, from 1: `reload` begins the next one.
+        episode: The state of the world: `reload` begins the next one.
         random: The source of all randomness.
-        controllers: What acts at the beginning of each tick.
+        controllers: What acts at the beginning of each tick, after the traffic.
         listeners: What is called at the end of each tick.
         recordings: The folder of recordings, if one was given.
         maps: The folder of maps, if one was given.
@@ -93,109 +97,92 @@ class World:
         self.listeners: list[Callable[[], None]] = []
         self.on_error: Callable[[object, Exception], None] | None = None
         self.recordings = recordings
-        self.maps = maps
+        self.maps = None if maps is None else Path(maps)
         self.parameters: Mapping[str, str] = {name: str(value) for name, value in (parameters or {}).items()}
         self._recorder: WorldRecorder | None = None
         self._replayer: Replayer | None = None
-        self.episode = 0
         self._ids = ActorIds()
-        self._begin(self._load("" if town is None else town), Clock(delta=fixed_delta_seconds or _DELTA))
+        self._begin(1, self._load("" if town is None else town), fixed_delta_seconds or _DELTA)
 
-    def _begin(self, town: Town, clock: Clock) -> None:
+    def _begin(self, number: int, town: Town, delta: float) -> None:
         """Begin an episode."""
-        self.episode += 1
-        self._weather = Weather()
-        self._registry = ActorRegistry(town, clock, self.settings, self.blueprints, self._ids)
-        self._traffic = self._registry.traffic = Traffic(self._registry, self.random, self.controllers)
-        self._motion = ActorMotion(self._registry)
+        clock = Clock(delta=delta)
+        self.episode = Episode(number, town, clock, self.settings, self.random, self.blueprints, self._ids)
+        spawning.add_signs(self.episode)
+        self._traffic, self._motion = Traffic(self.episode), ActorMotion(self.episode)
+        if self._recorder is not None:
+            self._recorder.episode = self.episode
+        if self._replayer is not None:
+            self._replayer.enter(self.episode)
+
+    def _load(self, town: Town | str | Path) -> Town:
+        return town if isinstance(town, Town) else load_town(town, self.maps)
+
+    # --- the state of the episode -------------------------------------------------------------------------------------
 
     @property
     def town(self) -> Town:
         """The town."""
-        return self._registry.town
+        return self.episode.town
 
     @property
     def frame(self) -> int:
         """The number of ticks in this episode."""
-        return self._registry.clock.frame
+        return self.episode.clock.frame
 
     @property
     def elapsed(self) -> float:
         """The simulated time of this episode, in s."""
-        return self._registry.clock.elapsed
+        return self.episode.clock.elapsed
 
     @property
     def delta(self) -> float:
         """The length of the latest tick, in s."""
-        return self._registry.clock.delta
+        return self.episode.clock.delta
 
     @property
     def weather(self) -> Weather:
-        """The weather; set it to change it.
-
-        Raises:
-            SimError: When it is set: it is no `Weather`, or a number is too large for a recording.
-        """
-        return self._weather
+        """The weather; set it to change it, see `Episode.weather`."""
+        return self.episode.weather
 
     @weather.setter
     def weather(self, weather: Weather) -> None:
-        if not isinstance(weather, Weather):
-            raise SimError(f"the weather: a Weather was expected, such as PRESETS['HardRainNoon'], not {weather!r:.60}")
-        expect_numbers("the weather", weather)
-        self._weather = weather
-
-    @property
-    def date(self) -> int:
-        """The date of a recording that begins now, in Unix seconds."""
-        return source_date(time.time()) if self._date is None else self._date
-
-    # --- actors -------------------------------------------------------------------------------------------------------
+        self.episode.weather = weather
 
     @property
     def actors(self) -> Mapping[int, Actor]:
         """All actors by id, in the order of spawning."""
-        return self._registry.actors
+        return MappingProxyType(self.episode.actors)
 
     @property
     def vehicles(self) -> Vehicles:
         """All vehicles, as arrays."""
-        return self._registry.vehicles
+        return self.episode.vehicles
 
     @property
     def walkers(self) -> Walkers:
         """All walkers, as arrays."""
-        return self._registry.walkers
+        return self.episode.walkers
 
     @property
     def signals(self) -> Signals:
         """All traffic lights, as arrays."""
-        return self._registry.signals
+        return self.episode.signals
 
     @property
     def traffic_lights(self) -> list[TrafficLight]:
         """All traffic lights; light i is row i of `signals`."""
-        return self._registry.traffic_lights
+        return traffic_lights(self.episode)
 
     @property
     def spectator(self) -> Spectator:
         """The spectator."""
-        return self._registry.spectator
-
-    @property
-    def plane(self) -> Plane:
-        """The bodies of the actors."""
-        return self._registry.plane
+        return self.episode.spectator
 
     @property
     def events(self) -> TickEvents:
         """The events of the latest tick, and between it and the one before."""
-        return self._registry.events
-
-    @property
-    def pending(self) -> TickEvents:
-        """The events since the latest tick, which the next one will add to `events`."""
-        return self._registry.pending
+        return self.episode.events
 
     def spawn(
         self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
@@ -213,27 +200,13 @@ class World:
             SimError: The place is too far away for a recording, or an attribute is too long for one.
             DeadActor: The parent has been destroyed.
         """
-        blueprint = self.blueprints.resolve(blueprint, attributes)
-        if parent is None and (other := self._registry.occupant(blueprint, transform)) is not None:
-            location = transform.location
-            where = f"({location.x:.1f}, {location.y:.1f}, {location.z:.1f})"
-            raise SpawnError(f"{blueprint.id} cannot be spawned at {where}: {other!r} is there")
-        return self._registry.place(blueprint, transform, parent, attributes)
+        return spawning.spawn(self.episode, blueprint, transform, parent, attributes)
 
     def try_spawn(
         self, blueprint: Blueprint | str, transform: Transform, *, parent: Actor | None = None, **attributes: str
     ) -> Actor | None:
-        """Spawn an actor if its place is free; see `spawn`.
-
-        Raises:
-            SpawnError: There is no such blueprint or attribute.
-            SimError: See `spawn`.
-            DeadActor: The parent has been destroyed.
-        """
-        blueprint = self.blueprints.resolve(blueprint, attributes)
-        if parent is None and self._registry.occupant(blueprint, transform) is not None:
-            return None
-        return self._registry.place(blueprint, transform, parent, attributes)
+        """Spawn an actor if its place is free; see `spawn`."""
+        return spawning.try_spawn(self.episode, blueprint, transform, parent, attributes)
 
     def place(
         self,
@@ -244,47 +217,14 @@ class World:
         wanted_id: int | None = None,
         **attributes: str,
     ) -> Actor:
-        """Spawn an actor, even where others are; see `spawn`.
-
-        Args:
-            blueprint: See `spawn`.
-            transform: See `spawn`.
-            parent: See `spawn`.
-            wanted_id: The id that it gets if no actor has, or had, it; else it gets the next one.
-            **attributes: See `spawn`.
-        """
-        return self._registry.place(blueprint, transform, parent, attributes, wanted_id)
-
-    def reserve_ids(self, largest: int) -> None:
-        """Keep the free ids up to one for actors for which `place` wants them; other actors get larger ids."""
-        self._ids.reserve(largest)
+        """Spawn an actor, even where others are; see `spawn`, and for `wanted_id` `spawning.place`."""
+        return spawning.place(self.episode, blueprint, transform, parent, attributes, wanted_id)
 
     def destroy(self, actor: Actor) -> bool:
-        """Destroy an actor and what is attached to it.
+        """Destroy an actor and what is attached to it; see `Actor.destroy`."""
+        return actor.destroy()
 
-        Returns:
-            False if it had been destroyed before.
-
-        Raises:
-            SimError: It belongs to the town.
-        """
-        return self._registry.destroy(actor)
-
-    def owner(self, body: int) -> Actor | None:
-        """Return the actor that a body of the plane belongs to; None for a barrier."""
-        return self._registry.owner(body)
-
-    # --- controllers, the recorder and the replayer -------------------------------------------------------------------
-
-    @property
-    def autopilot(self) -> Autopilot:
-        """The autopilot, which drives the vehicles that have it switched on; made when first used."""
-        return self._traffic.autopilot
-
-    @property
-    def pedestrians(self) -> PedestrianNavigation:
-        """The navigation of the walkers that have destinations; made when first used."""
-        return self._traffic.pedestrians
+    # --- the recorder and the replayer --------------------------------------------------------------------------------
 
     @property
     def recorder(self) -> WorldRecorder:
@@ -292,7 +232,7 @@ class World:
         if self._recorder is None:
             from carla_recap.sim.recording.recorder import WorldRecorder
 
-            self._recorder = WorldRecorder(self, self.recordings)
+            self._recorder = WorldRecorder(self.episode, self.recordings, self._date, self.parameters)
             self.listeners.insert(0, self._recorder)  # what other listeners do belongs to the next tick
         return self._recorder
 
@@ -302,14 +242,9 @@ class World:
         if self._replayer is None:
             from carla_recap.sim.replaying.replayer import Replayer
 
-            self._replayer = Replayer(self)
+            self._replayer = Replayer(self.episode)
             self.controllers.append(self._replayer)
         return self._replayer
-
-    @property
-    def replayed(self) -> Path | None:
-        """The recording that is being replayed."""
-        return None if self._replayer is None else self._replayer.path
 
     def start_recorder(self, name: Path | str, additional_data: bool = False, *, force: bool = True) -> Path:
         """Begin a recording, which replaces an older one of that name, as in CARLA; see `WorldRecorder.start`.
@@ -335,18 +270,56 @@ class World:
         *,
         keep_town: bool = False,
     ) -> Replay:
-        """Replay a recording; see `Replayer.start`.
+        """Replay a recording, whose suffix may be missing; see `begin_replay`, and `Replayer.open` for the first options.
 
         A running recorder stops, as in CARLA. To record the replay, start the recorder between this call and the next tick.
 
         Warns:
-            RecapWarning: A recorder was running; see `Replayer.start` for others.
+            RecapWarning: A recorder was running; see `begin_replay` for others.
         """
+        from carla_recap.sim.replaying.replayer import find_recording
+
         recorded = None if self._recorder is None else self._recorder.path
         if recorded is not None:
             reason = "a replay begins, which stops the recorder; start it after replay_file to record the replay"
             warnings.warn(f"{recorded}: ends here: {reason}", RecapWarning, stacklevel=2)
-        return self.replayer.start(name, start, duration, follow, replay_sensors, offset, keep_town=keep_town)
+        self.stop_replayer()
+        self.stop_recorder()
+        opened = self.replayer.open(find_recording(name, self.recordings), start, duration, follow)
+        return self.begin_replay(opened, replay_sensors, offset, keep_town=keep_town)
+
+    def begin_replay(
+        self,
+        opened: OpenedRecording,
+        replay_sensors: bool = False,
+        offset: Transform | None = None,
+        *,
+        keep_town: bool = False,
+        replay_weather: bool = True,
+        map_name: str = "",
+    ) -> Replay:
+        """Replay an opened recording; see `Replayer.begin`. Its map is loaded unless it is the town's.
+
+        Warns:
+            RecapWarning: See `town_to_load`.
+
+        Raises:
+            MapMissing: The map is another one, and cannot be loaded.
+        """
+        from carla_recap.sim.replaying.replayer import town_to_load
+
+        self.stop_replayer()
+        self.stop_recorder()
+        reader = opened.player.reader
+        try:
+            town = town_to_load(opened, self.town, self.maps, map_name, keep=keep_town)
+            if town is not None:
+                self.reload(town)
+        except BaseException:
+            reader.close()
+            raise
+        name, loaded = map_name or reader.header.map_name, town is not None
+        return self.replayer.begin(opened, name, replay_sensors, offset, replay_weather=replay_weather, loaded=loaded)
 
     def stop_replayer(self, keep_actors: bool = False) -> None:
         """End the replay, if there is one; see `Replayer.stop`."""
@@ -393,15 +366,15 @@ class World:
         if delta is None:
             delta = self.settings.fixed_delta_seconds or _DELTA
         expect_seconds("a tick", delta)
-        delta = self._registry.clock.delta = float(delta)
-        for controller in tuple(self.controllers):
+        episode = self.episode
+        delta = episode.clock.delta = float(delta)
+        for controller in (*self._traffic.controllers(), *self.controllers):
             self._act(controller, controller.step, delta)
-        self.signals.step(delta)
+        episode.signals.step(delta)
         collisions = self._motion.advance(delta)
-        for trigger, place in zip(triggers := self._registry.triggers, transforms(triggers), strict=True):
-            self._act(trigger, trigger.update, self._registry.vehicles, place)
-        self._registry.clock.advance()
-        self._registry.end_tick(collisions)
+        for trigger, place in zip(episode.triggers, transforms(episode.triggers), strict=True):
+            self._act(trigger, trigger.update, place)
+        episode.end_tick(collisions)
         for listener in tuple(self.listeners):
             self._act(listener, listener)
         return self.frame
@@ -454,11 +427,6 @@ class World:
             RecapError: There is no such town; the episode goes on.
         """
         town = self.town if town is None else self._load(town)
-        self.stop_recorder()
-        self.stop_replayer(keep_actors=True)
-        self._registry.close()
-        self._traffic.end()
-        self._begin(town, Clock(delta=self.delta))
-
-    def _load(self, town: Town | str | Path) -> Town:
-        return town if isinstance(town, Town) else load_town(town, None if self.maps is None else Path(self.maps))
+        self.close()
+        self.episode.close()
+        self._begin(self.episode.number + 1, town, self.delta)

@@ -16,7 +16,7 @@ from tests.sim.flat import at, flat_world, spawn_car
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor
     from carla_recap.sim.world import World
 
 

@@ -133,7 +133,7 @@ def test_an_episode_is_freed_after_a_reload_with_a_car_in_a_trigger() -> None:
     spawn_car(world, at(0.0))
     trigger(world)
     world.tick()
-    episode = weakref.ref(world.spectator.context)
+    episode = weakref.ref(world.episode)
     world.reload()
     gc.collect()
     assert episode() is None

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from carla_recap.sim.actors.blueprints import standard_library
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
+from carla_recap.sim.blueprints import standard_library
 from carla_recap.sim.geometry import Vector
 from tests.sim.flat import at, flat_world, spawn_car
 

@@ -8,8 +8,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from carla_recap.sim.actors.actor import Prop
 from carla_recap.sim.actors.moving import VehicleControl, Walker
+from carla_recap.sim.actors.props import Prop
 from carla_recap.sim.errors import SpawnError
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.town.junctions import Signal, SignalKind

@@ -30,8 +30,8 @@ from carla_recap import formats
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats.carla_log import is_log
 from carla_recap.model.records import NO_ACTOR, ActorKind
-from carla_recap.sim.actors.actor import Collision
 from carla_recap.sim.actors.moving import VehicleControl, WalkerControl
+from carla_recap.sim.episode import Collision
 from carla_recap.sim.errors import DestinationError, SimError
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.recording import recorder
@@ -704,10 +704,10 @@ def test_a_script_without_a_guard_that_ends_completes_its_recording(tmp_path: Pa
 def test_a_collision_of_a_replay_is_recorded_once_and_one_of_physics_with_the_tick_after(tmp_path: Path) -> None:
     world = flat_world()
     replayed, physical = (Collision(id, None, Location(), Vector(), False, False, 0) for id in (1, 2))
-    world.pending.collisions.append(replayed)
+    world.episode.pending.collisions.append(replayed)
     path = tmp_path / "a.log"
     world.recorder.start(path, now=True)
-    world._registry.end_tick([physical])
+    world.episode.end_tick([physical])
     world.recorder()
     world.stop_recorder()
     assert [[row[1] for row in frame["collisions"].tolist()] for frame in frames(path)] == [[1], [2]]

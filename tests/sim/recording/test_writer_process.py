@@ -32,7 +32,7 @@ HEADER = Header("Flat", 0)
 def batches(ticks: int) -> list[SnapshotBatch]:
     """Some frames of a world, 0.05 s each."""
     world = flat_world()
-    sampler = WorldSampler(world, additional_data=False)
+    sampler = WorldSampler(world.episode, additional_data=False)
     found: list[SnapshotBatch] = []
     for _ in range(ticks):
         world.tick()

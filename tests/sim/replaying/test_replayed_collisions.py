@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from carla_recap.sim.actors.actor import Collision
+    from carla_recap.sim.episode import Collision
     from carla_recap.sim.world import World
 
 DELTA = 0.05

@@ -12,9 +12,9 @@ import carla_recap
 from carla_recap.errors import FormatError, RecapError, RecapWarning
 from carla_recap.model.records import Attribute, Spawn
 from carla_recap.replay import Player
-from carla_recap.sim.actors.actor import Prop
 from carla_recap.sim.actors.lights import TrafficLight
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
+from carla_recap.sim.actors.props import Prop
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.settings import PRESETS
@@ -376,13 +376,13 @@ def test_ids_that_cannot_be_are_replaced(tmp_path: Path) -> None:
 
 def test_pedestrians_walk_whatever_the_order_of_their_ids() -> None:
     world = World(load_town())
-    places = [world.pedestrians.random_place() for _ in range(3)]
-    world.reserve_ids(5000)
+    *places, goal = (Location(*node) for node in world.town.walks.nodes[:160:40].tolist())
+    world.episode.ids.reserve(5000)
     walkers = []
     for place, id in zip(places, (5000, 4000, 3000), strict=True):
         walker = world.place("walker.pedestrian.0001", Transform(place), wanted_id=id)
         assert isinstance(walker, Walker)
-        walker.destination = world.pedestrians.random_place()
+        walker.destination = goal
         walkers.append(walker)
     world.run(4.0)
     assert [walker.id for walker in walkers] == [5000, 4000, 3000]
@@ -762,7 +762,7 @@ def test_a_map_that_the_caller_names_must_be_there(tmp_path: Path, drive: Path) 
     world = new_world()
     mine = spawn_car(world, at(500.0), AUDI)
     with pytest.raises(SimError, match=r"is a recording of the map 'Town42', which cannot be loaded: .*Town42"):
-        world.replayer.begin(world.replayer.open(drive), map_name="Town42")
+        world.begin_replay(world.replayer.open(drive), map_name="Town42")
     assert mine.is_alive
     assert not world.replayer.is_playing
 

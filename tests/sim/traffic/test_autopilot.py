@@ -9,9 +9,9 @@ import carla
 import numpy as np
 import pytest
 
-from carla_recap.sim.actors.lights import GREEN, RED, YELLOW
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
 from carla_recap.sim.geometry import Location, Transform, Vector
+from carla_recap.sim.signals import GREEN, RED, YELLOW
 from carla_recap.sim.town.junctions import Conflict, Junction, Signal, SignalKind
 from carla_recap.sim.town.loading import Town, load_town, make_town
 from carla_recap.sim.world import World

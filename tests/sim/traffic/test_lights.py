@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from carla_recap.sim.actors.lights import GREEN, OFF, RED, YELLOW
 from carla_recap.sim.errors import SimError
+from carla_recap.sim.signals import GREEN, OFF, RED, YELLOW
 from tests.sim.flat import flat_world, lane, light
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from carla_recap.sim import World, load_town
-from carla_recap.sim.actors.lights import RED
+from carla_recap.sim.signals import RED
 from carla_recap.sim.traffic.spawning import populate
 from tests.roads.towns import town
 

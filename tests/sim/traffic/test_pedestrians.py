@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from carla_recap.sim.actors.lights import GREEN, RED
 from carla_recap.sim.actors.moving import Walker, WalkerControl
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Vector
+from carla_recap.sim.signals import GREEN, RED
 from carla_recap.sim.town.graph import Paths
 from carla_recap.sim.town.sidewalks import WalkwayGraph
 from tests.sim.flat import at, flat_world, light, spawn_car, spawn_walker

@@ -13,9 +13,10 @@ from carla_recap.server.host import Client
 from carla_recap.server.quirks import slightly_aside
 from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import ActorDescription, ActorRecord, BoxStruct
-from carla_recap.sim.actors.actor import Actor, Prop
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, VehicleControl, Walker
+from carla_recap.sim.actors.props import Prop
+from carla_recap.sim.episode import Actor
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.validation import expect_place, expect_push, expect_turning, expect_velocity
 

@@ -116,7 +116,7 @@ async def replay_file(
     try:
         if town is not None:
             world.reload(town)
-        replay = replayer.begin(opened, sensors, offset, replay_weather=weather, map_name=map_name)
+        replay = world.begin_replay(opened, sensors, offset, replay_weather=weather, map_name=map_name)
     except MapMissing as error:
         return recordings.replaying(path) + recordings.map_missing(error)
     finally:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.sim.actors.blueprints import Blueprint, BlueprintLibrary
+    from carla_recap.sim.blueprints import Blueprint, BlueprintLibrary
 
 Label = NewType("Label", int)
 """A semantic tag, which goes over the wire as the release numbers it."""

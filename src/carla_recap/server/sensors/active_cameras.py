@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from carla_recap.server.protocol.releases import Release
     from carla_recap.server.sensors.feeds import Feed, FeedContext
     from carla_recap.server.sensors.images import ImageThread
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor
     from carla_recap.sim.geometry import Transform
     from carla_recap.sim.world import World
 

@@ -27,7 +27,7 @@ from carla_recap.server.sensors.images import ImageThread
 from carla_recap.server.sensors.surfaces import DrawnImages, TownSurfaces
 from carla_recap.server.sensors.v2x import RadioChannel, message_bytes, v2x
 from carla_recap.server.snapshots import sensor_header
-from carla_recap.sim.actors.actor import Sensor
+from carla_recap.sim.actors.props import Sensor
 from carla_recap.sim.geometry import Location, Vector
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from carla_recap.server.sensors.drawn_actors import WorldActors
     from carla_recap.server.sensors.feeds import Feed, MakeFeed, V2xMessage
     from carla_recap.server.streams import Streams
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor
     from carla_recap.sim.world import World
 
 _LOG: Final = logging.getLogger(__name__)

@@ -13,9 +13,9 @@ from carla_recap.scene.actor_instances import instances
 from carla_recap.scene.appearance import look_of
 from carla_recap.scene.description import LookColumns
 from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehicles
-from carla_recap.sim.actors.actor import transforms
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor
+from carla_recap.sim.episode import transforms
 from carla_recap.sim.recording.packets import CM_PER_M, pose, spawn
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.instances import Instances
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor
     from carla_recap.sim.physics.moving_bodies import MovingBodies
     from carla_recap.sim.world import World
 
@@ -51,7 +51,7 @@ class WorldActors:
 
     def instances(self) -> Instances:
         """Return the instances after the latest tick."""
-        frame = self._world.episode, self._world.frame
+        frame = self._world.episode.number, self._world.frame
         if self._latest is None or frame != self._frame or tuple(self._world.actors) != self._key:
             self._latest, self._frame = self._make(), frame
         return self._latest

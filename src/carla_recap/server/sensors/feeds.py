@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.instances import Instances
     from carla_recap.sensors.noise import Numbers
     from carla_recap.server.protocol.releases import Release
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor
     from carla_recap.sim.geometry import Location, Transform, Vector
     from carla_recap.util.arrays import Floats
 
@@ -92,7 +92,7 @@ def flag(sensor: Actor, key: str) -> bool:
 
 def interval(sensor: Actor) -> float:
     """Return the simulated time between two frames of a sensor, in s."""
-    return max(sensor.context.clock.delta, number(sensor, "sensor_tick"))
+    return max(sensor.episode.clock.delta, number(sensor, "sensor_tick"))
 
 
 def warn_of(sensor: Actor) -> Callable[[str], None]:
@@ -125,7 +125,7 @@ def collisions(sensor: Actor, context: FeedContext) -> Feed:
     """Return the feed of a collision sensor: for each collision of the parent both actors, and its impulse in N s."""
 
     def frames() -> Iterable[bytes]:
-        for collision in sensor.context.events.collisions:
+        for collision in sensor.episode.events.collisions:
             if sensor.parent is not None and collision.actor1 == sensor.parent.id:
                 impulse = collision.impulse
                 actors = context.actor_record(collision.actor1), context.actor_record(collision.actor2)
@@ -136,7 +136,7 @@ def collisions(sensor: Actor, context: FeedContext) -> Feed:
 
 def receiver(sensor: Actor) -> Gnss:
     """Return the GNSS receiver of a sensor, in the map that it is in."""
-    return Gnss(numbers(sensor), geo_reference(sensor.context.town.opendrive))
+    return Gnss(numbers(sensor), geo_reference(sensor.episode.town.opendrive))
 
 
 def gnss(sensor: Actor, context: FeedContext) -> Feed:

@@ -13,8 +13,9 @@ from carla_recap.scene.materials import Tag
 from carla_recap.sensors.beams import LidarBeams, LidarReturns, RadarBeams, detections
 from carla_recap.server import actor_records
 from carla_recap.server.sensors.feeds import axes, flag, interval, number, numbers, packed, row, warn_of
-from carla_recap.sim.actors.actor import Prop, transforms
 from carla_recap.sim.actors.moving import MovingActor
+from carla_recap.sim.actors.props import Prop
+from carla_recap.sim.episode import transforms
 from carla_recap.sim.geometry import Vector
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.server.sensors.feeds import Feed, FeedContext
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor
     from carla_recap.sim.geometry import Location
     from carla_recap.util.arrays import Floats
 
@@ -69,7 +70,7 @@ def cast(sensor: Actor, context: FeedContext, rays: Floats, reach: float) -> Sur
 def visible_actors(sensor: Actor) -> list[Actor]:
     """Return all actors with a box, but for the carrier of a sensor and what else is attached to that."""
     own = _own_actors(sensor)
-    return [other for other in solid_actors(sensor.context.actors.values()) if other not in own]
+    return [other for other in solid_actors(sensor.episode.actors.values()) if other not in own]
 
 
 def solid_actors(actors: Iterable[Actor]) -> list[Actor]:
@@ -180,7 +181,7 @@ def radar(sensor: Actor, context: FeedContext) -> Feed:
 def _velocities(sensor: Actor, hits: SurfaceHits) -> Floats:
     """Return the velocity of what each ray hits, in m/s, (hits, 3)."""
     met, index = np.unique(hits.actor, return_inverse=True)
-    actors = [sensor.context.actors.get(id) for id in met.tolist()]
+    actors = [sensor.episode.actors.get(id) for id in met.tolist()]
     return rows(Vector() if actor is None else actor.velocity for actor in actors)[index]
 
 
@@ -212,10 +213,10 @@ def _actors(sensor: Actor, reach: float, radius: float, *, only_dynamics: bool) 
 def _barriers(sensor: Actor, reach: float, radius: float) -> Iterator[_Obstacle]:
     start, ahead = sensor.transform.location, sensor.transform.forward()
     end = start.x + reach * ahead.x, start.y + reach * ahead.y, start.z + reach * ahead.z
-    hit = sensor.context.plane.first_wall((start.x, start.y, start.z), end, radius)
+    hit = sensor.episode.plane.first_wall((start.x, start.y, start.z), end, radius)
     if hit is not None:
         body, share = hit
-        owner = sensor.context.owner(body)
+        owner = sensor.episode.owners.get(body)
         yield share * reach, None if owner is None else owner.id, Tag.WALLS
 
 

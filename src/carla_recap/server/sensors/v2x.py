@@ -17,14 +17,14 @@ from carla_recap.sensors.noise import Noise, generator
 from carla_recap.sensors.position import UPWARDS
 from carla_recap.server.sensors.feeds import V2xMessage, axes, flag, number, numbers, receiver, row
 from carla_recap.server.sensors.rays import ActorBoxes, solid_actors
-from carla_recap.sim.actors.blueprints import CUSTOM_V2X_SENSOR, V2X_SENSOR
 from carla_recap.sim.actors.moving import Vehicle
+from carla_recap.sim.blueprints import CUSTOM_V2X_SENSOR, V2X_SENSOR
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from carla_recap.server.sensors.feeds import Feed, FeedContext
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor
     from carla_recap.sim.geometry import Location, Vector
     from carla_recap.util.arrays import Floats
 
@@ -133,7 +133,7 @@ class CamStation:
 
     def __init__(self, sensor: Actor) -> None:
         self._sensor = sensor
-        self._started = (time.time() - _EPOCH - sensor.context.clock.elapsed) * 1000
+        self._started = (time.time() - _EPOCH - sensor.episode.clock.elapsed) * 1000
         self._least, self._most = number(sensor, "gen_cam_min"), number(sensor, "gen_cam_max")
         self._interval = self._most
         self._steady = 0
@@ -149,7 +149,7 @@ class CamStation:
     def generate(self) -> bytes | None:
         """Return a message if one is due."""
         vehicle = self._sensor.parent
-        now = self._sensor.context.clock.elapsed
+        now = self._sensor.episode.clock.elapsed
         if not isinstance(vehicle, Vehicle) or not self._is_due(vehicle, now):
             return None
         self._sent_at = now
@@ -351,7 +351,7 @@ class PathLoss:
 
     def _obstacles(self, senders: list[Actor], receiver: Actor, starts: Floats, end: Floats) -> list[list[Actor]]:
         """Return the actors in each line of sight."""
-        actors = solid_actors(self._sensor.context.actors.values())
+        actors = solid_actors(self._sensor.episode.actors.values())
         lengths = np.maximum(np.linalg.norm(starts - end, axis=1), _NEAREST)
         hits = ActorBoxes(actors).pierce(end, (starts - end) / lengths[:, None], float(lengths.max()))
         found: list[list[Actor]] = [[] for _ in senders]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.sim.actors.actor import Actor, attached_transform
+from carla_recap.sim.episode import Actor
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.physics.physics_control import expect_physics
 from carla_recap.sim.physics.plane import VEHICLE, WALKER
@@ -109,7 +109,7 @@ class MovingActor(Actor):
         expect_transform("the transform", value, of=self)
         if self.parent is not None:
             self._transform = value.copy()
-            return self.follow_parent(self.parent)
+            return self.follow_parent()
         place, turn = value.location, value.rotation
         return self.rows.place(self.row, (place.x, place.y, place.z), (turn.pitch, turn.yaw, turn.roll))
 
@@ -152,9 +152,19 @@ class MovingActor(Actor):
         expect_velocity("the velocity", velocity, of=self)
         self.rows.set_velocity(self.row, velocity.x, velocity.y, velocity.z)
 
-    def follow_parent(self, parent: Actor) -> None:
-        """Take over position and motion from the parent that it is attached to."""
-        place, velocity = attached_transform(parent, self._transform), parent.velocity
+    def attach(self) -> None:
+        """Move along with the parent from now on; it collides with none, as attached props."""
+        self.episode.attached[self.id] = self
+        self.rows.carried[self.row] = True
+        self.set_simulate_physics(False)
+        self.set_collisions(False)
+        self.follow_parent()
+
+    def follow_parent(self) -> None:
+        """Take over position and motion from the parent."""
+        assert self.parent is not None
+        parent = self.parent
+        place, velocity = parent.transform.attached(self._transform), parent.velocity
         turning, acceleration = parent.angular_velocity, parent.acceleration
         rows, row = self.rows, self.row
         rows.position[row] = place.location.x, place.location.y, place.location.z
@@ -162,6 +172,10 @@ class MovingActor(Actor):
         rows.set_velocity(row, velocity.x, velocity.y, velocity.z)
         rows.angular_velocity[row] = turning.x, turning.y, turning.z
         rows.acceleration[row] = acceleration.x, acceleration.y, acceleration.z
+
+    def _remove_body(self) -> None:
+        self.episode.attached.pop(self.id, None)
+        del self.episode.owners[self.rows.remove(self.id).id]
 
     def _vector(self, column: str) -> Vector:
         return Vector(*getattr(self.rows, column)[self.row].tolist()) if self.is_alive else Vector()
@@ -183,7 +197,7 @@ class Vehicle(MovingActor):
     @property
     def rows(self) -> Vehicles:
         """All vehicles."""
-        return self.context.vehicles
+        return self.episode.vehicles
 
     @property
     def control(self) -> VehicleControl:
@@ -246,10 +260,7 @@ class Vehicle(MovingActor):
 
     def set_autopilot(self, enabled: bool = True) -> None:
         """Let the autopilot drive it, or leave it to its control."""
-        row = self.row
-        if enabled:
-            self.context.traffic.start_autopilot()
-        self.rows.autopilot[row] = enabled
+        self.rows.autopilot[self.row] = enabled
 
     @property
     def gears(self) -> int:
@@ -267,7 +278,7 @@ class Vehicle(MovingActor):
         row = self.row
         self._physics_control = control.copy()
         self.rows.set_physics(row, self._physics_control, self.box)
-        self.context.pending.physics.append(self)
+        self.episode.pending.physics.append(self)
 
     def set_enable_gravity(self, enabled: bool = True) -> None:
         """Let it stand on the road, or float at its height, without grip."""
@@ -287,7 +298,7 @@ class Vehicle(MovingActor):
     def add_force(self, force: Vector) -> None:
         """Apply a force in N during the next tick, in the axes of the world."""
         rows, row = self.rows, self.row
-        seconds = self.context.settings.fixed_delta_seconds or self.context.clock.delta
+        seconds = self.episode.tick_length
         impulse = Vector(force.x * seconds, force.y * seconds, force.z * seconds)
         expect_push("the change of velocity", impulse, rows.mass[row].item(), of=self)
         rows.force[row] += (force.x, force.y)
@@ -298,7 +309,7 @@ class Vehicle(MovingActor):
         expect_between("a door", door, 0, ALL_DOORS)
         doors = {door} if door < ALL_DOORS else set(range(ALL_DOORS))
         self.open_doors = self.open_doors | doors if open else self.open_doors - doors
-        self.context.pending.doors.append((self.id, door, open))
+        self.episode.pending.doors.append((self.id, door, open))
 
 
 class Walker(MovingActor):
@@ -309,7 +320,7 @@ class Walker(MovingActor):
     @property
     def rows(self) -> Walkers:
         """All walkers."""
-        return self.context.walkers
+        return self.episode.walkers
 
     @property
     def control(self) -> WalkerControl:
@@ -327,7 +338,7 @@ class Walker(MovingActor):
         expect_velocity("the direction", direction, of=self)
         expect_velocity("the speed", Vector(control.speed), of=self)
         rows, row = self.rows, self.row
-        self.context.traffic.pedestrians.clear_destination(self.id)
+        rows.destination[row] = np.nan
         length = direction.length()
         if length:
             rows.direction[row] = direction.x / length, direction.y / length, direction.z / length
@@ -336,17 +347,21 @@ class Walker(MovingActor):
 
     @property
     def destination(self) -> Location | None:
-        """Where it walks by itself, or None. Setting it lets it find its way there, and then on to other places."""
-        return self.context.traffic.pedestrians.destination(self.id)
+        """Where it walks by itself, or None. Setting it lets it find its way there, and then on to other places.
+
+        Raises:
+            SimError: When it is set: the town has no sidewalks, or none leads there.
+        """
+        place = self.rows.destination[self.row].tolist() if self.is_alive else [np.nan]
+        return None if np.isnan(place[0]) else Location(*place)
 
     @destination.setter
     def destination(self, place: Location | None) -> None:
-        self.check()
-        if place is None:
-            self.context.traffic.pedestrians.clear_destination(self.id)
-        else:
+        rows, row = self.rows, self.row
+        if place is not None:
             expect_place("the destination", place, of=self)
-            self.context.traffic.pedestrians.set_destination(self, place)
+            self.episode.town.expect_walkway(self.transform.location, place)
+        rows.destination[row] = np.nan if place is None else (place.x, place.y, place.z)
 
     @property
     def has_fallen(self) -> bool:

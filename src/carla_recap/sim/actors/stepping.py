@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.sim.actors.actor import Collision
-from carla_recap.sim.actors.blueprints import COLLISION_SENSOR
 from carla_recap.sim.actors.moving import Vehicle, Walker
+from carla_recap.sim.blueprints import COLLISION_SENSOR
+from carla_recap.sim.episode import Collision
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.physics.walkers import FALL
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from carla_recap.sim.actors.actor import Actor
-    from carla_recap.sim.actors.registry import ActorRegistry
+    from carla_recap.sim.episode import Actor, Episode
     from carla_recap.sim.physics.plane import BodyContact
 
 _STRIDE: Final = 1.0  # m that the fastest vehicle covers in a step at most
@@ -31,16 +30,16 @@ class ActorMotion:
     """Moves the vehicles and walkers of an episode.
 
     Args:
-        registry: The actors.
+        episode: The episode.
     """
 
-    def __init__(self, registry: ActorRegistry) -> None:
-        self._registry = registry
-        self._collisions = CollisionDetector(registry)
+    def __init__(self, episode: Episode) -> None:
+        self._episode = episode
+        self._collisions = CollisionDetector(episode)
 
     def advance(self, delta: float) -> list[Collision]:
         """Move all vehicles and walkers for a tick of a length in s, and return their collisions."""
-        vehicles, walkers, plane = self._registry.vehicles, self._registry.walkers, self._registry.plane
+        vehicles, walkers, plane = self._episode.vehicles, self._episode.walkers, self._episode.plane
         groups = [group for group in (vehicles, walkers) if len(group)]
         moving = [group.begin_tick(delta) for group in groups]
         if any(moving) or plane.disturbed:
@@ -53,12 +52,13 @@ class ActorMotion:
                     group.read_bodies()
         for group in groups:
             group.end_tick(delta)
-        self._registry.move_attached()
+        for actor in self._episode.attached.values():
+            actor.follow_parent()
         return self._collisions.take()
 
     def _steps(self, delta: float) -> int:
         """Return the number of steps in which a tick is simulated: more if a vehicle is fast."""
-        settings, vehicles = self._registry.settings, self._registry.vehicles
+        settings, vehicles = self._episode.settings, self._episode.vehicles
         if not settings.substepping:
             return 1
         fastest: float = max(np.abs(speeds).max(initial=0).item() for speeds in (vehicles.speed, vehicles.sideways))
@@ -81,11 +81,11 @@ class CollisionDetector:
     A collision is reported for an actor that is watched; if both are, once for each, as by two collision sensors.
 
     Args:
-        registry: The actors.
+        episode: The episode.
     """
 
-    def __init__(self, registry: ActorRegistry) -> None:
-        self._registry = registry
+    def __init__(self, episode: Episode) -> None:
+        self._episode = episode
         self._pushes: dict[tuple[int, int | None], _Push] = {}
         self._watched: dict[int, bool] = {}
         self._number = 0
@@ -96,7 +96,7 @@ class CollisionDetector:
             x, y = contact.impulse
             if hypot(x, y) <= _LEAST_IMPULSE:
                 continue
-            a, b = self._registry.owner(contact.a), self._registry.owner(contact.b)
+            a, b = self._episode.owners.get(contact.a), self._episode.owners.get(contact.b)
             self._pushed(a, b, (x, y), contact.point)
             self._pushed(b, a, (-x, -y), contact.point)
 
@@ -122,11 +122,11 @@ class CollisionDetector:
                 walkers.fall(row, impulse)
 
     def _collision(self, pair: tuple[int, int | None], push: _Push) -> Collision:
-        first, second = (None if id is None else self._registry.actors[id] for id in pair)
+        first, second = (None if id is None else self._episode.actors[id] for id in pair)
         number, self._number = self._number, self._number + 1
         x, y = push.point
         z = None if first is None else [first.transform.location.z]
-        height = self._registry.town.height([x], [y], z).item()
+        height = self._episode.town.height([x], [y], z).item()
         location = Location(x, y, height + _BUMPER_HEIGHT)
         impulse = Vector(push.x, push.y, 0.0)
         return Collision(*pair, location, impulse, _is_hero(first), _is_hero(second), number)
@@ -138,7 +138,7 @@ class CollisionDetector:
         return self._watched[actor.id]
 
     def _should_watch(self, actor: Actor) -> bool:
-        if self._registry.settings.collisions_of == "all" and isinstance(actor, (Vehicle, Walker)):
+        if self._episode.settings.collisions_of == "all" and isinstance(actor, (Vehicle, Walker)):
             return True
         return is_watched(actor)
 

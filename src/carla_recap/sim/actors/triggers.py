@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.sim.actors.actor import Actor
+from carla_recap.sim.episode import Actor
 from carla_recap.sim.validation import LARGEST
 
 if TYPE_CHECKING:
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
     from carla_recap.sim.actors.moving import Vehicle
     from carla_recap.sim.geometry import Transform
-    from carla_recap.sim.physics.vehicles import Vehicles
 
 _CM: Final = 0.01  # m
 _DEFAULTS: Final = {"friction": 3.5, "extent_x": 1.0, "extent_y": 1.0, "extent_z": 1.0}
@@ -28,30 +27,31 @@ class FrictionTrigger(Actor):
 
     _entered: Sequence[Vehicle] = ()
 
-    def update(self, vehicles: Vehicles, place: Transform) -> None:
+    def update(self, place: Transform) -> None:
         """Set the friction of vehicles that have entered it at a place, and restore that of vehicles that have left."""
-        inside = self._inside(vehicles, place)
+        self._set_inside(self._inside(place))
+
+    def _remove_body(self) -> None:
+        self.episode.triggers.remove(self)
+        self._set_inside(())
+
+    def _set_inside(self, inside: Sequence[Vehicle]) -> None:
         for vehicle in self._entered:
             if vehicle not in inside:
-                _leave(vehicle, self)
+                self._restore(vehicle)
         for vehicle in inside:
             if vehicle not in self._entered:
-                _enter(vehicle, self)
+                self._affect(vehicle)
         self._entered = inside
-
-    def release(self) -> None:
-        """Restore the friction of the vehicles inside."""
-        for vehicle in self._entered:
-            _leave(vehicle, self)
-        self._entered = ()
 
     @property
     def friction(self) -> float:
         """The friction of the tyres inside."""
         return self._number("friction")
 
-    def _inside(self, vehicles: Vehicles, place: Transform) -> list[Vehicle]:
+    def _inside(self, place: Transform) -> list[Vehicle]:
         """Return the vehicles whose boxes overlap that of the trigger, by the axes of both boxes."""
+        vehicles = self.episode.vehicles
         if not len(vehicles):
             return []
         length, width, height = (self._number(f"extent_{axis}") * _CM for axis in "xyz")
@@ -77,19 +77,17 @@ class FrictionTrigger(Actor):
             return _DEFAULTS[key]
         return value if 0 <= value <= LARGEST else _DEFAULTS[key]
 
+    def _affect(self, vehicle: Vehicle) -> None:
+        outside = [wheel.tire_friction for wheel in vehicle.physics_control.wheels]
+        self.episode.occupied.setdefault(vehicle.id, (outside, {}))[1][self.id] = self.friction
+        _set_friction(vehicle, [self.friction] * len(outside))
 
-def _enter(vehicle: Vehicle, trigger: FrictionTrigger) -> None:
-    outside = [wheel.tire_friction for wheel in vehicle.physics_control.wheels]
-    vehicle.context.occupied.setdefault(vehicle, (outside, []))[1].append(trigger)
-    _set_friction(vehicle, [trigger.friction] * len(outside))
-
-
-def _leave(vehicle: Vehicle, trigger: FrictionTrigger) -> None:
-    outside, triggers = vehicle.context.occupied[vehicle]
-    triggers.remove(trigger)
-    _set_friction(vehicle, [triggers[-1].friction] * len(outside) if triggers else outside)
-    if not triggers:
-        del vehicle.context.occupied[vehicle]
+    def _restore(self, vehicle: Vehicle) -> None:
+        outside, triggers = self.episode.occupied[vehicle.id]
+        del triggers[self.id]
+        _set_friction(vehicle, [[*triggers.values()][-1]] * len(outside) if triggers else outside)
+        if not triggers:
+            del self.episode.occupied[vehicle.id]
 
 
 def _set_friction(vehicle: Vehicle, frictions: list[float]) -> None:

@@ -39,11 +39,18 @@ class Walkers(MovingBodies):
     """The height of its origin above the ground, in m: half of the box's, or of its depth where it lies."""
     slide: Floats = column(np.zeros(2))
     """The velocity of its body, in m/s, (n, 2)."""
+    destination: Floats = column(np.full(3, np.nan))
+    """Where it walks by itself, in m, (n, 3); NaN where its control says where it walks."""
 
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__(plane, height)
         self._moved = np.empty(0, np.bool_)
         self._walking = np.empty(0, np.bool_)
+
+    @property
+    def has_destination(self) -> NDArray[np.bool_]:
+        """Whether each walks by itself, (n,)."""
+        return ~np.isnan(self.destination[:, 0])
 
     def begin_tick(self, seconds: float) -> bool:
         """See `MovingBodies.begin_tick`."""

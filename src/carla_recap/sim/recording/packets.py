@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.model.records import UE4, Attribute, Physics, RecordType, Spawn
-from carla_recap.sim.actors.attributes import attribute_type
+from carla_recap.sim.attributes import attribute_type
 from carla_recap.sim.geometry import Location, Rotation, Transform
 
 if TYPE_CHECKING:
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.model.layout import Layout
-    from carla_recap.sim.actors.actor import Actor
     from carla_recap.sim.actors.lights import Sign, TrafficLight
     from carla_recap.sim.actors.moving import Vehicle
+    from carla_recap.sim.episode import Actor
     from carla_recap.sim.town.loading import Town
 
 Row = tuple[float, ...]

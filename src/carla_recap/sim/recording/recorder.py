@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import time
 import warnings
 import weakref
 from contextlib import suppress
@@ -18,13 +19,14 @@ from carla_recap.model.frame import Header
 from carla_recap.sim.errors import DestinationError
 from carla_recap.sim.recording.sampler import WorldSampler
 from carla_recap.sim.recording.writer_process import InProcessWriter, WriterProcess, discard_process, start_process
+from carla_recap.sim.settings import source_date
 
 if TYPE_CHECKING:
     import subprocess
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
+    from carla_recap.sim.episode import Episode
     from carla_recap.sim.recording.snapshots import SnapshotBatch
-    from carla_recap.sim.world import World
 
 FOLDER: Final = "CARLA_RECAP_RECORDINGS"
 """The environment variable that contains the folder of recordings."""
@@ -80,23 +82,28 @@ class WorldRecorder:
     A disk error ends the recording, and not the simulation: a warning contains the reason.
 
     Args:
-        world: The world.
+        episode: The episode.
         folder: The folder of recordings whose names are no paths; see `recordings_folder`.
+        date: The date of recordings in Unix seconds; None for SOURCE_DATE_EPOCH, else the current time.
+        parameters: What recordings as MCAP say that the world is run with.
 
     Attributes:
+        episode: The episode; a world replaces it between recordings.
         error: The error that ended the latest recording early; None without one.
         failures: The errors of recordings that have ended early, by the absolute paths of their destinations.
         frames: The number of frames of the latest recording.
         duration: The time from its first frame to its last one, in s.
     """
 
-    def __init__(self, world: World, folder: Path | str | None = None) -> None:
+    def __init__(self, episode: Episode, folder: Path | str | None, date: int | None, parameters: Mapping[str, str]) -> None:
+        self.episode = episode
         self.error: RecapError | None = None
         self.failures: dict[Path, RecapError] = {}
         self.frames = 0
         self.duration = 0.0
-        self._world = world
         self._folder = folder
+        self._date = date
+        self._parameters = parameters
         self._sampler: WorldSampler | None = None
         self._writer: WriterProcess | InProcessWriter | None = None
         self._finish: weakref.finalize[[], WorldRecorder] | None = None
@@ -108,6 +115,11 @@ class WorldRecorder:
         """The destination of the running recording; None between recordings."""
         writer = self._writer
         return writer.path if writer else None
+
+    @property
+    def date(self) -> int:
+        """The date of a recording that begins now, in Unix seconds."""
+        return source_date(time.time()) if self._date is None else self._date
 
     def prepare(self) -> None:
         """Start the process that writes the next recording, so that `start` does not wait for an interpreter.
@@ -167,8 +179,8 @@ class WorldRecorder:
             self.stop()
             self.error = None
             path = self._destination(name, force=force)
-            header = Header(self._world.town.name, self._world.date, parameters=self._world.parameters)
-            sampler = WorldSampler(self._world, additional_data=additional_data)
+            header = Header(self.episode.town.name, self.date, parameters=self._parameters)
+            sampler = WorldSampler(self.episode, additional_data=additional_data)
             format = path.suffix.lower() if path.suffix.lower() in SUFFIXES else _LOG
             if in_process:
                 self._writer = InProcessWriter(path, header, force=force, format=format, visible=visible)
@@ -214,7 +226,7 @@ class WorldRecorder:
             if self._writer.error is not None:
                 self.stop()
                 return
-            self._write(self._writer, self._sampler, self._sampler.sample(self._world.delta))
+            self._write(self._writer, self._sampler, self._sampler.sample(self.episode.clock.delta))
 
     def _write(self, writer: WriterProcess | InProcessWriter, sampler: WorldSampler, batch: SnapshotBatch) -> None:
         writer.write(batch)
@@ -244,7 +256,7 @@ class WorldRecorder:
         check_free(path, force=force)
         if (folder := recording_path(name, self._folder)).is_dir():
             raise RecapError(f"{folder}: the name of a recording was expected, and this is a folder")
-        source = self._world.replayed
+        source = self.episode.replayed
         if source is not None and path.exists() and path.samefile(source):
             raise RecapError(f"{path}: is being replayed; the recorder needs another name")
         folder = recordings_folder(self._folder)

@@ -19,10 +19,9 @@ import numpy as np
 
 from carla_recap.model.frame import Packet
 from carla_recap.model.records import NO_ACTOR
-from carla_recap.sim.actors.actor import transforms
 from carla_recap.sim.actors.lights import Sign, TrafficLight
 from carla_recap.sim.actors.moving import MovingActor, Vehicle
-from carla_recap.sim.actors.registry import TickEvents
+from carla_recap.sim.episode import TickEvents, transforms
 from carla_recap.sim.recording import packets
 from carla_recap.sim.recording.packets import pose
 from carla_recap.sim.recording.snapshots import TYPES, WITH_POSE, ActorSet, SnapshotBatch, Timestamp
@@ -32,9 +31,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor, Episode
     from carla_recap.sim.settings import Weather
-    from carla_recap.sim.world import World
 
     RecordsByType = dict[str, list[Any]]
 
@@ -45,10 +43,10 @@ SECONDS: Final = 5.0
 
 
 class WorldSampler:
-    """Samples a world at the end of each tick.
+    """Samples an episode at the end of each tick.
 
     Args:
-        world: The world; the actors that it contains are spawned in the first frame.
+        episode: The episode; the actors that it contains are spawned in the first frame.
         additional_data: Record velocities, boxes, physics, and the times of lights, too.
 
     Attributes:
@@ -59,8 +57,8 @@ class WorldSampler:
         RecapError: An actor has data that no record can hold.
     """
 
-    def __init__(self, world: World, *, additional_data: bool) -> None:
-        self._world = world
+    def __init__(self, episode: Episode, *, additional_data: bool) -> None:
+        self._episode = episode
         self._additional = additional_data
         self.count = 0
         self.elapsed = 0.0
@@ -70,20 +68,20 @@ class WorldSampler:
         self._batch_ends = 0.0
         self._find_actors()
         self._known: dict[str, int] | None = {
-            field.name: len(getattr(world.pending, field.name)) for field in fields(TickEvents)
+            field.name: len(getattr(episode.pending, field.name)) for field in fields(TickEvents)
         }
-        self._replayed = list(world.pending.collisions)
-        actors = list(world.actors.values())
+        self._replayed = list(episode.pending.collisions)
+        actors = list(episode.actors.values())
         first = self._introduction(actors)
         first["parented"] = [(actor.id, actor.parent.id) for actor in actors if actor.parent is not None]
-        first["doors"] = [(v.id, door, True) for v in world.vehicles.actors for door in sorted(v.open_doors)]
+        first["doors"] = [(v.id, door, True) for v in episode.vehicles.actors for door in sorted(v.open_doors)]
         self._first = _packed(first)
         for packet in self._first.values():
             _ = packet.payload  # data that no record can hold is an error now, and not in the first tick
 
     def sample_now(self) -> SnapshotBatch:
         """Take the first snapshot, of the world before its next tick; see `sample`."""
-        return self._add(TickEvents(collisions=self._world.pending.collisions), 0.0)
+        return self._add(TickEvents(collisions=self._episode.pending.collisions), 0.0)
 
     def sample(self, delta: float) -> SnapshotBatch:
         """Take a snapshot of the world at the end of a tick.
@@ -104,7 +102,7 @@ class WorldSampler:
             self._batch.timestamps[-1].duration = delta
             self.elapsed += delta
         batch = self._batch = self._current_batch(changed=bool(events.spawned or events.destroyed))
-        batch.add(Timestamp(self.count, self.elapsed, self._world.elapsed, happened), self._columns())
+        batch.add(Timestamp(self.count, self.elapsed, self._episode.clock.elapsed, happened), self._columns())
         self.count += 1
         return batch
 
@@ -124,18 +122,18 @@ class WorldSampler:
 
     def _find_actors(self) -> None:
         """Note the actors and the arrays that snapshots are taken of, as long as no actor comes or goes."""
-        world = self._world
-        actors = [actor for actor in world.actors.values() if actor.kind in WITH_POSE]
+        episode = self._episode
+        actors = [actor for actor in episode.actors.values() if actor.kind in WITH_POSE]
         others = _OtherActors([actor for actor in actors if not isinstance(actor, MovingActor)])
         self._actors = ActorSet(
             with_pose=[actor.id for actor in actors],
-            vehicles=world.vehicles.id.tolist(),
-            walkers=world.walkers.id.tolist(),
+            vehicles=episode.vehicles.id.tolist(),
+            walkers=episode.walkers.id.tolist(),
             others=[actor.id for actor in others.actors],
-            lights=[light.id for light in world.traffic_lights],
+            lights=episode.signals.id.tolist(),
             additional_data=self._additional,
         )
-        owners = {"vehicles": world.vehicles, "walkers": world.walkers, "signals": world.signals, "others": others}
+        owners = {"vehicles": episode.vehicles, "walkers": episode.walkers, "signals": episode.signals, "others": others}
         self._sources = [(owners[owner], name) for owner, name in self._actors.columns]
 
     def _columns(self) -> list[NDArray[Any]]:
@@ -146,7 +144,7 @@ class WorldSampler:
 
     def _events(self) -> TickEvents:
         """Return what happened in the tick; in the first one, what happened since the beginning of the recording."""
-        events, known = self._world.events, self._known
+        events, known = self._episode.events, self._known
         self._known = None
         if known is None:
             return events
@@ -165,16 +163,17 @@ class WorldSampler:
             "weather": self._changed_weather(),
         }
         if self._additional and (events.physics or events.light_times):
-            vehicles = [vehicle for vehicle in events.physics if vehicle.is_alive]
+            vehicles = [actor for actor in events.physics if isinstance(actor, Vehicle) and actor.is_alive]
+            lights = [actor for actor in events.light_times if isinstance(actor, TrafficLight)]
             records["physics"] = [*records.get("physics", []), *map(packets.physics, vehicles)]
-            records["light_times"] = list(map(packets.light_times, events.light_times))
+            records["light_times"] = list(map(packets.light_times, lights))
         return records
 
     def _introduction(self, actors: Collection[Actor]) -> RecordsByType:
         """Return the records of actors that appear."""
         records: RecordsByType = {"spawned": [packets.spawn(actor) for actor in actors]}
         if self._additional:
-            town = self._world.town
+            town = self._episode.town
             signs = [actor for actor in actors if isinstance(actor, Sign)]
             records["bounding_boxes"] = [packets.bounding_box(actor) for actor in actors if actor.box.extent.length() > 0]
             records["trigger_volumes"] = [row for sign in signs for row in packets.trigger_volumes(sign, town)]
@@ -192,7 +191,7 @@ class WorldSampler:
         return list(rows.values())
 
     def _changed_weather(self) -> list[tuple[float, ...]]:
-        weather = self._world.weather
+        weather = self._episode.weather
         if weather == self._weather:
             return []
         self._weather = weather

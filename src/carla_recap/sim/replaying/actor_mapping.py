@@ -11,11 +11,12 @@ import numpy as np
 
 from carla_recap.model.blueprints import other_names
 from carla_recap.model.records import ActorKind
-from carla_recap.sim.actors.actor import Prop, Spectator
-from carla_recap.sim.actors.blueprints import Blueprint
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
-from carla_recap.sim.actors.registry import LARGEST_WANTED
+from carla_recap.sim.actors.props import Prop
+from carla_recap.sim.actors.spawning import place
+from carla_recap.sim.blueprints import Blueprint
+from carla_recap.sim.episode import LARGEST_WANTED
 from carla_recap.sim.geometry import Box, Location, Vector
 from carla_recap.sim.recording.packets import CM_PER_M, transform
 from carla_recap.util.text import readable
@@ -25,9 +26,8 @@ if TYPE_CHECKING:
 
     from carla_recap.model.lives import ActorLife, BoundingBox
     from carla_recap.replay import Scene
-    from carla_recap.sim.actors.actor import Actor
-    from carla_recap.sim.actors.blueprints import BlueprintLibrary
-    from carla_recap.sim.world import World
+    from carla_recap.sim.blueprints import BlueprintLibrary
+    from carla_recap.sim.episode import Actor, Episode
 
 _NEAR: Final = 15.0  # m: the greatest distance between a recorded light or sign and the town's
 _SPECTATOR: Final = "spectator"
@@ -47,7 +47,7 @@ class ActorMapping:
     and the spectator to the spectator.
 
     Args:
-        world: The world.
+        episode: The episode.
         replay_sensors: Spawn sensors, too.
         earlier: The actors of an earlier replay of the same recording, by the ids of the recording.
 
@@ -58,8 +58,10 @@ class ActorMapping:
         changes: The number of times that a replayed actor came or went.
     """
 
-    def __init__(self, world: World, *, replay_sensors: bool, earlier: Mapping[int, Actor] = MappingProxyType({})) -> None:
-        self._world = world
+    def __init__(
+        self, episode: Episode, *, replay_sensors: bool = False, earlier: Mapping[int, Actor] = MappingProxyType({})
+    ) -> None:
+        self._episode = episode
         self._earlier = earlier
         self._replay_sensors = replay_sensors
         self._spawned: set[int] = set()
@@ -84,7 +86,7 @@ class ActorMapping:
         signs = [actor for actor in actors if actor.type_id.startswith(TRAFFIC)]
         self.replayed |= self._nearest(signs)
         # an actor whose recorded id is taken shall not get the one of another
-        self._world.reserve_ids(max((actor.id for actor in actors if actor.id <= LARGEST_WANTED), default=0))
+        self._episode.ids.reserve(max((actor.id for actor in actors if actor.id <= LARGEST_WANTED), default=0))
         for actor in actors:
             if not actor.type_id.startswith(TRAFFIC) and (replayed := self._counterpart(actor, scene)) is not None:
                 self.replayed[actor.id] = replayed
@@ -95,8 +97,8 @@ class ActorMapping:
         """Destroy the counterpart of a recorded actor that disappears; lights, signs and the spectator stay."""
         replayed = self.replayed.pop(id, None)
         self._spawned.discard(id)
-        if replayed is not None and not isinstance(replayed, (Sign, Spectator)):
-            self._world.destroy(replayed)
+        if replayed is not None and not replayed.is_of_town:
+            replayed.destroy()
         self.changes += 1
 
     def release(self, id: int) -> None:
@@ -121,23 +123,23 @@ class ActorMapping:
 
     def _counterpart(self, actor: ActorLife, scene: Scene) -> Actor | None:
         if actor.type_id == _SPECTATOR:
-            return self._world.spectator
+            return self._episode.spectator
         if actor.type_id.startswith(_SENSOR) and not self._replay_sensors:
             return None
-        for same in (self._world.actors.get(actor.id), self._earlier.get(actor.id)):
+        for same in (self._episode.actors.get(actor.id), self._earlier.get(actor.id)):
             is_free = same is not None and same.is_alive and same not in self.replayed.values()
             if same is not None and is_free and same.type_id == actor.type_id:
                 return same
         return self._spawn(actor, scene)
 
     def _spawn(self, actor: ActorLife, scene: Scene) -> Actor | None:
-        blueprint, model = blueprint_for(actor, self._world.blueprints)
+        blueprint, model = blueprint_for(actor, self._episode.blueprints)
         possible = self.replayed | self.released
         parent = possible.get(actor.parent) if actor.attached and actor.parent is not None else None
         pose = scene.pose_of(actor.id) if parent is None else actor.spawn_pose
         if pose is None:  # its parent is left out
             return None
-        spawned = self._world.place(blueprint, transform(pose), parent=parent, wanted_id=actor.id)
+        spawned = place(self._episode, blueprint, transform(pose), parent, wanted_id=actor.id)
         self._spawned.add(actor.id)
         if actor.type_id != model:
             self.substitutes[actor.type_id] = model
@@ -148,7 +150,7 @@ class ActorMapping:
     def _nearest(self, signs: Sequence[ActorLife]) -> dict[int, Actor]:
         """Map recorded signs to the nearest ones of the town, the nearest pairs first."""
         taken = list(self.replayed.values())
-        free = [actor for actor in self._world.actors.values() if isinstance(actor, Sign) and actor not in taken]
+        free = [actor for actor in self._episode.actors.values() if isinstance(actor, Sign) and actor not in taken]
         if not signs or not free:
             return {}
         recorded = np.array([actor.spawn_pose[:3] for actor in signs]) / CM_PER_M

@@ -15,10 +15,10 @@ from carla_recap.model.lives import is_object
 from carla_recap.model.motion import LONGEST_STEP, possible_step
 from carla_recap.replay.pose import wrap
 from carla_recap.replay.selection import find
-from carla_recap.sim.actors.actor import Collision
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.actors.stepping import is_watched
+from carla_recap.sim.episode import Collision
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.physics.physics_control import GEARS
 from carla_recap.sim.recording.packets import CM_PER_M, transform
@@ -31,10 +31,9 @@ if TYPE_CHECKING:
 
     from carla_recap.model.lives import ActorLife
     from carla_recap.replay import Collided, Scene
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor, Episode
     from carla_recap.sim.physics.moving_bodies import MovingBodies
     from carla_recap.sim.replaying.actor_mapping import ActorMapping
-    from carla_recap.sim.world import World
     from carla_recap.util.arrays import Floats, Ids
 
     Rows = NDArray[np.intp]
@@ -99,14 +98,13 @@ class KinematicReplay:
     interpolated, and velocities constant.
 
     Args:
-        world: The world.
+        episode: The episode.
         mapping: The replayed actors.
     """
 
-    def __init__(self, world: World, mapping: ActorMapping) -> None:
-        self._world = world
+    def __init__(self, episode: Episode, mapping: ActorMapping) -> None:
+        self._episode = episode
         self._mapping = mapping
-        self._lights = np.array([light.id for light in world.traffic_lights], np.int64)
         self._links: dict[str, _Link] = {}
         self._speeds: dict[int, list[float]] = {}
         self._set_poses: dict[int, bytes] = {}
@@ -122,7 +120,7 @@ class KinematicReplay:
             delta: The length of the tick, in s; 0 moves them at once.
             seconds: The time of the recording that passes in it, in s.
         """
-        for name, movers in (("vehicles", self._world.vehicles), ("walkers", self._world.walkers)):
+        for name, movers in (("vehicles", self._episode.vehicles), ("walkers", self._episode.walkers)):
             rows, indices = self._linked(name, scene.ids, movers.id)
             poses = scene.poses[indices]
             finite = np.isfinite(poses).all(axis=1)
@@ -221,7 +219,7 @@ class KinematicReplay:
                 self._set_poses[id] = pose.tobytes()
 
     def _set_controls(self, scene: Scene) -> None:
-        vehicles = self._world.vehicles
+        vehicles = self._episode.vehicles
         yaw = np.radians(vehicles.yaw)
         cos, sin = np.cos(yaw), np.sin(yaw)
         kinematic = ~vehicles.simulated
@@ -241,15 +239,15 @@ class KinematicReplay:
         vehicles.light_state[rows] = scene.vehicle_lights["flags"][indices]
 
     def _set_walks(self, scene: Scene) -> None:
-        walkers = self._world.walkers
+        walkers = self._episode.walkers
         rows, indices = self._linked("walks", scene.walker_controls["id"], walkers.id)
         walkers.speed[rows] = scene.walker_controls["speed"][indices] / CM_PER_M
         yaw = np.radians(walkers.yaw[rows])
         walkers.direction[rows] = np.column_stack((np.cos(yaw), np.sin(yaw), np.zeros(len(rows))))
 
     def _set_lights(self, scene: Scene) -> None:
-        signals = self._world.signals
-        rows, indices = self._linked("signals", scene.light_states["id"], self._lights)
+        signals = self._episode.signals
+        rows, indices = self._linked("signals", scene.light_states["id"], signals.id)
         states = scene.light_states[indices]
         signals.state[rows] = states["state"]
         signals.elapsed[rows] = states["elapsed"]
@@ -308,13 +306,13 @@ class CollisionReplay:
     barrier is the mass times the recorded change of velocity in the tick.
 
     Args:
-        world: The world.
+        episode: The episode.
         mapping: The replayed actors.
         kinematic: What moves them.
     """
 
-    def __init__(self, world: World, mapping: ActorMapping, kinematic: KinematicReplay) -> None:
-        self._world = world
+    def __init__(self, episode: Episode, mapping: ActorMapping, kinematic: KinematicReplay) -> None:
+        self._episode = episode
         self._mapping = mapping
         self._kinematic = kinematic
         self._collided: list[Collided] = []
@@ -346,7 +344,7 @@ class CollisionReplay:
         for pair, (first, second, each) in pairs.items():
             is_new = not abs(each.elapsed - self._latest.get(pair, -np.inf)) < _SAME_CONTACT
             self._latest[pair] = each.elapsed
-            self._world.pending.collisions.append(self._collision(first, second, each.number, is_new=is_new))
+            self._episode.pending.collisions.append(self._collision(first, second, each.number, is_new=is_new))
 
     def _is_barrier(self, id: int) -> bool:
         """Return whether a recorded id that stands for no actor of the world is that of something that never moves."""

@@ -6,7 +6,6 @@ import re
 import warnings
 import weakref
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -29,12 +28,12 @@ from carla_recap.sim.town.loading import is_unknown, load_corridors, load_town
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
+    from pathlib import Path
 
     from carla_recap.formats.base import Reader
     from carla_recap.replay import Follow, Scene
-    from carla_recap.sim.actors.actor import Actor
+    from carla_recap.sim.episode import Actor, Episode
     from carla_recap.sim.town.loading import Town
-    from carla_recap.sim.world import World
 
 
 CHASE: Final = Transform(Location(-CHASE_BACK / CM_PER_M, 0.0, CHASE_UP / CM_PER_M), Rotation(pitch=CHASE_PITCH))
@@ -97,7 +96,7 @@ class Replayer:
     All others go on as before, and collide with replayed actors without moving them.
 
     Args:
-        world: The world.
+        episode: The episode.
 
     Attributes:
         ignore_hero: Whether later replays leave out the actors with the role name hero.
@@ -105,26 +104,29 @@ class Replayer:
         error: The error that ended the latest replay early; None without one.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, episode: Episode) -> None:
         self.ignore_hero = False
         self.ignore_spectator = True
         self.error: RecapError | None = None
-        self._world = world
         self._time_factor = 1.0
         self._follow: int | None = None
         self._offset = CHASE
         self._player: Player | None = None
         self._shows_start = False
         self._path: Path | None = None
-        self._corridors: Town | None = None
         self._close: Callable[[], object] = lambda: None
-        self._mapping = ActorMapping(world, replay_sensors=False)
-        self._kinematic = KinematicReplay(world, self._mapping)
-        self._collisions = CollisionReplay(world, self._mapping, self._kinematic)
-        self._frozen = world.signals.frozen.copy()
         self._doors: Mapping[int, frozenset[int]] = {}
         self._weather: np.void | None = None
         self._replay_weather = True
+        self.enter(episode)
+
+    def enter(self, episode: Episode) -> None:
+        """Replay in another episode from now on."""
+        self._episode = episode
+        self._mapping = ActorMapping(episode)
+        self._kinematic = KinematicReplay(episode, self._mapping)
+        self._collisions = CollisionReplay(episode, self._mapping, self._kinematic)
+        self._frozen = episode.signals.frozen.copy()
 
     @property
     def is_playing(self) -> bool:
@@ -171,44 +173,6 @@ class Replayer:
         """Return whether an actor of the world follows the recording of a running replay."""
         return self.is_playing and any(other is actor for other in self._mapping.replayed.values())
 
-    def start(
-        self,
-        name: Path | str,
-        start: float = 0.0,
-        duration: float = 0.0,
-        follow: Follow | None = None,
-        replay_sensors: bool = False,
-        offset: Transform | None = None,
-        *,
-        keep_town: bool = False,
-    ) -> Replay:
-        """Begin a replay; a running recording is completed, and a running replay ends, with the actors spawned for it.
-
-        Where there is no map of the recorded name, the corridors that the vehicles have driven are its roads.
-
-        The replayed actors have their first poses when this returns, and move with the next tick.
-
-        Args:
-            name: The recording; without a suffix, `.mcap` or `.log`; see `recorder.recording_path`.
-            start: The beginning, in elapsed seconds; a negative one counts from the end.
-            duration: The seconds of the recording to replay; 0 for the rest.
-            follow: The actor that the spectator follows: an id of the recording, or "hero"; None or 0 for none.
-            replay_sensors: Spawn the sensors of the recording, too.
-            offset: The transform of the spectator relative to that actor, with the actor's yaw alone; None for `CHASE`.
-            keep_town: Stay in the town, whatever the map of the recording is; a warning reports another one.
-
-        Warns:
-            RecapWarning: There is no map of the recorded name, or the town that is kept has another one.
-
-        Raises:
-            RecapError: There is no such recording, it is damaged, or there is no such start or actor.
-            MapMissing: The map is another one, and cannot be loaded.
-        """
-        self.stop()
-        self._world.stop_recorder()
-        opened = self.open(find_recording(name, self._world.recordings), start, duration, follow)
-        return self.begin(opened, replay_sensors, offset, keep_town=keep_town)
-
     def open(
         self, path: Path, start: float = 0.0, duration: float = 0.0, follow: Follow | None = None, *, lenient: bool = False
     ) -> OpenedRecording:
@@ -216,9 +180,9 @@ class Replayer:
 
         Args:
             path: The recording.
-            start: See `start`.
-            duration: See `start`.
-            follow: See `start`.
+            start: The beginning, in elapsed seconds; a negative one counts from the end.
+            duration: The seconds of the recording to replay; 0 for the rest.
+            follow: The actor that the spectator follows: an id of the recording, or "hero"; None or 0 for none.
             lenient: As CARLA, accept a start after the end, which is the end, and an actor to follow that is missing, which
                 is none; else they are errors.
 
@@ -251,43 +215,36 @@ class Replayer:
     def begin(
         self,
         opened: OpenedRecording,
+        map_name: str,
         replay_sensors: bool = False,
         offset: Transform | None = None,
         *,
-        keep_town: bool = False,
         replay_weather: bool = True,
-        map_name: str = "",
+        loaded: bool = False,
     ) -> Replay:
-        """Begin to replay an opened recording; see `start`.
+        """Begin to replay an opened recording: the replayed actors have their first poses, and move with the next tick.
 
         Args:
             opened: The recording, which is closed when the replay ends.
-            replay_sensors: See `start`.
-            offset: See `start`.
-            keep_town: See `start`.
+            map_name: The map on which it is replayed.
+            replay_sensors: Spawn the sensors of the recording, too.
+            offset: The transform of the spectator relative to the actor that it follows, with the actor's yaw alone; None
+                for `CHASE`.
             replay_weather: Change the weather as in the recording.
-            map_name: The map to replay on; "" for that of the recording.
-
-        Raises:
-            MapMissing: The map is another one, and cannot be loaded.
+            loaded: Whether the map was loaded for it.
         """
         self.stop()
-        self._world.stop_recorder()
         self.error = None
         path, player = opened.path, opened.player
         player.time_factor = self._time_factor
-        reader = player.reader
-        self._close = weakref.finalize(self, reader.close)
+        self._close = weakref.finalize(self, player.reader.close)
         try:
             self._follow = player.followed if opened.follows else None
             self._offset = offset or CHASE
-            chosen = map_name
-            map_name = map_name or reader.header.map_name
-            loaded = self._load(reader.path, map_name, keep_town=keep_town, is_recorded=not chosen)
             self._replay_weather = replay_weather
             earlier = self._mapping.replayed if path == self._path else {}
             self._path = path
-            self._mapping = ActorMapping(self._world, replay_sensors=replay_sensors, earlier=earlier)
+            self._mapping = ActorMapping(self._episode, replay_sensors=replay_sensors, earlier=earlier)
             self._begin(player, opened.scene)
         except BaseException:
             self.stop()
@@ -302,7 +259,7 @@ class Replayer:
             player.stop,
             player.time_factor,
             self._follow,
-            self._world.town is self._corridors,
+            self._episode.town.is_of_corridors,
         )
 
     def stop(self, keep_actors: bool = False) -> None:
@@ -315,10 +272,10 @@ class Replayer:
         """
         if self._player is None:
             return
-        self._player = None
+        self._player = self._episode.replayed = None
         self._close()
-        self._world.signals.held = False
-        self._world.signals.frozen[:] = self._frozen
+        self._episode.signals.held = False
+        self._episode.signals.frozen[:] = self._frozen
         self._mapping.forget_dead()
         if not keep_actors:
             self._mapping.destroy_spawned()
@@ -378,58 +335,20 @@ class Replayer:
             warnings.warn(f"the spectator follows no actor: {error}", RecapWarning, stacklevel=4)
             return start, None
 
-    def _load(self, path: Path, map_name: str, *, keep_town: bool, is_recorded: bool) -> bool:
-        """Load a map unless it is the town's, or the town is kept; return whether it was loaded.
-
-        Where there is no map of the recorded name, its corridors are loaded.
-        """
-        name, town_name = _plain(map_name), _plain(self._world.town.name)
-        maps = None if self._world.maps is None else Path(self._world.maps)
-        if name == town_name and self._world.town is not self._corridors:
-            return False
-        if keep_town:
-            if name != town_name:
-                warnings.warn(
-                    f"{path}: is a recording of the map {name!r}, and replayed in {town_name!r}", RecapWarning, stacklevel=4
-                )
-            return False
-        try:
-            if is_recorded and is_unknown(map_name, maps):
-                return self._load_corridors(path, map_name, maps)
-            town = load_town(plain_name(map_name), maps)
-        except RecapError as error:
-            raise MapMissing(path, map_name, str(error)) from None
-        self._world.reload(town)
-        return True
-
-    def _load_corridors(self, path: Path, map_name: str, maps: Path | None) -> bool:
-        town = load_corridors(path, map_name)
-        if town is self._world.town:
-            return False
-        warnings.warn(
-            f"{path}: there is no map {plain_name(map_name)!r} in {described_folder(maps)}; "
-            "the roads are the corridors that the vehicles of the recording have driven",
-            RecapWarning,
-            stacklevel=5,
-        )
-        self._world.reload(town)
-        self._corridors = town
-        return True
-
     def _begin(self, player: Player, scene: Scene) -> None:
-        world = self._world
-        self._player = player
-        self._kinematic = KinematicReplay(world, self._mapping)
-        self._collisions = CollisionReplay(world, self._mapping, self._kinematic)
+        episode = self._episode
+        self._player, episode.replayed = player, self._path
+        self._kinematic = KinematicReplay(episode, self._mapping)
+        self._collisions = CollisionReplay(episode, self._mapping, self._kinematic)
         self._doors, self._weather = {}, None
-        self._frozen = world.signals.frozen.copy()
-        world.signals.held = True
+        self._frozen = episode.signals.frozen.copy()
+        episode.signals.held = True
         self._shows_start = True
         self._show(scene, 0.0, 0.0)
 
     def _release_to_autopilot(self) -> None:
         """Release the vehicles that have been given to the autopilot, once their speed is known."""
-        vehicles = self._world.vehicles
+        vehicles = self._episode.vehicles
         for row in np.flatnonzero(vehicles.autopilot & ~vehicles.simulated).tolist():
             vehicle = vehicles.actors[row]
             recorded = next((id for id, actor in self._mapping.replayed.items() if actor is vehicle), None)
@@ -438,7 +357,7 @@ class Replayer:
                 self._return_to_traffic(vehicle, autopilot=True)
 
     def _show(self, scene: Scene, delta: float, seconds: float) -> None:
-        if self._world.events.destroyed or self._world.pending.destroyed:
+        if self._episode.events.destroyed or self._episode.pending.destroyed:
             self._mapping.forget_dead()
         self._collisions.prepare(scene)
         for gone in scene.destroyed:
@@ -457,7 +376,7 @@ class Replayer:
         released = self._mapping.released.get(followed)
         recorded = scene.pose_of(followed) if released is None else np.array(pose(released.transform))
         if recorded is not None:
-            self._world.spectator.transform = transform(level(recorded)).attached(self._offset)
+            self._episode.spectator.transform = transform(level(recorded)).attached(self._offset)
 
     def _move_doors(self, scene: Scene) -> None:
         if scene.doors == self._doors:
@@ -472,7 +391,7 @@ class Replayer:
     def _change_weather(self, scene: Scene) -> None:
         if scene.weather is not None and scene.weather is not self._weather:
             self._weather = scene.weather
-            self._world.weather = Weather(*scene.weather.item())
+            self._episode.weather = Weather(*scene.weather.item())
 
     def _return_to_traffic(self, actor: Actor, *, autopilot: bool) -> None:
         """Let an actor move by itself again."""
@@ -483,7 +402,7 @@ class Replayer:
             actor.apply_control(VehicleControl())
             actor.set_autopilot(autopilot)
         if isinstance(actor, Walker):
-            self._world.walkers.speed[actor.row] = 0.0
+            self._episode.walkers.speed[actor.row] = 0.0
             actor.set_target_velocity(Vector())
 
 
@@ -497,6 +416,47 @@ def find_recording(name: Path | str, folder: Path | str | None = None) -> Path:
     path = recording_path(name, folder)
     candidates = [path, *(path.with_name(path.name + suffix) for suffix in reversed(SUFFIXES))]
     return next((candidate for candidate in candidates if candidate.is_file()), path)
+
+
+def town_to_load(opened: OpenedRecording, town: Town, maps: Path | None, map_name: str = "", *, keep: bool) -> Town | None:
+    """Return the town that has to be loaded for a replay; None if it can begin in the present one.
+
+    Args:
+        opened: The recording.
+        town: The present town.
+        maps: The folder of maps.
+        map_name: The map to replay on; "" for that of the recording, whose corridors are the town if there is no such map.
+        keep: Stay in the present town, whatever the map is.
+
+    Warns:
+        RecapWarning: There is no map of the recorded name, or the town that is kept has another one.
+
+    Raises:
+        MapMissing: The map cannot be loaded.
+    """
+    path, name = opened.player.reader.path, map_name or opened.player.reader.header.map_name
+    if _plain(name) == _plain(town.name) and not town.is_of_corridors:
+        return None
+    if keep:
+        if _plain(name) != _plain(town.name):
+            reason = f"is a recording of the map {_plain(name)!r}, and replayed in {_plain(town.name)!r}"
+            warnings.warn(f"{path}: {reason}", RecapWarning, stacklevel=4)
+        return None
+    try:
+        if map_name or not is_unknown(name, maps):
+            return load_town(plain_name(name), maps)
+        corridors = load_corridors(path, name)
+    except RecapError as error:
+        raise MapMissing(path, name, str(error)) from None
+    if corridors is town:
+        return None
+    warnings.warn(
+        f"{path}: there is no map {plain_name(name)!r} in {described_folder(maps)}; "
+        "the roads are the corridors that the vehicles of the recording have driven",
+        RecapWarning,
+        stacklevel=4,
+    )
+    return corridors
 
 
 def _plain(map_name: str) -> str:

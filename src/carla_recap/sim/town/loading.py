@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING, Final
@@ -20,8 +21,9 @@ from carla_recap.roads.find import described_folder, find_map, plain_name
 from carla_recap.roads.landmarks import find_landmarks
 from carla_recap.roads.lanes import TownRoads
 from carla_recap.roads.opendrive import read_opendrive
+from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform
-from carla_recap.sim.town.graph import largest_strong_component
+from carla_recap.sim.town.graph import Paths, largest_strong_component
 from carla_recap.sim.town.junctions import make_junctions, make_signals
 from carla_recap.sim.town.lanes import LaneIndex, make_lanes
 from carla_recap.sim.town.sidewalks import make_walks
@@ -63,6 +65,7 @@ class Town:
         crossings: The outlines of pedestrian crossings, closed, (n, 3) each.
         walks: The walkways.
         barriers: Lines beyond the sidewalks that stop cars, (n, 3) each.
+        is_of_corridors: Whether its roads are the corridors of a recording.
         spawn_points: Transforms somewhat above lanes from which all others can be reached.
         index: The index of the lanes.
     """
@@ -76,6 +79,7 @@ class Town:
     crossings: list[Floats] = field(repr=False)
     walks: WalkwayGraph = field(repr=False)
     barriers: list[Floats] = field(repr=False)
+    is_of_corridors: bool = False
     spawn_points: list[Transform] = field(init=False, repr=False)
     index: LaneIndex = field(init=False, repr=False)
 
@@ -94,6 +98,23 @@ class Town:
         town = copy(self)
         town.spawn_points = _road_entries(self.lanes)
         return town
+
+    @cached_property
+    def paths(self) -> Paths:
+        """The shortest paths along the walkways."""
+        return Paths(self.walks.nodes, self.walks.edges)
+
+    def expect_walkway(self, start: Location, goal: Location) -> None:
+        """Make sure that walkways lead from one location to another.
+
+        Raises:
+            SimError: There are no sidewalks, or none leads there.
+        """
+        if not len(self.walks.nodes):
+            raise SimError(f"{self.name} has no sidewalks: walkers can only be steered")
+        first, last = (self.paths.nearest(place.x, place.y) for place in (start, goal))
+        if last not in self.paths.reachable(first):
+            raise SimError(f"no sidewalk leads from ({start.x:.1f}, {start.y:.1f}) to ({goal.x:.1f}, {goal.y:.1f})")
 
     def height(self, x: ArrayLike, y: ArrayLike, z: ArrayLike | None = None) -> Floats:
         """See `LaneIndex.height`."""
@@ -215,6 +236,7 @@ def load_corridors(path: Path, map_name: str) -> Town:
     if town is None:
         with open_recording(path) as recording:
             town = make_town(opendrive_of_corridors(recording), path).renamed(plain_name(map_name) or _UNNAMED)
+            town.is_of_corridors = True
         with _lock:
             _corridors.clear()
             _corridors[key] = town

@@ -9,14 +9,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.sim.actors.lights import OFF, RED
-from carla_recap.sim.errors import SimError
-from carla_recap.sim.geometry import Location
-from carla_recap.sim.town.graph import Paths
+from carla_recap.sim.signals import OFF, RED
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.moving import Walker
-    from carla_recap.sim.actors.registry import ActorRegistry
+    from carla_recap.sim.episode import Episode
     from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.util.arrays import Floats, Integers
 
@@ -40,7 +36,7 @@ class _Journey:
     """The journey of a walker to its destination.
 
     Attributes:
-        destination: The destination.
+        destination: The destination, in m.
         speed: The walking speed in m/s.
         last: The waypoint that was reached last.
         waypoints: The waypoints ahead.
@@ -49,7 +45,7 @@ class _Journey:
         side: The side on which it passes a vehicle; see `_avoid`.
     """
 
-    destination: Location
+    destination: tuple[float, ...]
     speed: float
     last: Waypoint = (0.0, 0.0)
     waypoints: list[Waypoint] = field(default_factory=list)
@@ -62,65 +58,36 @@ class PedestrianNavigation:
     """Steers the walkers that have destinations; a controller of the world.
 
     Args:
-        registry: The actors.
-        random: What chooses the next destinations.
+        episode: The episode; its random generator chooses the next destinations.
     """
 
-    def __init__(self, registry: ActorRegistry, random: np.random.Generator) -> None:
-        self._registry = registry
-        self._random = random
-        self._town = registry.town
+    def __init__(self, episode: Episode) -> None:
+        self._episode = episode
+        self._random = episode.random
+        self._town = episode.town
         self._graph = self._town.walks
-        self._paths = Paths(self._graph.nodes, self._graph.edges)
+        self._paths = self._town.paths
         edges = zip(self._graph.edges.tolist(), self._graph.crossing, strict=True)
         self._crossings = {frozenset(edge) for edge, is_crossing in edges if is_crossing}
         self._lanes: dict[tuple[Waypoint, Waypoint], Integers] = {}
         self._journeys: dict[int, _Journey] = {}
 
-    def destination(self, walker: int) -> Location | None:
-        """Return the destination of a walker; None if it has none."""
-        journey = self._journeys.get(walker)
-        return None if journey is None else journey.destination
-
-    def clear_destination(self, walker: int) -> None:
-        """Leave a walker to its control."""
-        self._journeys.pop(walker, None)
-
-    def set_destination(self, walker: Walker, place: Location) -> None:
-        """Let a walker find its way to a place, and then on to random ones.
-
-        Raises:
-            SimError: The town has no sidewalks, or none leads to that place.
-        """
-        if not len(self._graph.nodes):
-            raise SimError(f"{self._town.name} has no sidewalks: walkers can only be steered")
-        start = walker.transform.location
-        path = self._paths.find(self._paths.nearest(start.x, start.y), self._paths.nearest(place.x, place.y))
-        if not path:
-            raise SimError(f"no sidewalk leads from ({start.x:.1f}, {start.y:.1f}) to ({place.x:.1f}, {place.y:.1f})")
-        usual = _SPEED_BY_AGE.get(walker.attributes.get("age", ""), _ADULT_SPEED)
-        journey = _Journey(Location(place.x, place.y, place.z), float(walker.attributes.get("speed") or 0) or usual)
-        self._set_path(journey, path)
-        self._journeys[walker.id] = journey
-
-    def random_place(self) -> Location:
-        """Return a random place on a sidewalk."""
-        return self._node(int(self._random.integers(len(self._graph.nodes))))
-
     def step(self, delta: float) -> None:
         """Set the directions and speeds of the walkers, for a tick of a length in s."""
-        self._journeys = {id: journey for id, journey in self._journeys.items() if self._can_walk(id)}
+        walkers = self._episode.walkers
+        walkers.destination[walkers.fallen] = np.nan
+        self._update_journeys()
         if not self._journeys:
             return
-        walkers, journeys = self._registry.walkers, list(self._journeys.values())
-        order = np.argsort(walkers.id)  # replayed walkers have their recorded ids
-        rows = order[np.searchsorted(walkers.id, list(self._journeys), sorter=order)]
+        journeys = list(self._journeys.values())
+        rows = np.array([walkers.row(id) for id in self._journeys])
         speed = np.array([journey.speed for journey in journeys])
         positions = walkers.position[rows, :2]
         direction = np.array([journey.waypoints[0] for journey in journeys]) - positions
         arrived = np.hypot(*direction.T) <= np.maximum(_REACHED, speed * delta)
         for index in np.flatnonzero(arrived).tolist():
             self._advance(journeys[index])
+            walkers.destination[rows[index]] = journeys[index].destination
             direction[index] = journeys[index].waypoints[0] - positions[index]
         for journey, z in zip(journeys, walkers.position[rows, 2].tolist(), strict=True):
             journey.waits = journey.waits and not self._is_safe(journey.last, journey.waypoints[0], z)
@@ -130,19 +97,33 @@ class PedestrianNavigation:
         walkers.direction[rows[~stands], :2] = direction[~stands]
         walkers.speed[rows] = np.where(stands, 0.0, speed)
 
+    def _update_journeys(self) -> None:
+        """Plan the journeys of walkers that have got another destination, and end those of walkers that have none."""
+        walkers = self._episode.walkers
+        rows = np.flatnonzero(walkers.has_destination)
+        wanted = dict(zip(walkers.id[rows].tolist(), map(tuple, walkers.destination[rows].tolist()), strict=True))
+        self._journeys = {id: each for id, each in self._journeys.items() if wanted.get(id) == each.destination}
+        for row, (id, destination) in zip(rows.tolist(), wanted.items(), strict=True):
+            if id in self._journeys:
+                continue
+            path = self._paths.find(*(self._paths.nearest(x, y) for x, y, _ in (walkers.position[row], destination)))
+            if path:
+                attributes = self._episode.actors[id].attributes
+                usual = _SPEED_BY_AGE.get(attributes.get("age", ""), _ADULT_SPEED)
+                journey = self._journeys[id] = _Journey(destination, float(attributes.get("speed") or 0) or usual)
+                self._set_path(journey, path)
+            else:  # it has been moved since its destination was set
+                walkers.destination[row] = np.nan
+
     def _avoid_vehicles(self, journeys: list[_Journey], positions: Floats, direction: Floats) -> None:
         """Change the directions of walkers on crossings, so that they do not walk into vehicles."""
         on_road = [index for index, journey in enumerate(journeys) if journey.crossings[0] and not journey.waits]
         if not on_road:
             return
         sides = np.array([journeys[index].side for index in on_road])
-        direction[on_road] = _avoid(positions[on_road], direction[on_road], sides, self._registry.vehicles)
+        direction[on_road] = _avoid(positions[on_road], direction[on_road], sides, self._episode.vehicles)
         for index, side in zip(on_road, sides.tolist(), strict=True):
             journeys[index].side = side
-
-    def _can_walk(self, walker: int) -> bool:
-        walkers = self._registry.walkers
-        return walker in self._registry.actors and not walkers.fallen[walkers.row(walker)]
 
     def _advance(self, journey: _Journey) -> None:
         """Turn from a waypoint that is reached to the next one; from the destination, to another destination."""
@@ -151,16 +132,13 @@ class PedestrianNavigation:
         if not journey.waypoints:
             start = self._paths.nearest(*journey.last)
             goal = int(self._random.choice(self._paths.reachable(start)))
-            journey.destination = self._node(goal)
+            journey.destination = tuple(self._graph.nodes[goal].tolist())
             self._set_path(journey, self._paths.find(start, goal))
         journey.waits, journey.side = journey.crossings[0], 0
 
     def _set_path(self, journey: _Journey, path: list[int]) -> None:
         journey.waypoints = [(x, y) for x, y, _ in self._graph.nodes[path].tolist()]
         journey.crossings = [False, *(frozenset(edge) in self._crossings for edge in pairwise(path))]
-
-    def _node(self, node: int) -> Location:
-        return Location(*self._graph.nodes[node].tolist())
 
     def _is_safe(self, start: Waypoint, end: Waypoint, z: float) -> bool:
         """Return whether the lanes of a crossing have red or no light, and no car approaches; z is that of the walker."""
@@ -169,11 +147,11 @@ class PedestrianNavigation:
             points = np.array(start) + share * (np.array(end) - start)
             heights = np.full(len(points), z) if self._town.index.has_levels else None
             self._lanes[start, end] = np.unique(self._town.nearest_lane(*points.T, z=heights)[0])
-        states = self._registry.signals.state_of_lane(self._lanes[start, end])
+        states = self._episode.signals.state_of_lane(self._lanes[start, end])
         return bool(((states == RED) | (states == OFF)).all()) and not self._is_approached(np.array((start, end)), z)
 
     def _is_approached(self, ends: Floats, z: float) -> bool:
-        vehicles = self._registry.vehicles
+        vehicles = self._episode.vehicles
         middle, half = ends.mean(axis=0), dist(*ends) / 2
         yaw = np.radians(vehicles.yaw)
         x, y = (middle - vehicles.position[:, :2]).T

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.sim.actors.lights import GREEN
+from carla_recap.sim.signals import GREEN
 from carla_recap.sim.traffic.autopilot.controls import desired_acceleration, set_lights, set_pedals, set_steering, wrap_angle
 from carla_recap.sim.traffic.autopilot.drivers import DrivenVehicles, Drivers
 from carla_recap.sim.traffic.autopilot.junctions import JunctionControl, QueueEnds
@@ -22,7 +22,7 @@ from carla_recap.sim.traffic.autopilot.routes import (
 )
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.registry import ActorRegistry
+    from carla_recap.sim.episode import Episode
     from carla_recap.sim.traffic.autopilot.perception import Perception
     from carla_recap.util.arrays import Booleans, Floats, Integers
 
@@ -41,19 +41,18 @@ class Autopilot:
     A vehicle that has it switched on while it drives goes on from its place and at its speed.
 
     Args:
-        registry: The actors.
-        random: What chooses the routes and the characteristics of the drivers.
+        episode: The episode; its random generator chooses the routes and the characteristics of the drivers.
     """
 
-    def __init__(self, registry: ActorRegistry, random: np.random.Generator) -> None:
-        self._registry = registry
-        self._random = random
-        self._town = registry.town
-        self._clock = registry.clock
+    def __init__(self, episode: Episode) -> None:
+        self._episode = episode
+        self._random = episode.random
+        self._town = episode.town
+        self._clock = episode.clock
         self._network = LaneNetwork(self._town)
-        self._tracker = ObstacleTracker(registry)
+        self._tracker = ObstacleTracker(episode)
         self._drivers = Drivers()
-        self._routes = Routes(self._network, random)
+        self._routes = Routes(self._network, episode.random)
         self._junctions = JunctionControl(self._town, self._network, self._drivers, self._routes)
         self._desired: Floats | None = None
         self._decided = 0.0
@@ -65,7 +64,7 @@ class Autopilot:
         Args:
             delta: The time until the next step, in s.
         """
-        elapsed, drivers, vehicles = self._clock.elapsed, self._drivers, self._registry.vehicles
+        elapsed, drivers, vehicles = self._clock.elapsed, self._drivers, self._episode.vehicles
         rows = np.flatnonzero(self._driven())
         if not np.array_equal(vehicles.id[rows], drivers.id):
             self._change_drivers(rows)
@@ -82,14 +81,14 @@ class Autopilot:
         set_steering(state)
 
     def _driven(self) -> Booleans:
-        vehicles = self._registry.vehicles
+        vehicles = self._episode.vehicles
         driven: Booleans = vehicles.autopilot & vehicles.simulated
         return driven
 
     def _change_drivers(self, rows: Integers) -> None:
         """Add and remove drivers, so that there is one for each of these vehicles, in their order."""
         drivers, routes = self._drivers, self._routes
-        ids: list[int] = self._registry.vehicles.id[rows].tolist()
+        ids: list[int] = self._episode.vehicles.id[rows].tolist()
         driver = {id: number for number, id in enumerate(drivers.id.tolist())}
         new = [number for number, id in enumerate(ids) if id not in driver]
         for id in [id for id in driver if id not in set(ids)]:
@@ -101,7 +100,7 @@ class Autopilot:
         order = np.array([driver[id] for id in ids], np.int64)
         drivers.select(order)
         routes.select(order)
-        cars = DrivenVehicles.of(self._registry.vehicles, rows)
+        cars = DrivenVehicles.of(self._episode.vehicles, rows)
         self._junctions.set_drivers(cars.half_length)
         for number in new:
             self._start(cars, number)
@@ -109,7 +108,7 @@ class Autopilot:
 
     def _start(self, cars: DrivenVehicles, row: int) -> None:
         """Start to drive a vehicle from its place, on the nearest lane."""
-        z = float(self._registry.vehicles.position[cars.rows[row], 2])
+        z = float(self._episode.vehicles.position[cars.rows[row], 2])
         lane, s = self._network.nearest(float(cars.x[row]), float(cars.y[row]), z, float(cars.yaw[row]))
         self._take_lane(cars, row, lane, s)
         distance = abs(float(self._drivers.lateral_offset[row]))
@@ -157,7 +156,7 @@ class Autopilot:
 
     def _decide(self, state: AutopilotState) -> Perception:
         """Decide which vehicles pass their stop lines, and which change lanes; return what the drivers perceive."""
-        cars, drivers, signals = state.cars, state.drivers, self._registry.signals
+        cars, drivers, signals = state.cars, state.drivers, self._episode.signals
         driven = self._driven()
         self._decisions += 1
         perception = perceive(state, self._tracker.obstacles(driven))
@@ -173,7 +172,7 @@ class Autopilot:
 
     def _queue_ends(self, cars: DrivenVehicles, driven: Booleans) -> QueueEnds:
         """Return the last vehicles on the lanes, driven by the autopilot or not."""
-        routes, vehicles, others = self._routes, self._registry.vehicles, np.flatnonzero(~driven)
+        routes, vehicles, others = self._routes, self._episode.vehicles, np.flatnonzero(~driven)
         lane, s = routes.lanes[:, 0], routes.position - routes.starts[:, 0]
         speed, half = cars.speed, cars.half_length
         if len(others):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.sim.actors.lights import GREEN
+from carla_recap.sim.signals import GREEN
 from carla_recap.sim.town.junctions import SignalKind
 from carla_recap.sim.traffic.autopilot.controls import BEFORE_LINE
 from carla_recap.sim.traffic.autopilot.drivers import NONE

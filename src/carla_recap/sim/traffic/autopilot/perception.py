@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.sim.actors.actor import Prop
+from carla_recap.sim.actors.props import Prop
 from carla_recap.sim.traffic.autopilot.drivers import NONE
 from carla_recap.sim.traffic.autopilot.routes import shift_poses
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.registry import ActorRegistry
+    from carla_recap.sim.episode import Episode
     from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.sim.physics.walkers import Walkers
     from carla_recap.sim.traffic.autopilot.drivers import DrivenVehicles, Drivers
@@ -92,11 +92,11 @@ class ObstacleTracker:
     """Collects the obstacles of an episode.
 
     Args:
-        registry: The actors.
+        episode: The episode.
     """
 
-    def __init__(self, registry: ActorRegistry) -> None:
-        self._registry = registry
+    def __init__(self, episode: Episode) -> None:
+        self._episode = episode
         self._props = _props([])
         self._props_due = 0.0
         self._actors = 0
@@ -109,12 +109,12 @@ class ObstacleTracker:
         Args:
             driven: Whether the autopilot drives each vehicle, (vehicles,).
         """
-        registry, elapsed = self._registry, self._registry.clock.elapsed
-        if elapsed >= self._props_due or len(registry.actors) != self._actors:
-            self._props_due, self._actors = elapsed + _PROPS_INTERVAL, len(registry.actors)
-            self._props = _props([actor for actor in registry.actors.values() if isinstance(actor, Prop) and actor.body])
+        episode, elapsed = self._episode, self._episode.clock.elapsed
+        if elapsed >= self._props_due or len(episode.actors) != self._actors:
+            self._props_due, self._actors = elapsed + _PROPS_INTERVAL, len(episode.actors)
+            self._props = _props([actor for actor in episode.actors.values() if isinstance(actor, Prop) and actor.body])
         seconds = np.where(driven, 0.0, _VEHICLES_AHEAD)
-        parts = _vehicles(registry.vehicles).swept(seconds), _walkers(registry.walkers), self._props
+        parts = _vehicles(episode.vehicles).swept(seconds), _walkers(episode.walkers), self._props
         return Obstacles(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Obstacles)))
 
 

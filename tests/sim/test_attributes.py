@@ -7,11 +7,11 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from carla_recap.sim.actors.attributes import ATTRIBUTE_TYPES, attribute_type, is_restricted
-from carla_recap.sim.actors.blueprints import standard_library
+from carla_recap.sim.attributes import ATTRIBUTE_TYPES, attribute_type, is_restricted
+from carla_recap.sim.blueprints import standard_library
 
 if TYPE_CHECKING:
-    from carla_recap.sim.actors.blueprints import Blueprint
+    from carla_recap.sim.blueprints import Blueprint
 
 READERS = (
     {"true": True, "false": False}.__getitem__,

@@ -1,4 +1,4 @@
-"""The ids of actors: those that are wanted, and those that are not."""
+"""Episodes: the ids of actors, those that are wanted and those that are not, and the events of ticks."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carla_recap.sim.actors.registry import LARGEST_WANTED, ActorIds
+from carla_recap.sim.episode import LARGEST_WANTED, ActorIds
+from tests.sim.flat import at, flat_world, spawn_car
 
 
 def test_ids_follow_each_other_from_1() -> None:
@@ -55,3 +56,23 @@ def test_no_id_is_given_twice(wanted: list[int | None]) -> None:
         assert id not in given_before
         assert id == want or want in (None, 0) or want in given_before
         given_before.add(id)
+
+
+def test_events_are_pending_until_the_end_of_the_tick() -> None:
+    world = flat_world()
+    car = spawn_car(world, at(0.0))
+    car.set_door(0, True)
+    assert world.events.spawned == []
+    assert world.episode.pending.spawned[-1] is car
+    world.tick()
+    assert world.events.spawned[-1] is car
+    assert world.events.doors == [(car.id, 0, True)]
+    assert world.episode.pending.doors == []
+
+
+def test_an_episode_that_has_ended_has_no_live_actors() -> None:
+    world = flat_world()
+    car, spectator = spawn_car(world, at(0.0)), world.spectator
+    world.reload()
+    assert not car.is_alive
+    assert not spectator.is_alive

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from carla_recap.model.records import ActorKind
-from carla_recap.sim.actors.attributes import attribute_type
-from carla_recap.sim.actors.blueprints import standard_library
+from carla_recap.sim.attributes import attribute_type
+from carla_recap.sim.blueprints import standard_library
 from carla_recap.sim.errors import SpawnError
 
 LIBRARY = standard_library()
