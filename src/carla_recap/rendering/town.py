@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 _KEPT: Final = 4  # towns in memory
-_SOURCES: Final = ("rendering", "roads")  # the folders of the modules that a town is made by
+_SOURCES: Final = ("rendering", "roads", "scene")  # the folders of the modules that a town is made by
 _PAVEMENT: Final = (*PAVED, Material.JUNCTION)
 _SURFACES: Final = (*_PAVEMENT, Material.SIDEWALK, Material.KERB, Material.MEDIAN, Material.GROUND)
 _GROUND: Final = (*_SURFACES, Material.GRASS)

@@ -123,6 +123,6 @@ def _digest(sources: tuple[str, ...]) -> bytes:
     digest = sha256()
     package = Path(__file__).parents[1]
     for folder in sources:
-        for path in sorted((package / folder).glob("*.py")):
+        for path in sorted((package / folder).rglob("*.py")):
             digest.update(path.read_bytes())
     return digest.digest()
