@@ -375,14 +375,15 @@ def test_an_id_that_is_used_again_is_another_actor(record):
 
 
 def test_actors_that_come_and_go_all_the_time_become_boxes(record, monkeypatch):
-    monkeypatch.setattr("carla_recap.show.foxglove.actor_entities._MOST_BYTES", 200_000)
-    topics = record(
-        {"spawned": [spawn(1)], "transforms": [pose(1)]},
-        *(
-            {"spawned": [spawn(id)], "transforms": [pose(1), pose(id)], "destroyed": [id - 1] * (id > 10)}
-            for id in range(10, 60)
-        ),
-    )
+    monkeypatch.setattr("carla_recap.show.foxglove.topics._MOST_BYTES", 200_000)
+    with pytest.warns(RecapWarning, match=r"from [\d.]+ s on, all actors are boxes"):
+        topics = record(
+            {"spawned": [spawn(1)], "transforms": [pose(1)]},
+            *(
+                {"spawned": [spawn(id)], "transforms": [pose(1), pose(id)], "destroyed": [id - 1] * (id > 10)}
+                for id in range(10, 60)
+            ),
+        )
     entities = bodies(topics)
     assert list(entities) == ["actor 1", "actor 59"]
     assert [(len(entity.cubes), len(entity.triangles)) for entity in entities.values()] == [(1, 0), (1, 0)]

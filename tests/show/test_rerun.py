@@ -640,9 +640,11 @@ def test_boxes_are_limited_but_not_the_map(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(bodies, "MOST_BOXES", 3)
     frames = [{"transforms": [pose(id, 100 * id + n) for id in range(1, 9)]} for n in range(3)]
     frames[0]["spawned"] = [spawn(id, role_name="hero" if id == 8 else "") for id in range(1, 9)]
-    with pytest.warns(RecapWarning, match="5 actors are only on the map: there are more than 3"):
+    with pytest.warns(RecapWarning, match="from 0 s on, actors are only on the map: there are more than 3 at a time"):
         rrd = export(write(tmp_path / "many.log", frames), tmp_path / "many.rrd")
-    assert {f"/world/actors/{id}" for id in (1, 2, 8)} == {path for path in rrd.entities if path.startswith("/world/actors")}
+    assert {f"/world/actors/{id}" for id in (1, 2, 3, 8)} == {
+        path for path in rrd.entities if path.startswith("/world/actors")
+    }
     assert [len(points) for _, points in rrd.rows("/map/actors", "Points2D:positions")] == [8, 8, 8]
 
 

@@ -6,12 +6,15 @@ are written in each scene.
 
 from __future__ import annotations
 
+import math
+import warnings
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.errors import RecapWarning
 from carla_recap.formats.mcap.schema import MESSAGE
 from carla_recap.replay import quaternions
 from carla_recap.replay.pose import LOCATION, change
@@ -50,7 +53,6 @@ _MOVED_BY: Final = np.array(
     [0.01, 0.01, 0.01, 0.1, 0.1, 0.1]
 )  # m and degrees; farther from its first pose, an actor has moved
 _MOST_MODELS: Final = 300  # of the present actors; further ones are boxes
-_MOST_BYTES: Final = 1 << 29  # of models; a recording whose actors come and go that often has boxes from then on
 
 _POSE: Final = pose_numbers(FrameTransform.TRANSLATION_FIELD_NUMBER, FrameTransform.ROTATION_FIELD_NUMBER)
 _CHANGING: Final = _POSE + timestamp(FrameTransform.TIMESTAMP_FIELD_NUMBER)
@@ -159,16 +161,24 @@ class _TopicEntities:
         """
         if entities == self._shown and not fresh:
             return
-        time = stamp.tobytes()
-        gone = _deletions([id for id in self._shown if id not in entities], time)
+        time, before = stamp.tobytes(), self._shown
+        gone = _deletions([id for id in before if id not in entities], time)
         self._shown = entities
-        yield single(self._topic, row, gone + b"".join(data[: -len(time)] + time for data in entities.values()))
+        stamped = {id: data[: -len(time)] + time for id, data in entities.items()}
+        changed = b"".join(data for id, data in stamped.items() if before.get(id) != entities[id])
+        yield single(self._topic, row, gone + b"".join(stamped.values()))._replace(change=gone + changed)
 
 
 class ActorEntities:
-    """The messages of the actors: transforms, bodies, lamps. Sensors, which have no body, are left out."""
+    """The messages of the actors: transforms, bodies, lamps. Sensors, which have no body, are left out.
 
-    def __init__(self) -> None:
+    Args:
+        most_bytes: The size of the messages with models; if actors come and go so often that it is exceeded, all are boxes
+            from then on.
+    """
+
+    def __init__(self, most_bytes: float = math.inf) -> None:
+        self._most_bytes = most_bytes
         self._lives: Mapping[int, ActorLife] = {}
         self._looks: LookColumns | None = None
         self._shown: list[_ShownActor] = []  # by their ids
@@ -210,6 +220,8 @@ class ActorEntities:
                 some = slice(start, start + 1)
                 yield self._transforms(STILL, indices, rows[some], stamps[some], poses[some, indices])
             yield from self._show_bodies(present[start], int(rows[start]), stamps[start], fresh=fresh)
+            if self._written > self._most_bytes:
+                self._make_boxes(batch.time[rows[start]].item())
             changed = False
         lit = np.where(present, description.lamps[shown], np.uint64(0))
         yield from self._show_lamps(lit, rows, stamps, fresh=batch.fresh and not rows[0])
@@ -227,10 +239,16 @@ class ActorEntities:
             for message in self._bodies[topic].messages(found, row, stamp, fresh=fresh):
                 self._written += message.data.size
                 yield message
-        if self._written > _MOST_BYTES and any(shown.detailed for shown in self._shown):
-            for shown in self._shown:  # from the next message on
-                shown.detailed = False
-                shown.set_fall(shown.fall)
+
+    def _make_boxes(self, time: float) -> None:
+        """Show all actors as boxes from the next message on, given the elapsed seconds."""
+        detailed = [shown for shown in self._shown if shown.detailed]
+        for shown in detailed:
+            shown.detailed = False
+            shown.set_fall(shown.fall)
+        if detailed:
+            text = f"from {time:g} s on, all actors are boxes: models have taken {self._most_bytes / 1e6:.0f} MB until then"
+            warnings.warn(text, RecapWarning, stacklevel=2)
 
     def _show_lamps(self, lit: NDArray[np.uint64], rows: Indices, stamps: Stamps, *, fresh: bool) -> Iterator[TopicMessages]:
         """Yield the messages of the lamps, whenever one goes on or off.
@@ -271,12 +289,12 @@ class ActorEntities:
             return False
         self._lives, self._looks = lives, looks
         known = {shown.actor.id: shown for shown in self._shown}
-        models = sum(shown.detailed for shown in self._shown)
+        models = sum(shown.detailed for shown in self._shown if looks.look_of(shown.actor.id) is not None)
         self._shown = []
         for id, look in zip(looks.ids.tolist(), looks.looks, strict=True):
             actor, shown = lives[id], known.get(id)
             if shown is None or (shown.actor is not actor and shown.actor.spawn != actor.spawn):
-                shown = _ShownActor(actor, look, models < _MOST_MODELS and self._written <= _MOST_BYTES)
+                shown = _ShownActor(actor, look, models < _MOST_MODELS and self._written <= self._most_bytes)
                 models += shown.detailed
                 shown.draw(actor, look)
             elif shown.actor is not actor and shown.actor != actor:

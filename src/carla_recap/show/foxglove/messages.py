@@ -107,11 +107,13 @@ class TopicMessages(NamedTuple):
         topic: The topic.
         rows: The position of the moment of each message in a batch of moments, ascending.
         data: The messages as bytes, (messages, size), each behind `MESSAGE.size` bytes for the header of its record.
+        change: What the only one of them adds to the message before it; None: all of it.
     """
 
     topic: str
     rows: Indices
     data: NDArray[np.uint8]
+    change: bytes | None = None
 
 
 class ShownScenes(NamedTuple):

@@ -228,7 +228,7 @@ class _SensedWriter:
         self._copy.write(batch.elapsed[-1].item())
 
     def _add_scene(self, part: TimedMessages) -> None:
-        for time, topic, data in part.in_order():
+        for time, topic, data, _ in part.in_order():
             elapsed = self._clock.elapsed(time)
             if topic == LOG:  # incidents come last, and are in order with the rest
                 self._log.append((elapsed, data))

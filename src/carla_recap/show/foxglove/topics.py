@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -77,6 +78,7 @@ RATE: Final = 20.0
 SLACK: Final = 0.9
 """The part of the time between two shown scenes after which the next one is shown: frames do not come quite evenly."""
 
+_MOST_BYTES: Final = 1 << 29  # of the messages with models in a file, each of which has all that its topic shows
 _TOGETHER: Final = 128  # scenes whose messages are made at once
 _LEVELS: Final = {Level.DEBUG: Log.DEBUG, Level.INFO: Log.INFO, Level.WARNING: Log.WARNING, Level.ERROR: Log.ERROR}
 
@@ -92,6 +94,15 @@ def passed_topics(reader: Reader) -> list[Topic]:
     return [topic for topic in found if topic.message and topic.encoding == topic.schema_encoding == _PROTOBUF]
 
 
+class Sent(NamedTuple):
+    """A message: its time in ns since 1970, its topic, and its data; see `TopicMessages` for the change."""
+
+    time: int
+    topic: str
+    data: bytes
+    change: bytes | None = None
+
+
 class TimedMessages(NamedTuple):
     """Messages of several topics.
 
@@ -105,13 +116,13 @@ class TimedMessages(NamedTuple):
     times: Times
     elapsed: Floats
 
-    def in_order(self) -> Iterator[tuple[int, str, bytes]]:
-        """Yield the time in ns since 1970, the topic and the data of each message, in the order of time."""
-        found = [(some.topic, row) for some in self.messages for row in some.data]
+    def in_order(self) -> Iterator[Sent]:
+        """Yield the messages in the order of time."""
+        found = [(some.topic, row, some.change) for some in self.messages for row in some.data]
         rows = np.concatenate([some.rows for some in self.messages]) if self.messages else np.zeros(0, np.intp)
         for index in np.argsort(rows, kind="stable").tolist():
-            topic, data = found[index]
-            yield int(self.times[rows[index]]), topic, data[MESSAGE.size :].tobytes()
+            topic, data, change = found[index]
+            yield Sent(int(self.times[rows[index]]), topic, data[MESSAGE.size :].tobytes(), change)
 
 
 class SceneMessages:
@@ -122,18 +133,26 @@ class SceneMessages:
         follow: The id of the followed actor.
         town: The town, if it is known.
         stops: The points at which traffic lights stop cars; see `carla_recap.scene.ahead`. More may be added later.
+        most_bytes: See `ActorEntities`.
 
     Attributes:
         rate: The number of scenes shown per second, at most; scenes with events are shown besides.
     """
 
-    def __init__(self, header: Header, follow: int | None, town: TownMesh | None, stops: StopPoints | None = None) -> None:
+    def __init__(
+        self,
+        header: Header,
+        follow: int | None,
+        town: TownMesh | None,
+        stops: StopPoints | None = None,
+        most_bytes: float = math.inf,
+    ) -> None:
         self._clock = LogClock(header)
         self._stops = {} if stops is None else stops
         self._followed = FollowedActor(follow, self._stops)
         self._town = town
         self._describer = SceneDescriber()
-        self._entities = actor_entities.ActorEntities()
+        self._entities = actor_entities.ActorEntities(most_bytes)
         self._frames = followed.ViewFrames()
         self._lights = followed.LightMessages()
         self._text = EventText()
@@ -249,7 +268,8 @@ class RecordingMessages:
     ) -> None:
         town = town_around(road_map, player, source)
         self._player = player
-        self._messages = SceneMessages(source.reader.header, player.followed, town, stop_points(source.reader))
+        header, stops = source.reader.header, stop_points(source.reader)
+        self._messages = SceneMessages(header, player.followed, town, stops, _MOST_BYTES)
         self._incidents = PlayedIncidents(player, road_network_of_map(road_map) if town is not None else None, incidents)
         if uncut is None:
             self._messages.recall(player)

@@ -30,7 +30,16 @@ from carla_recap.scene.captions import PlayedIncidents
 from carla_recap.scene.follow import LiveFollow
 from carla_recap.show.foxglove.ground import MAP, map_message, town_around
 from carla_recap.show.foxglove.messages import timestamps
-from carla_recap.show.foxglove.topics import LOG, RATE, SLACK, TOPICS, SceneMessages, incident_messages, passed_topics
+from carla_recap.show.foxglove.topics import (
+    LOG,
+    RATE,
+    SLACK,
+    TOPICS,
+    SceneMessages,
+    Sent,
+    incident_messages,
+    passed_topics,
+)
 from carla_recap.util.signals import unwind_on_termination
 
 if TYPE_CHECKING:
@@ -47,10 +56,6 @@ if TYPE_CHECKING:
     from carla_recap.roads import RoadMap
     from carla_recap.roads.network import RoadNetwork
     from carla_recap.util.arrays import Floats
-
-    Sent = tuple[int, str, bytes]
-    """Time in ns since 1970, topic and data of a message."""
-
 PORT: Final = 8765
 """The port that Foxglove suggests."""
 
@@ -61,6 +66,7 @@ _LONGEST: Final = 0.25  # s of real time that pass between them at most; a machi
 _PAUSE: Final = 0.25  # s; the longest wait for a request
 _GRACE: Final = 2.0  # s; the SDK waits for viewers that do not read, or have connected without a word, as long as they stay
 _FASTEST: Final = 100.0
+_WHOLE_AFTER: Final = 10 * SECOND
 _MOST_WAITING: Final = 1024  # messages that wait for a slow viewer, which loses older ones
 
 
@@ -98,6 +104,7 @@ class FoxgloveServer:
         self._timeline = timeline
         self._requests = type("Listener", (_Requests, ServerListener), {})(timeline)  # with callbacks that do nothing, too
         self._latest: dict[str, tuple[int, bytes]] = {}  # of each topic
+        self._whole_at: dict[str, int] = {}  # when a message of each topic is sent whole again, in ns since 1970
         self._time: int | None = None
         logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # viewers may leave without a word
         self._context = foxglove.Context()
@@ -138,16 +145,23 @@ class FoxgloveServer:
         """The address that Foxglove is given."""
         return f"ws://{_HOST}:{self._server.port}"
 
-    def send(self, time: int, topic: str, data: bytes) -> None:
-        """Send a message, which becomes the latest one of its topic."""
+    def send(self, sent: Sent) -> None:
+        """Send a message, which becomes the latest one of its topic: its change, but all of it now and then.
+
+        A viewer that has lost messages shows all again then.
+        """
+        time, topic, data, change = sent
         self._latest[topic] = time, data
-        self._channels[topic].log(data, log_time=time)
+        if change is None or time >= self._whole_at.get(topic, 0):
+            self._whole_at[topic], change = time + _WHOLE_AFTER, data
+        self._channels[topic].log(change, log_time=time)
 
     def begin(self, latest: dict[str, Sent]) -> None:
         """Send the latest message of each topic at another moment."""
         self._latest.clear()
+        self._whole_at.clear()
         for sent in latest.values():
-            self.send(*sent)
+            self.send(sent)
 
     def wait(self, seconds: float) -> None:
         """Wait for a request of a viewer."""
@@ -343,13 +357,13 @@ def _play(played: _PlayedRecording, timeline: Timeline, server: FoxgloveServer) 
             messages = played.messages(moment, lambda: RATE / max(timeline.speed, 1.0))
             latest: dict[str, Sent] = {}
             waiting = next(messages, None)
-            while waiting is not None and waiting[0] <= moment:
-                latest[waiting[1]] = waiting
+            while waiting is not None and waiting.time <= moment:
+                latest[waiting.topic] = waiting
                 waiting = next(messages, None)
             server.begin(latest)
         else:
-            while waiting is not None and waiting[0] <= moment:
-                server.send(*waiting)
+            while waiting is not None and waiting.time <= moment:
+                server.send(waiting)
                 waiting = next(messages, None)
         server.welcome()
         if timeline.end():
@@ -401,9 +415,9 @@ class _PlayedRecording:
         """
         elapsed = self._clock.elapsed(moment)
         begin = max(elapsed - _LEAD, self._start)
-        first = bisect_left(self._incidents, moment, key=lambda sent: sent[0])
+        first = bisect_left(self._incidents, moment, key=lambda sent: sent.time)
         parts = self._scenes(begin, rate), self._further(elapsed, rate), self._incidents[first:]
-        return merge(*parts, key=lambda sent: sent[0])
+        return merge(*parts, key=lambda sent: sent.time)
 
     def _further(self, begin: float, rate: Callable[[], float]) -> Iterator[Sent]:
         """Yield the further messages: the latest ones at a time, then those that follow, fewer while it plays faster."""
@@ -416,7 +430,7 @@ class _PlayedRecording:
             time, shown = self._clock.at(elapsed), rate()
             if time is not None and (shown >= RATE or elapsed >= due.get(topic, -math.inf)):
                 due[topic] = elapsed + SLACK / shown
-                yield time, topic, data
+                yield Sent(time, topic, data)
 
     def _scenes(self, begin: float, rate: Callable[[], float]) -> Iterator[Sent]:
         player = Player(self._source, start=begin, duration=max(self._stop - begin, 0.0))
@@ -425,8 +439,8 @@ class _PlayedRecording:
         for batch in player.batches():
             for part in messages.of(batch):
                 messages.rate = rate()
-                for time, topic, data in part.in_order():
-                    yield time, topic, self._map if topic == MAP else data
+                for sent in part.in_order():
+                    yield sent._replace(data=self._map) if sent.topic == MAP else sent
         yield from messages.end().in_order()
 
     def _find_incidents(
@@ -436,7 +450,7 @@ class _PlayedRecording:
         incidents = PlayedIncidents(player, roads)
         seconds: Floats = np.concatenate([batch.time for batch in player.batches(progress)])
         times = np.array([clock.at(time) or 0 for time in seconds.tolist()], np.uint64)
-        return sorted(incident_messages(incidents.found(), seconds, times).in_order(), key=lambda sent: sent[0])
+        return sorted(incident_messages(incidents.found(), seconds, times).in_order(), key=lambda sent: sent.time)
 
 
 class FoxgloveView:
@@ -463,7 +477,7 @@ class FoxgloveView:
             self._messages.follow(chosen)
         for part in self._messages.of(scene.batch):
             for sent in part.in_order():
-                self._server.send(*sent)
+                self._server.send(sent)
             self._server.show_time(int(part.times[-1]))
 
     def flush(self) -> None:
@@ -473,4 +487,4 @@ class FoxgloveView:
     def close(self) -> None:
         """Show the last frame."""
         for sent in self._messages.end().in_order():
-            self._server.send(*sent)
+            self._server.send(sent)

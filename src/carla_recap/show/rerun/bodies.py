@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     from carla_recap.util.arrays import Ids
 
 MOST_BOXES: Final = 5_000
-"""The number of actors in the world, the first ones; the viewer is too slow to draw more. All are on the map."""
+"""The number of actors in the world at a time; the viewer is too slow to draw more. All are on the map."""
 
 MOST_MODELS: Final = 1_000
-"""The number of actors that are drawn as models, the first ones; others are boxes, which need less memory."""
+"""The number of actors at a time that are drawn as models; others are boxes, which need less memory."""
 
 _RADIUS: Final = 3.0  # points of the screen; of an actor on the map
 _MARGIN: Final = 15.0  # m
@@ -70,15 +70,15 @@ class ActorWriter:
         self._present: set[int] = set()
         self._away: set[int] = set()  # those of the latest scene that are not there
         self.models: set[int] = set()
-        self._models_drawn = 0
         self._lamps = LampWriter(stream)
         self._named: int | None = None  # the actor whose name has to be shown from the next scene on
-        self._boxed: set[int] = set() if followed is None else {followed}  # actors that have had a box, or will have one
-        self._left_out: set[int] = set()
+        self._drawn: set[int] = set()  # the present actors that are in the world
+        self._placed: set[int] = set()  # those, and the ones that were so since the last block
+        self._left_out: float | None = None  # the first moment at which an actor was not in the world, in elapsed seconds
         self._extent = np.array((np.inf, np.inf, -np.inf, -np.inf))  # of the map, whose axes are CARLA's
         self._colors: dict[int, int] = {}  # of the actors on the map, and of those removed since the last block
         self._corridors = None if roads else CorridorWriter(stream)
-        self._vehicles: set[int] = set()  # all that have been present
+        self._vehicles: set[int] = set()  # those that are present, or were since the last block
         self._poses = PoseBuffer()
         self._ids: Ids | None = None
         stream.log_static(entities.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
@@ -92,7 +92,6 @@ class ActorWriter:
     def follow(self, id: int) -> None:
         """Show the name of another actor from now on."""
         self._followed = self._named = id
-        self._boxed.add(id)
 
     def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
@@ -131,7 +130,7 @@ class ActorWriter:
     def _write_poses(self) -> None:
         block = self._poses.take()
         if block is not None:
-            block.write(self._stream, self._boxed)
+            block.write(self._stream, self._placed)
             points = block.write_points(self._stream, entities.MAP_ACTORS, self._colors, self._colors)
             if len(points):
                 low, high = np.split(self._extent, 2)
@@ -140,6 +139,8 @@ class ActorWriter:
                 self._corridors.add(block, np.isin(block.ids, list(self._vehicles)))
             self._write_cameras(block)
         self._colors = {id: color for id, color in self._colors.items() if id in self._present}
+        self._vehicles &= self._present
+        self._placed = set(self._drawn)
 
     def close(self) -> None:
         """Write what is held back, and if the map has no roads, an edge around it, so that it keeps its scale.
@@ -148,11 +149,9 @@ class ActorWriter:
             RecapWarning: There are too many actors for all of them to have boxes.
         """
         self.flush()
-        if self._left_out:
-            count = len(self._left_out)
-            warnings.warn(
-                f"{count} actors are only on the map: there are more than {MOST_BOXES}", RecapWarning, stacklevel=2
-            )
+        if self._left_out is not None:
+            text = f"from {self._left_out:g} s on, actors are only on the map: there are more than {MOST_BOXES} at a time"
+            warnings.warn(text, RecapWarning, stacklevel=2)
         if self._corridors is not None:
             self._corridors.close()
         if not self._roads and np.isfinite(self._extent).all():
@@ -162,7 +161,8 @@ class ActorWriter:
 
     def _draw(self, actor: ActorLife, description: SceneDescription, time: TimePoint) -> None:
         path = entities.actor(actor.id)
-        if actor.id in self._present and actor.id in self._boxed:
+        if actor.id in self._drawn:
+            self._drawn.remove(actor.id)
             self._stream.clear(path, time)
         self._present.add(actor.id)
         self._colors.pop(actor.id, None)
@@ -172,14 +172,14 @@ class ActorWriter:
         if actor.kind in ROAD_USERS:
             red, green, blue = style.color_of(actor)
             self._colors[actor.id] = red << 24 | green << 16 | blue << 8 | 255
-        if actor.id not in self._boxed and len(self._boxed) >= MOST_BOXES:
-            self._left_out.add(actor.id)
+        if len(self._drawn) >= MOST_BOXES and actor.id != self._followed:
+            self._left_out = time.elapsed / 1e9 if self._left_out is None else self._left_out
             return
-        self._boxed.add(actor.id)
+        self._drawn.add(actor.id)
+        self._placed.add(actor.id)
         look = description.actors.look_of(actor.id)
         archetypes: list[rr.AsComponents] = [rr.AnyValues(name=style.label_of(actor))]
-        if look is not None and self._models_drawn < MOST_MODELS:
-            self._models_drawn += 1
+        if look is not None and len(self.models) < MOST_MODELS:
             self.models.add(actor.id)
             mesh = model_mesh(look)
             archetypes.append(drawn(look, mesh, with_shadow=actor.kind == "vehicle"))
@@ -198,7 +198,8 @@ class ActorWriter:
             self._present.remove(id)
             self._lamps.remove(id)
             self.models.discard(id)
-            if id in self._boxed:
+            if id in self._drawn:
+                self._drawn.remove(id)
                 self._stream.clear(entities.actor(id), time)
 
     def _hide(self, description: SceneDescription, times: TimeColumns) -> None:

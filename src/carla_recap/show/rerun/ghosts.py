@@ -99,7 +99,11 @@ class GhostWriter:
             if isinstance(event, Spawned):
                 self._erase(event.actor.id, times)
                 key = event.actor.id, event.actor.spawned_at
-                if key in self._shown and event.actor.kind in ROAD_USERS and self.count + len(self._waiting) < MOST_MODELS:
+                if (
+                    key in self._shown
+                    and event.actor.kind in ROAD_USERS
+                    and len(self._drawn) + len(self._waiting) < MOST_MODELS
+                ):
                     self._waiting[event.actor.id] = self._shown[key], event.actor
             elif isinstance(event, Destroyed):
                 self._erase(event.id, times)

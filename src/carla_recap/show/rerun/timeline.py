@@ -65,27 +65,18 @@ class EventWriter:
         self._stream = stream
         self._text = EventText()
         self._lines = HeldRows(stream, _log_columns)
-        self._clock: list[TimeColumns] = []  # of all scenes
 
     def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
-        self._clock.append(times)
         for line in self._text.lines(description.batch.scene(0)):
             self._lines.add(entities.EVENTS, times.point(0), line)
         for row, locations in description.marks:
             self._mark(locations, times.point(row))
 
-    @property
-    def clock(self) -> TimeColumns:
-        """The times of all scenes so far."""
-        return TimeColumns.joined(self._clock) if self._clock else TimeColumns.of_points(())
-
-    def write_incidents(self, found: Iterable[Incident]) -> None:
-        """Write the incidents that began during the scenes so far, each at the scene at which it began."""
-        clock = self.clock
-        if len(clock.frame):
-            for row, line in incident_lines(found, clock.seconds):
-                self._lines.add(entities.EVENTS, clock.point(row), line)
+    def write_incidents(self, found: Iterable[Incident], clock: TimeColumns) -> None:
+        """Write the incidents that began during the scenes of some times, each at the scene at which it began."""
+        for row, line in incident_lines(found, clock.seconds):
+            self._lines.add(entities.EVENTS, clock.point(row), line)
 
     def flush(self) -> None:
         """Write what is held back."""

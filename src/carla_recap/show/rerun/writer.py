@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
     from carla_recap.model.frame import Frame, Header
     from carla_recap.queries.incidents import Incident, IncidentOptions
-    from carla_recap.queries.measures import MeasureSeries
     from carla_recap.replay import SceneBatch
     from carla_recap.replay.follow import Follow
     from carla_recap.replay.player import Progress
@@ -141,13 +140,9 @@ class SceneWriter:
                 self._stream.log(entities.GROUND, times.point(0), rr.Transform3D(translation=point))
                 return
 
-    def write_incidents(self, found: Iterable[Incident]) -> None:
-        """Write the incidents that began during the scenes so far."""
-        self._events.write_incidents(found)
-
-    def write_measures(self, series: MeasureSeries) -> None:
-        """Write how close others were to the followed actor during the scenes so far."""
-        write_measures(self._stream, self._events.clock, series)
+    def write_incidents(self, found: Iterable[Incident], clock: TimeColumns) -> None:
+        """Write the incidents that began during the scenes of some times."""
+        self._events.write_incidents(found, clock)
 
     def flush(self) -> None:
         """Write what is held back."""
@@ -254,20 +249,21 @@ def write(
     measured = _sensor_writer(Stream(stream), player)
     played = PlayedIncidents(player, road_network_of_map(road_map), incidents)
     writer.recall(player)
-    count = 0
+    clocks: list[TimeColumns] = []
     for batch in player.batches(progress):
         writer.write(batch)
+        clocks.append(TimeColumns.of(batch))
         if measured is not None:
-            measured.write(TimeColumns.of(batch))
-        count += len(batch)
-    writer.write_incidents(played.found())
+            measured.write(clocks[-1])
+    clock = TimeColumns.joined([TimeColumns.of_points(()), *clocks])
+    writer.write_incidents(played.found(), clock)
     series = played.series()
     if series is not None:
-        writer.write_measures(series)
+        write_measures(Stream(stream), clock, series)
     if measured is not None:
         measured.close()
     writer.close()
-    return Played(count, player.stop - player.start)
+    return Played(len(clock.frame), player.stop - player.start)
 
 
 def _sensor_writer(stream: Stream, player: Player) -> SensorWriter | None:

@@ -1,0 +1,162 @@
+"""Live views while actors come and go for long: the picture, the bytes and the memory stay the same."""
+
+from __future__ import annotations
+
+import gc
+import os
+import tracemalloc
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Final
+
+import pytest
+
+from carla_recap import open_recording
+from tests.replay.scripts import pose, spawn, write
+
+pytest.importorskip("foxglove", reason="the extra foxglove-live is not installed")
+pytest.importorskip("rerun", reason="the extra rerun is not installed")
+
+from rerun.chunk import RrdReader
+
+from carla_recap.show.foxglove.messages import SceneUpdate
+from carla_recap.show.foxglove.websocket import FoxgloveServer, FoxgloveView
+from carla_recap.show.rerun import LiveView, bodies, live_blueprint
+from carla_recap.show.rerun.sinks import Rrd
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from carla_recap.model.frame import Frame, Header
+
+ACTORS: Final = int(os.environ.get("COMING_AND_GOING", "160"))
+"""The number of actors that come and go."""
+PRESENT: Final = 10
+PARTS: Final = 4
+TYPES: Final = ("vehicle.audi.tt", "vehicle.ford.ambulance", "walker.pedestrian.0001", "vehicle.bh.crossbike")
+
+
+def driving(id: int, frame: int) -> Any:
+    return pose(id, 1000 * (id % PRESENT) + 10 * frame, 500 * (id % 7))
+
+
+@pytest.fixture(scope="module")
+def traffic(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording in which, after the first frame, an actor goes and another one comes in each frame."""
+    frames = []
+    for frame in range(ACTORS):
+        present = range(frame + 1, frame + 1 + PRESENT)
+        new = present if not frame else present[-1:]
+        frames.append(
+            {
+                "spawned": [spawn(id, TYPES[id % len(TYPES)], color="17,37,103") for id in new],
+                "destroyed": [frame] if frame else [],
+                "transforms": [driving(id, frame) for id in present],
+            }
+        )
+    return write(tmp_path_factory.mktemp("live") / "traffic.log", frames, tick=0.3)
+
+
+def parts_of(path: Path, enter: Callable[[Frame], None], take: Callable[[], Any]) -> Iterator[tuple[Any, int]]:
+    """Yield what is taken after each part of the frames, and the memory in use then, in bytes."""
+    with open_recording(path) as recording:
+        for number, frame in enumerate(recording.frames(), 1):
+            enter(frame)
+            if number % (ACTORS // PARTS) == 0:
+                taken = take()
+                gc.collect()
+                yield taken, tracemalloc.get_traced_memory()[0]
+
+
+@pytest.fixture
+def traced() -> Iterator[None]:
+    tracemalloc.start()
+    yield
+    tracemalloc.stop()
+
+
+@pytest.fixture
+def header(traffic: Path) -> Header:
+    with open_recording(traffic) as recording:
+        return recording.header
+
+
+def check_flat(sizes: list[int], memory: list[int]) -> None:
+    """Check that each part after the first one takes as many bytes as the one before, and the last one no more memory."""
+    for before, after in pairwise(sizes[1:]):
+        assert after == pytest.approx(before, rel=0.3)
+    assert memory[-1] - memory[-2] < 50_000
+
+
+@pytest.mark.usefixtures("traced")
+def test_in_rerun(traffic: Path, header: Header, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if ACTORS < bodies.MOST_BOXES:  # the limits are exceeded in any case
+        monkeypatch.setattr(bodies, "MOST_BOXES", 5 * PRESENT)
+        monkeypatch.setattr(bodies, "MOST_MODELS", 4 * PRESENT)
+    sizes, memory = [], []
+    with Rrd(live_blueprint()) as rrd:
+        view = LiveView(rrd.stream, header, "test")
+
+        def take() -> bytes:
+            view.flush()
+            return rrd.take()
+
+        for data, used in parts_of(traffic, view.enter, take):
+            sizes.append(len(data))
+            memory.append(used)
+        view.close()  # warns of nothing
+    (tmp_path / "last.rrd").write_bytes(data)
+    drawn: dict[str, set[str]] = {}
+    for chunk in RrdReader(tmp_path / "last.rrd").stream().to_chunks():
+        drawn.setdefault(chunk.entity_path, set()).update(chunk.to_record_batch().schema.names)
+    for id in range(ACTORS + 1, ACTORS + PRESENT):
+        assert {"Mesh3D:vertex_positions", "Transform3D:translation"} <= drawn[f"/world/actors/{id}"]
+    check_flat(sizes, memory)
+
+
+@pytest.mark.usefixtures("traced")
+def test_in_foxglove(traffic: Path, header: Header, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: dict[str, dict[str, SceneUpdate]] = {}
+    sizes, memory = [], []
+    with FoxgloveServer("live", 0) as server:
+        view = FoxgloveView(server, header)
+        sent: list[tuple[str, bytes]] = []
+        for topic, channel in server._channels.items():
+            server._channels[topic] = _Channel(channel, topic, sent)
+
+        def take() -> int:
+            size = sum(len(data) for _, data in sent)
+            for topic, data in sent:
+                if topic.startswith("/scene/") and topic != "/scene/ahead":
+                    update, on_topic = SceneUpdate.FromString(data), shown.setdefault(topic, {})
+                    for deletion in update.deletions:
+                        on_topic.pop(deletion.id, None)
+                    on_topic.update((entity.id, entity) for entity in update.entities)
+            sent.clear()
+            return size
+
+        for size, used in parts_of(traffic, view.enter, take):
+            sizes.append(size)
+            memory.append(used)
+        view.close()
+        latest = {topic: SceneUpdate.FromString(data) for topic, (_, data) in server._latest.items() if topic in shown}
+    present = {f"actor {id}" for id in range(ACTORS, ACTORS + PRESENT)}
+    found = shown["/scene/vehicles"] | shown["/scene/walkers"]
+    assert set(found) == present
+    assert all(entity.triangles and not entity.cubes for entity in found.values())
+    for topic, whole in latest.items():  # what a new viewer gets
+        assert {entity.id for entity in whole.entities} == set(shown[topic])
+    one = max(entity.ByteSize() for entity in found.values())
+    changes = ACTORS // PARTS
+    assert sizes[-1] < changes * (3 * one + 20_000)
+    check_flat(sizes, memory)
+
+
+class _Channel:
+    """Keeps what is sent on a channel, and sends nothing."""
+
+    def __init__(self, channel: Any, topic: str, sent: list[tuple[str, bytes]]) -> None:
+        self._topic, self._sent = topic, sent
+
+    def log(self, data: bytes, **_: Any) -> None:
+        self._sent.append((self._topic, data))
