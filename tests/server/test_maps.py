@@ -101,13 +101,15 @@ def test_the_error_of_a_missing_map_lists_all_and_says_how_to_add_one(folder: Pa
 
 
 def test_our_town_stands_in_for_a_missing_map(caplog: pytest.LogCaptureFixture) -> None:
-    loaded = asyncio.run(Maps(load_town(), stand_in=True).load("/Game/Carla/Maps/Town03"))
+    maps = Maps(load_town(), stand_in=True)
+    loaded = asyncio.run(maps.load("/Game/Carla/Maps/Town03"))
     assert (loaded.name, loaded.opendrive) == ("Town03", load_town().opendrive)
     (record,) = caplog.records
     assert (record.levelname, record.getMessage()) == (
         "WARNING",
         "Town03: there is no such map; Brickfield stands in for it",
     )
+    assert asyncio.run(maps.load("Town03")) is loaded, "what it has been prepared with is computed anew"
 
 
 @pytest.fixture(scope="module")

@@ -81,7 +81,7 @@ class Maps:
             raise self._missing(name)
         _LOG.warning("%s: there is no such map; %s stands in for it", asked[:_SHOWN], BUILT_IN)
         self._stood_in.add(asked)
-        return await asyncio.to_thread(lambda: _prepared(load_town().renamed(asked)))
+        return await asyncio.to_thread(lambda: _prepared(load_town(called=asked)))
 
     def is_only_here(self, name: str, *, stand_in: bool = True) -> bool:
         """Return whether only `load` knows a map: the first one, one that was sent, or one that is stood in for.

@@ -192,7 +192,7 @@ class Vehicle(MovingActor):
         super().__init__(*args, **kwargs)
         assert self.blueprint.physics is not None
         self.open_doors: set[int] = set()
-        self._physics_control = self.blueprint.physics.copy()
+        self._physics_control = self.blueprint.physics  # a change replaces it
 
     @property
     def rows(self) -> Vehicles:

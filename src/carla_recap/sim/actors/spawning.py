@@ -15,6 +15,7 @@ from carla_recap.sim.actors.triggers import FrictionTrigger
 from carla_recap.sim.errors import SpawnError
 from carla_recap.sim.physics.plane import PROP, VEHICLE, WALKER, WALL
 from carla_recap.sim.town.junctions import SignalKind
+from carla_recap.sim.town.loading import POLE_RADIUS
 from carla_recap.sim.validation import expect_text, expect_transform
 
 if TYPE_CHECKING:
@@ -24,16 +25,13 @@ if TYPE_CHECKING:
 
     from carla_recap.sim.blueprints import Blueprint
     from carla_recap.sim.episode import Actor, Episode
-    from carla_recap.sim.geometry import Location, Transform
+    from carla_recap.sim.geometry import Transform
     from carla_recap.sim.town.junctions import Signal
-    from carla_recap.sim.town.loading import Town
 
 _WALKER_MASS: Final = 75.0  # kg
 _WALKER_RADIUS: Final = 0.25  # m, of the shoulders
 _WALKER_HALF: Final = 0.19  # m: half of the width of a walker as vehicles perceive it, whatever the size of its box
-_POLE_RADIUS: Final = 0.15  # m
 _FALSE: Final = ("false", "0", "no", "off")
-_POLE_BELOW, _POLE_ABOVE = 1.0, 3.0  # m: how far a pole reaches below the road and above its sign
 _CLASSES: Final[dict[ActorKind, type[Actor]]] = {
     ActorKind.VEHICLE: Vehicle,
     ActorKind.WALKER: Walker,
@@ -136,26 +134,25 @@ def _occupant(episode: Episode, blueprint: Blueprint, transform: Transform) -> A
 
 
 def add_signs(episode: Episode) -> None:
-    """Add the lights and signs of the town; each has a pole, unless it hangs over the road."""
+    """Add the lights and signs of the town, with their poles; see `Town.poles`."""
     lights: list[int] = []
-    for signal in episode.town.signals:
+    for signal, pole in zip(episode.town.signals, episode.town.poles, strict=True):
         if signal.kind is SignalKind.LIGHT:
             sign: Sign = TrafficLight(episode, episode.ids.new(), blueprints.TRAFFIC_LIGHT, signal, len(lights))
             lights.append(sign.id)
         else:
             sign = Sign(episode, episode.ids.new(), _sign_blueprint(signal), signal)
         episode.add(sign)
-        if not _is_on_road(episode.town, signal.transform.location):
-            _add_pole(sign, signal.transform.location)
+        if pole is not None:
+            _add_pole(sign, pole)
     episode.signals.id[:] = lights
 
 
-def _add_pole(sign: Sign, location: Location) -> None:
-    town, plane = sign.episode.town, sign.episode.plane
-    body = _own(sign, plane.add_disc(WALL, _POLE_RADIUS, None))
-    ground = town.height([location.x], [location.y], [location.z])[0].item()
-    pole = ground - _POLE_BELOW, max(ground, location.z) + _POLE_ABOVE
-    plane.set_heights(body, lambda: pole)
+def _add_pole(sign: Sign, heights: tuple[float, float]) -> None:
+    """Add a pole with the z of its lowest and of its highest point."""
+    location, plane = sign.signal.transform.location, sign.episode.plane
+    body = _own(sign, plane.add_disc(WALL, POLE_RADIUS, None))
+    plane.set_heights(body, lambda: heights)
     plane.move(body, location.x, location.y, 0.0)
 
 
@@ -202,10 +199,3 @@ def _sign_blueprint(signal: Signal) -> Blueprint:
     if signal.kind is SignalKind.SPEED_LIMIT:
         return blueprints.speed_limit((signal.speed_limit or 0.0) * 3.6)
     return blueprints.STOP_SIGN if signal.kind is SignalKind.STOP else blueprints.YIELD_SIGN
-
-
-def _is_on_road(town: Town, location: Location) -> bool:
-    x, y = np.array([location.x]), np.array([location.y])
-    lane, s = town.nearest_lane(x, y, z=town.height(x, y, [location.z]))
-    offset = abs(town.project(lane, x, y, s)[1][0])
-    return bool(offset < town.lanes[lane[0]].width / 2 + _POLE_RADIUS)

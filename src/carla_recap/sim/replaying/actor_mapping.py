@@ -87,9 +87,11 @@ class ActorMapping:
         self.replayed |= self._nearest(signs)
         # an actor whose recorded id is taken shall not get the one of another
         self._episode.ids.reserve(max((actor.id for actor in actors if actor.id <= LARGEST_WANTED), default=0))
+        taken = set(self.replayed.values())
         for actor in actors:
-            if not actor.type_id.startswith(TRAFFIC) and (replayed := self._counterpart(actor, scene)) is not None:
+            if not actor.type_id.startswith(TRAFFIC) and (replayed := self._counterpart(actor, scene, taken)) is not None:
                 self.replayed[actor.id] = replayed
+                taken.add(replayed)
                 _make_kinematic(replayed)
         self.changes += 1
 
@@ -121,21 +123,20 @@ class ActorMapping:
         for id in list(self._spawned):
             self.remove(id)
 
-    def _counterpart(self, actor: ActorLife, scene: Scene) -> Actor | None:
+    def _counterpart(self, actor: ActorLife, scene: Scene, taken: set[Actor]) -> Actor | None:
         if actor.type_id == _SPECTATOR:
             return self._episode.spectator
         if actor.type_id.startswith(_SENSOR) and not self._replay_sensors:
             return None
         for same in (self._episode.actors.get(actor.id), self._earlier.get(actor.id)):
-            is_free = same is not None and same.is_alive and same not in self.replayed.values()
-            if same is not None and is_free and same.type_id == actor.type_id:
+            if same is not None and same.is_alive and same not in taken and same.type_id == actor.type_id:
                 return same
         return self._spawn(actor, scene)
 
     def _spawn(self, actor: ActorLife, scene: Scene) -> Actor | None:
         blueprint, model = blueprint_for(actor, self._episode.blueprints)
-        possible = self.replayed | self.released
-        parent = possible.get(actor.parent) if actor.attached and actor.parent is not None else None
+        id = actor.parent if actor.attached else None
+        parent = None if id is None else self.released.get(id) or self.replayed.get(id)
         pose = scene.pose_of(actor.id) if parent is None else actor.spawn_pose
         if pose is None:  # its parent is left out
             return None
@@ -149,7 +150,7 @@ class ActorMapping:
 
     def _nearest(self, signs: Sequence[ActorLife]) -> dict[int, Actor]:
         """Map recorded signs to the nearest ones of the town, the nearest pairs first."""
-        taken = list(self.replayed.values())
+        taken = set(self.replayed.values())
         free = [actor for actor in self._episode.actors.values() if isinstance(actor, Sign) and actor not in taken]
         if not signs or not free:
             return {}
@@ -159,12 +160,14 @@ class ActorMapping:
         differ = np.array([[actor.type_id != other.type_id for other in free] for actor in signs])
         distances[differ] = np.inf
         found: dict[int, Actor] = {}
+        used: set[int] = set()
         for pair in np.argsort(distances, axis=None, kind="stable").tolist():
             sign, other = divmod(pair, len(free))
             if not distances[sign, other] <= _NEAR:
                 break
-            if signs[sign].id not in found and free[other] not in found.values():
+            if signs[sign].id not in found and other not in used:
                 found[signs[sign].id] = free[other]
+                used.add(other)
         return found
 
 

@@ -45,6 +45,8 @@ _SUFFIX: Final = ".xodr"
 _ABOVE: Final = 0.3  # m: the height of spawn points above the road, about as in CARLA's towns
 _ABOVE_ENTRIES: Final = 3.0  # m: the same, in maps that clients send
 _APART: Final = 10.0  # m: between spawn points; longer than any of the vehicles
+POLE_RADIUS: Final = 0.15  # m
+_POLE_BELOW, _POLE_ABOVE = 1.0, 3.0  # m: how far a pole reaches below the road and above its sign
 _MOST_TOWNS: Final = 4  # in memory
 _MOST_LANES: Final = 8_000  # of a town
 _UNNAMED: Final = "Corridors"  # the town of a recording that names no map
@@ -86,6 +88,21 @@ class Town:
     def __post_init__(self) -> None:
         self.index = LaneIndex(self.lanes)
         self.spawn_points = [place for lane in main_lanes(self.lanes) for place in _spawn_points(self.lanes[lane])]
+
+    @cached_property
+    def poles(self) -> list[tuple[float, float] | None]:
+        """The lowest and the highest z of the pole of each signal, in m; None for those that hang over the road."""
+        if not self.signals:
+            return []
+        places = [signal.transform.location for signal in self.signals]
+        x, y, z = np.array([(place.x, place.y, place.z) for place in places]).T
+        ground = self.height(x, y, z)
+        lane, s = self.nearest_lane(x, y, z=ground)
+        widths = np.array([self.lanes[number].width for number in lane.tolist()])
+        beside = np.abs(self.project(lane, x, y, s)[1]) >= widths / 2 + POLE_RADIUS
+        lowest, highest = ground - _POLE_BELOW, np.maximum(ground, z) + _POLE_ABOVE
+        poles = zip(beside.tolist(), lowest.tolist(), highest.tolist(), strict=True)
+        return [(low, high) if has_one else None for has_one, low, high in poles]
 
     def renamed(self, name: str) -> Town:
         """Return the same town under another name."""
@@ -131,17 +148,19 @@ class Town:
         return self.index.project(lane, x, y, s_hint)
 
 
-def load_town(name_or_path: str | Path = "", maps: Path | None = None) -> Town:
+def load_town(name_or_path: str | Path = "", maps: Path | None = None, *, called: str = "") -> Town:
     """Return a town from an OpenDRIVE file; those that were made last are kept in memory.
 
     Args:
         name_or_path: Nothing for the built-in town; else its name, a file, or the name of a map, such as `Town01`.
         maps: The folder of maps; else the environment variable CARLA_RECAP_MAPS says it.
+        called: Another name for the town.
 
     Raises:
         RecapError: There is no such town, or the file cannot be read or is no OpenDRIVE map with lanes for cars.
     """
     name, path = find_town(str(name_or_path), maps)
+    name = called or name
     text = read_text(path)
     with _lock:
         same = [town for (known, _), town in _towns.items() if known == text]

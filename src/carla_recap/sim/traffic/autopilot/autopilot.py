@@ -91,7 +91,8 @@ class Autopilot:
         ids: list[int] = self._episode.vehicles.id[rows].tolist()
         driver = {id: number for number, id in enumerate(drivers.id.tolist())}
         new = [number for number, id in enumerate(ids) if id not in driver]
-        for id in [id for id in driver if id not in set(ids)]:
+        present = set(ids)
+        for id in [id for id in driver if id not in present]:
             self._junctions.leave(id)
         for number in new:
             driver[ids[number]] = len(drivers)
