@@ -41,6 +41,7 @@ def test_towns_are_equal(path: Path, library: CarlaLibrary) -> None:
 @settings(deadline=None, suppress_health_check=list(HealthCheck))
 @given(text=maps())
 @example(text=opendrive(road(sections=section(0, lane(1), lane(-1))).replace('junction="-1"', 'junction="-1" rule="LHT"')))
+@example(text=opendrive(road().replace('junction="-1"', "")))
 def test_generated_maps_are_equal(text: str, library: CarlaLibrary) -> None:
     assert all_differences(text, library) == []
 

@@ -546,7 +546,7 @@ def _road(element: Element) -> Road | None:
     before, after = (element.find(f"link/{end}") for end in _ENDS)
     return Road(
         element.get("id", ""),
-        element.get("junction", OUTSIDE),
+        element.get("junction", "0"),  # as in CARLA
         length,
         _profile(element, "elevationProfile/elevation", "s", length, _FARTHEST, _STEEPEST),
         _profile(element, "lanes/laneOffset", "s", length, _FARTHEST_ASIDE),
