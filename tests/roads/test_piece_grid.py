@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from carla_recap.roads import find_road_network, network
+from carla_recap.roads import cells, find_road_network, network
 from carla_recap.roads.surfaces import road_network_of
 from tests.roads.towns import lane, opendrive, road, section
 from tests.twins.lane_positions import lane_position
@@ -52,7 +52,7 @@ def test_of_hundreds_of_lanes_around_a_point_the_nearest_counts():
 
 
 def test_the_squares_of_a_map_with_many_parts_are_larger(monkeypatch):
-    monkeypatch.setattr(network, "_MOST_ENTRIES", 4_000)
+    monkeypatch.setattr(cells, "_MOST_ENTRIES", 4_000)
     roads = replace(find_road_network("Brickfield"))
     points = np.random.default_rng(1).uniform((0, 0), (330, 260), (60, 2))
     assert_as_one_by_one(roads, points, None)

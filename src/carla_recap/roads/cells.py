@@ -1,4 +1,4 @@
-"""The cells of grids: connected areas of them, such as the gaps between the lanes of a junction, and points by cells."""
+"""The cells of grids: connected areas of them, such as the gaps between the lanes of a junction, and things by cells."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from carla_recap.util.arrays import Booleans, Floats, Integers
 
 
@@ -15,6 +17,9 @@ LARGEST_GAP: Final = 100.0
 
 NO_AREA: Final = -1
 """The number of a cell in no area."""
+
+_MOST_ENTRIES: Final = 4_000_000  # of things in cells
+_MOST_PAIRS: Final = 1 << 16  # of places and things that are compared together, about
 
 
 class Areas(NamedTuple):
@@ -68,35 +73,57 @@ def _joined(count: int, one: Integers, other: Integers) -> Integers:
     return numbers
 
 
-class PointGrid:
-    """Points in the cells of a grid, sorted by cell.
+class BoxGrid:
+    """Things by the cells of a grid, each in all cells within a margin of the box around it.
 
     Args:
-        points: (n, 2), in m.
-        cell: The size of a cell in m.
-
-    Attributes:
-        fullest: The number of points in the cell with most.
+        low: The least x and y of each thing, (n, 2), in m.
+        high: The greatest.
+        cell: The size of a cell in m; greater if there were too many.
+        margin: The distance from a place, in m, within which `pairs` finds all things.
     """
 
-    def __init__(self, points: Floats, cell: float) -> None:
-        self._cell = cell
-        self._origin = points.min(axis=0) - 2 * cell
-        cells = np.floor((points - self._origin) / cell).astype(np.int64)
-        self._shape = cells.max(axis=0) + 3
-        keys = cells[:, 0] * self._shape[1] + cells[:, 1]
-        self._order = np.argsort(keys, kind="stable")
-        self._keys = keys[self._order]
-        self.fullest = int(np.unique(self._keys, return_counts=True)[1].max())
+    def __init__(self, low: Floats, high: Floats, cell: float, margin: float) -> None:
+        self._origin = low.min(axis=0, initial=0.0) - margin
+        while True:
+            first = np.floor((low - margin - self._origin) / cell).astype(np.int64)
+            counts = np.floor((high + margin - self._origin) / cell).astype(np.int64) - first + 1
+            if counts.prod(axis=1).sum() <= _MOST_ENTRIES:
+                break
+            cell *= 2
+        self._cell, self._shape = cell, (first + counts).max(axis=0, initial=1)
+        thing, number = _ranges(counts.prod(axis=1))
+        column, row = first[thing].T + np.divmod(number, counts[thing, 1])
+        cells = column * self._shape[1] + row
+        order = np.argsort(cells, kind="stable")
+        self._things = thing[order]
+        filled, starts, amounts = np.unique(cells[order], return_index=True, return_counts=True)
+        self._cells = np.append(filled, np.iinfo(np.int64).max)  # the last one has no things
+        self._starts, self._amounts = np.append(starts, 0), np.append(amounts, 0)
 
-    def around(self, places: Floats) -> tuple[Integers, Integers]:
-        """Return pairs of places and points in the same cell or in one of the eight around it, as indices."""
-        cells = np.floor((places - self._origin) / self._cell).astype(np.int64)
-        inside = np.flatnonzero(((cells > 0) & (cells < self._shape - 1)).all(axis=1))
-        columns = cells[inside, 0, None] + np.array((-1, 0, 1))
-        keys = columns * self._shape[1] + cells[inside, 1, None]
-        begin = np.searchsorted(self._keys, keys - 1, "left").ravel()
-        counts = np.searchsorted(self._keys, keys + 1, "right").ravel() - begin
-        total = np.cumsum(counts) - counts
-        number = np.arange(counts.sum()) + np.repeat(begin - total, counts)
-        return np.repeat(np.repeat(inside, 3), counts), self._order[number]
+    def pairs(self, places: Floats) -> Iterator[tuple[Integers, Integers]]:
+        """Yield pairs of places, (k, 2) or more columns, and things near them, as indices: some places after others."""
+        cell = np.floor((places[:, :2] - self._origin) / self._cell)
+        inside = ((cell >= 0) & (cell < self._shape)).all(axis=1)
+        column, row = np.where(inside[:, None], cell, 0).astype(np.int64).T
+        slots = np.searchsorted(self._cells, cells := column * self._shape[1] + row)
+        slots[~inside | (self._cells[slots] != cells)] = len(self._cells) - 1
+        starts, amounts = self._starts[slots], self._amounts[slots]
+        blocks = np.flatnonzero(np.diff(np.cumsum(amounts) // _MOST_PAIRS)) + 1
+        for part in np.split(np.arange(len(places)), blocks):
+            query, number = _ranges(amounts[part])
+            yield part[query], self._things[starts[part[query]] + number]
+
+
+def _ranges(counts: Integers) -> tuple[Integers, Integers]:
+    """Return for each of some counts the numbers from 0 up to it: the indices of the counts, and the numbers."""
+    index = np.repeat(np.arange(len(counts)), counts)
+    return index, np.arange(len(index)) - np.repeat(np.cumsum(counts) - counts, counts)
+
+
+def least(query: Integers, cost: Floats) -> Integers:
+    """Return for each place, of those in ascending `query`, the row of the pair of least cost, the first of equals."""
+    starts = np.flatnonzero(np.diff(query, prepend=-1))
+    lowest = np.minimum.reduceat(cost, starts) if len(starts) else cost
+    rows = np.flatnonzero(cost == np.repeat(lowest, np.diff(starts, append=len(query))))
+    return rows[np.flatnonzero(np.diff(query[rows], prepend=-1))]

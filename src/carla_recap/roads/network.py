@@ -5,18 +5,15 @@ Units are m, m/s and radians; axes are right-handed: x forward, y left, z up.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.errors import RecapWarning
+from carla_recap.roads.cells import BoxGrid, least
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from carla_recap.util.arrays import Booleans, Floats, Integers
@@ -67,11 +64,8 @@ right end."""
 REACH: Final = 20.0
 """How far from the roads positions are related to them, in m."""
 
-_CELL: Final = 2.0  # m
-_MARGIN: Final = 0.5  # m around the cells of a piece within which it is found
-_MOST_ENTRIES: Final = 4_000_000
-_MOST_PIECES: Final = 2_048  # of a cell; those of 10 m in CARLA's towns have up to 500 within reach
-_BLOCK: Final = 1 << 15  # points that are evaluated together
+_NEAR: Final = 0.5  # m within which pieces are looked for first
+_REACHES: Final = {_NEAR: 2.0, 2.0: 4.0, REACH: 10.0}  # m within which they are looked for, and the sizes of cells for that
 _LEVELS: Final = 3.0  # m between roads above each other
 _INSIDE: Final = 1e-3  # m
 _TINY: Final = 1e-9  # m
@@ -142,26 +136,23 @@ class RoadNetwork:
             headings: Directions in radians: of the lanes that overlap in junctions, one in this direction is preferred.
         """
         points = np.asarray(points, np.float64)
-        if headings is not None:
-            headings = np.asarray(headings, np.float64)
-        found = self._near.find(points, headings)
-        far = np.flatnonzero((found["cost"] > _MARGIN) | ~np.isfinite(found["outside"]))  # farther lanes may cost less
-        if len(far):
-            found[far] = self._far.find(points[far], None if headings is None else headings[far])
-        junctions = np.append(self.lanes["junction"], NONE)[found["lane"]]
+        near = self._index.nearest(points, None if headings is None else np.asarray(headings, np.float64))
+        piece, pieces = near["piece"], self.pieces
+        lane = np.append(pieces["lane"].astype(np.int64), NONE)[piece]
+        heading = np.arctan2(pieces["y1"] - pieces["y0"], pieces["x1"] - pieces["x0"])
         return LanePositions(
-            lane=found["lane"],
-            offset=found["offset"],
-            beside=found["beside"],
-            heading=found["heading"],
-            limit=found["limit"],
-            in_junction=found["in_junction"] | (junctions != NONE),
-            outside=found["outside"],
+            lane=lane,
+            offset=near["offset"],
+            beside=near["beside"],
+            heading=np.append(heading, np.nan)[piece],
+            limit=np.append(pieces["limit"], np.nan)[piece],
+            in_junction=near["in_junction"] | (np.append(self.lanes["junction"], NONE)[lane] != NONE),
+            outside=near["outside"],
         )
 
     def on_road(self, points: Floats) -> Booleans:
         """Return whether points, (n, 2) or (n, 3), are on paved lanes or in junctions."""
-        return np.asarray(self._near.find(np.asarray(points, np.float64), None)["outside"] <= 0)
+        return np.asarray(self._index.nearest(np.asarray(points, np.float64), None, _NEAR)["outside"] <= 0)
 
     def only(self, lanes: Booleans) -> RoadNetwork:
         """Return the network with the pieces of some lanes alone, from which it measures `LanePositions.outside`.
@@ -172,147 +163,69 @@ class RoadNetwork:
         return replace(self, pieces=self.pieces[lanes[self.pieces["lane"]]])
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in ("_near", "_far")}
+        return {name: value for name, value in self.__dict__.items() if name != "_index"}
 
     @cached_property
-    def _near(self) -> _PieceGrid:
-        return _PieceGrid(self, _CELL, _MARGIN)
-
-    @cached_property
-    def _far(self) -> _PieceGrid:
-        return _PieceGrid(self, REACH / 2, REACH)
+    def _index(self) -> _Pieces:
+        return _Pieces(self)
 
 
-_FOUND: Final = np.dtype(
-    [
-        ("cost", "f8"),
-        ("lane", "i8"),
-        ("offset", "f8"),
-        ("beside", "f8"),
-        ("heading", "f8"),
-        ("limit", "f8"),
-        ("in_junction", "?"),
-        ("outside", "f8"),
-    ]
-)
-
-
-_NEAR: Final = np.dtype(
+_NEAREST: Final = np.dtype(
     [("cost", "f8"), ("piece", "i8"), ("offset", "f8"), ("beside", "f8"), ("outside", "f8"), ("in_junction", "?")]
 )
 
 
-class _PieceGrid:
-    """The pieces of lanes by the squares of a grid, each in all squares near it.
+class _Pieces:
+    """The pieces of lanes, and which of them is nearest to a point."""
 
-    Args:
-        roads: The roads.
-        cell: The size of a square in m; larger if there were too many.
-        margin: How far outside a square its pieces may be, in m.
-    """
-
-    def __init__(self, roads: RoadNetwork, cell: float, margin: float) -> None:
-        pieces = roads.pieces
-        self._margin = margin
-        kinds = roads.lanes["kind"][pieces["lane"]]
+    def __init__(self, roads: RoadNetwork) -> None:
+        pieces, kinds = roads.pieces, roads.lanes["kind"][roads.pieces["lane"]]
         self._is_driving = np.isin(kinds, (DRIVING, BOTH_WAYS))
         self._in_junction = roads.lanes["junction"][pieces["lane"]] != NONE
-        self._lane, self._limit = pieces["lane"].astype(np.int64), pieces["limit"]
-        self._shapes = _Shapes(pieces)
-        low, high = _bounds(pieces)
-        self._origin = low.min(axis=0, initial=0.0) - margin
-        while True:
-            first = np.floor((low - margin - self._origin) / cell).astype(np.int64)
-            counts = np.floor((high + margin - self._origin) / cell).astype(np.int64) - first + 1
-            if counts.prod(axis=1).sum() <= _MOST_ENTRIES:
-                break
-            cell *= 2
-        self._cell = cell
-        self._rows = int((first + counts)[:, 1].max(initial=1))
-        self._columns = int((first + counts)[:, 0].max(initial=1))
-        self._fill(first, counts)
+        self._shapes, self._bounds = _Shapes(pieces), _bounds(pieces)
+        self._grids: dict[float, BoxGrid] = {}
 
-    def _fill(self, first: Integers, counts: Integers) -> None:
-        """Sort the pieces by cells."""
-        sizes = counts.prod(axis=1)
-        piece = np.repeat(np.arange(len(sizes), dtype=np.int32), sizes)
-        number = np.arange(len(piece), dtype=np.int32) - np.repeat((np.cumsum(sizes) - sizes).astype(np.int32), sizes)
-        rows = counts[:, 1].astype(np.int32)[piece]
-        cells = (first[:, 0][piece] + number // rows) * self._rows
-        cells += first[:, 1][piece] + number % rows
-        order = np.argsort(2 * cells + ~self._is_driving[piece], kind="stable")
-        self._pieces = piece[order]
-        filled, starts, amounts = np.unique(cells[order], return_index=True, return_counts=True)
-        self._cells = np.append(filled, np.iinfo(np.int64).max)  # the last one has no pieces
-        if amounts.max(initial=0) > _MOST_PIECES:
-            message = f"of {amounts.max():,} parts of lanes within {self._cell:g} m, {_MOST_PIECES:,} are looked at"
-            warnings.warn(message, RecapWarning, stacklevel=2)
-            amounts = np.minimum(amounts, _MOST_PIECES)
-        self._starts, self._amounts = np.append(starts, 0), np.append(amounts, 0)
-
-    def find(self, points: Floats, headings: Floats | None) -> NDArray[np.void]:
-        """Return the lanes at points; see `RoadNetwork.lanes_at`."""
-        found = np.zeros(len(points), _FOUND)
-        found["lane"] = NONE
-        found["offset"] = found["heading"] = found["limit"] = np.nan
-        found["cost"] = found["beside"] = found["outside"] = np.inf
+    def nearest(self, points: Floats, headings: Floats | None, farthest: float = REACH) -> NDArray[np.void]:
+        """Return the nearest pieces for cars within a distance; see `RoadNetwork.lanes_at`."""
+        near = np.full(len(points), np.array((np.inf, NONE, np.nan, np.inf, np.inf, False), _NEAREST))
+        left = np.arange(len(points))
         with np.errstate(all="ignore"):
-            for start in range(0, len(points), _BLOCK):
-                part = slice(start, start + _BLOCK)
-                self._find(points[part], None if headings is None else headings[part], found[part])
-        return found
-
-    def _find(self, points: Floats, headings: Floats | None, found: NDArray[np.void]) -> None:
-        near = self._search(points, headings)
-        known = np.flatnonzero((near["piece"] != NONE) & (near["beside"] <= self._margin))
-        piece = near["piece"][known]
-        found["cost"][known] = near["cost"][known]
-        found["lane"][known], found["limit"][known] = self._lane[piece], self._limit[piece]
-        found["heading"][known] = np.arctan2(self._shapes.ahead_y[piece], self._shapes.ahead_x[piece])
-        found["offset"][known], found["beside"][known] = near["offset"][known], near["beside"][known]
-        found["in_junction"] = near["in_junction"]
-        found["outside"] = np.where(near["outside"] <= self._margin, near["outside"], np.inf)
-
-    def _search(self, points: Floats, headings: Floats | None) -> NDArray[np.void]:
-        """Return the nearest pieces of the cells of points."""
-        slots = self._slots(points)
-        starts, amounts = self._starts[slots], self._amounts[slots]
-        shapes = self._shapes
-        best = np.full(len(points), np.inf)
-        piece = np.full(len(points), NONE)
-        offset, beside, outside = np.full((3, len(points)), np.inf)
-        in_junction = np.zeros(len(points), np.bool_)
-        order = np.argsort(-amounts, kind="stable")  # so that those with most pieces are first
-        columns = [np.ascontiguousarray(column) for column in points[order].T]
-        first, ends = starts[order], np.searchsorted(-amounts[order], -np.arange(amounts.max(initial=0)))
-        if headings is not None:
-            cos, sin = np.cos(headings[order]), np.sin(headings[order])
-        for number, end in enumerate(ends.tolist()):
-            index = self._pieces[first[:end] + number]
-            lateral, away = shapes.beside(index, [column[:end] for column in columns])
-            np.fmin(outside[:end], away, out=outside[:end])
-            in_junction[:end] |= self._in_junction[index] & (away <= 0)
-            cost = away + 1e-3 * np.abs(lateral)
-            if headings is not None:
-                turned = cos[:end] * shapes.ahead_x[index] + sin[:end] * shapes.ahead_y[index]
-                cost += np.where(np.isfinite(turned), (1 - turned) * (_AGAINST / 2), 0.0)
-            better = np.flatnonzero(self._is_driving[index] & (cost < best[:end]))
-            best[better], piece[better] = cost[better], index[better]
-            offset[better], beside[better] = lateral[better], away[better]
-        near = np.empty(len(points), _NEAR)
-        near["cost"][order], near["piece"][order] = best, piece
-        near["offset"][order], near["beside"][order] = offset, beside
-        near["outside"][order], near["in_junction"][order] = outside, in_junction
+            for reach, cell in _REACHES.items():
+                if len(left) and reach <= farthest:
+                    if reach not in self._grids:
+                        self._grids[reach] = BoxGrid(*self._bounds, cell, reach)
+                    for query, piece in self._grids[reach].pairs(points[left]):
+                        self._compare(near, left[query], piece, points, headings, reach)
+                    left = left[~(near["cost"][left] <= reach) | ~(near["outside"][left] <= reach)]
+        near["outside"][near["outside"] > farthest] = np.inf
         return near
 
-    def _slots(self, points: Floats) -> Integers:
-        """Return the index of the cell of each point among those that have pieces; the last one for none."""
-        grid = np.floor((points[:, :2] - self._origin) / self._cell)
-        within = ((grid >= 0) & (grid < (self._columns, self._rows))).all(axis=1)
-        grid = np.where(within[:, None], grid, 0).astype(np.int64)
-        cells = grid[:, 0] * self._rows + grid[:, 1]
-        slots = np.searchsorted(self._cells, cells)
-        return np.where(within & (self._cells[slots] == cells), slots, len(self._cells) - 1)
+    def _compare(
+        self,
+        near: NDArray[np.void],
+        query: Integers,
+        piece: Integers,
+        points: Floats,
+        headings: Floats | None,
+        reach: float,
+    ) -> None:
+        """Set what is near to points: of the pairs of these, ascending, and all pieces within a reach."""
+        shapes = self._shapes
+        lateral, away = shapes.beside(piece, points[query])
+        starts = np.flatnonzero(np.diff(query, prepend=-1))
+        if not len(starts):
+            return
+        near["outside"][query[starts]] = np.minimum.reduceat(away, starts)
+        near["in_junction"][query[starts]] = np.logical_or.reduceat(self._in_junction[piece] & (away <= 0), starts)
+        cost = np.where(self._is_driving[piece] & (away <= reach), away + 1e-3 * np.abs(lateral), np.inf)
+        if headings is not None:
+            heading = headings[query]
+            turned = np.cos(heading) * shapes.ahead_x[piece] + np.sin(heading) * shapes.ahead_y[piece]
+            cost += np.where(np.isfinite(turned), (1 - turned) * (_AGAINST / 2), 0.0)
+        best = least(query, cost)
+        best = best[np.isfinite(cost[best])]
+        for name, values in (("cost", cost), ("piece", piece), ("offset", lateral), ("beside", away)):
+            near[name][query[best]] = values[best]
 
 
 class _Shapes:
@@ -334,14 +247,9 @@ class _Shapes:
         self._half, self._wider = column["half0"], column["half1"] - column["half0"]
         self._level, self._rise = column["z0"], column["z1"] - column["z0"]
 
-    def beside(self, index: Integers, points: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """Return how far points are to the left of the middle of pieces, and how far outside these they are.
-
-        Args:
-            index: The piece for each point.
-            points: x and y, or x, y and z.
-        """
-        x, y = points[0] - self._x0[index], points[1] - self._y0[index]
+    def beside(self, index: Integers, points: Floats) -> tuple[Floats, Floats]:
+        """Return how far points, (n, 2) or (n, 3), are to the left of the middle of a piece each, and outside it."""
+        x, y = points[:, 0] - self._x0[index], points[:, 1] - self._y0[index]
         way_x, way_y = self._way_x[index], self._way_y[index]
         after = x * self._after[0][index] + y * self._after[1][index]
         before = (x - way_x) * self._before[0][index] + (y - way_y) * self._before[1][index]
@@ -352,9 +260,9 @@ class _Shapes:
         np.maximum(away, 0.0, out=away)
         away = np.where(beyond < 0, np.hypot(beyond, away), away)
         away[away <= _INSIDE] = 0.0
-        if len(points) > 2:
+        if points.shape[1] > 2:
             level = self._level[index] + share * self._rise[index]
-            away[np.abs(points[2] - level) > _LEVELS] = np.inf
+            away[np.abs(points[:, 2] - level) > _LEVELS] = np.inf
         return lateral, away
 
 

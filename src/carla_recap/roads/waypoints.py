@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.roads.cells import PointGrid
+from carla_recap.roads.cells import BoxGrid, least
 from carla_recap.roads.files import content_digest, expecting, read_parts
 from carla_recap.roads.lanes import DRIVING, NO_JUNCTION, TownRoads
 from carla_recap.roads.opendrive import read_opendrive
@@ -27,8 +27,7 @@ NONE: Final = -1
 FARTHEST: Final = 64.0
 """The distance in m from all lanes beyond which a place belongs to none."""
 
-_CELLS: Final = (4.0, 16.0, FARTHEST)  # m
-_MOST_PAIRS: Final = 1_000_000  # of points and parts of lanes that are compared together
+_REACHES: Final = (4.0, 16.0, FARTHEST)  # m within which lanes are looked for, one after another
 _LONGEST: Final = 1e5  # m, more than that of a road
 _ROUNDING: Final = 10 * np.finfo(float).eps  # m by which CARLA's waypoints fall short of a distance
 
@@ -221,54 +220,38 @@ class _Segments:
         self._start = points[starts]
         self._way = points[starts + 1] - self._start
         self._square = np.maximum((self._way**2).sum(axis=1), np.finfo(float).tiny)
-        self._reach = float(np.sqrt(self._square.max()))
-        self._grids: dict[float, PointGrid] = {}
+        ends = self._start[:, :2], points[starts + 1, :2]
+        self._low, self._high = np.minimum(*ends), np.maximum(*ends)
+        self._grids: dict[float, BoxGrid] = {}
 
     def nearest(self, places: Floats) -> tuple[Integers, Floats]:
         """Return where the nearest part begins, or `NONE`, and the share of the part that is before the nearest place."""
         found, shares = np.full(len(places), NONE), np.zeros(len(places))
-        left = np.flatnonzero(np.isfinite(places).all(axis=1))
-        for cell in _CELLS:
+        for reach in _REACHES:
+            left = np.flatnonzero(found == NONE)
             if not len(left):
                 break
-            if cell not in self._grids:
-                self._grids[cell] = PointGrid(self._start[:, :2], cell)
-            grid, far = self._grids[cell], []
-            step = max(_MOST_PAIRS // (9 * grid.fullest), 1)
-            for first in range(0, len(left), step):
-                part = left[first : first + step]
-                number, share, distance = self._nearest_in(grid, places[part])
-                is_sure = distance <= cell - self._reach
-                found[part[is_sure]], shares[part[is_sure]] = number[is_sure], share[is_sure]
-                far.append(part[~is_sure])
-            left = np.concatenate(far)
+            if reach not in self._grids:
+                self._grids[reach] = BoxGrid(self._low, self._high, reach, reach)
+            for query, part in self._grids[reach].pairs(places[left]):
+                share, apart = self._beside(part, places[left[query]])
+                best = least(query, apart)
+                best = best[apart[best] <= reach]
+                rows = left[query[best]]
+                found[rows], shares[rows] = self._numbers[part[best]], share[best]
         return found, shares
 
     def around(self, place: Floats, distance: float) -> tuple[Integers, Floats, Floats]:
         """Return where each part within a distance begins, the share of it before the nearest place, and how far that is."""
-        away = place - self._start
-        along = np.clip((away * self._way).sum(axis=1) / self._square, 0.0, 1.0)
-        apart = np.sqrt(((away - along[:, None] * self._way) ** 2).sum(axis=1))
+        share, apart = self._beside(slice(None), place)
         found = np.flatnonzero(apart <= distance)
-        return self._numbers[found], along[found], apart[found]
+        return self._numbers[found], share[found], apart[found]
 
-    def _nearest_in(self, grid: PointGrid, places: Floats) -> tuple[Integers, Floats, Floats]:
-        """Return the nearest part of those around each place, the share, and the distance; infinite without one."""
-        number, share = np.full(len(places), NONE), np.zeros(len(places))
-        distance = np.full(len(places), np.inf)
-        query, segment = grid.around(places[:, :2])
-        if len(query):
-            away = places[query] - self._start[segment]
-            way = self._way[segment]
-            along = np.clip((away * way).sum(axis=1) / self._square[segment], 0.0, 1.0)
-            apart = np.sqrt(((away - along[:, None] * way) ** 2).sum(axis=1))
-            starts = np.flatnonzero(np.diff(query, prepend=-1))
-            least = np.repeat(np.minimum.reduceat(apart, starts), np.diff(starts, append=len(query)))
-            winners = np.flatnonzero(apart == least)
-            first = winners[np.flatnonzero(np.diff(query[winners], prepend=-1))]
-            rows = query[first]
-            number[rows], share[rows], distance[rows] = self._numbers[segment[first]], along[first], apart[first]
-        return number, share, distance
+    def _beside(self, part: Integers | slice, places: Floats) -> tuple[Floats, Floats]:
+        """Return the shares of parts that are before the places nearest to some places, and how far these are."""
+        away, way = places - self._start[part], self._way[part]
+        share = np.clip((away * way).sum(axis=1) / self._square[part], 0.0, 1.0)
+        return share, np.sqrt(((away - share[:, None] * way) ** 2).sum(axis=1))
 
 
 def _joined(parts: Sequence[Floats], columns: int = 0) -> Floats:

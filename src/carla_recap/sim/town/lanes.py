@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
+from itertools import count
 from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
-from carla_recap.roads.cells import PointGrid
+from carla_recap.roads.cells import BoxGrid, least
 from carla_recap.roads.lanes import NO_JUNCTION
 from carla_recap.roads.polylines import stations
 
@@ -37,8 +38,6 @@ _TERRAIN: Final = 2.0  # m: the side of a cell of the table of heights
 _MOST_CELLS: Final = 500  # along a side of that table
 _LEVEL_GAP: Final = 3.5  # m: roads that differ by more in height are on different levels
 _LEVEL_REACH: Final = 10.0  # m: how far beside the middle of a lane its level is known where levels overlap
-_MOST_LEVELS: Final = 4  # above or below the one that is nearest
-_CHUNK: Final = 4096  # cells of that table that are looked at together
 _UNDER: Final = 1.0  # m: a vehicle this far below the surface of a road still stands on it
 
 
@@ -213,7 +212,7 @@ class LaneIndex:
         self._before[self.first] = 0
         self._after[self.first + self.count - 1] = 0
         self._slope = np.concatenate([np.gradient(lane.points[:, 2], lane.s) for lane in lanes])
-        self._grid = PointGrid(self._flat, _CELL)
+        self._grid = BoxGrid(self._flat, self._flat, _CELL, _CELL)
         self._terrain = _Terrain(self._flat)
         self._levels = _Levels(self.points, self._terrain)
         self.has_levels = not self._levels.is_empty
@@ -288,19 +287,16 @@ class LaneIndex:
         """
         places = np.stack((np.asarray(x, np.float64), np.asarray(y, np.float64)), axis=-1)
         best = self._terrain.nearest(places)
-        query, point = self._grid.around(places)
-        away = places[query] - self._flat[point]
-        along = (away * self._ahead[point]).sum(axis=1)
-        beyond = np.maximum(along - self._after[point], -along - self._before[point])
-        cost = (away**2).sum(axis=1) - along**2 + np.maximum(beyond, 0) ** 2
-        if z is not None:
-            cost += _STOREY * (self.points[point, 2] - np.asarray(z, np.float64)[query]) ** 2
-        if heading is not None:
-            cost += _AGAINST / 2 * (1 - np.cos(self.heading[point] - np.asarray(heading, np.float64)[query]))
-        if len(query):
-            starts = np.flatnonzero(np.diff(query, prepend=-1))
-            least = np.repeat(np.minimum.reduceat(cost, starts), np.diff(starts, append=len(query)))
-            winners = np.flatnonzero(cost == least)[::-1]  # of equals, the first is written last
+        for query, point in self._grid.pairs(places):
+            away = places[query] - self._flat[point]
+            along = (away * self._ahead[point]).sum(axis=1)
+            beyond = np.maximum(along - self._after[point], -along - self._before[point])
+            cost = (away**2).sum(axis=1) - along**2 + np.maximum(beyond, 0) ** 2
+            if z is not None:
+                cost += _STOREY * (self.points[point, 2] - np.asarray(z, np.float64)[query]) ** 2
+            if heading is not None:
+                cost += _AGAINST / 2 * (1 - np.cos(self.heading[point] - np.asarray(heading, np.float64)[query]))
+            winners = least(query, cost)
             best[query[winners]] = point[winners]
         lane = self.lane_of[best]
         s, _ = self.project(lane, places[:, 0], places[:, 1], (best - self.first[lane]) * self.spacing[lane])
@@ -426,31 +422,32 @@ class _Levels:
         self._terrain = terrain
         stacked = terrain.middles(np.unique(terrain.cells(points[_stacked(points), :2])))
         cells = np.unique(terrain.cells(stacked[:, None] + _around(_LEVEL_REACH, _TERRAIN)))
-        grid = PointGrid(points[:, :2], _LEVEL_REACH)
-        parts = [cells[start : start + _CHUNK] for start in range(0, len(cells), _CHUNK)]
-        levels = np.concatenate([np.empty((0, _MOST_LEVELS), np.int64), *(self._find(points, grid, part) for part in parts)])
+        grid = BoxGrid(points[:, :2], points[:, :2], _LEVEL_REACH, _LEVEL_REACH)
+        levels = self._find(points, grid, cells)
         several = np.flatnonzero(levels[:, 0] >= 0)
         self.is_empty = not len(several)
         self._points = levels[several]
         self._row = np.full(0 if self.is_empty else terrain.size, -1)
         self._row[cells[several]] = np.arange(len(several))
 
-    def _find(self, points: Floats, grid: PointGrid, cells: Integers) -> Integers:
+    def _find(self, points: Floats, grid: BoxGrid, cells: Integers) -> Integers:
         """Return the nearest point of each further level of some cells, (cells, levels); -1 is none."""
         middles = self._terrain.middles(cells)
+        levels: list[Integers] = []
         latest = self._terrain.nearest(middles)
-        levels = np.full((len(cells), _MOST_LEVELS), -1)
-        query, point = grid.around(middles)
-        away = ((middles[query] - points[point, :2]) ** 2).sum(axis=1)
-        left = away < _LEVEL_REACH**2
-        for level in levels.T:
-            left &= np.abs(points[point, 2] - points[latest[query], 2]) > _LEVEL_GAP
-            query, point, away = query[left], point[left], away[left]
-            left = np.ones(len(query), np.bool_)
-            order = np.lexsort((away, query))
-            first = order[np.flatnonzero(np.diff(query[order], prepend=-1))]
-            level[query[first]] = latest[query[first]] = point[first]
-        return levels
+        for query, point in grid.pairs(middles):
+            away = ((middles[query] - points[point, :2]) ** 2).sum(axis=1)
+            left = away < _LEVEL_REACH**2
+            for number in count():
+                left &= np.abs(points[point, 2] - points[latest[query], 2]) > _LEVEL_GAP
+                if not left.any():
+                    break
+                if number == len(levels):
+                    levels.append(np.full(len(cells), -1))
+                rows = np.flatnonzero(left)
+                best = rows[least(query[rows], away[rows])]
+                levels[number][query[best]] = latest[query[best]] = point[best]
+        return np.stack(levels, axis=1) if levels else np.full((len(cells), 1), -1)
 
     def near(self, places: Floats) -> tuple[Integers, Integers]:
         """Return which of some locations have several levels, and points on the further ones, (m, levels); -1 is none."""
