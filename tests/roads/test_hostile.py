@@ -61,7 +61,7 @@ for line in sys.stdin:
 def loader() -> Iterator[subprocess.Popen[str]]:
     """Return a process that has the modules, and forks one for each map, of which the costs are examined."""
     with subprocess.Popen(
-        [sys.executable, "-W", "ignore::DeprecationWarning", "-c", LOADER],  # of a fork in spite of numpy's threads
+        [sys.executable, "-W", "ignore", "-c", LOADER],  # of a fork in spite of numpy's threads, and of limits
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 
+from carla_recap.errors import RecapWarning
+from carla_recap.roads import barriers, lanes, surfaces
+from carla_recap.roads.lanes import TownRoads
 from carla_recap.roads.network import LIGHT, STOP, RoadNetwork
+from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.roads.surfaces import build_network
 from tests.roads.straight_road import STRAIGHT_ROAD
+
+if TYPE_CHECKING:
+    from types import ModuleType
 
 EASTWARD = 0.0
 
@@ -103,6 +112,25 @@ def limits_at(signal: str, points: list[tuple[float, float]]) -> list[int]:
     assert sign + validity in STRAIGHT_ROAD
     network = build_network(STRAIGHT_ROAD.replace(sign + validity, signal), "Signed")
     return np.rint(network.lanes_at(np.array(points)).limit * 3.6).astype(int).tolist()
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [
+        ((surfaces, "_MOST_POINTS", 50), "0 km of roads are examined at 50 points, more than 1 m apart"),
+        ((surfaces, "_MOST_PIECES", 15), "the lanes have 15 straight parts: .* times as many would follow their bends"),
+        ((surfaces, "_COARSEST", 0.1), "junction 9: gaps between its lanes are no road: cells of 0.5 m"),
+        ((surfaces, "_MOST_GAPS", -1), "junction 9: gaps between its lanes are no road: 0 pieces before"),
+        ((lanes, "_MOST_POINTS", 300), "1 km of lanes have 300 points, 2.1 m apart and not 0.5"),
+        ((barriers, "_MOST_CELLS", 100), "of a map of 0.2 km, the ground is known to 2.2 m and not 0.5 m"),
+    ],
+)
+def test_a_limit_that_makes_a_large_map_less_exact_warns(
+    monkeypatch: pytest.MonkeyPatch, limits: tuple[ModuleType, str, float], message: str
+) -> None:
+    monkeypatch.setattr(*limits)
+    with pytest.warns(RecapWarning, match=message):
+        build_network(STRAIGHT_ROAD), barriers.barriers(TownRoads(read_opendrive(STRAIGHT_ROAD)).lanes)
 
 
 EAST, WEST = -1.75, 1.75

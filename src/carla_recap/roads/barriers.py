@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.errors import RecapWarning
 from carla_recap.roads.polylines import simplify
 
 if TYPE_CHECKING:
@@ -56,6 +58,9 @@ class Ground:
         ends = np.concatenate([border[:, :2] for pair in borders for border in pair])
         extent = float(np.ptp(ends, axis=0).max())
         self._cell = max(_CELL, extent / _MOST_CELLS)
+        if self._cell > _CELL:
+            message = f"of a map of {extent / 1000:.1f} km, the ground is known to {self._cell:.1f} m and not {_CELL:g} m"
+            warnings.warn(message, RecapWarning, stacklevel=2)
         self._origin = ends.min(axis=0) - 2 * self._cell
         shape = ((ends.max(axis=0) - self._origin) / self._cell).astype(np.int64) + 3
         self._lowest, self._highest = np.full(shape, np.inf), np.full(shape, -np.inf)
@@ -79,7 +84,7 @@ class Ground:
 
     def _cover(self, left: Floats, right: Floats) -> None:
         width = float(np.linalg.norm((left - right)[:, :2], axis=1).max())
-        across = np.linspace(0, 1, min(int(width / self._cell * 1.5), 100) + 2)[:, None, None]
+        across = np.linspace(0, 1, int(width / self._cell * 1.5) + 2)[:, None, None]
         along = np.linspace(0, len(left) - 1, 2 * len(left))
         given = np.arange(len(left))
         left, right = (np.stack([np.interp(along, given, axis) for axis in side.T], axis=1) for side in (left, right))

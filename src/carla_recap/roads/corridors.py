@@ -6,11 +6,13 @@ Units are m and radians; axes are right-handed: x forward, y left, z up.
 from __future__ import annotations
 
 import math
+import warnings
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.errors import RecapWarning
 from carla_recap.model.motion import possible_step
 from carla_recap.roads.drawing import RoadMap
 from carla_recap.roads.polylines import stations
@@ -91,7 +93,7 @@ def fresh_parts(paths: Sequence[Floats], cell: float, most: int, fewest: int = 2
     Args:
         paths: The points of each path, (n, 2) or more columns.
         cell: The side of a square in which one path is enough, in m.
-        most: The largest number of points.
+        most: The largest number of points; a warning says what is left out.
         fewest: The smallest number of points of a part; a shorter one is left out.
     """
     if not paths:
@@ -102,9 +104,12 @@ def fresh_parts(paths: Sequence[Floats], cell: float, most: int, fewest: int = 2
     fresh = np.zeros(len(points), np.bool_)
     fresh[firsts] = True
     left = most
-    for path, new in zip(paths, np.split(fresh, np.cumsum([len(path) for path in paths])[:-1]), strict=True):
+    news = np.split(fresh, np.cumsum([len(path) for path in paths])[:-1])
+    for number, (path, new) in enumerate(zip(paths, news, strict=True), 1):
         for run in _runs(path, new, fewest):
             if left <= 0:
+                message = f"driven paths from {number} of {len(paths)} on are left out: those before have {most:,} points"
+                warnings.warn(message, RecapWarning, stacklevel=3)
                 return
             left -= len(run)
             yield run

@@ -7,6 +7,7 @@ operations is CARLA's, so that they are equal.
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice, takewhile
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.errors import RecapWarning
 from carla_recap.roads.curves import single
 from carla_recap.roads.opendrive import (
     in_carlas_order,
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
 DRIVING: Final = "driving"
 NO_JUNCTION: Final = -1
 _STEP: Final = 0.5  # m between points of a lane
-_MOST_POINTS: Final = 400_000  # of all lanes; from then on they are farther apart
+_MOST_POINTS: Final = 400_000  # of all lanes, about
 _MOST_LANES: Final = 20_000  # of a map; each of CARLA's small towns has about 500
 _BEGIN: Final = 10 * np.finfo(np.float64).eps  # m, where CARLA has the first point of a road
 _SHARE: Final = 4096  # of a metre, to which the end of a lane is exact
@@ -131,7 +133,11 @@ class TownRoads:
     @cached_property
     def lanes(self) -> list[LaneGeometry]:
         """The lanes for cars, and all lanes of their sections, in the order in which CARLA lists roads."""
-        step = max(_STEP, lanes_length(self.roads.values()) / _MOST_POINTS)
+        length = lanes_length(self.roads.values())
+        step = max(_STEP, length / _MOST_POINTS)
+        if step > _STEP:
+            message = f"{length / 1000:,.0f} km of lanes have {_MOST_POINTS:,} points, {step:.1f} m apart and not {_STEP:g}"
+            warnings.warn(message, RecapWarning, stacklevel=2)
         with np.errstate(all="ignore"):
             return [
                 lane

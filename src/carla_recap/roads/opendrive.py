@@ -8,6 +8,7 @@ number that no road has; a road without a course or without lanes is left out.
 from __future__ import annotations
 
 import re
+import warnings
 from collections import Counter, defaultdict
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.errors import RecapWarning
 from carla_recap.roads.curves import PARAMETERS, Curve, Profile, double
 from carla_recap.roads.elements import read_elements
 
@@ -44,7 +46,7 @@ SPEED_LIMIT: Final = "274"
 _MAX_OF_FILE: Final = {"roads": 16_000, "sections of lanes": 20_000, "lanes": 80_000, "m of lanes": 4_000_000}
 _MAX_LANES_OF_SIDE: Final = 40
 _MAX_LANES_OF_JUNCTION: Final = 500  # CARLA's have up to 60
-_HIGHEST: Final = 1_000  # number of a lane
+_HIGHEST: Final = (1 << 31) - 1  # number of a lane
 _MAX_RECORDS: Final = 20_000  # of one kind, of a road or junction
 _MIN_LENGTH: Final = 0.01  # m of a road
 _MAX_LENGTH: Final = 40_000.0  # m of a road
@@ -372,7 +374,11 @@ def sparse_sections(roads: Sequence[Road], spacing: float, most_examined: int, m
         most_examined: The number of such points, above which they are farther apart.
         most: The number of lanes' parts between stations, above which the stations are farther apart.
     """
-    spacing = max(spacing, sum(road.length for road in roads) / most_examined)
+    length = sum(road.length for road in roads)
+    if length > most_examined * spacing:
+        message = f"{length / 1000:,.0f} km of roads are examined at {most_examined:,} points, more than {spacing:g} m apart"
+        warnings.warn(message, RecapWarning, stacklevel=2)
+        spacing = length / most_examined
     found = [
         SparseSection(number, road, section, _sparse_stations(road, section, spacing))
         for number, road in enumerate(roads)
@@ -381,6 +387,8 @@ def sparse_sections(roads: Sequence[Road], spacing: float, most_examined: int, m
     ]
     excess = sum((len(stations) - 1) * len(section.lanes) for _, _, section, stations in found) / most
     if excess > 1:
+        message = f"the lanes have {most:,} straight parts: {excess:.1f} times as many would follow their bends"
+        warnings.warn(message, RecapWarning, stacklevel=2)
         found = [part._replace(stations=_thinned(part.stations, excess)) for part in found]
     return found
 

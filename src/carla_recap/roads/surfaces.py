@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.errors import FormatError
+from carla_recap.errors import FormatError, RecapWarning
 from carla_recap.roads import network as roads
 from carla_recap.roads.cells import LARGEST_GAP, find_areas
 from carla_recap.roads.corridors import is_of_corridors
@@ -41,7 +42,7 @@ _MOST_PIECES: Final = 400_000  # about; of longer roads, each piece is longer
 _NARROW: Final = 0.02  # m
 
 _CELL: Final = 0.5  # m
-_COARSEST: Final = 2.0  # m of a cell; larger junctions have no gaps
+_COARSEST: Final = 2.0  # m of a cell
 _MOST_CELLS_OF_ALL: Final = 3_000_000  # of all junctions, about
 _MOST_GAPS: Final = 200_000  # pieces that fill gaps, of all junctions
 
@@ -231,13 +232,16 @@ def _gaps(network: RoadNetwork) -> tuple[NDArray[np.void], NDArray[np.void]]:
     bounds = np.searchsorted(junctions[order], np.arange(len(network.junction_ids) + 1)).tolist()
     most = _MOST_CELLS_OF_ALL / max(len(network.junction_ids), 1)
     for junction, (first, last) in enumerate(pairwise(bounds)):
-        if first == last or count >= _MOST_GAPS:
+        if first == last:
             continue
         of_it = network.pieces[order[first:last]]
         low, high = _extent(of_it)
         cell = max(_CELL, float(np.sqrt((high - low).prod() / most)))
         columns, rows = (np.ceil((high - low) / cell).astype(np.int64) + 1).tolist()
-        if cell > _COARSEST:
+        if cell > _COARSEST or count > _MOST_GAPS:
+            limit = f"cells of {cell:.1f} m" if cell > _COARSEST else f"{count:,} pieces before"
+            message = f"junction {network.junction_ids[junction]}: gaps between its lanes are no road: {limit}"
+            warnings.warn(message, RecapWarning, stacklevel=3)
             continue
         gaps = _enclosed(network, of_it, low, (columns, rows), cell)
         count += len(gaps)

@@ -223,6 +223,15 @@ def test_lanes_above_each_other_are_distinguished_by_height(tmp_path: Path) -> N
         assert both.lanes[lanes[0]].road_id == expected
 
 
+def test_each_of_many_roads_above_each_other_has_its_height(tmp_path: Path) -> None:
+    levels = 5.0 * np.arange(8)
+    turns = enumerate(levels.tolist())
+    place = made_of(
+        tmp_path, *(road(n + 1, x=(n % 2) * 50, y=(n % 2) * -50, heading=(n % 2) * np.pi / 2, height=z) for n, z in turns)
+    )
+    assert place.height(np.full(8, 50.0), np.zeros(8), levels + 0.2) == pytest.approx(levels)
+
+
 # --- signals and junctions -----------------------------------------------------------------------------
 
 
