@@ -207,6 +207,31 @@ def sleep_and_freeze(client: carla.Client, world: carla.World, seed: int) -> Non
     world.apply_settings(settings(synchronous=False))
 
 
+def shove(client: carla.Client, world: carla.World, seed: int) -> None:
+    """Push cars and walkers about in friction triggers, with other gearboxes and chains of props; leave them to a reload."""
+    world.apply_settings(settings())
+    library, chosen = world.get_blueprint_library(), random.Random(seed)
+    trigger = library.find("static.trigger.friction")
+    for key, value in {"friction": "0.1", "extent_x": "2000", "extent_y": "2000", "extent_z": "500"}.items():
+        trigger.set_attribute(key, value)
+    vehicles = spawn(world, 15)
+    for vehicle in vehicles:
+        world.spawn_actor(trigger, vehicle.get_transform())
+        parent: carla.Actor = vehicle
+        for _ in range(5):
+            parent = world.spawn_actor(library.find("static.prop.box01"), carla.Transform(), attach_to=parent)
+        control = vehicle.get_physics_control()
+        control.forward_gears = list(control.forward_gears)[:1] * chosen.randrange(1, 13)
+        vehicle.apply_physics_control(control)
+        vehicle.apply_control(carla.VehicleControl(throttle=1.0, manual_gear_shift=True, gear=chosen.randrange(13)))
+    for _ in range(40):
+        world.tick()
+        vehicle, push = chosen.choice(vehicles), carla.Vector3D(chosen.uniform(-1e4, 1e4), chosen.uniform(-1e4, 1e4))
+        chosen.choice((vehicle.add_impulse, vehicle.add_force, vehicle.add_torque))(push)
+        vehicle.set_simulate_physics(chosen.random() < 0.8)
+    client.reload_world()
+
+
 def be_killed(client: carla.Client, world: carla.World, seed: int) -> None:
     """End by SIGKILL with a running traffic manager, sensors and a recording, at a random time."""
     world.apply_settings(settings())
@@ -271,6 +296,7 @@ ROUNDS = {
         drive,
         drive_hybrid,
         sleep_and_freeze,
+        shove,
         be_killed,
         be_killed_while_loading,
         reload,
