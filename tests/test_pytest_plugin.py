@@ -305,13 +305,20 @@ def parallel(tmp_path_factory: pytest.TempPathFactory) -> Run:
         + dedent("""
         @pytest.mark.parametrize("number", range(4))
         def test_mine(carla_world, carla_server, number):
-            carla_world.tick()
+            point = carla_world.world.get_map().get_spawn_points()[3]
+            spawn(carla_world.world, "vehicle.audi.tt", point).apply_control(carla.VehicleControl(0.5))
+            carla_world.tick(1)
             print(f"port {carla_server}")
             if number == 3:
                 crash(carla_world)
         """)
     )
-    options = ("--carla-recap-rules=rules.toml", "--carla-recap-dir=out", "--carla-recap-keep=all")
+    options = (
+        "--carla-recap-release=0.9.16",
+        "--carla-recap-rules=rules.toml",
+        "--carla-recap-dir=out",
+        "--carla-recap-keep=all",
+    )
     return run_pytest(folder, "-n2", "--dist=load", "-rA", *options)
 
 
@@ -324,6 +331,15 @@ def test_an_option_gives_rules_for_all_tests(parallel: Run) -> None:
 def test_options_give_a_folder_where_all_recordings_are_kept(parallel: Run) -> None:
     found = {path.name for path in (parallel.folder / "out").iterdir()}
     assert found == {*(f"test_drive-test_mine-{number}.mcap" for number in range(4)), "test_drive-test_mine-3.html"}
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_the_same_test_gives_the_same_recording(parallel: Run, number: int) -> None:
+    first, again = (parallel.folder / "out" / f"test_drive-test_mine-{each}.mcap" for each in (0, number))
+    with open_recording(first) as one, open_recording(again) as other:
+        assert one.diff(other).equal
+        times, others = (recording.table("light_states")["elapsed"].tolist() for recording in (one, other))
+    assert times == others
 
 
 def test_workers_have_servers_of_their_own(parallel: Run) -> None:

@@ -43,6 +43,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         default=FOLDER,
         help="the folder of the recordings and pages of failed tests (default: %(default)s)",
     )
+    group.addoption(
+        "--carla-recap-release",
+        metavar="RELEASE",
+        default="auto",
+        help="the release of CARLA that is served, such as 0.9.15 (default: that of the client)",
+    )
     group.addoption("--carla-recap-rules", metavar="FILE", help="rules that the recording of every test must meet")
     group.addoption("--carla-recap-keep", choices=["failed", "all"], default="failed", help="whose recordings are kept")
 
@@ -60,10 +66,12 @@ class _Server:
 
     Args:
         folder: The folder of recordings.
+        release: The release of CARLA, as of `running`.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, release: str) -> None:
         self._folder = folder
+        self._release = release
         self._stack = ExitStack()
         self._patch = pytest.MonkeyPatch()
         self._ends: list[Callable[[], object]] = []
@@ -76,7 +84,8 @@ class _Server:
         from carla_recap.server import running
 
         self._stack.close()
-        self.port = self._stack.enter_context(running(recordings=self._folder, port=self.port))
+        server = running(recordings=self._folder, port=self.port, carla=self._release)
+        self.port = self._stack.enter_context(server)
 
     @property
     def is_alive(self) -> bool:
@@ -252,8 +261,8 @@ _WORLD: Final = pytest.StashKey[CarlaWorld]()
 
 
 @pytest.fixture(scope="session")
-def _carla_recap_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Server]:
-    server = _Server(tmp_path_factory.mktemp("recordings"))
+def _carla_recap_server(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> Iterator[_Server]:
+    server = _Server(tmp_path_factory.mktemp("recordings"), pytestconfig.getoption("--carla-recap-release"))
     yield server
     server.close()
 

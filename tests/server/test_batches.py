@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import asyncio
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import carla
+import msgpack
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from carla_recap.server.calls import batches as served
 from carla_recap.server.controllers import AckermannControl
+from carla_recap.server.host import Client, Host
+from carla_recap.server.rpc.connection import ClientConnection
+from carla_recap.server.rpc.registry import CALLS
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from tests.server.client import FAR, spawn
 from tests.server.inside import Inside
+from tests.server.test_connection import Transport
+from tests.sim.flat import flat_world
 
 if TYPE_CHECKING:
     from carla_recap.sim.episode import Actor
@@ -46,6 +55,29 @@ def test_batches_spawn_and_destroy_actors(client: carla.Client, world: carla.Wor
     answers = client.apply_batch_sync([command.DestroyActor(id) for id in (*ids, 99999)], True)
     assert [answer.error for answer in answers] == [""] * 10 + ["actor 99999 not found"]
     assert not world.get_actors().filter("vehicle.*")
+
+
+@pytest.mark.parametrize("leaves", [False, True])
+async def test_a_long_batch_keeps_no_other_client_waiting(monkeypatch: pytest.MonkeyPatch, leaves: bool) -> None:
+    monkeypatch.setattr(served, "_SLICE", 0.0)
+    host = Host(flat_world())
+    one, other = (ClientConnection(CALLS, host.connections, partial(Client, host)) for _ in range(2))
+    transports = Transport(), Transport()
+    for connection, transport in zip((one, other), transports, strict=True):
+        connection.connection_made(transport)
+    props = [
+        [[0, [[0, "static.prop.box01", []], [[5.0 * n, 0.0, 0.0], [0.0, 0.0, 0.0]], [False], 0, "", []]]] for n in range(9)
+    ]
+    calls = [0, 1, "apply_batch", [[False], props, False]], [0, 2, "version", [[False]]]
+    one.data_received(b"".join(map(msgpack.packb, calls)))
+    other.data_received(msgpack.packb([0, 1, "version", [[False]]]))
+    assert [len(transport.replies) for transport in transports] == [0, 1]
+    if leaves:
+        one.connection_lost(None)
+    for _ in range(30):
+        await asyncio.sleep(0)
+    assert sum(actor.type_id == "static.prop.box01" for actor in host.world.actors.values()) == len(props)
+    assert [reply[1] for reply in transports[0].replies] == ([] if leaves else [1, 2])
 
 
 def test_commands_for_a_new_actor_are_executed(client: carla.Client, world: carla.World) -> None:

@@ -290,6 +290,27 @@ def test_an_answer_that_is_too_long_is_none(recordings: Path, monkeypatch: pytes
         asyncio.run(served.answer(recordings / "drive.mcap", partial(info, all=True, compat=True)))
 
 
+async def test_the_answers_of_a_client_are_made_one_by_one(recordings: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    inside, running_now, most = Inside(), 0, 0
+    inside.host.recordings._world.recordings = recordings
+
+    async def answer(*_: object) -> str:
+        nonlocal running_now, most
+        running_now += 1
+        most = max(most, running_now)
+        await asyncio.sleep(0)
+        running_now -= 1
+        return "answer"
+
+    monkeypatch.setattr(served, "answer", answer)
+    other = client_inside(inside.host)
+    info = CALLS["show_recorder_file_info"]
+    assert await asyncio.gather(*(info(inside.client, ["drive", True]) for _ in range(5))) == ["answer"] * 5
+    assert most == 1
+    await asyncio.gather(*(info(client, ["drive", True]) for client in (inside.client, other)))
+    assert most == 2, "another client waits"
+
+
 # --- replaying -----------------------------------------------------------------------------------------------------------
 
 

@@ -16,12 +16,13 @@ import carla
 import pytest
 
 from carla_recap import open_recording
-from carla_recap.cli.server import RELEASES as CHOICES
+from carla_recap.cli.options import RELEASES as CHOICES
 from carla_recap.server import running
 from carla_recap.server.protocol import DEFAULT, RELEASES, Release
 from carla_recap.server.protocol.chaos import ChaosControl
 from carla_recap.server.protocol.clients import release_of
 from carla_recap.server.rpc.codec import decoder, encoder
+from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.blueprints import standard_library
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.physics.physics_control import PhysicsControl
@@ -299,6 +300,27 @@ def test_the_physics_of_0_10_are_those_of_the_vehicle() -> None:
             same = ("tire_friction", "max_steer_angle", "radius", "max_brake_torque", "max_handbrake_torque", "position")
             assert [getattr(mine, name) for name in same] == [getattr(theirs, name) for name in same]
             assert mine.lat_stiff_value == pytest.approx(theirs.lat_stiff_value)
+
+
+def test_what_0_10_lacks_of_a_physics_control_is_kept() -> None:
+    inside = Inside(BY_NAME["0.10.0"])
+    car = inside.world.place("vehicle.lincoln.mkz", inside.world.town.spawn_points[0])
+    assert isinstance(car, Vehicle)
+    tuned = car.physics_control
+    tuned.clutch_strength, tuned.damping_rate_full_throttle = 7.0, 0.3
+    tuned.wheels[1].long_stiff_value = 1234.0
+    tuned.forward_gears[1].up_ratio = 0.9
+    car.physics_control = tuned
+    wire = inside.call("get_physics_control", car.id)
+    names = [each.name for each in fields(ChaosControl)]
+    wire[names.index("mass")] = 1111.0
+    wire[names.index("forward_gear_ratios")][1] = 2.5
+    inside.call("apply_physics_control", car.id, wire)
+    tuned.mass, tuned.forward_gears[1].ratio = 1111.0, 2.5
+    assert car.physics_control == tuned
+    wire[names.index("change_up_rpm")] = tuned.max_rpm / 2
+    inside.call("apply_physics_control", car.id, wire)
+    assert {gear.up_ratio for gear in car.physics_control.forward_gears} == {0.5}
 
 
 def test_the_greatest_torque_of_0_10_scales_the_curve() -> None:

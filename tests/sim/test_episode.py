@@ -6,7 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from carla_recap.sim.episode import LARGEST_WANTED, ActorIds
+from carla_recap.server.actor_records import release_of, sensor_of, stream_of
+from carla_recap.server.protocol import RELEASES
+from carla_recap.sim.episode import LARGEST_ID, LARGEST_WANTED, ActorIds
+from carla_recap.sim.errors import SimError
 from tests.sim.flat import at, flat_world, spawn_car
 
 
@@ -46,6 +49,19 @@ def test_ids_out_of_range_are_not_given(wanted: int) -> None:
 def test_the_largest_id_can_be_wanted() -> None:
     ids = ActorIds()
     assert (ids.new(LARGEST_WANTED), ids.new(LARGEST_WANTED), ids.new(7)) == (LARGEST_WANTED, LARGEST_WANTED + 1, 7)
+
+
+def test_streams_have_room_for_the_largest_id() -> None:
+    ids = ActorIds()
+    ids._next = LARGEST_ID
+    world = flat_world()
+    sensor = world.spawn("sensor.other.gnss", at(0.0))
+    sensor.id = ids.new()
+    assert {(sensor_of(stream_of(sensor, each)), release_of(stream_of(sensor, each))) for each in RELEASES} == {
+        (LARGEST_ID, each) for each in RELEASES
+    }
+    with pytest.raises(SimError, match="expected at most 134217728 actors"):
+        ids.new()
 
 
 @given(st.lists(st.none() | st.integers(0, 30)))

@@ -41,6 +41,7 @@ _SHOWN: Final = 5  # of the worst runs, and of failed ones
 @click.option(
     "--serve", "script", type=click.Path(), metavar="SCRIPT.py", help="Run this script for CARLA's client instead."
 )
+@options.carla
 @click.option("--out", required=True, metavar="DIR", help="The folder of the recordings, or a prefix of an object store.")
 @click.option("--seeds", default="1", show_default=True, metavar="A:B|N,...", help="The seeds of the worlds.")
 @click.option(

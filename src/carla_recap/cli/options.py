@@ -331,6 +331,15 @@ dataset = together(
     ),
 )
 
+RELEASES = ("auto", "0.9.13", "0.9.14", "0.9.15", "0.9.16", "0.10.0")
+carla = click.option(
+    "--carla",
+    type=click.Choice(RELEASES),
+    default="auto",
+    show_default=True,
+    help="The release of clients, others of which are refused; auto: each one's own, found on this machine, else 0.9.16.",
+)
+
 foxglove = together(
     click.option("--foxglove", is_flag=True, help="Let Foxglove connect to a WebSocket instead of opening Rerun's viewer."),
     click.option(

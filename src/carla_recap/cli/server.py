@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 _LOOPBACK = "127.0.0.1"
 _EVERYWHERE = ("0.0.0.0", "::")
-RELEASES = ("auto", "0.9.13", "0.9.14", "0.9.15", "0.9.16", "0.10.0")
 _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
@@ -59,14 +58,7 @@ _FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
     show_default=True,
     help="The images of cameras without or with shadows and smooth edges.",
 )
-@click.option(
-    "--carla",
-    "release",
-    type=click.Choice(RELEASES),
-    default="auto",
-    show_default=True,
-    help="The release of clients, others of which are refused; auto: each one's own, found on this machine, else 0.9.16.",
-)
+@options.carla
 @click.option("--rerun", is_flag=True, help="Show the world live in Rerun's viewer.")
 @click.option(
     "--rerun-to", metavar="FILE|URL", help="The same in an .rrd, or in the viewer that listens at rerun+http://..."
@@ -92,7 +84,7 @@ def serve(
     seed: int,
     fps: float | None,
     quality: Quality,
-    release: str,
+    carla: str,
     rerun: bool,
     rerun_to: str | None,
     foxglove: bool,
@@ -103,8 +95,8 @@ def serve(
     """Serve a simulated town to CARLA's own client."""
     import asyncio
 
-    from carla_recap.server import protocol
     from carla_recap.server.host import Host
+    from carla_recap.server.protocol import release_named
     from carla_recap.server.quirks import busy_polling_loop
     from carla_recap.server.serving import serve as serve_clients
     from carla_recap.sim import World
@@ -130,8 +122,8 @@ def serve(
 
         warnings.simplefilter("once", RecapWarning)  # however often a client asks about a damaged recording
         with asyncio.Runner(loop_factory=busy_polling_loop) as runner:
-            found = {each.name: each for each in protocol.RELEASES}.get(release)
-            served = Host(world, confined=confine, stand_in=stand_in, quality=quality, release=found)
+            release = release_named(carla)
+            served = Host(world, confined=confine, stand_in=stand_in, quality=quality, release=release)
             if fps is not None:
                 served.apply_settings(replace(served.settings, fixed_delta_seconds=1 / fps))
             runner.run(serve_clients(served, host, port, ready, streaming_port=streaming_port, attached=attached))

@@ -261,12 +261,14 @@ class Client:
         stream: The number of its stream of snapshots; see `SnapshotStreams`.
         cycle: The state of its traffic manager.
         pause: The pause of its traffic manager, while an episode begins.
+        queries: A lock that is held while a recording is queried for it: the answers of a client are made one by one.
     """
 
     def __init__(self, host: Host, connection: ClientConnection) -> None:
         self.host = host
         self.cycle = TrafficManagerCycle()
         self.pause: TrafficManagerPause | None = None
+        self.queries = asyncio.Lock()
         self._connection = connection
         self.release = host.release or DEFAULT
         self.refusal = ""
@@ -297,7 +299,12 @@ class Client:
         """The address of the client's machine."""
         return self._connection.address
 
-    def read_after(self, work: Awaitable[None]) -> None:
+    @property
+    def is_connected(self) -> bool:
+        """Whether the client has not left."""
+        return self._connection.is_open
+
+    def read_after(self, work: Awaitable[object]) -> None:
         """Serve no more calls of the client before some work is done."""
         self._connection.read_after(work)
 

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 LARGEST_WANTED: Final = 2**24
 """The largest id that can be wanted; larger ones in a recording are damage, and would use up CARLA's 32 bits."""
 
+LARGEST_ID: Final = 2**27
+"""The largest id of an actor: the number of a sensor's stream has 28 bits beside those of the release of its clients."""
+
 
 @dataclass(frozen=True, slots=True)
 class Collision:
@@ -390,6 +393,9 @@ class ActorIds:
 
         Args:
             wanted: The id to return if it is free, from 1 to `LARGEST_WANTED`; else, and for None, it is the next one.
+
+        Raises:
+            SimError: A world has had as many actors as it can have.
         """
         if wanted is not None and 0 < wanted <= LARGEST_WANTED:
             self.reserve(wanted)
@@ -398,6 +404,8 @@ class ActorIds:
                 rest = range(gap.start, wanted), range(wanted + 1, gap.stop)
                 self._gaps[index : index + 1] = [part for part in rest if part]
                 return wanted
+        if self._next > LARGEST_ID:
+            raise SimError(f"expected at most {LARGEST_ID} actors in all episodes of a world, found one more")
         self._next += 1
         return self._next - 1
 

@@ -38,7 +38,7 @@ def test_a_script_runs_against_a_server_of_its_own(tmp_path):
     options = {"seeds": [3], "params": {"speed": [8, 9, 10]}}
     with time_limit():
         found = list(campaign(tmp_path / "drive.py", out=tmp_path / "a", jobs=2, **options))
-        list(campaign(tmp_path / "drive.py", out=tmp_path / "b", jobs=1, **options))
+        list(campaign(tmp_path / "drive.py", out=tmp_path / "b", jobs=1, carla="0.9.16", **options))
     errors = [finished.report.error for finished in found]
     assert errors == [None, "the script ends with exit code 1", None]
     assert "no such speed" in found[1].report.details

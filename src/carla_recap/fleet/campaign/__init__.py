@@ -72,6 +72,7 @@ class Campaign:
         client: Dask's client, whose cluster is used instead of processes of this machine.
         scoring: How the recordings are scored; None: they get no score.
         again: Make recordings anew that were made with another function, code, town, duration or additional data.
+        carla: The release of CARLA that a script is served, such as "0.9.15"; "auto": that of its client.
     """
 
     function: Callable[..., object] | str | Path
@@ -86,6 +87,7 @@ class Campaign:
     client: Client | None = None
     scoring: Scoring | None = None
     again: bool = False
+    carla: str = "auto"
 
     @property
     def folder(self) -> DestinationFolder:
@@ -145,6 +147,7 @@ class Campaign:
             additional_data=self.additional_data,
             made_with=made_with(self),
             again=self.again,
+            carla=self.carla,
         )
 
 
@@ -161,6 +164,7 @@ class CampaignKeywords(TypedDict, total=False):
     client: Client | None
     scoring: Scoring | None
     again: bool
+    carla: str
 
 
 def campaign(

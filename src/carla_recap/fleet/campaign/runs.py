@@ -81,6 +81,7 @@ class Simulation:
         additional_data: Record velocities, boxes and physics, too.
         made_with: What the recordings are made with, by name; it is written into them beside the seed and the parameters.
         again: Make a recording anew that was made with something else.
+        carla: The release of CARLA that a script is served; see `Campaign`.
     """
 
     function: Callable[..., object] | None
@@ -94,6 +95,7 @@ class Simulation:
     additional_data: bool = False
     made_with: Mapping[str, str] = field(default_factory=dict)
     again: bool = False
+    carla: str = "auto"
 
     def prepare(self) -> None:
         """Load what all runs in this process need; what fails here fails in each run, with its reason."""
@@ -173,7 +175,7 @@ class Simulation:
                 if self.script is not None:
                     from carla_recap.fleet.campaign.serving import run_script
 
-                    run_script(self.script, world, run, path, additional_data=self.additional_data)
+                    run_script(self.script, world, run, path, additional_data=self.additional_data, carla=self.carla)
                 elif self.function is not None:
                     self.function(world, **run.parameters)
             finally:

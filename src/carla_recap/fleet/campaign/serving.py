@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from carla_recap.errors import RecapError
 from carla_recap.server.host import Host
+from carla_recap.server.protocol import release_named
 from carla_recap.server.quirks import busy_polling_loop
 from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.serving import serve
@@ -36,8 +37,8 @@ class _RunHost(Host):
         path: The path of the recording, which is that of the last episode.
     """
 
-    def __init__(self, world: World, path: Path, *, additional_data: bool) -> None:
-        super().__init__(world)
+    def __init__(self, world: World, path: Path, *, additional_data: bool, carla: str) -> None:
+        super().__init__(world, release=release_named(carla))
         self._path = path
         self._additional_data = additional_data
         self._synchronize()
@@ -53,7 +54,7 @@ class _RunHost(Host):
         self.apply_settings(EpisodeSettings(synchronous_mode=True, fixed_delta_seconds=_DELTA))
 
 
-def run_script(script: str, world: World, run: CampaignRun, path: Path, *, additional_data: bool) -> None:
+def run_script(script: str, world: World, run: CampaignRun, path: Path, *, additional_data: bool, carla: str) -> None:
     """Serve a world to a script until that ends.
 
     Args:
@@ -62,11 +63,12 @@ def run_script(script: str, world: World, run: CampaignRun, path: Path, *, addit
         run: The run, whose seed and parameters the script gets.
         path: The path of the recording.
         additional_data: Whether velocities, boxes and physics are recorded.
+        carla: The release of CARLA that it is served; "auto": that of its client.
 
     Raises:
-        RecapError: The script ends with another exit code than 0, or the server ends.
+        RecapError: There is no such release, or the script ends with another exit code than 0, or the server ends.
     """
-    host = _RunHost(world, path, additional_data=additional_data)
+    host = _RunHost(world, path, additional_data=additional_data, carla=carla)
     with asyncio.Runner(loop_factory=busy_polling_loop) as runner:
         code = runner.run(_session(host, script, run))
     if code:

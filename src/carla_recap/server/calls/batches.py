@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
 from collections.abc import Awaitable
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -44,6 +46,7 @@ def set_light_state(client: Client, id: int, bits: int) -> None:
     vehicles.set_vehicle_light_state(client, id, VehicleLightState(bits))
 
 
+_SLICE: Final = 0.05  # s for which a batch keeps other clients waiting
 _CONSOLE: Final = "console_command"
 """The command for the console of Unreal Engine, which has no effect."""
 _SPAWN: Final = "spawn_actor"
@@ -56,6 +59,8 @@ _UNREGISTERED: Final = {each.__name__: unregistered_call(each) for each in (vehi
 def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> list[Any] | Awaitable[list[Any]]:
     """Execute commands one after the other; an error of one does not keep the others from being executed.
 
+    Calls of other clients are served in between if it takes long.
+
     Args:
         client: The client.
         commands: The commands, each `[[number, fields]]`.
@@ -64,7 +69,41 @@ def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> l
     Returns:
         For each command the id of its actor, or an error, as CARLA's `Response`.
     """
-    answers = _apply_controls(client, commands) or [_answer(client, command) for command in commands]
+    if (controlled := _apply_controls(client, commands)) is not None:
+        return _tick_after(client, controlled, do_tick)
+    answers: list[Any] = []
+    remaining = iter(commands)
+
+    def execute() -> bool:
+        """Execute commands for a while; return whether there may be more."""
+        end = time.monotonic() + _SLICE
+        for command in remaining:
+            answers.append(_answer(client, command))
+            if time.monotonic() >= end:
+                return client.is_connected
+        return False
+
+    if not execute():
+        answers += [_answer(client, command) for command in remaining]  # of a client that has left
+        return _tick_after(client, answers, do_tick)
+
+    async def execute_rest() -> None:
+        while execute():
+            await asyncio.sleep(0)
+        answers.extend(_answer(client, command) for command in remaining)
+
+    async def answer_later() -> list[Any]:
+        await asyncio.shield(rest)
+        found = _tick_after(client, answers, do_tick)
+        return found if isinstance(found, list) else await found
+
+    rest, later = asyncio.ensure_future(execute_rest()), asyncio.ensure_future(answer_later())
+    client.read_after(asyncio.shield(later))  # its next calls come after these commands
+    return later
+
+
+def _tick_after(client: Client, answers: list[Any], do_tick: bool) -> list[Any] | Awaitable[list[Any]]:
+    """Return the answers to a batch, after a tick if that is to be in synchronous mode."""
     if not (do_tick and client.host.settings.synchronous_mode):
         return answers
 

@@ -154,8 +154,9 @@ def set_replayer_ignore_spectator(client: Client, ignore: bool) -> None:
 
 
 async def _answer(client: Client, name: str, query: recordings.Query) -> str:
-    await client.host.recordings.completed()
-    return await recordings.answer(client.host.recordings.find_complete(name), query)
+    async with client.queries:
+        await client.host.recordings.completed()
+        return await recordings.answer(client.host.recordings.find_complete(name), query)
 
 
 def _replay_options(client: Client, *options: Any) -> tuple[bool, bool, Transform, str]:

@@ -110,10 +110,12 @@ def get_physics_control(client: Client, id: int) -> PhysicsControl:
 def apply_physics_control(client: Client, id: int, control: PhysicsControl) -> None:
     """Set the physics of a vehicle; its wheels keep their positions, and those beyond the given ones do not change."""
     vehicle = expect(client, id, Vehicle)
-    mine, given = vehicle.physics_control.wheels, control.wheels
+    before = vehicle.physics_control
+    mine, given = before.wheels, control.wheels
     if not 1 <= len(given) <= len(mine):
         raise CallError(f"a physics control of {vehicle!r}: 1 to {len(mine)} wheels were expected, found {len(given)}")
-    changed = [replace(wheel, position=old.position) for wheel, old in zip(given, mine, strict=False)]
+    control = client.release.completed(control, before)
+    changed = [replace(wheel, position=old.position) for wheel, old in zip(control.wheels, mine, strict=False)]
     vehicle.physics_control = replace(control, wheels=changed + mine[len(given) :])
 
 

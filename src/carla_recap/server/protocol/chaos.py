@@ -1,12 +1,14 @@
 """The physics of vehicles as CARLA 0.10 describes it, for the engine's Chaos physics.
 
-What the simulator's physics does not have is sent with CARLA's defaults, and ignored when a client sets it.
+What the simulator's physics does not have is sent with CARLA's defaults, and ignored when a client sets it. What it has
+beyond that is kept when a client sets the rest.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Final
+from dataclasses import dataclass, field, fields, replace
+from math import isclose
+from typing import Any, Final
 
 from carla_recap.sim.geometry import Vector
 from carla_recap.sim.physics.physics_control import Curve, Gear, PhysicsControl, WheelPhysics
@@ -157,3 +159,27 @@ class ChaosControl:
         control.forward_gears = [Gear(ratio, *shares) for ratio in self.forward_gear_ratios]
         control.wheels = [wheel.plain() for wheel in self.wheels]
         return control
+
+    @staticmethod
+    def completed(control: PhysicsControl, before: PhysicsControl) -> PhysicsControl:
+        """Return a physics control of `plain`, with at most as many wheels, with what 0.10 lacks from the one before."""
+        wheels = [
+            replace(wheel, **_others(old, *_WHEEL.values(), "lat_stiff_value"))
+            for wheel, old in zip(control.wheels, before.wheels, strict=False)
+        ]
+        gears, old_gears = control.forward_gears, before.forward_gears
+        if gears and old_gears and _shift_alike(gears[0], old_gears[0]):
+            gears = [replace(old_gears[min(n, len(old_gears) - 1)], ratio=gear.ratio) for n, gear in enumerate(gears)]
+        others = _others(before, *_CONTROL.values(), "forward_gears", "wheels")
+        return replace(control, forward_gears=gears, wheels=wheels, **others)
+
+
+def _others(record: PhysicsControl | WheelPhysics, *names: str) -> dict[str, Any]:
+    """Return the fields of a record but some."""
+    return {each.name: getattr(record, each.name) for each in fields(record) if each.name not in names}
+
+
+def _shift_alike(one: Gear, other: Gear) -> bool:
+    """Return whether two gears are shifted at the same rates, within the precision of the protocol."""
+    pairs = (one.down_ratio, other.down_ratio), (one.up_ratio, other.up_ratio)
+    return all(isclose(*pair, rel_tol=1e-5) for pair in pairs)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING, Any, Final, NewType
+from typing import TYPE_CHECKING, Any, Final, NewType, TypeVar
 
 import numpy as np
 
+from carla_recap.errors import RecapError
 from carla_recap.server.protocol.chaos import ChaosControl
 from carla_recap.sim.physics.physics_control import PhysicsControl
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.sim.blueprints import Blueprint, BlueprintLibrary
+
+T = TypeVar("T")
 
 Label = NewType("Label", int)
 """A semantic tag, which goes over the wire as the release numbers it."""
@@ -41,7 +44,7 @@ class Release:
         adds: Blueprints that it alone has.
         first_attribute_type: The number of the first type of attributes.
         without: Fields of structs that it does not have, each as `Struct.field`.
-        structs: Its own structs for ours, where more is different: each has `of` and `plain`, which convert.
+        structs: Its own structs for ours, where more is different: see `ChaosControl` for what each has.
         labels: Its semantic tags by ours; empty if they are the same.
         renews_stream: Whether a client that begins an episode subscribes to a new stream of snapshots.
     """
@@ -66,6 +69,12 @@ class Release:
         """Return the blueprints of a library that the release has."""
         own = [each for each in library if not any(fnmatchcase(each.id, pattern) for pattern in self.lacks)]
         return [*own, *map(library.get, self.adds)]
+
+    def completed(self, value: T, before: T) -> T:
+        """Return a value that a client has set, with what the release does not know of it as it was before."""
+        own = self.structs.get(type(value))
+        completed: T = value if own is None else own.completed(value, before)
+        return completed
 
     def relabelled(self, tags: NDArray[Any]) -> NDArray[Any]:
         """Return semantic tags as the release numbers them."""
@@ -132,3 +141,15 @@ RELEASES: Final = (_0_9_16, _0_10_0, _0_9_15, _0_9_14, _0_9_13)
 """All releases, in the order in which the markers tell them apart."""
 DEFAULT: Final = _0_9_16
 """The release of clients of which it cannot be found."""
+
+
+def release_named(name: str) -> Release | None:
+    """Return the release of a name; None for "auto", which is that of each client.
+
+    Raises:
+        RecapError: There is no such release.
+    """
+    named = {release.name: release for release in RELEASES}
+    if name not in (*named, "auto"):
+        raise RecapError(f"expected a release of CARLA ({', '.join(sorted(named))}) or auto, found {name!r}")
+    return named.get(name)

@@ -170,6 +170,11 @@ class ClientConnection(asyncio.Protocol):
         return (names[0][:2], names[1][:2]) if all(names) and names else None
 
     @property
+    def is_open(self) -> bool:
+        """Whether it has not been lost."""
+        return self._transport is not None
+
+    @property
     def address(self) -> str:
         """The address of the client's machine."""
         return self.ends[0][0] if self.ends else ""
@@ -232,7 +237,7 @@ class ClientConnection(asyncio.Protocol):
         """Run something after the current call; it is cancelled when the client leaves."""
         self._watch(asyncio.ensure_future(work))
 
-    def read_after(self, work: Awaitable[None]) -> None:
+    def read_after(self, work: Awaitable[object]) -> None:
         """Read nothing, and serve no more calls, before some work is done; it is cancelled when the client leaves."""
         if self._transport is not None:
             self._pause()
