@@ -143,6 +143,27 @@ def test_without_time_between_frames_there_is_no_angular_velocity(tmp_path):
         assert xyz(log.get_actor_angular_velocity(7, 2)) == (0, 0, 0)
 
 
+@pytest.mark.parametrize(
+    ("times", "x", "again", "expected"),
+    [
+        ([0.0, 0.1, 0.2], [0, 0, 0], False, [100, 100, 100]),
+        ([0.0, 0.1, 1.2], [0, 0, 0], False, [100, 100, 0]),
+        ([0.0, 0.1, 0.2], [0, 0, 5000], False, [100, 100, 0]),
+        ([0.0, 0.1, 0.2], [0, 0, 0], True, [100, 100, 0]),
+    ],
+    ids=["turns", "after a second", "jumps", "another life"],
+)
+def test_angular_velocities_are_derived_by_the_rule_of_velocities(tmp_path, times, x, again, expected):
+    with create_recording(tmp_path / "own.log", map_name="Town01") as recorder:
+        for number, (time, place) in enumerate(zip(times, x, strict=True)):
+            spawned = [Spawn(7, ActorKind.VEHICLE, type_id="vehicle.a.b")] if not number or (again and number == 2) else []
+            destroyed = [7] if spawned and number else []
+            turned = [(7, 100 * place, 0, 0, 0, 0, 10 * number)]
+            recorder.add_frame(time, spawned=spawned, destroyed=destroyed, transforms=turned)
+    with MetricsLog(tmp_path / "own.log") as log:
+        assert [log.get_actor_angular_velocity(7, frame).z for frame in (1, 2, 3)] == pytest.approx(expected)
+
+
 def test_accelerations_are_changes_of_velocities(log):
     assert xyz(log.get_actor_acceleration(7, 1)) == (0, 0, 0)
     assert log.get_all_actor_accelerations(7, 3, 3)[0].x == pytest.approx(-50)

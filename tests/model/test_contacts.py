@@ -104,6 +104,12 @@ def test_a_velocity_is_unknown_after_a_jump_or_a_long_time(seconds: float, way: 
     assert velocity_of(seconds, (0, 0, 0), (way, 0, 0)) is UNKNOWN
 
 
+def test_a_jump_before_a_contact_is_longer_than_a_recorded_velocity_explains() -> None:
+    earlier = at(4.8, a1=(0, 0, 0)).replace(velocities=[(1, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0)])
+    assert Impact.of((2, 1, 2), at(5.0), at(5.0, a1=(590, 0, 0)), earlier).speeds[0] == pytest.approx(29.5)
+    assert Impact.of((2, 1, 2), at(5.0), at(5.0, a1=(610, 0, 0)), earlier).velocities[0] is UNKNOWN
+
+
 def test_an_impact_has_the_positions_of_its_own_frame() -> None:
     impact = Impact.of((2, 1, 2), at(5.0, a1=(1, 2, 3)), None, None)
     assert impact.positions == ((1, 2, 3), UNKNOWN)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from carla_recap.model.motion import neighbours, place_in_metres, possible_step, rates, runs, slope, steps_joined, velocities
+from carla_recap.model.motion import motion_of, neighbours, place_in_metres, possible_step, rates, runs, slope, steps_joined
 from tests.twins import motion as twin
 
 NAN = np.nan
@@ -81,16 +81,15 @@ def test_places_in_metres() -> None:
     ]
 
 
-@given(st.lists(st.tuples(SECONDS, METRES, METRES, SPEED), max_size=12))
+@given(st.lists(st.tuples(SECONDS, METRES, METRES, SPEED, st.sampled_from([0.0, 0.0, 0.0, NAN])), max_size=12))
 @example([])
-@example([(0.05, 1.0, 0.0, NAN)])
+@example([(0.05, 1.0, 0.0, NAN, NAN)])
 def test_velocities_are_those_of_a_loop(steps: list[tuple[float, ...]]) -> None:
-    rows = np.array(steps).reshape(-1, 4)
+    rows = np.array(steps).reshape(-1, 5)
     time, places = np.cumsum(rows[:, 0]), np.cumsum(np.nan_to_num(rows[:, 1:3]), axis=0).T
     places[np.isnan(rows[:, 1:3].T)] = NAN
-    recorded = np.stack((rows[:, 3], np.where(np.isnan(rows[:, 3]), NAN, 0.0)))
-    joined = steps_joined(time, places, np.sqrt((recorded**2).sum(axis=0)))
-    found = velocities(time, places, recorded, joined)
+    recorded = np.stack((rows[:, 3], rows[:, 4]))
+    found, _ = motion_of(time, places, recorded)
     expected = twin.velocities(time.tolist(), places.T.tolist(), recorded.T.tolist())
     np.testing.assert_allclose(found.T, np.array(expected).reshape(-1, 2), rtol=1e-9)
 

@@ -64,13 +64,63 @@ def speeds(path: Path) -> tuple[list[float], list[float]]:
         return recording.trajectory(1).speed.tolist(), recording.time_series(1).speed.tolist()
 
 
-def test_there_is_no_speed_across_an_absence(tmp_path: Path) -> None:
-    """It drives at 20 m/s, and is absent for three frames, after which it is 15 m farther on."""
-    frames = {frame * TICK: {"x": frame * 1.0} for frame in range(10)}
-    frames |= {frame * TICK: {} for frame in range(10, 13)}
-    frames |= {frame * TICK: {"x": 12.0 + frame} for frame in range(13, 20)}
-    for found in speeds(recorded_car(tmp_path / "absent.mcap", frames)):
-        assert found == pytest.approx([20.0] * len(found))
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+@pytest.mark.parametrize(("absent", "farther"), [(3, 3.0), (19, 19.0), (25, 1000.0), (3, 100.0)])
+def test_speeds_follow_from_the_frames_that_an_actor_is_in(tmp_path: Path, suffix: str, absent: int, farther: float) -> None:
+    """It drives at 20 m/s, and is absent: less than 1 s, or longer and somewhere else behind it, or it jumps meanwhile."""
+    frames = {frame * TICK: {"x": frame * 1.0} for frame in range(30)}
+    frames |= {frame * TICK: {} for frame in range(30, 30 + absent)}
+    frames |= {frame * TICK: {"x": frame - absent + farther} for frame in range(30 + absent, 60 + absent)}
+    for found in speeds(recorded_car(tmp_path / f"absent{suffix}", frames)):
+        known = [speed for speed in found if np.isfinite(speed)]
+        assert known == pytest.approx([20.0] * len(known))
+        assert len(known) == 60 - 20 * (farther == 100 and len(found) < 60)
+
+
+@pytest.mark.filterwarnings("ignore:.*is unknown; rules of the road")
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_an_actor_in_every_other_frame_has_a_speed(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "Straight.xodr").write_text(STRAIGHT_ROAD, "utf-8")
+    monkeypatch.setenv("CARLA_RECAP_MAPS", str(tmp_path))
+    cars = [Spawn(id, ActorKind.VEHICLE, type_id="vehicle.tesla.model3", attributes=attributes()) for id in (1, 2)]
+    with create_recording(tmp_path / f"two{suffix}", map_name="Straight") as recorder:
+        for frame in range(100):
+            pose = {"id": [1 + frame % 2], "x": [frame * 100.0], "y": [175.0]}
+            recorder.add_frame(frame * TICK, transforms=pose, **({} if frame else {"spawned": cars}))
+    with open_recording(tmp_path / f"two{suffix}") as recording:
+        for id in (1, 2):
+            greatest = {row.measure: row.value for row in recording.measures([id])}
+            assert recording.trajectory(id).speed == pytest.approx(20.0)
+            assert recording.time_series(id).speed == pytest.approx(20.0)
+            assert greatest["speed"] == pytest.approx(20.0)
+        assert {row.actors for row in recording.incidents(kinds=["speeding"])} == {(1,), (2,)}
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_a_velocity_that_is_no_number_along_an_axis_does_not_count(tmp_path: Path, suffix: str) -> None:
+    car = Spawn(1, ActorKind.VEHICLE, type_id="vehicle.tesla.model3", attributes=attributes(role_name="hero"))
+    with create_recording(tmp_path / f"z{suffix}", map_name="Nowhere") as recorder:
+        for frame in range(20):
+            velocity = {"id": [1], "x": [20.0], "z": [np.nan]}
+            more = {} if frame else {"spawned": [car]}
+            recorder.add_frame(frame * TICK, transforms={"id": [1], "x": [5.0 * frame]}, velocities=velocity, **more)
+    for found in speeds(tmp_path / f"z{suffix}"):
+        assert found == pytest.approx([1.0] * 20)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+@pytest.mark.parametrize("every", [1, 2])
+def test_a_vehicle_in_every_other_frame_brakes_hard(tmp_path: Path, suffix: str, every: int) -> None:
+    """From 20 m/s at 1 s on, it slows down by 8 m/s² for 1 s."""
+    frames = {0.0: {"x": 0.0}}
+    for frame in range(1, 80):
+        slower = min(max(frame * TICK - 1, 0), 1)
+        frames[frame * TICK] = (
+            {} if frame % every else {"x": 20 * frame * TICK - 4 * slower**2 - 8 * max(frame * TICK - 2, 0)}
+        )
+    with open_recording(recorded_car(tmp_path / f"brakes{suffix}", frames)) as recording:
+        (row,) = recording.incidents(kinds=["hard braking"])
+        assert (row.start, row.stop, row.value) == pytest.approx((1, 2, 8), abs=0.11)
 
 
 def test_an_infinite_velocity_explains_no_jump(tmp_path: Path) -> None:

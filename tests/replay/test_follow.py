@@ -9,7 +9,7 @@ import pytest
 from carla_recap import RecapError
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.replay import Player, choose_followed
-from tests.replay.scripts import pose, spawn
+from tests.replay.scripts import pose, spawn, velocity
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -96,6 +96,20 @@ def test_the_length_of_the_path_counts(record: Record) -> None:
 def test_jumps_do_not_count(record: Record) -> None:
     recording = record(*frames(NO_HERO, lambda id, n: n * 30 if id == 11 else (n > 2) * 1e6 if id == 12 else 0))
     assert Player(recording).followed == 11
+
+
+def test_a_step_that_the_recorded_velocity_does_not_explain_is_a_jump(record: Record) -> None:
+    script = frames(NO_HERO, lambda id, n: n * 300 if id == 11 else n % 2 * 3000 if id == 12 else 0)
+    for frame in script:
+        frame["velocities"] = [velocity(11, 3), velocity(12, 0)]
+    assert Player(record(*script)).followed == 11
+
+
+def test_an_actor_counts_that_is_in_every_other_frame(record: Record) -> None:
+    script = frames(NO_HERO, speeds(id11=100, id12=300), count=9)
+    for frame in script[1::2]:
+        frame["transforms"] = [pose for pose in frame["transforms"] if pose[0] != 12]
+    assert Player(record(*script)).followed == 12
 
 
 def test_a_walker_is_chosen_if_no_vehicle_moves(record: Record) -> None:

@@ -163,6 +163,7 @@ def test_the_last_of_several_records_counts(record: Record) -> None:
         (1.0, 499, (0.0, 0.0), False),
         (1.0, 600, (0.0, 3.0), False),
         (1.0, 3_100, (10.0, 10.0), True),
+        (1.0, 3_100, (10.0, math.inf), True),
         (1.0, 2_900, (10.0, 10.0), False),
     ],
 )

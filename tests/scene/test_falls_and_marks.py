@@ -78,8 +78,10 @@ def test_a_walker_that_is_recorded_lying_is_shown_as_recorded(batches):
         accident(kind="vehicle.audi.a2"),
         [{**frame, "transforms": [pose(CAR, math.nan), pose(WALKER)]} for frame in accident()],
         [{**frame, "transforms": [pose(CAR), pose(WALKER, math.nan)]} for frame in accident()],
+        [{**frame, "transforms": [pose(CAR, -20_000 * (n < HIT)), pose(WALKER)]} for n, frame in enumerate(accident())],
+        [{**frame, "velocities": [(CAR, 0.5, 0, 0, 0, 0, 0)]} for frame in accident()],
     ],
-    ids=["slow", "vehicles", "no pose of the car", "no pose of the walker"],
+    ids=["slow", "vehicles", "no pose of the car", "no pose of the walker", "a jump", "slow as recorded"],
 )
 def test_nothing_falls(batches, frames):
     assert falls(batches(frames)) == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import ExitStack
 
 import numpy as np
@@ -107,11 +108,29 @@ def test_a_car_whose_lights_are_recorded_off_brakes_without_lamps(recorded):
     assert not any(flags(recorded(frames)).values())
 
 
-def test_a_jump_is_no_braking(recorded):
+@pytest.mark.parametrize("metres", [2000.0, 10.5])  # of which 0.5 m would be a speed that brakes can lose
+def test_a_jump_is_no_braking(recorded, metres):
     frames = slowing(0.0)
     for number, frame in enumerate(frames[20:]):
-        frame["transforms"] = [pose(CAR, 200_000 + 200 * number)]
+        frame["transforms"] = [pose(CAR, 100 * metres + 200 * (20 + number))]
     assert not any(flags(recorded(frames)).values())
+
+
+def test_a_velocity_that_is_no_number_along_an_axis_lights_nothing(recorded):
+    frames = slowing(6.5, velocities=True)
+    for number, frame in enumerate(frames):
+        frame["velocities"] = [(CAR, *frame["velocities"][0][1:3], math.nan, 0.0, 0.0, 0.0)]
+        frame["transforms"] = [pose(CAR, 200 * number)]
+    assert not any(flags(recorded(frames)).values())
+
+
+def test_a_car_in_every_other_frame_brakes(recorded):
+    frames = slowing(6.5)
+    for frame in frames[1::2]:
+        frame["transforms"] = []
+    found = braking_times(flags(recorded(frames)))
+    assert 1.0 < found[0] < 1.6
+    assert 2.2 < found[-1] < 3.1
 
 
 def test_a_new_actor_with_the_id_of_one_that_braked_does_not_brake(recorded):

@@ -20,7 +20,7 @@ from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.blueprints import blueprint_like
 from carla_recap.model.layout import MAX_COUNT
 from carla_recap.model.lives import HERO
-from carla_recap.model.motion import neighbours, steps_joined
+from carla_recap.model.motion import rates, steps_joined
 from carla_recap.model.records import CM, NO_ACTOR, UE4, ActorKind, Spawn, attributes
 from carla_recap.util.files import IS_LFS_POINTER, LFS_POINTER
 from carla_recap.util.text import first_of
@@ -423,11 +423,9 @@ class _ImportedTracks:
         for name in _POSE:
             np.nan_to_num(self._numbers.setdefault(name, np.zeros(len(time))), copy=False)
         places = np.stack([self._numbers[axis][order] * CM for axis in "xyz"])
-        before, after = (order[rows] for rows in neighbours(steps_joined(time[order], places, actor=of_row[order])))
-        turned = np.remainder(yaw[after] - yaw[before] + 180.0, 360.0) - 180.0
-        seconds = time[after] - time[before]
+        joined = steps_joined(time[order], places, actor=of_row[order])
         self._yaw_rates = np.zeros(len(time))  # degrees/s
-        self._yaw_rates[order] = np.divide(turned, seconds, out=np.zeros(len(time)), where=seconds > 0)
+        self._yaw_rates[order] = np.nan_to_num(rates(time[order], yaw[order], joined, period=360.0))
 
     def _face(self, rows: Integers) -> None:
         """Set the yaw of a track where it is missing: the direction of its motion, kept while it stands."""

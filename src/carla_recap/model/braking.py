@@ -117,13 +117,13 @@ class BrakingDetector:
         of_vehicles = np.split(hard, np.flatnonzero(np.diff(hard["id"])) + 1)
         in_time = (rows[np.argsort(rows["time"], kind="stable")] for rows in of_vehicles if len(rows))
         self._hard_by_id = {rows["id"].item(0): rows.copy() for rows in in_time}
-        first, last = _runs(hard, np.diff(hard["frame"]) == 1)
+        first, last = _runs(hard, _follow(hard))
         lasts = hard["time"][last] - hard["time"][first] >= SHORTEST - SAME_TIME
         lasts &= last - first >= _FEWEST - 1
         first, last = first[lasts], last[lasts]
         begin, end = _runs(hard[first], hard["time"][first[1:]] - hard["time"][last[:-1]] < LONGEST_STEP)
         rows = zip(hard[first[begin]].tolist(), hard["time"][last[end]].tolist(), strict=True)
-        return [Braking(id, start, stop, x, y, z, speed) for (id, _, start, x, y, z, speed, _), stop in rows]
+        return [Braking(id, start, stop, x, y, z, speed) for (id, _, _, start, x, y, z, speed, _), stop in rows]
 
     def hardest(self, id: int, start: float, stop: float) -> tuple[float, float]:
         """Return the greatest deceleration of a vehicle that brakes hard, in m/s², and its time, after `finish`.
@@ -176,13 +176,15 @@ class BrakingDetector:
         elapsed, every = np.array(self._elapsed), self._transforms.ids(least=_FEWEST)
         for ids in _pieces(every, _CELLS // max(len(elapsed), 1)):
             places, present = self._transforms.dense("xyz", ids)
-            velocities, recorded = self._velocities.dense("xy", ids)
+            velocities, recorded = self._velocities.dense("xyz", ids)
+            recorded &= np.isfinite(velocities).all(axis=0)
             for few in _pieces(np.arange(len(ids)), _CACHED // len(elapsed)):
                 rows = slice(few[0], few[-1] + 1)
                 hard = self._hard_frames(places[:, rows], present[rows], velocities[:, rows], recorded[rows], elapsed)
                 hard["id"] = ids[rows][hard["id"]]
                 hard = hard[(hard["frame"] >= self._done - self._first) & (hard["frame"] < until)]
                 hard["frame"] += self._first
+                hard["before"] += self._first
                 self._hard.append(hard)
         self._done = self._first + until
         dropped = max(until - _MARGIN, 0)
@@ -201,7 +203,7 @@ class BrakingDetector:
         Args:
             places: The positions in cm, (3, vehicles, frames).
             present: Where they are known, (vehicles, frames).
-            velocities: The recorded velocities in m/s, (2, vehicles, frames).
+            velocities: The recorded velocities in m/s, (3, vehicles, frames).
             recorded: Where they are known, (vehicles, frames).
             elapsed: The elapsed seconds of the frames.
         """
@@ -212,7 +214,7 @@ class BrakingDetector:
         metres = places.astype(np.float64) * CM
         speed = np.full(len(there), np.nan)
         if recorded.any():
-            speed = np.where(recorded, np.hypot(*velocities), np.nan).take(there).astype(np.float64)
+            speed = np.where(recorded, np.hypot(*velocities[:2]), np.nan).take(there).astype(np.float64)
         seconds = np.diff(time)
         joined = steps_joined(time, metres, speed, vehicle)
         before, after = neighbours(joined)
@@ -230,6 +232,7 @@ class BrakingDetector:
         deceleration = -slope(time[rows], speed[None], HALF_WINDOW, joined=joined, most=_MARGIN - 1)[0]
         kept = np.flatnonzero(deceleration >= self._deceleration)
         rows, found = rows[kept], np.zeros(len(kept), _HARD)
+        found["before"] = frame[before[rows]]
         found["id"], found["frame"], found["time"], found["speed"] = vehicle[rows], frame[rows], time[rows], speed[kept]
         found["x"], found["y"], found["z"] = places[:, rows]
         found["deceleration"] = deceleration[kept]
@@ -237,15 +240,21 @@ class BrakingDetector:
 
 
 _HARD: Final = np.dtype(
-    [("id", "u4"), ("frame", "i8")] + [(name, "f8") for name in ("time", "x", "y", "z", "speed", "deceleration")]
+    [("id", "u4"), ("frame", "i8"), ("before", "i8")]
+    + [(name, "f8") for name in ("time", "x", "y", "z", "speed", "deceleration")]
 )
-"""A frame in which a vehicle brakes hard."""
+"""A frame in which a vehicle brakes hard, and its frame before."""
+
+
+def _follow(rows: NDArray[np.void]) -> Booleans:
+    """Return whether each next frame of hard braking is the vehicle's next frame."""
+    return np.asarray(rows["before"][1:] == rows["frame"][:-1])
 
 
 def _can_be_braking(rows: NDArray[np.void]) -> Booleans:
     """Return which frames of hard braking are of intervals in which brakes can be as firm, and which are long enough."""
     found, times = np.zeros(len(rows), np.bool_), rows["time"]
-    for first, last in runs(rows["deceleration"] <= FIRMEST_BRAKING, np.diff(rows["frame"]) == 1):
+    for first, last in runs(rows["deceleration"] <= FIRMEST_BRAKING, _follow(rows)):
         found[first : last + 1] = times[last] - times[first] >= SHORTEST - SAME_TIME
     return found
 

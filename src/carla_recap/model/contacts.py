@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.model.motion import LONGEST_STEP, TOP_SPEED
+from carla_recap.model.motion import motion_of
 from carla_recap.model.records import CM, UE4
 
 if TYPE_CHECKING:
@@ -49,7 +49,8 @@ class Impact(NamedTuple):
         id1: The actor with the collision sensor.
         id2: The other actor.
         positions: The position of each in this frame, in cm, left-handed; NaN where it is unknown.
-        velocities: The velocity of each in the frame before, in m/s, left-handed; NaN where it is unknown.
+        velocities: The velocity of each in the frame before, in m/s, left-handed; NaN where it is unknown; see
+            `velocity_before`.
     """
 
     frame_index: int
@@ -62,9 +63,6 @@ class Impact(NamedTuple):
     def of(cls, key: Key, frame: Frame, before: Frame | None, earlier: Frame | None) -> Impact:
         """Return an impact.
 
-        The velocity of an actor is the one recorded in the frame before; if none is recorded, it is derived from the
-        positions in the two frames before, unless they are more than a second apart or the actor jumps.
-
         Args:
             key: The index of the frame and the ids of the actors.
             frame: The frame.
@@ -73,7 +71,7 @@ class Impact(NamedTuple):
         """
         _, id1, id2 = key
         positions = _position(frame, id1), _position(frame, id2)
-        return cls(*key, positions, (_velocity(id1, before, earlier), _velocity(id2, before, earlier)))
+        return cls(*key, positions, (velocity_before(id1, before, earlier), velocity_before(id2, before, earlier)))
 
     @property
     def key(self) -> Key:
@@ -275,18 +273,28 @@ def _position(frame: Frame, id: int) -> Vector:
     return _vector(_row(frame, "transforms", id))
 
 
-def _velocity(id: int, frame: Frame | None, earlier: Frame | None) -> Vector:
+def velocity_before(id: int, frame: Frame | None, earlier: Frame | None) -> Vector:
+    """Return the velocity of an actor just before a contact in m/s, left-handed; NaN where it is unknown.
+
+    It is that of `carla_recap.model.motion`, but derived from the frames before the contact alone: in its own frame, the actor
+    may have been stopped, or thrown.
+
+    Args:
+        id: The actor.
+        frame: The frame before the contact, if there is one.
+        earlier: The frame before that one, if there is one.
+    """
     if frame is None:
         return UNKNOWN
     recorded = _vector(_row(frame, "velocities", id))
-    if all(map(math.isfinite, recorded)):
-        return recorded
-    seconds = frame.elapsed - earlier.elapsed if earlier is not None else 0.0
-    if earlier is None or not 0 < seconds <= LONGEST_STEP:
-        return UNKNOWN
-    now, then = _position(frame, id), _position(earlier, id)
-    x, y, z = ((a - b) * CM / seconds for a, b in zip(now, then, strict=True))
-    return (x, y, z) if math.hypot(x, y, z) <= TOP_SPEED else UNKNOWN
+    if earlier is None or all(map(math.isfinite, recorded)):
+        return recorded if all(map(math.isfinite, recorded)) else UNKNOWN
+    places = np.array((_position(earlier, id), _position(frame, id))).T * CM
+    with np.errstate(all="ignore"):
+        both = np.array((_vector(_row(earlier, "velocities", id)), UNKNOWN)).T
+        velocities, _ = motion_of(np.array((earlier.elapsed, frame.elapsed)), places, both)
+    x, y, z = velocities[:, 1].tolist()
+    return UNKNOWN if math.isnan(x) else (x, y, z)
 
 
 def _length(vector: Iterable[float]) -> float:

@@ -1,9 +1,9 @@
 """How actors move: one rule for velocities, accelerations and rates, recorded or not, and what a jump is.
 
-The velocity of an actor at a frame is the recorded one, if that is finite. Else it is the central difference of its places:
-between its frame before and its frame behind, each of which counts if it is of the same actor, at most 1 s away, and no jump
-lies between; next to a jump or at an end, one of them counts. Without any, the velocity is unknown: NaN. Other rates, such
-as an acceleration of velocities, are the differences between the same frames.
+The velocity of an actor at a frame is the recorded one, if it is finite along all axes. Else it is the central difference of
+its places: between its frame before and its frame behind, of those that have its pose, each of which counts if it is of the
+same life, at most 1 s away, and no jump lies between; next to a jump or at an end, one of them counts. Without any, the
+velocity is unknown: NaN. Other rates, such as an acceleration of velocities, are the differences between the same frames.
 """
 
 from __future__ import annotations
@@ -84,31 +84,42 @@ def steps_joined(
     return joined if actor is None else joined & (np.diff(actor) == 0)
 
 
-def rates(time: Floats, values: Floats, joined: Booleans) -> Floats:
+def motion_of(
+    time: Floats, places: Floats, recorded: Floats, actor: Integers | None = None, *, longest: float = LONGEST_STEP
+) -> tuple[Floats, Booleans]:
+    """Return the velocities at places in m/s, (axes, n), and whether motion follows from each and its next one, (n - 1,).
+
+    Args:
+        time: Elapsed seconds, (n,).
+        places: The places in m, (axes, n).
+        recorded: The recorded velocities in m/s, (axes, n); one counts if it is finite along all axes.
+        actor: A number of the life at each place, if there are several, one after the other, (n,).
+        longest: The longest time from a place to the next one, in s; no velocity is derived over more than 1 s.
+    """
+    known = np.isfinite(recorded).all(axis=0)
+    joined = steps_joined(time, places, np.where(known, np.sqrt((recorded**2).sum(axis=0)), np.nan), actor, longest=longest)
+    if known.all():
+        return recorded, joined
+    near = joined if longest <= LONGEST_STEP else joined & (np.diff(time) <= LONGEST_STEP)
+    return np.where(known, recorded, rates(time, places, near)), joined
+
+
+def rates(time: Floats, values: Floats, joined: Booleans, *, period: float | None = None) -> Floats:
     """Return the changes of values per second between the neighbours of each frame, (..., n); NaN without a neighbour.
 
     Args:
         time: Elapsed seconds, (n,).
         values: The values, (..., n).
         joined: Whether each frame and the next one belong together, (n - 1,).
+        period: Of angles, a whole turn: the change is the shorter way around.
     """
     before, after = neighbours(joined)
     with np.errstate(all="ignore"):
         seconds = np.where(after > before, time[after] - time[before], np.nan)
-        return np.asarray((values[..., after] - values[..., before]) / seconds)
-
-
-def velocities(time: Floats, places: Floats, recorded: Floats, joined: Booleans) -> Floats:
-    """Return the velocities in m/s, (axes, n): the recorded ones where these are finite, else by the places; or NaN.
-
-    Args:
-        time: Elapsed seconds, (n,).
-        places: The places in m, (axes, n).
-        recorded: The recorded velocities in m/s, (axes, n); NaN where none is.
-        joined: See `steps_joined`.
-    """
-    known = np.isfinite(recorded).all(axis=0)
-    return recorded if known.all() else np.where(known, recorded, rates(time, places, joined))
+        changes = values[..., after] - values[..., before]
+        if period is not None:
+            changes -= period * np.rint(changes / period)
+        return np.asarray(changes / seconds)
 
 
 def neighbours(joined: Booleans) -> tuple[Indices, Indices]:

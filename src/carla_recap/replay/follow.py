@@ -12,8 +12,9 @@ from carla_recap.model.lives import HERO, ROAD_USERS, ActorName, find_actor, her
 from carla_recap.model.motion import possible_step
 from carla_recap.model.records import CM
 from carla_recap.queries.recorded_actors import actors
+from carla_recap.replay.motion import numbers_of
 from carla_recap.replay.pose import LOCATION
-from carla_recap.replay.selection import NO_IDS, Selection, array, find, numbers
+from carla_recap.replay.selection import NO_IDS, array, find, latest
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -106,43 +107,43 @@ def _first_to_collide(reader: Reader, ids: set[int], start: float, stop: float) 
 def _distances(reader: Reader, start: float, stop: float) -> dict[int, float]:
     """Return the distance, in cm, that each actor with transforms moves; jumps do not count."""
     step = min(_MAX_STEP, (min(stop, reader.extent().duration) - start) / _MIN_STEPS)
-    distances: dict[int, float] = {}
-    selection = Selection()
     ids: Ids = NO_IDS
-    locations, distance, before = np.zeros((0, 3)), np.zeros(0), 0.0
-    for elapsed, records in _samples(reader, start, stop, step):
-        with np.errstate(invalid="ignore"):  # a signaling NaN
-            now = numbers(records)[selection.choose(records, NO_IDS), LOCATION].astype(np.float64)
-        if selection.ids is not ids:
-            _add(distances, ids, distance)
-            where, found = find(selection.ids, ids)
-            locations = np.where(found[:, None], locations[where], now) if len(ids) else now
-            ids, distance = selection.ids, np.zeros(len(now))
+    before, distance = np.zeros((0, 5)), np.zeros(0)  # x, y, z, the time and the speed of each where it was last
+    for elapsed, transforms, velocities in _samples(reader, start, stop, step):
+        here = np.unique(transforms["id"])
+        if not find(here, ids)[1].all():
+            where, known = find(every := np.union1d(ids, here), ids)
+            rows = np.flatnonzero(known)
+            grown, more = np.full((len(every), 5), np.nan), np.zeros(len(every))
+            grown[rows], more[rows] = before[where[known]], distance[where[known]]
+            ids, before, distance = every, grown, more
+        rows = np.searchsorted(ids, here)
         with np.errstate(invalid="ignore", over="ignore"):
-            steps = np.sqrt(((now - locations) ** 2).sum(axis=1))
-        distance += np.where(steps * CM <= possible_step(elapsed - before), steps, 0)
-        locations, before = now, elapsed
-    _add(distances, ids, distance)
-    return distances
+            places = numbers_of(here, latest(transforms))[:, LOCATION]
+            speeds = np.sqrt((numbers_of(here, latest(velocities))[:, LOCATION] ** 2).sum(axis=1))
+            speeds[~np.isfinite(speeds)] = np.nan
+            steps = np.sqrt(((places - before[rows, :3]) ** 2).sum(axis=1))
+            possible = possible_step(elapsed - before[rows, 3], np.fmax(speeds, before[rows, 4]))
+            distance[rows] += np.where(steps * CM <= possible, steps, 0.0)
+        before[rows] = np.column_stack((places, np.full(len(here), elapsed), speeds))
+    return dict(zip(ids.tolist(), distance.tolist(), strict=True))
 
 
-def _samples(reader: Reader, start: float, stop: float, step: float) -> Iterator[tuple[float, NDArray[np.void]]]:
-    """Yield the elapsed seconds and the transforms of frames that are at least a step, in seconds, apart."""
+def _samples(
+    reader: Reader, start: float, stop: float, step: float
+) -> Iterator[tuple[float, NDArray[np.void], NDArray[np.void]]]:
+    """Yield the elapsed seconds, the transforms and the velocities of frames that are at least a step, in s, apart."""
     due = -math.inf
-    for batch in reader.batches(("transforms",), start=start):
-        records, row = batch.records("transforms"), int(np.searchsorted(batch.elapsed, due))
+    for batch in reader.batches(("transforms", "velocities"), start=start):
+        transforms, velocities = batch.records("transforms"), batch.records("velocities")
+        row = int(np.searchsorted(batch.elapsed, due))
         while row < len(batch):
             elapsed = float(batch.elapsed[row])
             if elapsed > stop:
                 return
-            yield elapsed, records[row]
+            yield elapsed, transforms[row], velocities[row]
             due = elapsed + step
             row += 1 + int(np.searchsorted(batch.elapsed[row + 1 :], due))
-
-
-def _add(distances: dict[int, float], ids: Ids, more: NDArray[np.float64]) -> None:
-    for id, distance in zip(ids.tolist(), more.tolist(), strict=True):
-        distances[id] = distances.get(id, 0.0) + distance
 
 
 class LiveChoice:

@@ -199,7 +199,10 @@ class Interpolator:
         return self._selection.ids, poses
 
     def _steps(self, frame: Frame, next: Frame, ids: Ids, poses: Floats) -> Floats:
-        """Return the difference of each pose to the next one; 0 for an actor that jumps, disappears or is replaced."""
+        """Return the difference of each pose to the next one; 0 for an actor that jumps, disappears or is replaced.
+
+        A step is a jump by `possible_step`, one of up to 5 m never is: no velocity follows from it.
+        """
         if ids is self._ids:
             steps = change(self._poses, poses)
             still = np.zeros(len(ids), np.bool_)
@@ -230,4 +233,4 @@ def _speeds(frame: Frame, ids: Ids) -> Floats:
     where, found = find(ids, records["id"])
     velocity = numbers(records)[where[found], LOCATION].astype(np.float64)
     speeds[found] = np.sqrt(np.einsum("ij,ij->i", velocity, velocity))
-    return speeds
+    return np.where(np.isfinite(speeds), speeds, np.nan)

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.model.contacts import velocity_before
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.replay.events import Collided
 from carla_recap.replay.player import Player
-from carla_recap.replay.pose import LOCATION, ROTATION, right_handed, rotations
-from carla_recap.replay.selection import array, find
+from carla_recap.replay.pose import ROTATION, right_handed, rotations
+from carla_recap.replay.selection import array
 from carla_recap.scene.appearance import Look, look_of_present
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ _KNOCKED: Final = 1.5  # m/s: from this speed on, a vehicle knocks a walker down
 _UPRIGHT: Final = 45.0  # degrees; the recorded pose of one that leans more is shown as it is
 _WALKING: Final = 20.0  # cm/s; one that walks again has got up
 _FALLING: Final = 0.6  # s from the hit until a walker lies
-_LEAD: Final = 0.3  # s before a hit that are read, for the velocities
+_LEAD: Final = 2.0  # s before a hit that are read, for the velocities in the two frames before it
 _SLACK: Final = 1e-3  # s
 _LOOK_BACK: Final = 10.0  # s before a moment in which walkers that have got up are looked for first
 _WIDER: Final = 4.0  # the factor by which it grows
@@ -93,6 +94,7 @@ class FallenWalkers:
         self.falls: dict[int, Fall] = {}
         self._hits: dict[int, _Hit | None] = {}  # what knocked them down; None of those that lie
         self._before: SceneBatch | None = None
+        self._recent: dict[int, tuple[Batch, int]] = {}  # the two latest frames by index, each a row of a batch
 
     def changes(self, batch: SceneBatch, *, keep: bool = False) -> list[FallChange]:
         """Return the falls and risings in the scenes of a batch; each batch has to be given, in order.
@@ -102,10 +104,12 @@ class FallenWalkers:
             keep: Whether walkers keep lying in a batch that does not follow the one before.
         """
         found: list[FallChange] = []
-        if not keep and is_new(batch, self._before):
-            found += [FallChange(0, id, None) for id in self.falls]
-            self.falls.clear()
-            self._hits.clear()
+        if is_new(batch, self._before):
+            self._recent.clear()
+            if not keep:
+                found += [FallChange(0, id, None) for id in self.falls]
+                self.falls.clear()
+                self._hits.clear()
         for event in batch.events:
             if isinstance(event, Collided) and (knocked := self._hit(event, batch)) is not None:
                 self._hits[knocked[0]] = knocked[1]
@@ -118,7 +122,9 @@ class FallenWalkers:
                 del self._hits[id]
                 if self.falls.pop(id, None) is not None:
                     found.append(FallChange(rises, id, None))
-        self._before = batch
+        self._before, frames = batch, batch.frames
+        recent = self._recent | {frames.index + row: (frames, row) for row in range(max(len(frames) - 2, 0), len(frames))}
+        self._recent = dict(sorted(recent.items())[-2:])
         return found
 
     def recall(self, reader: Reader, batch: SceneBatch) -> None:
@@ -177,21 +183,14 @@ class FallenWalkers:
         return walker, _Hit(contact.elapsed, look, upright, _turn(upright.T @ _lying(upright, velocity / speed)))
 
     def _velocity(self, id: int, batch: SceneBatch) -> Floats:
-        """Return the velocity over the ground in m/s, right-handed: as recorded, else that of the last step."""
-        rows = batch.records("velocities")[0]
-        index, known = find(np.array([id], np.uint32), rows["id"])
-        if known[0]:
-            recorded = np.array((rows["x"][index[0]], -rows["y"][index[0]]), np.float64)
-            if np.isfinite(recorded).all():
-                return recorded
-        before, pose = self._before, batch.pose_of(id, 0)
-        if before is None or pose is None or batch.fresh:
-            return np.zeros(2)
-        last, seconds = before.pose_of(id, len(before) - 1), float(batch.time[0] - before.time[-1])
-        if last is None or not seconds > 0:
-            return np.zeros(2)
-        step = np.asarray(right_handed(pose - last)[LOCATION][:2] / seconds)
-        return step if np.isfinite(step).all() else np.zeros(2)
+        """Return the velocity over the ground just before a hit in m/s, right-handed; 0 where it is unknown.
+
+        It is that of `velocity_before`, as the relative speeds of contacts are; in a first frame, it is the recorded one.
+        """
+        frames = [frames.frame(row) for index, (frames, row) in self._recent.items() if index < batch.frames.index]
+        earlier, before = [None, None, *frames][-2:]
+        x, y, _ = velocity_before(id, before or batch.frames.frame(0), earlier)
+        return np.asarray(np.nan_to_num((x, -y)))
 
 
 def _walkers_hit(reader: Reader, batch: SceneBatch) -> dict[int, list[float]]:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.motion import FIRMEST_BRAKING
-from carla_recap.model.records import CM
+from carla_recap.model.motion import FIRMEST_BRAKING, motion_of
 from carla_recap.replay.events import Spawned
+from carla_recap.replay.motion import recorded_motion
 from carla_recap.replay.selection import NO_IDS, find
 from carla_recap.scene.materials import SIGNAL_LAMPS, Material
 
@@ -119,10 +119,10 @@ class VehicleLamps:
             if reversing.any():
                 flags[:, known] |= np.where(reversing[:, where], REVERSE, 0)
         if silent.any():
-            index, recorded = find(self.ids, batch.ids)
+            _, recorded = find(self.ids, batch.ids)
             known = np.flatnonzero(silent & recorded)
             if len(known):
-                self._brake(batch, known, self._slowing.brakes(batch, self.ids[known], index[known]), flags)
+                self._brake(batch, known, self._slowing.brakes(batch, self.ids[known]), flags)
         return flags
 
     def flags_at(self, time: float, ids: Ids, lights: NDArray[np.integer], brakes: Floats, reversing: Booleans) -> Integers:
@@ -190,55 +190,43 @@ class VehicleLamps:
 
 
 class _Slowing:
-    """Whether vehicles slow down as by brakes, by their poses and recorded velocities."""
+    """Whether vehicles slow down as by brakes, by their velocities (`carla_recap.model.motion`)."""
 
     def __init__(self) -> None:
         self._ids: Ids = NO_IDS
         self._time: Floats = np.zeros(0)  # of the last frames
-        self._motion: Floats = np.zeros((0, 0, 3))  # x, y in m and the speed in m/s then, (frames, ids, 3)
-        self._latest: Booleans = np.zeros((1, 0), np.bool_)
+        self._motion: Floats = np.zeros((0, 0, 6))  # what `recorded_motion` returns of them
+        self._latest: Booleans = np.zeros(0, np.bool_)
 
     def forget(self, ids: set[int]) -> None:
         """Forget where some vehicles were."""
         self._motion[:, np.isin(self._ids, list(ids))] = np.nan
 
-    def brakes(self, batch: SceneBatch, ids: Ids, columns: Indices) -> Booleans:
-        """Return whether vehicles slow down in each scene, (scenes, ids).
-
-        Args:
-            batch: The scenes.
-            ids: The vehicles, ascending.
-            columns: Their positions in the ids of the batch.
-        """
-        if not np.array_equal(ids, self._ids):
-            index, known = find(ids, self._ids)
-            motion, latest = np.full((len(self._time), len(ids), 3), np.nan), np.zeros((1, len(ids)), np.bool_)
-            motion[:, known], latest[:, known] = self._motion[:, index[known]], self._latest[:, index[known]]
-            self._ids, self._motion, self._latest = ids, motion, latest
-        held, time = len(self._time), batch.frames.elapsed
-        if held and not (time > self._time[-1]).all():  # scenes within a frame that is known
-            return np.broadcast_to(self._latest, (len(time), len(ids)))
-        transforms, velocities = batch.records("transforms"), batch.records("velocities")
-        motion = np.full((len(time), len(ids), 3), np.nan)
-        for axis, name in enumerate("xy"):
-            motion[..., axis] = transforms[name][:, columns] * CM
-        index, known = find(ids, velocities["id"][0])
-        if known.any():
-            motion[:, known, 2] = np.hypot(velocities["x"][:, index[known]], velocities["y"][:, index[known]])
+    def brakes(self, batch: SceneBatch, ids: Ids) -> Booleans:
+        """Return whether vehicles, whose ids ascend, slow down in each scene, (scenes, ids)."""
+        every = np.union1d(self._ids, ids)
+        if len(every) > len(self._ids):
+            index, known = find(every, self._ids)
+            motion, latest = np.full((len(self._time), len(every), 6), np.nan), np.zeros(len(every), np.bool_)
+            motion[:, known], latest[known] = self._motion[:, index[known]], self._latest[index[known]]
+            self._ids, self._motion, self._latest = every, motion, latest
+        those, held = np.searchsorted(self._ids, ids), len(self._time)
+        if held and not (batch.frames.elapsed > self._time[-1]).all():  # scenes within a frame that is known
+            return np.broadcast_to(self._latest[those], (len(batch), len(ids)))
+        time, motion = recorded_motion(batch, self._ids)
         time, motion = np.concatenate((self._time, time)), np.concatenate((self._motion, motion))
-        first, last, seconds = _spans(time, held)
-        slows = np.zeros((len(time), len(ids)), np.bool_)
-        if len(last):
-            with np.errstate(invalid="ignore", over="ignore"):
-                derived = np.full(motion.shape[:2], np.nan)
-                steps = motion[last, :, :2] - motion[first, :, :2]
-                derived[last] = np.hypot(steps[..., 0], steps[..., 1]) / seconds[:, None]
-                motion[held:, :, 2] = np.where(np.isfinite(motion[held:, :, 2]), motion[held:, :, 2], derived[held:])
-                deceleration = (motion[first, :, 2] - motion[last, :, 2]) / seconds[:, None]
-                slows[last] = (deceleration > DECELERATION) & (deceleration < FIRMEST_BRAKING)
-        kept = min(int(np.searchsorted(time, time[-1] - _SPAN)), len(time) - 1)
-        self._time, self._motion, self._latest = time[kept:], motion[kept:], slows[-1:]
-        return slows[held:]
+        actor, frame = np.nonzero(np.isfinite(motion[..., 0]).T)
+        flat, speed = motion[frame, actor].T, np.full(motion.shape[:2], np.nan)
+        first, last, seconds = _spans(time[:-1], held)
+        slows = np.zeros((len(time) - 1, len(self._ids)), np.bool_)
+        with np.errstate(invalid="ignore", over="ignore"):
+            velocities, _ = motion_of(time[frame], flat[:3], flat[3:], actor)
+            speed[frame, actor] = np.hypot(*velocities[:2])
+            deceleration = (speed[first] - speed[last]) / seconds[:, None]
+            slows[last] = (deceleration > DECELERATION) & (deceleration < FIRMEST_BRAKING)
+        kept = max(min(int(np.searchsorted(time[:-1], time[-2] - _SPAN)), len(time) - 2) - 1, 0)  # with the frame before
+        self._time, self._motion, self._latest = time[kept:-1], motion[kept:-1], slows[-1]
+        return slows[held:, those]
 
 
 def _spans(time: Floats, held: int) -> tuple[Indices, Indices, Floats]:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.motion import LONGEST_STEP, neighbours, rates, steps_joined, velocities
+from carla_recap.model.motion import LONGEST_STEP, motion_of, neighbours, rates
 from carla_recap.replay.pose import LOCATION, right_handed, right_handed_velocities, rotations
 from carla_recap.replay.selection import numbers
-from carla_recap.tables.trajectories import actor_rows, of_one_life, spawn_times
+from carla_recap.tables.trajectories import actor_rows, life_numbers, spawn_times
 
 if TYPE_CHECKING:
     from carla_recap.recording import Recording
@@ -67,11 +67,8 @@ class CarrierMotion:
                 motion[own] = right_handed_velocities(numbers(recorded.records)[those].astype(np.float64))
         time, places, (linear, angular) = self._time, poses[:, LOCATION].T, np.split(motion.T, 2)
         spawned = spawn_times(recording.reader, begin, end).get(id, [])
-        self._joined = joined = steps_joined(time, places, np.sqrt((linear**2).sum(axis=0))) & of_one_life(
-            time, frame, spawned
-        )
-        before, after = neighbours(joined)
-        velocity, axes = velocities(time, places, linear, joined), rotations(poses)
+        velocity, joined = motion_of(time, places, linear, life_numbers(time, spawned))
+        self._joined, axes, (before, after) = joined, rotations(poses), neighbours(joined)
         with np.errstate(invalid="ignore", divide="ignore"):
             turning = _turns(axes[before], axes[after]).T / (time[after] - time[before])
             seconds = np.where(joined, np.diff(time), np.nan)

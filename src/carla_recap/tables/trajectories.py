@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, get_args
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.motion import possible_step, steps_joined, velocities
+from carla_recap.model.motion import motion_of, possible_step
 from carla_recap.model.records import CM
 from carla_recap.tables import Columns, Tabular
 from carla_recap.tables.display import Preview, first_and_last
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
     from carla_recap.model.lives import ActorLife
-    from carla_recap.util.arrays import Booleans, Floats, Integers
+    from carla_recap.util.arrays import Floats, Indices, Integers
 
 
 Axes = Literal["right-handed", "carla"]
@@ -206,16 +206,9 @@ def spawn_times(reader: Reader, start: float = -math.inf, stop: float = math.inf
     return spawned
 
 
-def of_one_life(time: Floats, frame: Integers, spawned: Sequence[float]) -> Booleans:
-    """Return whether each frame of an id and its next one follow each other in one life, (n - 1,).
-
-    Args:
-        time: Elapsed seconds, (n,).
-        frame: The indices of the frames, (n,).
-        spawned: The elapsed seconds at which actors of the id appear.
-    """
-    life = np.searchsorted(np.sort(spawned), time, side="right")
-    return np.asarray((np.diff(frame) == 1) & (np.diff(life) == 0))
+def life_numbers(time: Floats | Integers, spawned: Sequence[float]) -> Indices:
+    """Return the number of the life at elapsed seconds, (n,), of an id whose actors appear at some."""
+    return np.searchsorted(np.sort(spawned), time, side="right")
 
 
 def trajectories_of(
@@ -246,8 +239,7 @@ def _trajectory(id: int, poses: ActorRows, recorded: ActorRows | None, spawned: 
         own = recorded.frame[where] == poses.frame
         velocity[:, own] = [recorded.records[axis][where[own]] for axis in "xyz"]
     known = np.isfinite(velocity).all(axis=0)
-    joined = steps_joined(time, place, np.sqrt((velocity**2).sum(axis=0))) & of_one_life(time, poses.frame, spawned)
-    velocity = velocities(time, place, velocity, joined)
+    velocity, _ = motion_of(time, place, velocity, life_numbers(time, spawned))
     for values in (place, velocity):
         values[1] *= flip
     return Trajectory(

@@ -12,7 +12,7 @@ import numpy as np
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import ROAD_USERS
-from carla_recap.model.motion import LONGEST_STEP, place_in_metres, steps_joined, velocities
+from carla_recap.model.motion import LONGEST_STEP, motion_of, place_in_metres
 from carla_recap.model.presence import FAR, RoadHeights
 from carla_recap.model.segment import SegmentBuffer, segments
 
@@ -275,18 +275,19 @@ class MotionCollector:
                     actors.append(actor)
                     lived.append(during)
         alive = np.array(lived, np.bool_).reshape(-1, len(time))
-        pose, velocity = (
-            np.where(known[rows] & alive, values[:, rows], np.nan).astype(np.float64)
-            for values, known in (
-                self._poses.dense(("x", "y", "z", "yaw"), ids, start, stop),
-                self._velocities.dense(("x", "y"), ids, start, stop),
-            )
-        )
+        found = []
+        for buffer, fields in ((self._poses, ("x", "y", "z", "yaw")), (self._velocities, "xyz")):
+            values, known = buffer.dense(fields, ids, start, stop)
+            there = known[rows] & alive
+            values = values[:, rows].astype(np.float64)
+            values[:, ~there] = np.nan
+            found.append((values, there))
+        (pose, there), (velocity, _) = found
         boxes = [box_of(actor) for actor in actors]
         size = 2 * np.array([(box.extent_x, box.extent_y, box.extent_z) for box in boxes]).reshape(-1, 3)
         offset = np.array([(box.x, box.y, box.z) for box in boxes]).reshape(-1, 3)
         away = self._heights.away(ids[rows], pose[:3].T).T
-        x, y, z, yaw, vx, vy = _motion(time, pose, velocity, away)
+        x, y, z, yaw, vx, vy = _motion(time, pose, velocity, there, away)
         cos, sin = np.cos(yaw), np.sin(yaw)
         return MotionTable(
             first=first - start,
@@ -314,31 +315,30 @@ def _clock(time: Floats) -> Floats:
 
 
 @np.errstate(all="ignore")
-def _motion(time: Floats, pose: Floats, velocity: Floats, away: Booleans) -> tuple[Floats, ...]:
+def _motion(time: Floats, pose: Floats, velocity: Floats, there: Booleans, away: Booleans) -> tuple[Floats, ...]:
     """Return positions in m, headings in radians and velocities in m/s, right-handed, of CARLA's own; NaN where unusable.
 
-    Where actors are away, they are as absent.
+    Where actors are away, or at no sensible place, they are as absent.
     """
-    x, y, z = place_in_metres(*pose[:3])
+    places, motion = np.stack(place_in_metres(*pose[:3])), np.stack((velocity[0], -velocity[1], velocity[2]))
     yaw = np.deg2rad(np.remainder(-pose[3], 360.0))
-    vx, vy = velocity[0], -velocity[1]
-    absent = away | ~((np.abs(x) < FAR) & (np.abs(y) < FAR) & (np.abs(z) < FAR) & np.isfinite(yaw))
-    unknown = ~(np.hypot(vx, vy) < _FASTEST)
-    vx[unknown] = vy[unknown] = np.nan
-    actor, frame = np.nonzero(~absent)  # from here on, the frames of one actor after the other
-    places, recorded = np.stack((x, y, z))[:, actor, frame], np.stack((vx, vy))[:, actor, frame]
-    follows = (np.diff(actor) == 0) & (np.diff(frame) == 1)
-    joined = follows & steps_joined(time[frame], places[:2], np.hypot(*recorded))
-    vx[actor, frame], vy[actor, frame] = velocities(time[frame], places[:2], recorded, joined)
-    seconds = np.diff(time[frame])
-    jumps = np.zeros((len(x), max(len(time) - 1, 0)), np.bool_)
-    torn = follows & ~joined & (seconds > 0) & (seconds <= LONGEST_STEP)
-    jumps[actor[:-1][torn], frame[:-1][torn]] = True
-    if jumps.any():
+    absent = away | ~((np.abs(places) < FAR).all(axis=0) & np.isfinite(yaw))
+    places[:, absent] = np.nan
+    motion[:, ~(np.hypot(*motion[:2]) < _FASTEST)] = np.nan
+    rows = np.flatnonzero(there)  # from here on, the frames of one actor after the other
+    actor, frame = np.divmod(rows, len(time))
+    flat = places.reshape(3, -1).take(rows, axis=1)
+    found, joined = motion_of(time[frame], flat, motion.reshape(3, -1).take(rows, axis=1), actor)
+    motion.reshape(3, -1)[:, rows] = found
+    torn = np.flatnonzero(~joined & (np.diff(actor) == 0))
+    seconds, metres = time[frame[torn + 1]] - time[frame[torn]], np.abs(flat[:, torn + 1] - flat[:, torn]).sum(axis=0)
+    torn = torn[(seconds > 0) & (seconds <= LONGEST_STEP) & np.isfinite(metres)]
+    if len(torn):
+        jumps = np.zeros((len(there), len(time) - 1), np.bool_)
+        jumps[actor[torn], frame[torn]] = jumps[actor[torn], frame[torn + 1] - 1] = True
         absent |= _around(jumps, time)
-    for values in (x, y, z, yaw, vx, vy):
-        values[absent] = np.nan
-    return x, y, z, yaw, vx, vy
+    places[:, absent] = yaw[absent] = motion[:, absent] = np.nan
+    return *places, yaw, *motion[:2]
 
 
 def _around(jumps: Booleans, time: Floats) -> Booleans:

@@ -14,8 +14,9 @@ import numpy as np
 
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.motion import place_in_metres, runs, steps_joined
+from carla_recap.model.motion import motion_of, place_in_metres, runs
 from carla_recap.model.presence import RoadHeights
+from carla_recap.model.segment import last_of_each, segments
 from carla_recap.queries.measures.definitions import Extreme, MeasureValues
 from carla_recap.queries.measures.series import NO_OTHER
 from carla_recap.queries.measures.stop_lines import StopLines
@@ -23,7 +24,7 @@ from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.roads import network as roads
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from carla_recap.model.batch import Batch
     from carla_recap.model.lives import ActorLife
     from carla_recap.roads.network import LanePositions, RoadNetwork
-    from carla_recap.util.arrays import Booleans, Floats
+    from carla_recap.util.arrays import Booleans, Floats, Indices
 
 TYPES: Final = ("transforms", "velocities", "light_states")
 """The record types that are read."""
@@ -53,7 +54,7 @@ TOLERANCE: Final = 5 / 3.6
 SPEEDING_TIME: Final = 1.0
 """How long a vehicle has to drive faster than that, in s."""
 
-_INTERVAL: Final = 0.1  # s between the samples of the motion
+_INTERVAL: Final = 0.1  # s between the samples of the motion of a vehicle
 _LONGEST: Final = 2.5  # s from one sample to the next
 _STILL: Final = 0.02  # m; after a shorter step, the position is the same
 _GAP: Final = 0.55  # s between runs that are one
@@ -124,8 +125,12 @@ class RoadSearch:
         self._lines = StopLines(network)
         self._samples: list[NDArray[np.void]] = []
         self._count = 0
-        self._next = -math.inf
-        self._last = np.zeros(0, _SAMPLE)  # the last sample of each vehicle in the block before
+        self._next = np.full(len(self._vehicles), -math.inf)  # when the next sample of each vehicle is due
+        self._spawned: dict[int, list[float]] = defaultdict(list)  # when actors appear, by vehicle
+        for actor in actors:
+            if actor.id in self._actors:
+                self._spawned[int(np.searchsorted(self._vehicles, actor.id))].append(actor.spawned_at)
+        self._held = np.zeros(0, _SAMPLE)  # the last two samples of each vehicle, of which the last one is evaluated next
         self._first_on_road: dict[int, float] = {}
         self._slow: dict[int, tuple[float, float, float]] = {}  # where the front of each vehicle was when it last stood
         self._crossings: list[_Crossing] = []
@@ -140,62 +145,65 @@ class RoadSearch:
         if batch.preamble or not len(self._vehicles):
             return
         self._lights.add(batch)
-        rows = self._sampled(batch.elapsed)
-        transforms = batch.records("transforms")
-        if not len(rows) or not transforms.shape[1]:
+        frame, vehicle, record = self._sampled(batch)
+        if not len(frame):
             return
-        taken = transforms[rows]
-        column = np.searchsorted(self._vehicles, taken["id"])
-        column = np.minimum(column, len(self._vehicles) - 1)
-        frame, record = np.nonzero(self._vehicles[column] == taken["id"])
-        samples = np.zeros(len(frame), _SAMPLE)
-        chosen = taken[frame, record]
-        samples["vehicle"] = column[frame, record]
-        samples["time"] = batch.elapsed[rows][frame]
+        transforms = batch.records("transforms")
+        samples, chosen = np.zeros(len(frame), _SAMPLE), transforms[frame, record]
+        samples["vehicle"], samples["time"] = vehicle, batch.elapsed[frame]
         samples["x"], samples["y"], samples["z"] = place_in_metres(*(chosen[axis].astype(np.float64) for axis in "xyz"))
         samples["yaw"] = np.radians(-chosen["yaw"].astype(np.float64))
-        samples["speed"] = self._recorded_speeds(batch.records("velocities")[rows])[frame, samples["vehicle"]]
+        rows, row = np.unique(frame, return_inverse=True)
+        samples["velocity"] = self._recorded_velocities(batch.records("velocities")[rows])[row, vehicle]
         finite = np.all([np.isfinite(samples[name]) for name in ("x", "y", "z", "yaw")], axis=0)
-        self._samples.append(samples[finite & ~self._heights.away_in(taken)[frame, record]])
+        self._samples.append(samples[finite & ~self._heights.away_in(transforms[rows])[row, record]])
         self._count += len(samples)
         if self._count >= _BLOCK:
             self._evaluate()
 
     def finish(self) -> list[RoadEvent]:
         """Return the events, in order of their start."""
-        self._evaluate()
+        self._evaluate(ended=True)
         events = [*self._at_lines(), *self._left_road(), *self._wrong_way(), *self._speeding()]
         return sorted(events, key=lambda event: (event.start, event.kind, event.id))
 
-    def _recorded_speeds(self, velocities: NDArray[np.void]) -> Floats:
-        """Return the recorded speeds of all vehicles in frames, (frames, vehicles); NaN where there is none."""
-        speeds = np.full((len(velocities), len(self._vehicles)), np.nan)
-        column = np.minimum(np.searchsorted(self._vehicles, velocities["id"]), len(self._vehicles) - 1)
-        frame, record = np.nonzero(self._vehicles[column] == velocities["id"])
-        vx, vy = (velocities[axis][frame, record].astype(np.float64) for axis in "xy")
-        speeds[frame, column[frame, record]] = np.hypot(vx, vy)
-        return np.where(np.isfinite(speeds), speeds, np.nan)
+    def _sampled(self, batch: Batch) -> tuple[Indices, Indices, Indices]:
+        """Return the frame, the vehicle and the position of the record of each sample in a batch."""
+        found = [(np.zeros(0, np.intp),) * 3]
+        for segment in segments(batch.records("transforms")):
+            segment = segment.only(last_of_each(segment.ids))
+            segment = segment.only(np.isin(segment.ids, self._vehicles))
+            vehicle = np.searchsorted(self._vehicles, segment.ids)
+            for row, time in enumerate(batch.elapsed[segment.frames].tolist(), segment.first):
+                due = self._next[vehicle]
+                taken = np.flatnonzero((time >= due - SAME_TIME) | (time < due - 2 * _INTERVAL))
+                if len(taken):
+                    self._next[vehicle[taken]] = time + _INTERVAL
+                    found.append((np.full(len(taken), row), vehicle[taken], segment.columns[taken]))
+        frame, vehicle, record = map(np.concatenate, zip(*found, strict=True))
+        return frame, vehicle, record
 
-    def _sampled(self, elapsed: Floats) -> list[int]:
-        """Return the rows of a batch that are samples."""
-        rows = []
-        for row, time in enumerate(elapsed.tolist()):
-            if time >= self._next - SAME_TIME or time < self._next - 2 * _INTERVAL:
-                rows.append(row)
-                self._next = time + _INTERVAL
-        return rows
+    def _recorded_velocities(self, records: NDArray[np.void]) -> Floats:
+        """Return the recorded velocities of all vehicles in frames, (frames, vehicles, 3); NaN where there is none."""
+        found = np.full((len(records), len(self._vehicles), 3), np.nan)
+        for segment in segments(records):
+            segment = segment.only(last_of_each(segment.ids))
+            segment = segment.only(np.isin(segment.ids, self._vehicles))
+            vehicle = np.searchsorted(self._vehicles, segment.ids)
+            found[segment.frames, vehicle] = np.stack([segment.field(axis) for axis in "xyz"], axis=2)
+        return found
 
     @np.errstate(all="ignore")
-    def _evaluate(self) -> None:
-        """Evaluate the samples so far."""
-        samples = np.concatenate((self._last, *self._samples))
-        is_new = np.arange(len(samples)) >= len(self._last)
+    def _evaluate(self, *, ended: bool = False) -> None:
+        """Evaluate the samples so far; until all are there, not the last one of each vehicle, whose next one is unknown."""
+        samples = np.concatenate((self._held, *self._samples))
         self._samples, self._count = [], 0
-        if not is_new.any():
+        if not len(samples):
             return
-        order = np.argsort(samples["vehicle"], kind="stable")
-        motion = _Motion(samples[order], is_new[order])
-        self._last = motion.samples[motion.is_last]
+        motion = _Motion(samples[np.argsort(samples["vehicle"], kind="stable")], self._spawned)
+        motion.is_new = ~motion.samples["done"] & (ended | ~motion.is_last)
+        motion.samples["done"] |= motion.is_new
+        self._held = motion.samples[motion.is_last | np.append(motion.is_last[1:], False)]
         at = motion.lanes(self._network)
         ids = self._vehicles
         for row in motion.firsts(at.on_road):
@@ -276,7 +284,7 @@ class RoadSearch:
             point[:, 0] += ahead * cos
             point[:, 1] += ahead * sin
             points.append(point)
-        rows = np.flatnonzero(motion.continues & (motion.distance > 0))
+        rows = np.flatnonzero(motion.is_new & motion.continues & (motion.distance > 0))
         slow = motion.speed < STOPPED
         for by_front, point in zip((True, False), points, strict=True):
             found = self._lines.crossed(point[rows - 1], point[rows], motion.samples["yaw"][rows])
@@ -371,38 +379,39 @@ def _box(actor: ActorLife) -> tuple[float, float]:
     return (box.x, box.extent_x) if box.extent_x < _LONGEST_HALF else _CAR
 
 
-_SAMPLE: Final = np.dtype([("vehicle", "i8"), *((name, "f8") for name in ("time", "x", "y", "z", "yaw", "speed"))])
-"""The index of a vehicle, its pose in right-handed axes, in m and radians, and its recorded speed in m/s, or NaN."""
+_SAMPLE: Final = np.dtype(
+    [("vehicle", "i8"), *((name, "f8") for name in ("time", "x", "y", "z", "yaw")), ("velocity", "f8", 3), ("done", "?")]
+)
+"""The index of a vehicle, its pose in right-handed axes, in m and radians, its recorded velocity in m/s, or NaN, and whether
+this was evaluated."""
 
 
 class _Motion:
     """The motion of vehicles: samples, one vehicle after the other, each in order of time.
 
-    Args:
-        samples: The samples.
-        is_new: Whether each was not evaluated before.
-
     Attributes:
-        continues: Whether each sample follows the one before it, of the same vehicle and without a jump.
+        is_new: Whether each sample is evaluated now.
+        continues: Whether each sample follows the one before it, of the same life and without a jump.
         seconds, dx, dy, distance: The time and the way from the one before; NaN where it does not continue.
-        speed: The recorded speed in m/s, else that from the one before; NaN where that is unknown.
+        speed: The speed in m/s; NaN where it is unknown.
     """
 
-    def __init__(self, samples: NDArray[np.void], is_new: Booleans) -> None:
-        self.samples, self.is_new = samples, is_new
+    def __init__(self, samples: NDArray[np.void], spawned: Mapping[int, Sequence[float]]) -> None:
+        self.samples, self.is_new = samples, np.ones(len(samples), np.bool_)
         self.vehicle, self.time = samples["vehicle"], samples["time"]
-        same = np.diff(self.vehicle, prepend=-1) == 0
-        self.is_last = np.append(~same[1:], True)
+        self.is_last = np.append(np.diff(self.vehicle) != 0, True)
+        life = 0 * self.vehicle
+        for vehicle, times in spawned.items():
+            rows = slice(*np.searchsorted(self.vehicle, (vehicle, vehicle + 1)).tolist())
+            life[rows] = np.searchsorted(np.sort(times), self.time[rows] + SAME_TIME, side="right")
+        places = np.stack([samples[axis] for axis in "xyz"])
+        lives = self.vehicle * (life.max(initial=0) + 1) + life
+        velocity, joined = motion_of(self.time, places, samples["velocity"].T, lives, longest=_LONGEST)
+        self.speed, self.continues = np.hypot(*velocity[:2]), np.append(False, joined)[: len(samples)]
         seconds, dx, dy = (np.diff(samples[name], prepend=np.nan) for name in ("time", "x", "y"))
-        distance = np.hypot(dx, dy)
-        places = np.stack((samples["x"], samples["y"]))
-        joined = steps_joined(self.time, places, samples["speed"], self.vehicle, longest=_LONGEST)
-        self.continues = np.append(False, joined)[: len(samples)]
         self.seconds, self.dx, self.dy, self.distance = (
-            np.where(self.continues, values, np.nan) for values in (seconds, dx, dy, distance)
+            np.where(self.continues, values, np.nan) for values in (seconds, dx, dy, np.hypot(dx, dy))
         )
-        recorded = samples["speed"]
-        self.speed = np.where(np.isfinite(recorded), recorded, self.distance / self.seconds)
 
     def lanes(self, network: RoadNetwork) -> LanePositions:
         """Return the lanes of all samples."""
