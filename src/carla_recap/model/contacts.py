@@ -276,8 +276,8 @@ def _position(frame: Frame, id: int) -> Vector:
 def velocity_before(id: int, frame: Frame | None, earlier: Frame | None) -> Vector:
     """Return the velocity of an actor just before a contact in m/s, left-handed; NaN where it is unknown.
 
-    It is that of `carla_recap.model.motion`, but derived from the frames before the contact alone: in its own frame, the actor
-    may have been stopped, or thrown.
+    It is that of `carla_recap.model.motion`, but derived from frames before the contact alone: in that of the contact, the
+    actor may have been stopped, or thrown.
 
     Args:
         id: The actor.

@@ -116,7 +116,7 @@ def rates(time: Floats, values: Floats, joined: Booleans, *, period: float | Non
     before, after = neighbours(joined)
     with np.errstate(all="ignore"):
         seconds = np.where(after > before, time[after] - time[before], np.nan)
-        changes = values[..., after] - values[..., before]
+        changes = values.take(after, axis=-1) - values.take(before, axis=-1)
         if period is not None:
             changes -= period * np.rint(changes / period)
         return np.asarray(changes / seconds)

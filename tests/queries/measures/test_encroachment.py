@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import Spawn
-from carla_recap.queries.measures import post_encroachment_time
-from carla_recap.queries.measures.encroachment import CrossingSearch, Encounter, Path
+from carla_recap.queries.measures.encroachment import CrossingSearch, Encounter
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector, MotionTable
 from carla_recap.queries.recorded_actors import actors
 from tests.queries.measures.conftest import Mover
@@ -22,11 +21,29 @@ if TYPE_CHECKING:
     from tests.queries.measures.conftest import Drive
 
 
-def path(x: float, y: float, heading: float, speed: float, seconds: float = 6.0, length: float = 4.0) -> Path:
-    time = np.arange(0, seconds, 0.05)
-    yaw = math.radians(heading)
-    ones = np.ones(len(time))
-    return Path(time, x + speed * math.cos(yaw) * time, y + speed * math.sin(yaw) * time, yaw * ones, length, 2.0)
+class Path(NamedTuple):
+    """A straight path of a box: the centre in m and the heading in radians at each time."""
+
+    x: np.ndarray
+    y: np.ndarray
+    yaw: np.ndarray
+
+
+def path(x: float, y: float, heading: float, speed: float, seconds: float = 6.0) -> Path:
+    time, yaw = np.arange(0, seconds, 0.05), math.radians(heading)
+    return Path(x + speed * math.cos(yaw) * time, y + speed * math.sin(yaw) * time, yaw + 0 * time)
+
+
+def post_encroachment_time(one: Path, other: Path) -> float:
+    """The least time between one box of 4 m by 2 m leaving a spot and the other arriving there, up to 3 s; else inf."""
+    lives = tuple(ActorLife(id, "", "vehicle", "", 0.0, spawn=Spawn(id)) for id in (1, 2))
+    x, y, yaw = map(np.stack, zip(one, other, strict=True))
+    sizes = np.full(2, 4.0), np.full(2, 2.0), np.ones(2), np.zeros((2, 3))
+    moving = np.full(x.shape, 10.0)
+    table = MotionTable(0, x.shape[1], 0.05 * np.arange(x.shape[1]), lives, x, y, 0 * x, yaw, moving, 0 * x, *sizes)
+    search = CrossingSearch(3.0)
+    search.add(table, np.ones(2, np.bool_))
+    return min((each.post_encroachment_time for each in search.finish()), default=math.inf)
 
 
 EAST = path(-20, 0, 0, 10)
@@ -130,9 +147,7 @@ def crossing(time: np.ndarray, **changed: Any) -> MotionTable:
         first=0,
         last=len(time),
         time=time,
-        ids=np.array([1, 2]),
         actors=LIVES,
-        is_vehicle=np.array([True, True]),
         x=np.stack([10 * (time - 5), still]),
         y=np.stack([still, 10 * (time - 7)]),
         z=np.stack([still, still]),

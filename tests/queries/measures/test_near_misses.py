@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from carla_recap.formats import open_reader
+from carla_recap.model.lives import ActorLife
+from carla_recap.model.records import Spawn
 from carla_recap.queries.measures import measures
 from carla_recap.queries.measures.motion_table import MotionTable
 from carla_recap.queries.measures.near_misses import TYPES, NearMissDetector
@@ -351,9 +353,7 @@ def table_of(*movers: Mover, seconds: float = 3.0) -> MotionTable:
         first=0,
         last=len(time),
         time=time,
-        ids=np.array([mover.id for mover in movers]),
-        actors=(),
-        is_vehicle=ones > 0,
+        actors=tuple(ActorLife(mover.id, "", "vehicle", "", 0.0, spawn=Spawn(mover.id)) for mover in movers),
         x=x,
         y=y,
         z=np.zeros_like(x),

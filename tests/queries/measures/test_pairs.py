@@ -11,7 +11,7 @@ from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import Spawn
 from carla_recap.queries.measures.encroachment import CrossingSearch
 from carla_recap.queries.measures.motion_table import MotionTable
-from carla_recap.queries.measures.pairs import FRAMES, PairFrames, near_pairs
+from carla_recap.queries.measures.pairs import PairFrames, near_pairs
 
 
 def table_of(x, y=0.0, z=0.0, heights=1.0, parents=(), offset=(0.0, 0.0, 0.0), yaw=0.0, is_vehicle=True):
@@ -23,16 +23,14 @@ def table_of(x, y=0.0, z=0.0, heights=1.0, parents=(), offset=(0.0, 0.0, 0.0), y
 
     ids = np.arange(1, count + 1)
     lives = tuple(
-        ActorLife(id, "vehicle.audi.tt", "vehicle", "", 0.0, parent=dict(parents).get(id), spawn=Spawn(id))
-        for id in ids.tolist()
+        ActorLife(id, "", "vehicle" if vehicle else "walker", "", 0.0, parent=dict(parents).get(id), spawn=Spawn(id))
+        for id, vehicle in zip(ids.tolist(), np.broadcast_to(is_vehicle, count), strict=True)
     )
     return MotionTable(
         first=0,
         last=frames,
         time=np.arange(frames) / 20,
-        ids=ids,
         actors=lives,
-        is_vehicle=np.broadcast_to(is_vehicle, count),
         x=rows(x),
         y=rows(y),
         z=rows(z),
@@ -47,23 +45,23 @@ def table_of(x, y=0.0, z=0.0, heights=1.0, parents=(), offset=(0.0, 0.0, 0.0), y
 
 
 def pairs_of(table, reach, subjects=True):
-    found = near_pairs(table, np.broadcast_to(subjects, len(table.ids)), reach)
+    found = near_pairs(table, np.broadcast_to(subjects, len(table.ids)), np.full(len(table.ids), reach))
     return {tuple(sorted(pair)) for each in found for pair in zip(each.one.tolist(), each.other.tolist(), strict=True)}
 
 
 @pytest.mark.parametrize(("dz", "count"), [(2.5, 3), (2.51, 0), (-2.5, 3), (-2.51, 0)])
 def test_boxes_are_on_one_level_up_to_half_a_metre_between_them(dz, count):
     table = table_of([0, 5], z=[0, dz], heights=[1, 3])
-    assert len(PairFrames.of(table, slice(0, 3), np.array([0]), np.array([1])).frame) == count
+    assert len(PairFrames.of(table, np.zeros(3, int), np.ones(3, int), np.arange(3)).frame) == count
 
 
 @pytest.mark.parametrize(("dz", "meet"), [(1.9, True), (2.1, False), (-1.9, True), (-2.1, False)])
 def test_paths_cross_if_boxes_reach_the_same_level(dz, meet):
-    time = np.arange(FRAMES) / 20
-    still = np.zeros(FRAMES)
+    time = np.arange(64) / 20
+    still = np.zeros(64)
     table = replace(
         table_of([0, 0], z=[0, dz], heights=[1, 3]),
-        last=FRAMES,
+        last=64,
         time=time,
         x=np.stack([10 * (time - 1), still]),
         y=np.stack([still, 10 * (time - 2)]),
@@ -108,7 +106,7 @@ def test_times_to_collision_are_known_up_to_a_horizon(distance, seconds):
     """Boxes of 4 m length close up at 10 m/s."""
     table = table_of([0, distance])
     table = replace(table, vx=np.stack([np.full(3, 10.0), np.zeros(3)]))
-    pairs = PairFrames.of(table, slice(0, 3), np.array([0]), np.array([1]))
+    pairs = PairFrames.of(table, np.zeros(3, int), np.ones(3, int), np.arange(3))
     for each in (pairs, pairs.turned()):
         _, times = each.colliding(10.0)
         assert times.tolist() == ([pytest.approx(seconds)] * 3 if seconds < np.inf else [])

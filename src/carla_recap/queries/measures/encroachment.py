@@ -11,18 +11,14 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.lives import ActorLife
 from carla_recap.model.motion import LONGEST_STEP
-from carla_recap.model.records import Spawn
 from carla_recap.queries.measures.boxes import Boxes, overlaps
-from carla_recap.queries.measures.motion_table import MotionTable
 from carla_recap.queries.measures.pairs import ELEMENTS, bounds, meeting
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from numpy.typing import NDArray
-
+    from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.util.arrays import Booleans, Floats, Indices, Integers
 
 
@@ -45,99 +41,6 @@ _BLOCK: Final = 16  # moments of which each actor has one bounding box
 _LATEST: Final = 1e9  # s; times above it are none
 _ALONG: Final = math.cos(math.radians(CROSSING))
 _ACROSS: Final = math.sin(math.radians(CROSSING))
-
-
-class Path(NamedTuple):
-    """The path of a box; the fields but the size are arrays of one length.
-
-    Attributes:
-        time: The times in s, ascending.
-        x, y: The centre in m.
-        yaw: The heading in radians, counter-clockwise.
-        length, width: The size in m.
-    """
-
-    time: Floats
-    x: Floats
-    y: Floats
-    yaw: Floats
-    length: float
-    width: float
-
-    def at(self, time: Floats) -> Boxes:
-        """Return the boxes at some times, which are within those of the path."""
-        x, y, yaw = (np.interp(time, self.time, values) for values in (self.x, self.y, np.unwrap(self.yaw)))
-        return Boxes(x, y, yaw, self.length, self.width)
-
-
-def post_encroachment_time(one: Path, other: Path, longest: float = 3.0) -> float:
-    """Return the least time between one box leaving a spot and the other arriving there, in s.
-
-    It is inf if their paths do not share a spot within the longest time, if both are there at once, or if they do not cross:
-    following on one path does not count, as in `measures`. Where paths cross at once, this is the definition of Allen, Shin
-    and Cooper (1978): the entry of the second into the shared area less the exit of the first.
-
-    Args:
-        one: The path of a box.
-        other: That of the other one.
-        longest: The longest time that is looked for, in s.
-    """
-    time = np.arange(min(one.time[0], other.time[0]), max(one.time[-1], other.time[-1]) + STEP, STEP)
-    time = np.union1d(time, (one.time[-1], other.time[-1]))
-    columns = ((one.x, other.x), (one.y, other.y), (np.unwrap(one.yaw), np.unwrap(other.yaw)))
-    x, y, yaw = (
-        np.stack([np.interp(time, path.time, each, np.nan, np.nan) for path, each in zip((one, other), both, strict=True)])
-        for both in columns
-    )
-    lives = tuple(ActorLife(id, "", "vehicle", "", 0.0, spawn=Spawn(id)) for id in (1, 2))
-    length, width = np.array([(path.length, path.width) for path in (one, other)]).T
-    moving, none = np.full(x.shape, SLOWEST), np.zeros_like(x)
-    table = MotionTable(
-        0,
-        len(time),
-        time,
-        np.array([1, 2]),
-        lives,
-        np.ones(2, np.bool_),
-        x,
-        y,
-        none,
-        yaw,
-        moving,
-        none,
-        length,
-        width,
-        np.ones(2),
-        np.zeros((2, 3)),
-    )
-    search = CrossingSearch(longest)
-    search.add(table, table.is_vehicle)
-    return min((each.post_encroachment_time for each in search.finish()), default=math.inf)
-
-
-def refined(first: Path, second: Path, arrival: float, lag: float) -> float:
-    """Return a time between leaving and arriving more exactly, which is known to a step of 0.05 s.
-
-    Args:
-        first: The path of the actor that leaves.
-        second: That of the actor that arrives.
-        arrival: When the second one is where the first one was.
-        lag: The time before it at which the first one was there, in s.
-    """
-    fine = STEP * np.linspace(-1, 1, 2 * _FINE + 1)
-    arrivals, leavings = arrival + fine, arrival - lag + fine
-    arrivals, leavings = (
-        times[(times >= path.time[0] - SAME_TIME) & (times <= path.time[-1] + SAME_TIME)]
-        for path, times in ((second, arrivals), (first, leavings))
-    )
-    late, early = (each.ravel() for each in np.meshgrid(arrivals, leavings, indexing="ij"))
-    hits = (late - early > SAME_TIME) & overlaps(second.at(late), first.at(early))
-    return min(lag, float((late - early)[hits].min(initial=math.inf)))
-
-
-def _cross(turn: Floats) -> Booleans:
-    """Return whether paths cross, by the angles between them in radians."""
-    return np.asarray(np.abs(np.sin(turn)) >= _ACROSS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +115,7 @@ class CrossingSearch:
             best = rows[np.lexsort((hits.arrived[rows], lag[rows]))[0]]
             first, second = int(hits.first[best]), int(hits.second[best])
             left, arrived = (float(grid.time[each[best]]) for each in (hits.left, hits.arrived))
-            time = refined(_path_of(table, first, left), _path_of(table, second, arrived), arrived, arrived - left)
+            time = _refined(table, first, second, left, arrived)
             frame = int(np.clip(np.searchsorted(table.clock, arrived - SAME_TIME), 0, len(table.time) - 1))
             one, other = table.actors[second], table.actors[first]
             speed, place = float(grid.speed[second, hits.arrived[best]]), table.location(second, frame)
@@ -319,40 +222,27 @@ class _Grid:
     def hits(self, subjects: Booleans, longest: float) -> _Arrivals:
         """Return where actors arrive in the core at most a time after others, on crossing paths; see `CrossingSearch`."""
         lags = math.ceil(longest / STEP - SAME_TIME) + 1  # a refined time may be shorter
-        margin = -len(self.step) % _BLOCK
-        step = np.pad(self.step, (0, margin), mode="edge") if margin else self.step
         moves = (self.speed >= SLOWEST) & ~self.thrown
-        x, y = (
-            np.pad(np.where(moves, values, np.nan), ((0, 0), (0, margin)), constant_values=np.nan)
-            for values in (self.x, self.y)
-        )
-        found = [_Arrivals(*np.zeros((4, 0), np.intp))]
-        pairs = np.concatenate([np.zeros((4, 0), np.intp), *self._near(x, y, step, lags, subjects)], axis=1)
-        within, few = np.arange(_BLOCK), max(1, ELEMENTS // _BLOCK**2)
-        for start in range(0, pairs.shape[1], few):
-            second, first, late, early = pairs[:, start : start + few, None]
-            arrived, left = late * _BLOCK + within, early * _BLOCK + within
-            lag = step[arrived][:, :, None] - step[left][:, None, :]
-            dx = x[second, arrived][:, :, None] - x[first, left][:, None, :]
-            dy = y[second, arrived][:, :, None] - y[first, left][:, None, :]
-            reach = (self.table.radius[first] + self.table.radius[second])[:, :, None]
-            near = (dx * dx + dy * dy <= reach * reach) & (lag > 0) & (lag <= lags)
-            near &= ((arrived >= self.core.start) & (arrived < self.core.stop))[:, :, None]
-            row, at, then = np.nonzero(near)
-            found.append(self._crossing(_Arrivals(first[row, 0], second[row, 0], left[row, then], arrived[row, at])))
+        x, y = (np.where(moves, values, np.nan) for values in (self.x, self.y))
+        table, within, few = self.table, np.arange(_BLOCK), max(1, ELEMENTS // _BLOCK**2)
+        around, found = bounds(x, y, table.radius, _BLOCK), [_Arrivals(*np.zeros((4, 0), np.intp))]
+        for apart in range((lags - 1) // _BLOCK + 2):
+            for second, first, block in meeting(around, apart):
+                kept = (subjects[second] | subjects[first]) & table.free(second, first)
+                kept &= (block >= self.core.start // _BLOCK) & (block * _BLOCK < self.core.stop)
+                near = second[kept], first[kept], block[kept]
+                for start in range(0, len(near[0]), few):
+                    second, first, block = (each[start : start + few, None, None] for each in near)
+                    arrived, left = block * _BLOCK + within[:, None], (block - apart) * _BLOCK + within
+                    hit = (arrived >= self.core.start) & (arrived < self.core.stop)
+                    arrived, left = (np.minimum(each, len(self.step) - 1) for each in (arrived, left))
+                    lag = self.step[arrived] - self.step[left]
+                    dx, dy = (values[second, arrived] - values[first, left] for values in (x, y))
+                    reach = table.radius[first] + table.radius[second]
+                    row, at, then = np.nonzero(hit & (dx * dx + dy * dy <= reach * reach) & (lag > 0) & (lag <= lags))
+                    hits = _Arrivals(first[row, 0, 0], second[row, 0, 0], left[row, 0, then], arrived[row, at, 0])
+                    found.append(self._crossing(hits))
         return _Arrivals(*map(np.concatenate, zip(*found, strict=True)))
-
-    def _near(self, x: Floats, y: Floats, step: Integers, lags: int, subjects: Booleans) -> Iterator[NDArray[np.intp]]:
-        """Yield the actors that may be in a block of moments where others are in a block before, and both blocks, (4, n)."""
-        radius = self.table.radius[:, None]
-        around = [bounds(values.reshape(len(x), -1, _BLOCK), radius) for values in (x, y)]
-        for late in range(self.core.start // _BLOCK, math.ceil(self.core.stop / _BLOCK)):
-            earliest = int(np.searchsorted(step, step[max(late * _BLOCK, self.core.start)] - lags))
-            for early in range(earliest // _BLOCK, late + 1):
-                second, first = meeting(*([(low[:, at], high[:, at]) for low, high in around] for at in (late, early)))
-                kept = (subjects[second] | subjects[first]) & self.table.free(second, first)
-                blocks = np.full((2, np.count_nonzero(kept)), [[late], [early]])
-                yield np.stack((second[kept], first[kept], *blocks))
 
     def _crossing(self, hits: _Arrivals) -> _Arrivals:
         """Return the hits in which boxes overlap, on one level, on crossing paths, of pairs that do not touch or follow."""
@@ -366,11 +256,10 @@ class _Grid:
         begin = np.searchsorted(self.step, self.step[hits.left] - round(AROUND / STEP))
         end = np.searchsorted(self.step, self.step[hits.arrived] + round(AROUND / STEP), side="right")
         pairs, pair = np.unique(np.stack((hits.first, hits.second)), axis=1, return_inverse=True)
-        apart, few = np.zeros(len(begin), np.bool_), max(1, ELEMENTS // len(self.step))
-        for start in range(0, pairs.shape[1], few):
-            touching = np.pad(np.cumsum(self._touching(*pairs[:, start : start + few]), axis=1), ((0, 0), (1, 0)))
-            rows = np.flatnonzero((pair >= start) & (pair < start + few))
-            apart[rows] = touching[pair[rows] - start, end[rows]] == touching[pair[rows] - start, begin[rows]]
+        apart = np.zeros(len(begin), np.bool_)
+        for number, (one, other) in enumerate(pairs.T.tolist()):
+            rows, touching = np.flatnonzero(pair == number), np.append(0, np.cumsum(self._touching(one, other)))
+            apart[rows] = touching[end[rows]] == touching[begin[rows]]
         hits, begin = hits.take(apart), begin[apart]
         few = max(1, ELEMENTS // int((hits.arrived - begin).max(initial=0) + 1))
         parts = (slice(start, start + few) for start in range(0, len(begin), few))
@@ -389,36 +278,37 @@ class _Grid:
         reach = (self.table.width[hits.first] + self.table.width[hits.second]) / 2
         return np.asarray((distance[rows, nearest] <= reach * reach) & (np.cos(turn) >= _ALONG))
 
-    def _touching(self, first: Indices, second: Indices) -> Booleans:
-        """Return at which moments pairs touch, (pairs, moments)."""
-        dx, dy = (values[first] - values[second] for values in (self.x, self.y))
-        reach = (self.table.radius[first] + self.table.radius[second])[:, None]
-        found = np.asarray(dx * dx + dy * dy <= reach * reach)
-        row, moment = np.nonzero(found)
-        found[row, moment] = overlaps(*(self._boxes(each[row], moment) for each in (first, second)))
-        for one, other, frames in self.table.touching:
-            together = ((first == one) & (second == other)) | ((first == other) & (second == one))
-            times = self.table.clock[frames]
-            found |= together[:, None] & (self.time >= times[0] - STEP) & (self.time <= times[-1] + STEP)
+    def _touching(self, one: int, other: int) -> Booleans:
+        """Return at which moments a pair touches, (moments,)."""
+        reach, found = self.table.radius[one] + self.table.radius[other], np.zeros(len(self.step), np.bool_)
+        near = np.flatnonzero(np.hypot(self.x[one] - self.x[other], self.y[one] - self.y[other]) <= reach)
+        found[near] = overlaps(self._boxes(one, near), self._boxes(other, near))
+        for contact in self.table.touching:
+            if {contact.one, contact.other} == {one, other}:
+                times = self.table.clock[contact.frames]
+                found |= (self.time >= times[0] - STEP) & (self.time <= times[-1] + STEP)
         return found
 
-    def _boxes(self, actor: Indices, moment: Indices) -> Boxes:
+    def _boxes(self, actor: Indices | int, moment: Indices) -> Boxes:
         table = self.table
         return Boxes(
             self.x[actor, moment], self.y[actor, moment], self.yaw[actor, moment], table.length[actor], table.width[actor]
         )
 
 
-def _path_of(table: MotionTable, actor: int, time: float) -> Path:
-    """Return the path of an actor of a table around a time, as long as it is present without a break."""
-    frame = int(np.clip(np.searchsorted(table.clock, time + SAME_TIME, side="right") - 1, 0, len(table.time) - 1))
+def _refined(table: MotionTable, first: int, second: int, left: float, arrived: float) -> float:
+    """Return the time between leaving and arriving more exactly, which is known to a step of 0.05 s."""
+    fine = STEP * np.linspace(-1, 1, 2 * _FINE + 1)
+    late, early = (each.ravel() for each in np.meshgrid(arrived + fine, left + fine, indexing="ij"))
+    hits = (late - early > SAME_TIME) & overlaps(_box_at(table, second, late, arrived), _box_at(table, first, early, left))
+    return min(arrived - left, float((late - early)[hits].min(initial=math.inf)))
+
+
+def _box_at(table: MotionTable, actor: int, times: Floats, around: float) -> Boxes:
+    """Return the box of an actor at times around another one; at NaN where it is not present without a break from there."""
+    frame = int(np.clip(np.searchsorted(table.clock, around + SAME_TIME, side="right") - 1, 0, len(table.time) - 1))
     begin, end = (int(edge[actor, frame]) for edge in table.path)
-    rows = slice(begin, end + 1)
-    return Path(
-        table.time[rows],
-        table.x[actor, rows],
-        table.y[actor, rows],
-        table.heading[actor, rows],
-        float(table.length[actor]),
-        float(table.width[actor]),
-    )
+    time = table.time[begin : end + 1]
+    x, y, yaw = (np.interp(times, time, values[actor, begin : end + 1]) for values in (table.x, table.y, table.heading))
+    x[(times < time[0] - SAME_TIME) | (times > time[-1] + SAME_TIME)] = np.nan
+    return Boxes(x, y, yaw, float(table.length[actor]), float(table.width[actor]))

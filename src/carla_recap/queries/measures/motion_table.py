@@ -30,7 +30,7 @@ TYPES: Final = ("transforms", "velocities")
 THROWN: Final = 5.0
 """The time after a contact with a vehicle in which an actor may be thrown, in s."""
 
-_FRAMES: Final = 1024  # of a table, without its margins
+_FRAMES: Final = 2048  # of a table, without its margins
 _STEP: Final = 64  # frames after which tables are tried again
 _VALUES: Final = 1 << 20  # poses of a table, unless its margins have more
 _CONTEXT: Final = 2.0  # s around a frame that its motion depends on
@@ -58,9 +58,7 @@ class MotionTable:
     Attributes:
         first, last: The frames that the table is for, `last` exclusive; those before and after are margins.
         time: Elapsed seconds, (frames,).
-        ids: The ids of the actors, ascending, (actors,); an id that is used again has several rows.
-        actors: Their actors.
-        is_vehicle: Whether each is a vehicle, not a walker, (actors,).
+        actors: The actors, by ascending id; an id that is used again has several rows.
         x, y, z: The centre of the box in m; NaN where the actor is absent, jumps, or is at no sensible place,
             such as far below the roads.
         yaw: The heading in radians, counter-clockwise.
@@ -73,9 +71,7 @@ class MotionTable:
     first: int
     last: int
     time: Floats
-    ids: Integers
     actors: tuple[ActorLife, ...]
-    is_vehicle: Booleans
     x: Floats
     y: Floats
     z: Floats
@@ -92,6 +88,16 @@ class MotionTable:
     def core(self) -> slice:
         """The frames that the table is for, without margins."""
         return slice(self.first, self.last)
+
+    @cached_property
+    def ids(self) -> Integers:
+        """The ids of the actors, (actors,)."""
+        return np.array([actor.id for actor in self.actors], np.int64)
+
+    @cached_property
+    def is_vehicle(self) -> Booleans:
+        """Whether each is a vehicle, not a walker, (actors,)."""
+        return np.array([actor.kind == "vehicle" for actor in self.actors], np.bool_)
 
     @cached_property
     def clock(self) -> Floats:
@@ -132,6 +138,13 @@ class MotionTable:
         begin = np.where(np.hstack((ends, ~self.joined)), frame, 0)
         end = np.where(np.hstack((~self.joined, ends)), frame, len(frame))
         return np.maximum.accumulate(begin, axis=1), np.minimum.accumulate(end[:, ::-1], axis=1)[:, ::-1]
+
+    @cached_property
+    def covered(self) -> Floats:
+        """The distance covered until each frame in m, (actors, frames), which ascends from row to row, 1 m at a break."""
+        steps = np.ones(self.x.shape)
+        steps[:, 1:] = np.where(self.joined, np.hypot(np.diff(self.x), np.diff(self.y)), 1.0)
+        return np.cumsum(steps).reshape(steps.shape)
 
     @cached_property
     def touching(self) -> tuple[Touching, ...]:
@@ -182,7 +195,7 @@ class MotionTable:
 class MotionCollector:
     """Collects the frames of a recording into tables of motion, which follow each other.
 
-    Memory is bounded: a table has 1,024 frames, or fewer if there are very many actors, and its margins.
+    Memory is bounded: a table has 2,048 frames, or fewer if there are very many actors, and its margins.
 
     Args:
         actors: The actors of the recording.
@@ -293,9 +306,7 @@ class MotionCollector:
             first=first - start,
             last=last - start,
             time=time,
-            ids=ids[rows].astype(np.int64),
             actors=tuple(actors),
-            is_vehicle=np.array([actor.kind == "vehicle" for actor in actors], np.bool_),
             x=x + cos * offset[:, :1] - sin * offset[:, 1:2],
             y=y + sin * offset[:, :1] + cos * offset[:, 1:2],
             z=z + offset[:, 2:],

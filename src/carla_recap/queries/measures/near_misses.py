@@ -15,7 +15,7 @@ import numpy as np
 
 from carla_recap.queries.measures.encroachment import ENCOUNTER, CrossingSearch, Encounter, encounters
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
-from carla_recap.queries.measures.pairs import near_pairs
+from carla_recap.queries.measures.pairs import PairFrames, near_pairs
 from carla_recap.queries.measures.paths_ahead import BEND_TIME, SEEN, on_collision_course
 
 if TYPE_CHECKING:
@@ -119,18 +119,17 @@ class NearMissDetector:
 
     def _add_approaches(self, table: MotionTable, subjects: Booleans) -> None:
         """Add the encounters of pairs on a collision course."""
-        found = []
-        for near in near_pairs(table, subjects, table.radius + table.fastest * self._longest):
-            pairs, times = near.colliding(self._longest)
-            counts = np.flatnonzero(on_collision_course(pairs, times))
-            pairs, times = pairs.take(counts), times[counts]
-            found.append((pairs.one, pairs.other, pairs.frame, times, pairs.approach()))
+        near = near_pairs(table, subjects, table.radius + table.fastest * self._longest)
+        found = [each.colliding(self._longest) for each in near]
         if not found:
             return
-        ones, others, frames, times, speeds = map(np.concatenate, zip(*found, strict=True))
-        for rows in encounters(np.minimum(ones, others), np.maximum(ones, others), table.time[frames]):
+        pairs, times = PairFrames.joined([each for each, _ in found]), np.concatenate([seconds for _, seconds in found])
+        counts = np.flatnonzero(on_collision_course(pairs, times))
+        pairs, times = pairs.take(counts), times[counts]
+        speeds = pairs.approach()
+        for rows in encounters(pairs.one, pairs.other, table.time[pairs.frame]):
             best = rows[times[rows].argmin()]
-            (one, other), frame = sorted((int(ones[best]), int(others[best]))), int(frames[best])
+            one, other, frame = int(pairs.one[best]), int(pairs.other[best]), int(pairs.frame[best])
             if table.speed[other, frame] > table.speed[one, frame]:
                 one, other = other, one
             room = 2 * times[rows]
@@ -138,8 +137,7 @@ class NearMissDetector:
             miss = Encounter(
                 int(table.ids[one]),
                 int(table.ids[other]),
-                float(table.time[frames[rows[0]]]),
-                float(table.time[frames[rows[-1]]]),
+                *table.time[pairs.frame[rows[[0, -1]]]].tolist(),
                 float(table.time[frame]),
                 float(times[best]),
                 float(braking.max()),

@@ -3,43 +3,52 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from carla_recap.queries.measures.boxes import Boxes, gap, time_to_collision
+from carla_recap.util.arrays import Floats
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from numpy.typing import NDArray
+
     from carla_recap.queries.measures.motion_table import MotionTable
-    from carla_recap.util.arrays import Booleans, Floats, Indices
+    from carla_recap.util.arrays import Booleans, Indices
 
 
-FRAMES: Final = 64
-"""The number of frames for which near pairs are looked for at once."""
 ELEMENTS: Final = 1 << 19
 """The number of values that are computed at once."""
 
+_FRAMES: Final = 64  # in which actors are near each other, or not
 _STEP: Final = 0.5  # m; boxes with more than this height between them are on different levels
-_COLUMNS: Final = ("one", "other", "frame", "dx", "dy", "vx", "vy", "distance")
 
 
-def bounds(values: Floats, reach: Floats) -> tuple[Floats, Floats]:
-    """Return the least and the greatest value along the last axis, less and more a reach; inf and -inf of NaN alone."""
-    least = np.fmin.reduce(values, axis=-1, initial=np.inf)
-    greatest = np.fmax.reduce(values, axis=-1, initial=-np.inf)
-    return least - reach, greatest + reach
+Bounds = tuple[Floats, Floats, Floats, Floats]
+"""The least and the greatest x and y in blocks of columns, with a reach, each (actors, blocks)."""
 
 
-def meeting(ones: Sequence[tuple[Floats, Floats]], others: Sequence[tuple[Floats, Floats]]) -> tuple[Indices, Indices]:
-    """Return the rows of some actors and those of others that overlap, of bounds along x and along y."""
-    one, other = (np.flatnonzero(least <= greatest) for least, greatest in (ones[0], others[0]))  # those that are present
-    near = np.ones((len(one), len(other)), np.bool_)
-    for (least, greatest), (low, high) in zip(ones, others, strict=True):
-        near &= (least[one, None] <= high[other]) & (low[other] <= greatest[one, None])
-    row, column = np.nonzero(near)
-    return one[row], other[column]
+def bounds(x: Floats, y: Floats, reach: Floats, size: int) -> Bounds:
+    """Return the bounds of actors that reach some m around their places in m, (actors, columns), in blocks of a size."""
+    starts, reach = np.arange(0, x.shape[1], size), reach[:, None]
+    (left, low), (right, high) = ([end.reduceat(each, starts, axis=1) for each in (x, y)] for end in (np.fmin, np.fmax))
+    return left - reach, right + reach, low - reach, high + reach
+
+
+def meeting(bounds: Bounds, apart: int = 0) -> Iterator[tuple[Indices, Indices, Indices]]:
+    """Yield the rows of actors, those of the others near whose places some blocks before they come, and the block."""
+    actors, blocks = bounds[0].shape
+    few = max(1, ELEMENTS // max(1, actors) ** 2)
+    for first in range(apart, blocks, few):
+        left, right, low, high = (values[:, None, first : first + few] for values in bounds)
+        before = slice(first - apart, min(first + few, blocks) - apart)
+        left2, right2, low2, high2 = (values[None, :, before] for values in bounds)
+        # NaN, of those that are absent, is near nothing.
+        near = (left <= right2) & (left2 <= right) & (low <= high2) & (low2 <= high)
+        one, other, block = np.nonzero(near)
+        yield one, other, block + first
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,23 +76,32 @@ class PairFrames:
     distance: Floats
 
     @staticmethod
-    def of(table: MotionTable, frames: slice, one: Indices, other: Indices) -> PairFrames:
-        """Return pairs in some frames."""
+    def of(table: MotionTable, one: Indices, other: Indices, frame: Indices) -> PairFrames:
+        """Return those pairs whose actors are present in their frames, on one level."""
+        count = len(table.time)
 
         def difference(values: Floats) -> Floats:
-            part = values[:, frames]
-            return np.asarray(part[other] - part[one])
+            return np.asarray(values.take(other * count + frame) - values.take(one * count + frame))
 
-        dx, dy, dz = difference(table.x), difference(table.y), difference(table.z)
-        level = np.abs(dz) <= ((table.height[one] + table.height[other]) / 2 + _STEP)[:, None]
-        pair, frame = np.nonzero(level)  # False for NaN
-        dx, dy = dx[pair, frame], dy[pair, frame]
-        vx, vy = difference(table.vx)[pair, frame], difference(table.vy)[pair, frame]
-        return PairFrames(table, one[pair], other[pair], frame + frames.start, dx, dy, vx, vy, np.hypot(dx, dy))
+        reach = (table.height[one] + table.height[other]) / 2 + _STEP
+        level = np.flatnonzero(np.abs(difference(table.z)) <= reach)  # not of NaN
+        one, other, frame = one[level], other[level], frame[level]
+        dx, dy, vx, vy = map(difference, (table.x, table.y, table.vx, table.vy))
+        return PairFrames(table, one, other, frame, dx, dy, vx, vy, np.hypot(dx, dy))
+
+    @property
+    def _columns(self) -> tuple[NDArray[Any], ...]:
+        return self.one, self.other, self.frame, self.dx, self.dy, self.vx, self.vy, self.distance
 
     def take(self, kept: Booleans | Indices) -> PairFrames:
         """Return some of them."""
-        return PairFrames(self.table, *(getattr(self, name)[kept] for name in _COLUMNS))
+        return PairFrames(self.table, *(column[kept] for column in self._columns))
+
+    @staticmethod
+    def joined(parts: Sequence[PairFrames]) -> PairFrames:
+        """Return the pairs of several parts of a table, of at least one."""
+        columns = zip(*(part._columns for part in parts), strict=True)
+        return PairFrames(parts[0].table, *map(np.concatenate, columns))
 
     def turned(self) -> PairFrames:
         """Return the pairs with their actors exchanged."""
@@ -132,22 +150,17 @@ class PairFrames:
         return pairs.take(kept), times[kept]
 
 
-def near_pairs(table: MotionTable, subjects: Booleans, reach: Floats | float) -> Iterator[PairFrames]:
+def near_pairs(table: MotionTable, subjects: Booleans, reach: Floats) -> Iterator[PairFrames]:
     """Yield the pairs that may be near each other, in some frames of those that the table is for.
 
     One of a pair is a subject. The distance of both is at most the sum of their reaches in m.
     """
-    for start in range(table.first, table.last, FRAMES):
-        frames = slice(start, min(start + FRAMES, table.last))
-        around = [bounds(values[:, frames], np.asarray(reach)) for values in (table.x, table.y)]
-        one, other = meeting(around, around)
-        kept = (one < other) & (subjects[one] | subjects[other])
-        one, other = one[kept], other[kept]
-        free = table.free(one, other)
-        one, other = one[free], other[free]
-        for few in range(0, len(one), ELEMENTS // FRAMES):
-            part = slice(few, few + ELEMENTS // FRAMES)
-            yield PairFrames.of(table, frames, one[part], other[part])
+    for one, other, block in meeting(bounds(table.x[:, table.core], table.y[:, table.core], reach, _FRAMES)):
+        kept = np.flatnonzero((one < other) & (subjects[one] | subjects[other]) & table.free(one, other))
+        for few in (kept[start : start + ELEMENTS // _FRAMES] for start in range(0, len(kept), ELEMENTS // _FRAMES)):
+            frame = table.first + _FRAMES * block[few, None] + np.arange(_FRAMES)
+            row, column = np.nonzero(frame < table.last)
+            yield PairFrames.of(table, one[few[row]], other[few[row]], frame[row, column])
 
 
 _SAME_HEADING: Final = np.cos(np.deg2rad(45.0))

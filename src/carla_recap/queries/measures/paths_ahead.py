@@ -73,35 +73,32 @@ def _path_ahead(
     table: MotionTable, actor: Indices, frame: Indices, ahead: Floats, stop: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Return where actors come with their speed on the paths that they take until a time, and then as those bend."""
+    covered, clock = table.covered, table.clock
     distance = table.speed[actor, frame][:, None] * ahead
-    x, y, yaw = np.empty((3, *distance.shape))
-    for each in np.unique(actor).tolist():
-        rows = np.flatnonzero(actor == each)
-        begin, end = (edge[each, frame[rows]] for edge in table.path)
-        end = np.minimum(end, np.searchsorted(table.clock, stop[rows], side="right") - 1)
-        steps = np.hypot(np.diff(table.x[each]), np.diff(table.y[each]))
-        covered = np.append(0.0, np.cumsum(np.where(table.joined[each], steps, 1.0)))
-        wanted = covered[frame[rows]][:, None] + distance[rows]
-        known = np.minimum(wanted, covered[end][:, None])
-        present = np.flatnonzero(~np.isnan(table.x[each]))
-        moments = [distance[rows] == 0, wanted >= covered[end][:, None]]  # where it may stand and turn
-        x[rows], y[rows], yaw[rows] = (
-            np.select(
-                moments,
-                [values[each, frame[rows]][:, None], values[each, end][:, None]],
-                np.interp(known, covered[present], values[each, present]),
-            )
-            for values in (table.x, table.y, table.heading)
+    begin, end = (edge[actor, frame] for edge in table.path)
+    end = np.minimum(end, np.searchsorted(clock, stop, side="right") - 1)
+    length = covered[actor, end]
+    wanted = covered[actor, frame][:, None] + distance
+    known = np.minimum(wanted, length[:, None])
+    present = np.flatnonzero(~np.isnan(table.x))
+    x, y, yaw = (
+        np.where(  # an actor may stand and turn
+            distance == 0,
+            values[actor, frame][:, None],
+            np.where(
+                wanted >= length[:, None],
+                values[actor, end][:, None],
+                np.interp(known, covered.take(present), values.take(present)),
+            ),
         )
-        before = np.searchsorted(covered, covered[end] - _BEND, side="right") - 1
-        before = np.maximum(before, np.searchsorted(table.clock, table.clock[end] - BEND_TIME))
-        before = np.maximum(before, begin)
-        length = covered[end] - covered[before]
-        turn = table.heading[each, end] - table.heading[each, before]
-        bend = np.divide(turn, length, out=np.zeros(len(rows)), where=length >= _BEND / 3)
-        beyond = wanted - known
-        yaw[rows] += np.clip(bend, -_SHARPEST, _SHARPEST)[:, None] * beyond
-        steps = np.diff(beyond, axis=1, prepend=0.0)
-        x[rows] += np.cumsum(steps * np.cos(yaw[rows]), axis=1)
-        y[rows] += np.cumsum(steps * np.sin(yaw[rows]), axis=1)
-    return x, y, yaw
+        for values in (table.x, table.y, table.heading)
+    )
+    before = np.searchsorted(covered.ravel(), length - _BEND, side="right") - 1 - actor * len(clock)
+    before = np.maximum(np.maximum(before, np.searchsorted(clock, clock[end] - BEND_TIME)), begin)
+    length -= covered[actor, before]
+    turn = table.heading[actor, end] - table.heading[actor, before]
+    bend = np.divide(turn, length, out=np.zeros(len(actor)), where=length >= _BEND / 3)
+    beyond = wanted - known
+    yaw += np.clip(bend, -_SHARPEST, _SHARPEST)[:, None] * beyond
+    steps = np.diff(beyond, axis=1, prepend=0.0)
+    return x + np.cumsum(steps * np.cos(yaw), axis=1), y + np.cumsum(steps * np.sin(yaw), axis=1), yaw
