@@ -192,7 +192,7 @@ class PlayedIncidents:
 
     def series(self) -> MeasureSeries | None:
         """Return the measures of the followed actor, after `found`; None without one, or if the recording is damaged."""
-        return None if self._search is None or self._series is None else self._series.finish()
+        return None if self._search is None or self._series is None else next(iter(self._series.finish().values()))
 
     def _add(self, batch: Batch) -> None:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from contextlib import closing
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
@@ -13,6 +14,7 @@ from carla_recap.formats import open_reader
 from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn, attributes
 from carla_recap.queries.incidents import IncidentOptions, incidents
+from carla_recap.queries.measures.definitions import Extreme
 from carla_recap.queries.measures.road import TYPES, RoadEvent, RoadSearch
 from carla_recap.queries.measures.stop_lines import StopLines
 from carla_recap.queries.measures.traffic_lights import LightHistory
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
-    from carla_recap.queries.measures.definitions import Extreme
+    from carla_recap.queries.measures.definitions import MeasureValues
     from carla_recap.roads.network import RoadNetwork
 
     Floats = NDArray[np.float64]
@@ -87,12 +89,17 @@ class Drives:
 
     def search(self, reader: Any) -> list[RoadEvent]:
         """Return what is found in a recording."""
-        search = RoadSearch(reader, self.roads, actors(reader))
+        self.extremes = defaultdict(dict)
+
+        def note(id: int, name: str, found: MeasureValues) -> None:
+            best, known = int(found.value.argmax()), self.extremes[id].get(name)
+            if found.value[best] > (known.value if known else 0):
+                self.extremes[id][name] = Extreme(float(found.value[best]), float(found.time[best]))
+
+        search = RoadSearch(reader, self.roads, actors(reader), note)
         for batch in reader.batches(TYPES):
             search.add(batch)
-        found = search.finish()
-        self.extremes = search.extremes
-        return found
+        return search.finish()
 
 
 @pytest.fixture

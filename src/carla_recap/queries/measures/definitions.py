@@ -43,6 +43,10 @@ class MeasureRow:
     time: float
 
 
+NO_OTHER: Final = -1
+"""The id, and the row, of no actor."""
+
+
 class Extreme(NamedTuple):
     """An extreme value of a measure of an actor.
 
@@ -69,6 +73,11 @@ class MeasureValues(NamedTuple):
     time: Floats
     value: Floats
     other: Ids
+
+    @classmethod
+    def of(cls, time: Floats, value: Floats) -> MeasureValues:
+        """Return values in relation to no other actor."""
+        return cls(time, value, np.full(len(time), NO_OTHER))
 
     @classmethod
     def joined(cls, parts: Iterable[MeasureValues]) -> MeasureValues:

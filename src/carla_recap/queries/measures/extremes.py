@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from carla_recap.queries import Answer
-from carla_recap.queries.measures.definitions import MEASURES, Extreme, MeasureRow, MeasureValues
+from carla_recap.queries.measures.definitions import MEASURES, NO_OTHER, Extreme, MeasureRow, MeasureValues
 from carla_recap.queries.measures.drives import Drive
 from carla_recap.queries.measures.driving import BACKGROUND, comfort, efficiency
 from carla_recap.queries.measures.encroachment import CrossingSearch
@@ -17,7 +17,7 @@ from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
 from carla_recap.queries.measures.paths_ahead import SEEN
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
-from carla_recap.queries.measures.series import HORIZON, NO_OTHER, measured_actors, series_of
+from carla_recap.queries.measures.series import HORIZON, measured_actors, series_of
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from carla_recap.queries.roads import roads_of, warn_without_roads
 from carla_recap.roads.polylines import stations
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
-    from carla_recap.queries.measures.definitions import Measure
     from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.queries.measures.series import Subjects
     from carla_recap.roads.network import RoadNetwork
@@ -129,7 +128,7 @@ class MeasureSearch:
         self._lives, self._crossings = lives, CrossingSearch(POST_ENCROACHMENT_TIME)
         self._motion = MotionCollector(lives, self._contacts, before=self._crossings.before, after=HORIZON + SEEN)
         self._over_time = over_time or {}
-        self._roads = None if roads is None else RoadSearch(source, roads, lives, self._over_time)
+        self._roads = None if roads is None else RoadSearch(source, roads, lives, self._note)
         self._parts: dict[tuple[str, int], list[MeasureValues]] = defaultdict(list)
         self.values: dict[tuple[str, int], MeasureValues] = {}
         self._extremes: dict[int, dict[str, Extreme]] = {id: {} for id in self._subjects}
@@ -156,18 +155,14 @@ class MeasureSearch:
         """Return the measures."""
         for table in self._motion.finish():
             self._measure(table)
-        pet = MEASURES["post_encroachment_time"]
         for each in self._crossings.finish():
             for subject, met in ((each.id2, each.id1), (each.id1, each.id2)):
                 if subject in self._subjects:
                     values = np.array([each.time]), np.array([each.post_encroachment_time]), np.array([met], np.int64)
-                    self._note(subject, pet, MeasureValues(*values))
+                    self._note(subject, "post_encroachment_time", MeasureValues(*values))
         self._note_driving()
         if self._roads is not None:
             self._roads.finish()
-            for id in self._subjects:
-                self._extremes[id].update(self._roads.extremes.get(id, {}))
-            self._parts.update(self._roads.values)
         for name, ids in self._over_time.items():
             self.values.update({(name, id): MeasureValues.joined(self._parts[name, id]) for id in ids})
         rows = []
@@ -198,7 +193,7 @@ class MeasureSearch:
                 others = getattr(series, measure.other)[:, table.core] if measure.other else None
                 for number, id in enumerate(ids):
                     of_other = np.full(values.shape[1], NO_OTHER) if others is None else others[number]
-                    self._note(id, measure, MeasureValues(table.time[table.core], values[number], of_other))
+                    self._note(id, measure.name, MeasureValues(table.time[table.core], values[number], of_other))
         self._crossings.add(table, np.isin(table.ids, ids))
 
     def _note_driving(self) -> None:
@@ -217,20 +212,20 @@ class MeasureSearch:
                     ("driving_smoothness", smooth and smooth.smoothness),
                 ):
                     if value is not None:
-                        values = np.array([drive.time[-1]]), np.array([value]), np.array([NO_OTHER])
-                        self._note(id, MEASURES[name], MeasureValues(*values))
+                        self._note(id, name, MeasureValues.of(drive.time[-1:], np.array([value])))
 
-    def _note(self, id: int, measure: Measure, found: MeasureValues) -> None:
+    def _note(self, id: int, name: str, found: MeasureValues) -> None:
         """Note the extreme value of a measure of an actor in some frames, and keep all values if they are asked for."""
-        finite = np.isfinite(found.value)
+        measure, finite = MEASURES[name], np.isfinite(found.value)
         found = MeasureValues(found.time[finite], found.value[finite], found.other[finite])
-        if not len(found.value):
+        if not len(found.value) or id not in self._extremes:
             return
-        if id in self._over_time.get(measure.name, ()):
-            self._parts[measure.name, id].append(found)
+        if id in self._over_time.get(name, ()):
+            self._parts[name, id].append(found)
         best = int(found.value.argmin() if measure.extreme == "least" else found.value.argmax())
         value, time, other = (column[best].item() for column in (found.value, found.time, found.other))
-        known = self._extremes[id].get(measure.name)
-        if known is None or measure.key(value) < measure.key(known.value):
+        known = self._extremes[id].get(name)
+        is_new = value > 0 or not measure.needs_roads if known is None else measure.key(value) < measure.key(known.value)
+        if is_new:
             actor = None if other == NO_OTHER else self._lives.at(other, time)
-            self._extremes[id][measure.name] = Extreme(value, time, actor)
+            self._extremes[id][name] = Extreme(value, time, actor)

@@ -17,14 +17,13 @@ from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import motion_of, place_in_metres, runs
 from carla_recap.model.presence import RoadHeights
 from carla_recap.model.segment import last_of_each, segments
-from carla_recap.queries.measures.definitions import Extreme, MeasureValues
-from carla_recap.queries.measures.series import NO_OTHER
+from carla_recap.queries.measures.definitions import MeasureValues
 from carla_recap.queries.measures.stop_lines import StopLines
 from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.roads import network as roads
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -98,11 +97,7 @@ class RoadSearch:
         source: The recording. Its spawns are read at once.
         network: The roads of its map.
         actors: The actors of the recording.
-        over_time: The ids of the vehicles of which values over time are kept, by measure.
-
-    Attributes:
-        extremes: The greatest values of measures of the road after `finish`, by vehicle and measure.
-        values: The values over time after `finish`, by measure and vehicle.
+        note: Gets the values of measures of the road: the vehicle, the measure, and finite values.
     """
 
     def __init__(
@@ -110,9 +105,9 @@ class RoadSearch:
         source: Reader,
         network: RoadNetwork,
         actors: Iterable[ActorLife],
-        over_time: Mapping[str, Collection[int]] | None = None,
+        note: Callable[[int, str, MeasureValues], None] = lambda *_: None,
     ) -> None:
-        self._network = network
+        self._network, self._note = network, note
         self._actors: dict[int, ActorLife] = {}
         actors = list(actors)
         self._heights = RoadHeights(actors)
@@ -135,9 +130,6 @@ class RoadSearch:
         self._slow: dict[int, tuple[float, float, float]] = {}  # where the front of each vehicle was when it last stood
         self._crossings: list[_Crossing] = []
         self._runs: dict[str, list[_Run]] = defaultdict(list)
-        self.extremes: dict[int, dict[str, Extreme]] = defaultdict(dict)
-        self._over_time = over_time or {}
-        self.values: dict[tuple[str, int], list[MeasureValues]] = defaultdict(list)
 
     @np.errstate(invalid="ignore")  # of signalling NaN
     def add(self, batch: Batch) -> None:
@@ -211,7 +203,7 @@ class RoadSearch:
         self._cross(motion)
         outside = np.where(np.isfinite(at.outside), at.outside, roads.REACH)
         self._add_runs("off road", motion, outside > OFF_ROAD, outside)
-        self._note("distance_off_road", motion, np.where(outside > 0, outside, np.nan))
+        self._measure("distance_off_road", motion, np.where(outside > 0, outside, np.nan))
         along = np.cos(motion.samples["yaw"] - at.heading)
         progress = motion.dx * np.cos(at.heading) + motion.dy * np.sin(at.heading)
         kinds = np.append(self._network.lanes["kind"], roads.GAP)[at.lane]
@@ -220,9 +212,9 @@ class RoadSearch:
         self._add_runs("wrong way", motion, against, -progress, summed=True)
         over = motion.speed - at.limit
         offset = np.where((at.beside <= 0) & ~at.in_junction, np.abs(at.offset), np.nan)
-        self._note("lateral_offset", motion, offset)
+        self._measure("lateral_offset", motion, offset)
         self._add_runs("speeding", motion, (over > TOLERANCE) & (at.beside <= 0), over, at.limit)
-        self._note("speed_over_limit", motion, np.where(at.beside <= 0, over, np.nan))
+        self._measure("speed_over_limit", motion, np.where(at.beside <= 0, over, np.nan))
 
     def _add_runs(
         self,
@@ -250,28 +242,13 @@ class RoadSearch:
             )
             self._runs[kind].append(run)
 
-    def _note(self, measure: str, motion: _Motion, values: Floats) -> None:
-        """Note the greatest value of each vehicle, and when it occurs."""
-        values = np.where(motion.is_new, values, np.nan)
-        for first, last in motion.spans():
-            part = values[first:last]
-            known = first + np.flatnonzero(np.isfinite(part))
-            if not len(known):
-                continue
-            row, id = first + int(np.nanargmax(part)), int(self._vehicles[motion.vehicle[first]])
-            self._keep(measure, id, float(values[row]), float(motion.time[row]))
-            self._keep_over_time(measure, id, motion.time[known], values[known])
-
-    def _keep_over_time(self, measure: str, id: int, time: Floats, values: Floats) -> None:
-        """Keep values of a vehicle over time if they are wanted."""
-        if id in self._over_time.get(measure, ()):
-            self.values[measure, id].append(MeasureValues(time, values, np.full(len(time), NO_OTHER)))
-
-    def _keep(self, measure: str, id: int, value: float, time: float) -> None:
-        """Note a value of a vehicle if it is above 0 and the greatest so far."""
-        known = self.extremes[id].get(measure)
-        if value > (known.value if known else 0.0):
-            self.extremes[id][measure] = Extreme(value, time)
+    def _measure(self, measure: str, motion: _Motion, values: Floats) -> None:
+        """Note the known ones of values at samples, by vehicle."""
+        known = np.flatnonzero(motion.is_new & np.isfinite(values))
+        for rows in np.split(known, np.flatnonzero(np.diff(motion.vehicle[known])) + 1):
+            if len(rows):
+                id = int(self._vehicles[motion.vehicle[rows[0]]])
+                self._note(id, measure, MeasureValues.of(motion.time[rows], values[rows]))
 
     def _cross(self, motion: _Motion) -> None:
         """Add the crossings of stop lines by the fronts and by the centres of vehicles."""
@@ -359,8 +336,7 @@ class RoadSearch:
 
     def _wrong_way(self) -> Iterator[RoadEvent]:
         for run in _joined(self._runs["wrong way"], summed=True):
-            self._keep("distance_against_lane", run.id, run.value, run.start)
-            self._keep_over_time("distance_against_lane", run.id, np.array([run.start]), np.array([run.value]))
+            self._note(run.id, "distance_against_lane", MeasureValues.of(np.array([run.start]), np.array([run.value])))
             if run.stop - run.start >= AGAINST_TIME:
                 text = f"drives {run.value:.0f} m against the direction of its lane"
                 yield run.event("wrong way", "distance_against_lane", AGAINST * AGAINST_TIME, text)

@@ -14,7 +14,7 @@ from carla_recap.errors import RecapError
 from carla_recap.model.lives import HERO, ROAD_USERS, ActorName, find_actor
 from carla_recap.model.motion import slope
 from carla_recap.queries.measures.boxes import required_deceleration, time_headway
-from carla_recap.queries.measures.definitions import MeasureSeries
+from carla_recap.queries.measures.definitions import NO_OTHER, MeasureSeries
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
 from carla_recap.queries.measures.pairs import PairFrames, ahead, near_pairs
 from carla_recap.queries.measures.paths_ahead import on_collision_course
@@ -40,8 +40,6 @@ SPEED_WINDOW: Final = 0.125
 JERK_WINDOW: Final = 0.25
 """The time before and after a moment, of which the accelerations count for its jerk, in s."""
 
-NO_OTHER: Final = -1
-"""The row of no actor."""
 MARGIN: Final = 2.0
 """The time around a frame that the measures of an actor alone depend on, in s."""
 
@@ -196,12 +194,12 @@ def measures_over_time(
     """
     lives, contacts = lives_and_contacts(source)
     if pair is None:
-        collectors = [SeriesCollector(id) for id in measured_actors(source, lives, actors)]
+        collectors = [SeriesCollector(*measured_actors(source, lives, actors))]
     else:
         first, second = _find_pair(source, lives, *pair)
-        collectors = [SeriesCollector(first, second), SeriesCollector(second, first)]
+        collectors = [SeriesCollector(first, other=second), SeriesCollector(second, other=first)]
     _collect(source, MotionCollector(lives, contacts, before=MARGIN, after=MARGIN), collectors)
-    return MeasuresOverTime({each.actor: each.finish() for each in collectors}, source)
+    return MeasuresOverTime({id: series for each in collectors for id, series in each.finish().items()}, source)
 
 
 def time_series(
@@ -221,10 +219,13 @@ def time_series(
         FormatError: The file contradicts its format.
     """
     lives, contacts = lives_and_contacts(source)
-    ids = (_find(source, lives, actor), None) if other is None else _find_pair(source, lives, actor, other)
-    series = SeriesCollector(*ids)
-    _collect(source, MotionCollector(lives, contacts, before=MARGIN, after=MARGIN), [series], start, stop)
-    return series.finish()
+    if other is None:
+        collector = SeriesCollector(id := _find(source, lives, actor))
+    else:
+        id, met = _find_pair(source, lives, actor, other)
+        collector = SeriesCollector(id, other=met)
+    _collect(source, MotionCollector(lives, contacts, before=MARGIN, after=MARGIN), [collector], start, stop)
+    return collector.finish()[id]
 
 
 def measured_actors(source: Reader, recorded: ActorLives, wanted: Subjects) -> dict[int, ActorLife]:
@@ -277,34 +278,33 @@ def _collect(
 
 
 class SeriesCollector:
-    """Collects the measures of an actor over time from tables of motion.
-
-    Attributes:
-        actor: The id of the actor.
+    """Collects the measures of actors over time from tables of motion.
 
     Args:
-        actor: The id of the actor.
+        actors: The ids of the actors.
         other: The id of the only other actor that counts; None for all.
     """
 
-    def __init__(self, actor: int, other: int | None = None) -> None:
-        self.actor, self._other = actor, other
-        self._parts: list[dict[str, NDArray[Any]]] = []
+    def __init__(self, *actors: int, other: int | None = None) -> None:
+        self._other = other
+        self._parts: dict[int, list[dict[str, NDArray[Any]]]] = {id: [] for id in actors}
 
     def add(self, table: MotionTable) -> None:
         """Add a table."""
-        rows = np.flatnonzero(table.ids == self.actor)
+        rows = np.flatnonzero(np.isin(table.ids, list(self._parts)))
         if not len(rows) or self._other not in (None, *table.ids.tolist()):
             return
         found = series_of(table, rows, self._other).columns()
         for number, row in enumerate(rows.tolist()):
             present = np.flatnonzero(~np.isnan(table.x[row, table.core])) + table.first
-            self._parts.append({name: values[number, present] for name, values in found.items()})
+            part = {name: values[number, present] for name, values in found.items()}
+            self._parts[int(table.ids[row])].append(part)
 
-    def finish(self) -> MeasureSeries:
-        """Return the measures."""
-        columns: dict[str, Any] = {}
-        for field in fields(MeasureSeries):
-            none = np.zeros(0, np.float64 if field.type == "Floats" else np.int64)
-            columns[field.name] = np.concatenate([none, *(part[field.name] for part in self._parts)])
-        return MeasureSeries(**columns)
+    def finish(self) -> dict[int, MeasureSeries]:
+        """Return the measures by the id of the actor."""
+        types = {each.name: np.float64 if each.type == "Floats" else np.int64 for each in fields(MeasureSeries)}
+        found = {}
+        for id, parts in self._parts.items():
+            columns = (np.concatenate([np.zeros(0, type), *(part[name] for part in parts)]) for name, type in types.items())
+            found[id] = MeasureSeries(*columns)
+        return found

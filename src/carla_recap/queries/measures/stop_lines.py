@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -14,17 +13,13 @@ if TYPE_CHECKING:
     from carla_recap.roads.network import RoadNetwork
     from carla_recap.util.arrays import Floats, Integers
 
-_CELL: Final = 8.0  # m, of the grid of stop lines
+_BESIDE: Final = 8.0  # m to the sides of the zone before a line
 _LEVELS: Final = 3.0  # m between roads above each other
 _BEHIND: Final = 0.5  # m behind a stop line at which a vehicle may still stop
 
 
 class StopLines:
-    """The stop lines of traffic lights and stop signs, in the squares of a grid.
-
-    Args:
-        network: The roads.
-    """
+    """The stop lines of traffic lights and stop signs of a road network."""
 
     def __init__(self, network: RoadNetwork) -> None:
         lines = network.stop_lines
@@ -33,17 +28,6 @@ class StopLines:
         self._middle = np.stack([(lines[f"{axis}0"] + lines[f"{axis}1"]) / 2 for axis in "xyz"], axis=1)
         self._half = np.hypot(lines["x1"] - lines["x0"], lines["y1"] - lines["y0"]) / 2
         self._ahead = np.stack((np.cos(lines["heading"]), np.sin(lines["heading"])), axis=1)
-        cells: dict[tuple[int, int], list[int]] = defaultdict(list)
-        for line in np.flatnonzero(self._kinds != roads.YIELD).tolist():
-            column, row = np.floor(self._middle[line, :2] / _CELL).astype(np.int64).tolist()
-            for x in (-1, 0, 1):
-                for y in (-1, 0, 1):
-                    cells[column + x, row + y].append(line)
-        keys = {_key(np.array(column), np.array(row)).item(): lines for (column, row), lines in cells.items()}
-        self._keys = np.array(sorted(keys), np.int64)
-        self._of_cell = np.full((len(keys) + 1, max(map(len, cells.values()), default=0)), roads.NONE)
-        for number, key in enumerate(self._keys.tolist()):
-            self._of_cell[number, : len(keys[key])] = keys[key]
 
     def signal(self, line: int) -> int:
         """Return the signal of a line."""
@@ -73,7 +57,7 @@ class StopLines:
         """
         away = np.array(point[:2]) - self._middle[line, :2]
         along = float(away @ self._ahead[line])
-        return -zone <= along <= _BEHIND and float(np.hypot(*away)) <= zone + _CELL
+        return -zone <= along <= _BEHIND and float(np.hypot(*away)) <= zone + _BESIDE
 
     def crossed(
         self, start: Floats, end: Floats, heading: Floats, *, wider: float = 1.0, turned: float = 45.0
@@ -88,35 +72,23 @@ class StopLines:
             turned: The greatest angle between the heading and the direction of the lane, in degrees.
         """
         same_way = math.cos(math.radians(turned))
-        cells = np.floor(end[:, :2] / _CELL)
-        near = np.abs(cells).max(axis=1, initial=0) < _FARTHEST_CELL
-        keys = _key(*np.where(near[:, None], cells, 0).astype(np.int64).T)
-        slots = np.minimum(np.searchsorted(self._keys, keys), max(len(self._keys) - 1, 0))
-        known = near & (self._keys[slots] == keys) if len(self._keys) else np.zeros(len(keys), np.bool_)
-        steps = np.flatnonzero(known)
-        found: list[tuple[Integers, Integers, Floats]] = []
-        for number in range(self._of_cell.shape[1]):
-            line = self._of_cell[slots[steps], number]
-            steps, line = steps[line != roads.NONE], line[line != roads.NONE]
-            if not len(steps):
-                break
-            ahead, middle = self._ahead[line], self._middle[line]
-            before = ((start[steps, :2] - middle[:, :2]) * ahead).sum(axis=1)
-            after = ((end[steps, :2] - middle[:, :2]) * ahead).sum(axis=1)
+        finite = np.flatnonzero(np.isfinite(start).all(axis=1) & np.isfinite(end).all(axis=1))
+        order = finite[np.argsort(end[finite, 0], kind="stable")]
+        longest = float(np.abs(end[finite] - start[finite]).max(initial=0.0))
+        found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
+        for line in np.flatnonzero(self._kinds != roads.YIELD).tolist():
+            middle, ahead, half = self._middle[line], self._ahead[line], wider * float(self._half[line])
+            first, last = np.searchsorted(end[order, 0], middle[0] + (half + longest) * np.array((-1, 1)))
+            steps = order[first:last]
+            steps = steps[np.abs(end[steps, 1] - middle[1]) <= half + longest]
+            before, after = (start[steps, :2] - middle[:2]) @ ahead, (end[steps, :2] - middle[:2]) @ ahead
+            crosses = (before < 0) & (after >= 0)
+            steps, before, after = steps[crosses], before[crosses], after[crosses]
             share = before / (before - after)
             point = start[steps] + share[:, None] * (end[steps] - start[steps]) - middle
-            beside = np.abs(point[:, 1] * ahead[:, 0] - point[:, 0] * ahead[:, 1])
-            crosses = (before < 0) & (after >= 0) & (beside <= wider * self._half[line]) & (np.abs(point[:, 2]) < _LEVELS)
-            crosses &= np.cos(heading[steps]) * ahead[:, 0] + np.sin(heading[steps]) * ahead[:, 1] > same_way
-            found.append((steps[crosses], line[crosses], share[crosses]))
-        if not found:
-            return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0)
+            beside = np.abs(point[:, 1] * ahead[0] - point[:, 0] * ahead[1])
+            crosses = (beside <= half) & (np.abs(point[:, 2]) < _LEVELS)
+            crosses &= np.cos(heading[steps]) * ahead[0] + np.sin(heading[steps]) * ahead[1] > same_way
+            found.append((steps[crosses], np.full(np.count_nonzero(crosses), line), share[crosses]))
         index, lines, shares = (np.concatenate(values) for values in zip(*found, strict=True))
         return index, lines, shares
-
-
-_FARTHEST_CELL: Final = 1 << 30
-
-
-def _key(column: Integers, row: Integers) -> Integers:
-    return (column << 32) + row
