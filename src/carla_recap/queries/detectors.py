@@ -324,16 +324,10 @@ class HardBrakingIncidents:
         for row, stop in found:
             if not detector.can_be_braking(row.id, row.start, stop):
                 continue
-            yield search.incident(
-                "hard braking",
-                (row.id,),
-                (row.start, stop),
-                place_in_metres(row.x, row.y, row.z),
-                deceleration,
-                detector.hardest(row.id, row.start, stop),
-                search.options.deceleration,
-                f"{search.name(row.id, row.start)} brakes hard at {row.speed * _KMH:.0f} km/h",
-            )
+            span, place = (row.start, stop), place_in_metres(row.x, row.y, row.z)
+            text = f"{search.name(row.id, row.start)} brakes hard at {row.speed * _KMH:.0f} km/h"
+            extreme, threshold = detector.hardest(row.id, *span), search.options.deceleration
+            yield search.incident("hard braking", (row.id,), span, place, deceleration, extreme, threshold, text)
 
     def _apart_from_contacts(self, rows: Iterable[Braking]) -> Iterator[tuple[Braking, float]]:
         """Yield the braking of vehicles that no contact causes, and when it ends: at the latest when one begins."""
@@ -396,16 +390,9 @@ class NearMissIncidents:
             if (other is not None and other.is_hero) or actors.kind(row.id1, row.start) == "walker":
                 ids = ids[::-1]
             measure = "time_to_collision" if row.time_to_collision < math.inf else "post_encroachment_time"
-            yield self._search.incident(
-                "near miss",
-                ids,
-                (row.start, row.stop),
-                (row.x, row.y, row.z),
-                MEASURES[measure],
-                (getattr(row, measure), row.time),
-                getattr(options, measure),
-                text,
-            )
+            span, place, extreme = (row.start, row.stop), (row.x, row.y, row.z), (getattr(row, measure), row.time)
+            threshold = getattr(options, measure)
+            yield self._search.incident("near miss", ids, span, place, MEASURES[measure], extreme, threshold, text)
 
 
 class RoadIncidents:
@@ -426,15 +413,7 @@ class RoadIncidents:
     def finish(self) -> Iterator[Incident]:
         """See `Detector.finish`."""
         actors = self._search.actors
-        for event in self._roads.finish():
-            if actors.kind(event.id, event.start) == "vehicle":
-                yield self._search.incident(
-                    event.kind,
-                    (event.id,),
-                    (event.start, event.stop),
-                    (event.x, event.y, event.z),
-                    MEASURES[event.measure],
-                    (event.value, event.time),
-                    event.threshold,
-                    f"{actors.name(event.id, event.start)} {event.text}",
-                )
+        for kind, id, span, place, measure, extreme, threshold, text in self._roads.finish():
+            if actors.kind(id, span[0]) == "vehicle":
+                text = f"{actors.name(id, span[0])} {text}"
+                yield self._search.incident(kind, (id,), span, place, MEASURES[measure], extreme, threshold, text)

@@ -127,8 +127,8 @@ EASTWARD = along(STEADY, x=50)  # the front is at the line at x = 100 after 4.8 
 def test_crossing_the_line_on_red_is_found_with_its_time(drives: Drives) -> None:
     (event,) = drives(EASTWARD, lights=lambda _: RED)
     assert (event.kind, event.id) == ("red light", CAR)
-    assert event.start == pytest.approx(5 - TICK - LENGTH / 2 / 10, abs=0.02)
-    assert event.stop == pytest.approx(5 - TICK, abs=0.02)
+    assert event.span[0] == pytest.approx(5 - TICK - LENGTH / 2 / 10, abs=0.02)
+    assert event.span[1] == pytest.approx(5 - TICK, abs=0.02)
     assert event.text == f"runs a red light at 36 km/h (light {LIGHT})"
 
 
@@ -208,7 +208,7 @@ def _west(speeds: Sequence[float]) -> Floats:
 def test_passing_a_stop_sign_is_found(drives: Drives) -> None:
     (event,) = drives(_west([6.0] * 100))
     assert (event.kind, event.text) == ("stop sign", "passes a stop sign at 22 km/h without stopping")
-    assert event.start == pytest.approx(12 / 6 - TICK, abs=0.03)
+    assert event.span[0] == pytest.approx(12 / 6 - TICK, abs=0.03)
 
 
 def test_slowing_down_is_not_stopping(drives: Drives) -> None:
@@ -250,9 +250,9 @@ def _swerve(far: float, seconds: float) -> Floats:
 def test_leaving_the_road_is_found_with_its_distance(drives: Drives) -> None:
     (event,) = drives(_swerve(1.2, 1.0))
     assert (event.kind, event.text) == ("off road", "leaves the road by 1.2 m")
-    assert event.start == pytest.approx(2.0, abs=0.11)
-    assert event.stop == pytest.approx(3.0, abs=0.11)
-    assert event.y == pytest.approx(-5.7, abs=1e-3)
+    assert event.span[0] == pytest.approx(2.0, abs=0.11)
+    assert event.span[1] == pytest.approx(3.0, abs=0.11)
+    assert event.place[1] == pytest.approx(-5.7, abs=1e-3)
 
 
 @pytest.mark.parametrize(("far", "seconds"), [(0.2, 2.0), (1.0, 0.2), (-0.5, 2.0)])
@@ -277,9 +277,9 @@ def test_two_excursions_half_a_second_apart_are_one(drives: Drives, begin: int, 
     y[46:48] = -4.5 - 1.0
     y[begin : begin + 16] = -4.5 - 1.4
     events = drives(np.stack((np.arange(150) * 0.5, y, np.zeros(150)), axis=1))
-    assert [event.value for event in events] == pytest.approx(greatest, abs=1e-3)
-    assert [event.start for event in events] == pytest.approx([2.0, begin * TICK][: len(greatest)])
-    assert events[0].time == pytest.approx(2.3 if len(events) == 2 else begin * TICK)
+    assert [event.extreme[0] for event in events] == pytest.approx(greatest, abs=1e-3)
+    assert [event.span[0] for event in events] == pytest.approx([2.0, begin * TICK][: len(greatest)])
+    assert events[0].extreme[1] == pytest.approx(2.3 if len(events) == 2 else begin * TICK)
 
 
 # --- the wrong way -------------------------------------------------------------------------------------------------------
@@ -294,10 +294,10 @@ def test_the_ways_against_the_lane_of_one_run_add_up(drives: Drives) -> None:
     poses = along([5.0] * 100, x=10, y=1.75)
     poses[50:56, 1] = -1.75  # back in its own lane for 0.3 s
     (event,) = drives(poses)
-    assert event.value == pytest.approx(25 - 6 * 0.25, abs=0.6)
-    assert event.value == drives.extremes[CAR]["distance_against_lane"].value
-    assert (event.start, event.stop) == pytest.approx((0.1, 4.9), abs=0.11)
-    assert event.time == event.stop
+    assert event.extreme[0] == pytest.approx(25 - 6 * 0.25, abs=0.6)
+    assert event.extreme[0] == drives.extremes[CAR]["distance_against_lane"].value
+    assert event.span == pytest.approx((0.1, 4.9), abs=0.11)
+    assert event.extreme[1] == event.span[1]
 
 
 def test_reversing_is_not_driving_the_wrong_way(drives: Drives) -> None:
@@ -436,7 +436,7 @@ def test_red_light_runs_among_traffic_in_the_built_in_town_are_found_and_no_othe
         assert world.elapsed - start < 60
     world.stop_recorder()
     found = [event for event in events_in(recording) if event.kind == "red light"]
-    assert {event.id: event.start for event in found} == pytest.approx(crossed, abs=0.11)
+    assert {event.id: event.span[0] for event in found} == pytest.approx(crossed, abs=0.11)
     assert len(found) == len(runners)
     for event in found:
         assert event.text.endswith(f" (light {runners[event.id][2]})")

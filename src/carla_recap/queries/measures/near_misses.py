@@ -137,7 +137,8 @@ class NearMissDetector:
             miss = Encounter(
                 int(table.ids[one]),
                 int(table.ids[other]),
-                *table.time[pairs.frame[rows[[0, -1]]]].tolist(),
+                float(table.time[pairs.frame[rows[0]]]),
+                float(table.time[pairs.frame[rows[-1]]]),
                 float(table.time[frame]),
                 float(times[best]),
                 float(braking.max()),

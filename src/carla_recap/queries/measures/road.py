@@ -70,23 +70,21 @@ class RoadEvent(NamedTuple):
     Attributes:
         kind: Which one.
         id: The vehicle.
-        start, stop: From when until when, in elapsed seconds.
-        x, y, z: The position at the start, in m, right-handed.
-        measure, value, threshold, time: See `Incident`.
+        span: From when until when, in elapsed seconds.
+        place: The position at the start, in m, right-handed.
+        measure: The measure of the road, or `speed`.
+        extreme: Its most critical value, and when.
+        threshold: See `Incident`.
         text: What the vehicle does: a sentence without subject and full stop.
     """
 
     kind: str
     id: int
-    start: float
-    stop: float
-    x: float
-    y: float
-    z: float
+    span: tuple[float, float]
+    place: tuple[float, float, float]
     measure: str
-    value: float
+    extreme: tuple[float, float]
     threshold: float
-    time: float
     text: str
 
 
@@ -157,7 +155,7 @@ class RoadSearch:
         """Return the events, in order of their start."""
         self._evaluate(ended=True)
         events = [*self._at_lines(), *self._left_road(), *self._wrong_way(), *self._speeding()]
-        return sorted(events, key=lambda event: (event.start, event.kind, event.id))
+        return sorted(events, key=lambda event: (event.span[0], event.kind, event.id))
 
     def _sampled(self, batch: Batch) -> tuple[Indices, Indices, Indices]:
         """Return the frame, the vehicle and the position of the record of each sample in a batch."""
@@ -315,18 +313,8 @@ class RoadSearch:
                 kind, threshold = "stop sign", STOPPED
                 text = f"passes a stop sign at {front.speed * _KMH:.0f} km/h without stopping"
             if text:
-                yield RoadEvent(
-                    kind,
-                    crossing.id,
-                    front.time,
-                    crossing.time,
-                    *front.position,
-                    measure="speed",
-                    value=front.speed,
-                    threshold=threshold,
-                    time=front.time,
-                    text=text,
-                )
+                span, extreme = (front.time, crossing.time), (front.speed, front.time)
+                yield RoadEvent(kind, crossing.id, span, front.position, "speed", extreme, threshold, text)
 
     def _left_road(self) -> Iterator[RoadEvent]:
         for run in _joined(self._runs["off road"]):
@@ -435,18 +423,8 @@ class _Run(NamedTuple):
 
     def event(self, kind: str, measure: str, threshold: float, text: str) -> RoadEvent:
         """Return the event that this is."""
-        return RoadEvent(
-            kind,
-            self.id,
-            self.start,
-            self.stop,
-            *self.position,
-            measure=measure,
-            value=self.value,
-            threshold=threshold,
-            time=self.time,
-            text=text,
-        )
+        span, extreme = (self.start, self.stop), (self.value, self.time)
+        return RoadEvent(kind, self.id, span, self.position, measure, extreme, threshold, text)
 
 
 def _joined(runs: Iterable[_Run], *, summed: bool = False) -> list[_Run]:
