@@ -39,66 +39,41 @@ class Boxes(NamedTuple):
     vy: ArrayLike = 0.0
 
 
-class _Relative:
-    """One box as seen from another: distances, velocities and the sizes along the axes of both.
+def _axes(a: Boxes, b: Boxes) -> list[tuple[Floats, Floats, Floats, Floats]]:
+    """Return the directions along and across a and b, the centre of b minus that of a along each, and where they overlap.
 
-    Args:
-        a: The box that is the origin.
-        b: The other box.
+    The boxes overlap on an axis if the third number, in m, is within the fourth one.
     """
-
-    def __init__(self, a: Boxes, b: Boxes) -> None:
-        ax, ay, a_yaw, a_length, a_width, avx, avy = (np.asarray(values, np.float64) for values in a)
-        bx, by, b_yaw, b_length, b_width, bvx, bvy = (np.asarray(values, np.float64) for values in b)
-        self.half_a = a_length / 2, a_width / 2
-        self.half_b = b_length / 2, b_width / 2
-        self.cos, self.sin = np.cos(b_yaw - a_yaw), np.sin(b_yaw - a_yaw)
-        self._a, self._b = (np.cos(a_yaw), np.sin(a_yaw)), (np.cos(b_yaw), np.sin(b_yaw))
-        self._distance, self._velocity = (bx - ax, by - ay), (bvx - avx, bvy - avy)
-
-    def distance(self) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-        """Return the centre of b minus that of a, along and across a, and along and across b, in m."""
-        return _along(self._distance, self._a), _along(self._distance, self._b)
-
-    def velocity(self) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-        """Return the velocity of b minus that of a, in m/s; see `distance`."""
-        return _along(self._velocity, self._a), _along(self._velocity, self._b)
-
-    def reach(self) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-        """Return the distances along each of the four axes below which the boxes overlap on this axis."""
-        cos, sin = np.abs(self.cos), np.abs(self.sin)
-        (al, aw), (bl, bw) = self.half_a, self.half_b
-        return (al + cos * bl + sin * bw, aw + sin * bl + cos * bw), (bl + cos * al + sin * aw, bw + sin * al + cos * aw)
-
-
-def _along(vector: tuple[Floats, Floats], axis: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
-    """Return the components of a vector along an axis, and across it to the left."""
-    (x, y), (cos, sin) = vector, axis
-    return x * cos + y * sin, y * cos - x * sin
+    (al, aw), (bl, bw) = ((np.divide(box.length, 2), np.divide(box.width, 2)) for box in (a, b))
+    (a_cos, a_sin), (b_cos, b_sin) = ((np.cos(box.yaw), np.sin(box.yaw)) for box in (a, b))
+    x, y, turn = np.subtract(b.x, a.x), np.subtract(b.y, a.y), np.subtract(b.yaw, a.yaw)
+    cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    axes = (
+        (a_cos, a_sin, al + cos * bl + sin * bw),
+        (-a_sin, a_cos, aw + sin * bl + cos * bw),
+        (b_cos, b_sin, bl + cos * al + sin * aw),
+        (-b_sin, b_cos, bw + sin * al + cos * aw),
+    )
+    return [(cos, sin, x * cos + y * sin, reach) for cos, sin, reach in axes]
 
 
 def overlaps(a: Boxes, b: Boxes) -> Booleans:
     """Return whether boxes overlap or touch."""
-    relative = _Relative(a, b)
-    return _overlaps(relative)
-
-
-def _overlaps(relative: _Relative) -> Booleans:
-    (d1, d2), (d3, d4) = relative.distance()
-    (r1, r2), (r3, r4) = relative.reach()
-    found: Booleans = (np.abs(d1) <= r1) & (np.abs(d2) <= r2) & (np.abs(d3) <= r3) & (np.abs(d4) <= r4)
-    return found
+    one, two, three, four = (np.abs(distance) <= reach for _, _, distance, reach in _axes(a, b))
+    return np.asarray(one & two & three & four)
 
 
 def gap(a: Boxes, b: Boxes) -> Floats:
     """Return the distance between boxes in m: the least distance of a corner of one to the other, 0 if they overlap."""
-    relative = _Relative(a, b)
-    (along_a, across_a), (along_b, across_b) = relative.distance()
+    axes, turn = _axes(a, b), np.subtract(b.yaw, a.yaw)
+    along_a, across_a, along_b, across_b = (distance for _, _, distance, _ in axes)
+    half_a, half_b = ((np.divide(box.length, 2), np.divide(box.width, 2)) for box in (a, b))
     least = np.minimum(
-        _corner_distance(along_a, across_a, relative.half_a, relative.half_b, relative.cos, relative.sin),
-        _corner_distance(-along_b, -across_b, relative.half_b, relative.half_a, relative.cos, -relative.sin),
+        _corner_distance(along_a, across_a, half_a, half_b, np.cos(turn), np.sin(turn)),
+        _corner_distance(-along_b, -across_b, half_b, half_a, np.cos(turn), -np.sin(turn)),
     )
-    return np.asarray(np.where(_overlaps(relative), 0.0, least))
+    one, two, three, four = (np.abs(distance) <= reach for _, _, distance, reach in axes)
+    return np.asarray(np.where(one & two & three & four, 0.0, least))
 
 
 def _corner_distance(
@@ -121,16 +96,16 @@ def time_to_collision(a: Boxes, b: Boxes) -> Floats:
     interval; they touch when all four do. The time to collision is due to Hayward, "Near-miss determination through use of
     a scale of danger" (1972).
     """
-    relative = _Relative(a, b)
+    vx, vy = np.subtract(b.vx, a.vx), np.subtract(b.vy, a.vy)
     first, last = np.asarray(-math.inf), np.asarray(math.inf)
-    for distances, velocities, reaches in zip(relative.distance(), relative.velocity(), relative.reach(), strict=True):
-        for distance, velocity, reach in zip(distances, velocities, reaches, strict=True):
-            moves = velocity != 0
-            speed = np.where(moves, np.abs(velocity), 1.0)
-            toward = -np.sign(velocity) * distance  # the distance until the centres are level on this axis
-            always = np.where(np.abs(distance) <= reach, math.inf, -math.inf)
-            first = np.maximum(first, np.where(moves, (toward - reach) / speed, -always))
-            last = np.minimum(last, np.where(moves, (toward + reach) / speed, always))
+    for cos, sin, distance, reach in _axes(a, b):
+        velocity = vx * cos + vy * sin
+        moves = velocity != 0
+        speed = np.where(moves, np.abs(velocity), 1.0)
+        toward = -np.sign(velocity) * distance  # the distance until the centres are level on this axis
+        always = np.where(np.abs(distance) <= reach, math.inf, -math.inf)
+        first = np.maximum(first, np.where(moves, (toward - reach) / speed, -always))
+        last = np.minimum(last, np.where(moves, (toward + reach) / speed, always))
     touches = (first <= last) & (last >= 0)
     return np.asarray(np.where(touches, np.maximum(first, 0.0), math.inf))
 

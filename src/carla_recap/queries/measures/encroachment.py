@@ -283,9 +283,9 @@ class _Grid:
         reach, found = self.table.radius[one] + self.table.radius[other], np.zeros(len(self.step), np.bool_)
         near = np.flatnonzero(np.hypot(self.x[one] - self.x[other], self.y[one] - self.y[other]) <= reach)
         found[near] = overlaps(self._boxes(one, near), self._boxes(other, near))
-        for contact in self.table.touching:
-            if {contact.one, contact.other} == {one, other}:
-                times = self.table.clock[contact.frames]
+        for *pair, frames in self.table.touching:
+            if {one, other} == set(pair):
+                times = self.table.clock[frames]
                 found |= (self.time >= times[0] - STEP) & (self.time <= times[-1] + STEP)
         return found
 

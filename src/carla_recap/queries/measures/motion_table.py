@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -36,19 +36,6 @@ _VALUES: Final = 1 << 20  # poses of a table, unless its margins have more
 _CONTEXT: Final = 2.0  # s around a frame that its motion depends on
 _FASTEST: Final = 150.0  # m/s; velocities above it do not count
 _AROUND_JUMP: Final = 0.5  # s before and after a jump in which an actor does not count
-
-
-class Touching(NamedTuple):
-    """A recorded contact of two actors of a table.
-
-    Attributes:
-        one, other: The rows of the actors.
-        frames: The frames of the contact.
-    """
-
-    one: int
-    other: int
-    frames: slice
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,14 +134,14 @@ class MotionTable:
         return np.cumsum(steps).reshape(steps.shape)
 
     @cached_property
-    def touching(self) -> tuple[Touching, ...]:
-        """The recorded contacts of two of the actors."""
+    def touching(self) -> tuple[tuple[int, int, slice], ...]:
+        """The recorded contacts of two of the actors: their rows, and the frames."""
         found = []
         for contact in self.contacts:
             begin, end = np.searchsorted(self.clock, (contact.start - SAME_TIME, contact.stop + SAME_TIME)).tolist()
             ones, others = (np.flatnonzero(self.ids == id) for id in contact.ids)
             pairs = [(one, other) for one in ones.tolist() for other in others.tolist() if begin < end]
-            found += [Touching(one, other, slice(begin, end)) for one, other in pairs if self.free(one, other)]
+            found += [(one, other, slice(begin, end)) for one, other in pairs if self.free(one, other)]
         return tuple(found)
 
     @cached_property
