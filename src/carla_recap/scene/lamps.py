@@ -204,8 +204,8 @@ class _Slowing:
 
     def brakes(self, batch: SceneBatch, ids: Ids) -> Booleans:
         """Return whether vehicles, whose ids ascend, slow down in each scene, (scenes, ids)."""
-        every = np.union1d(self._ids, ids)
-        if len(every) > len(self._ids):
+        if not np.isin(ids, self._ids).all():
+            every = np.union1d(ids, self._ids[np.isin(self._ids, list(batch.actors))])
             index, known = find(every, self._ids)
             motion, latest = np.full((len(self._time), len(every), 6), np.nan), np.zeros(len(every), np.bool_)
             motion[:, known], latest[known] = self._motion[:, index[known]], self._latest[index[known]]

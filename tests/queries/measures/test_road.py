@@ -61,7 +61,9 @@ class Drives:
         self.roads, self.path = roads, path
         self.extremes: dict[int, dict[str, Extreme]] = {}
 
-    def __call__(self, *poses: Sequence[Pose] | Floats, lights: Callable[[float], int] = lambda _: GREEN) -> list[RoadEvent]:
+    def __call__(
+        self, *poses: Sequence[Pose] | Floats, lights: Callable[[float], int] = lambda _: GREEN, tick: float = TICK
+    ) -> list[RoadEvent]:
         """Return what cars do wrong that have a pose (x, y, heading in degrees) in each frame; a pedestrian stands by."""
         x, y = LIGHT_POSITION
         spawned = [Spawn(LIGHT, 3, 100 * x, -100 * y, type_id="traffic.traffic_light")]
@@ -77,10 +79,10 @@ class Drives:
                 for number, (px, py, yaw) in enumerate(each[index] for each in poses)
             ]
             at.append((WALKER, 0.0, 2000.0, 0.0, 0.0, 0.0, 0.0))
-            time = index * TICK
+            time = index * tick
             frames.append({"transforms": at, "light_states": [(LIGHT, False, 0.0, lights(time + 1e-9))]})
         frames[0] = {"spawned": spawned, **frames[0]}
-        write(self.path, frames, header=Header("Straight", 1_600_000_000), durations=[TICK] * len(frames))
+        write(self.path, frames, header=Header("Straight", 1_600_000_000), durations=[tick] * len(frames))
         reader = open_reader(self.path)
         try:
             return self.search(reader)
@@ -130,6 +132,13 @@ def test_crossing_the_line_on_red_is_found_with_its_time(drives: Drives) -> None
     assert event.span[0] == pytest.approx(5 - TICK - LENGTH / 2 / 10, abs=0.02)
     assert event.span[1] == pytest.approx(5 - TICK, abs=0.02)
     assert event.text == f"runs a red light at 36 km/h (light {LIGHT})"
+
+
+def test_a_crossing_between_frames_far_apart_is_found_though_no_speed_follows_from_them(drives: Drives) -> None:
+    (event,) = drives(path(50 + 15.0 * np.arange(12), -1.75), lights=lambda _: RED, tick=1.5)
+    assert event.text == f"runs a red light (light {LIGHT})"
+    assert event.span == pytest.approx((5 - LENGTH / 2 / 10, 5), abs=0.02)
+    assert np.isnan(event.extreme[0])
 
 
 def test_any_number_of_lines_lie_side_by_side(roads: RoadNetwork) -> None:

@@ -307,11 +307,12 @@ class RoadSearch:
             text, threshold = "", math.nan
             kind = "red light"
             light = self._lights.red_during(signal, front.time, crossing.time)
+            at = "" if math.isnan(front.speed) else f" at {front.speed * _KMH:.0f} km/h"
             if light is not None:
-                text = f"runs a red light at {front.speed * _KMH:.0f} km/h (light {light})"
+                text = f"runs a red light{at} (light {light})"
             elif self._lines.is_stop(front.line) and not front.has_stopped:
                 kind, threshold = "stop sign", STOPPED
-                text = f"passes a stop sign at {front.speed * _KMH:.0f} km/h without stopping"
+                text = f"passes a stop sign{at} without stopping"
             if text:
                 span, extreme = (front.time, crossing.time), (front.speed, front.time)
                 yield RoadEvent(kind, crossing.id, span, front.position, "speed", extreme, threshold, text)
