@@ -12,7 +12,7 @@ from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import ROAD_USERS
 from carla_recap.model.motion import LONGEST_STEP, runs
 from carla_recap.queries.measures import MEASURES
-from carla_recap.queries.measures.series import NO_OTHER
+from carla_recap.queries.measures.definitions import NO_OTHER
 from carla_recap.rules.facts import Condition, Finding, Needs, Offence
 from carla_recap.rules.scope import WHOLE
 from carla_recap.rules.values import tolerated

@@ -12,7 +12,7 @@ from carla_recap.errors import RecapError
 from carla_recap.formats import open_reader
 from carla_recap.output.json import json
 from carla_recap.output.text import text
-from carla_recap.queries.measures import measures, measures_over_time, time_series
+from carla_recap.queries.measures import MeasureSearch, measures, measures_over_time, pairs, time_series
 from tests.queries.measures.conftest import Mover, straight
 
 if TYPE_CHECKING:
@@ -44,6 +44,19 @@ def test_of_a_car_behind_a_slower_one(drive: Drive) -> None:
     assert found["time_headway"] == pytest.approx(19.75 / 15, abs=1e-3)
     assert found["required_deceleration"] == pytest.approx(25 / (2 * 19.75), abs=1e-3)
     assert found["speed"] == pytest.approx(15, abs=1e-3)
+
+
+def test_times_to_collision_over_time_are_those_of_all_frames(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The hero stops 11 m before a car after 4.5 s, and goes on at 2 m/s from 6 s on: longer times than before."""
+    monkeypatch.setattr(pairs, "ELEMENTS", 64)
+    hero = Mover(1, lambda t: 10 * min(t, 4.5) + 2 * max(t - 6, 0), role_name="hero")
+    search = MeasureSearch(drive([hero, Mover(2, lambda _: 60.0)], seconds=9), "all", over_time={"time_to_collision": [1]})
+    search.read()
+    search.finish()
+    found = search.values["time_to_collision", 1]
+    late = found.value[found.time > 6.01]
+    assert late == pytest.approx((11 - 2 * (found.time[found.time > 6.01] - 6)) / 2, abs=0.01)
+    assert len(late) == 60
 
 
 def test_the_leader_is_followed_along_any_heading(drive: Drive) -> None:

@@ -181,7 +181,7 @@ class MeasureSearch:
             return
         ids = table.ids[rows].tolist()
         kept = self._over_time.get("time_to_collision", ())
-        known = [math.inf if id in kept else self._extremes[id].get("time_to_collision", _NONE).value for id in ids]
+        known = [math.nan if id in kept else self._extremes[id].get("time_to_collision", _NONE).value for id in ids]
         series = series_of(table, rows, shortest=np.array(known))
         for number, id in enumerate(ids):
             for start, stop in self._contacts.affected(id, _BEFORE_CONTACT):

@@ -164,12 +164,16 @@ class RoadSearch:
             segment = segment.only(last_of_each(segment.ids))
             segment = segment.only(np.isin(segment.ids, self._vehicles))
             vehicle = np.searchsorted(self._vehicles, segment.ids)
-            for row, time in enumerate(batch.elapsed[segment.frames].tolist(), segment.first):
-                due = self._next[vehicle]
-                taken = np.flatnonzero((time >= due - SAME_TIME) | (time < due - 2 * _INTERVAL))
-                if len(taken):
-                    self._next[vehicle[taken]] = time + _INTERVAL
-                    found.append((np.full(len(taken), row), vehicle[taken], segment.columns[taken]))
+            dues = self._next[vehicle]
+            for due in np.unique(dues).tolist():  # the same for most of them
+                group, rows = np.flatnonzero(dues == due), []
+                for row, time in enumerate(batch.elapsed[segment.frames].tolist(), segment.first):
+                    if time >= due - SAME_TIME or time < due - 2 * _INTERVAL:
+                        rows.append(row)
+                        due = time + _INTERVAL
+                self._next[vehicle[group]] = due
+                those = np.tile(group, len(rows))
+                found.append((np.repeat(np.array(rows, np.intp), len(group)), vehicle[those], segment.columns[those]))
         frame, vehicle, record = map(np.concatenate, zip(*found, strict=True))
         return frame, vehicle, record
 

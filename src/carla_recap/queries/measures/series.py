@@ -54,7 +54,8 @@ def series_of(
         subjects: The rows of the actors.
         other: The id of the only other actor that counts; None for all.
         shortest: For times to collision of actors that also meet on the paths that they take alone, see
-            `on_collision_course`: the least times that are known, in s; longer ones are inf. None: all times count.
+            `on_collision_course`: the least times that are known, in s; longer ones are inf. NaN: all such times of the
+            actor count. None: all times count.
     """
     shape = len(subjects), len(table.time)
     position = np.full(len(table.ids), -1)
@@ -71,8 +72,8 @@ def series_of(
             headways.add(position[following.one], following, distance)
         pairs, seconds = pairs.colliding(HORIZON)
         if shortest is not None:
-            shortest = np.minimum(shortest, times.value.min(axis=1, initial=np.inf))
-            limits = np.append(shortest, -np.inf)
+            least = np.minimum(shortest, times.value.min(axis=1, initial=np.inf))
+            limits = np.append(np.where(np.isnan(shortest), np.inf, least), -np.inf)
             kept = np.flatnonzero(seconds < np.maximum(limits[position[pairs.one]], limits[position[pairs.other]]))
             kept = kept[on_collision_course(pairs.take(kept), seconds[kept])]
             pairs, seconds = pairs.take(kept), seconds[kept]

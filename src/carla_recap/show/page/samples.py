@@ -12,8 +12,9 @@ import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import possible_step
+from carla_recap.queries.measures.definitions import NO_OTHER
 from carla_recap.queries.measures.motion_table import MotionCollector
-from carla_recap.queries.measures.series import MARGIN, NO_OTHER, series_of
+from carla_recap.queries.measures.series import MARGIN, series_of
 from carla_recap.queries.recorded_actors import actors as recorded_actors
 from carla_recap.replay.events import Destroyed
 from carla_recap.replay.motion import SceneMotion
