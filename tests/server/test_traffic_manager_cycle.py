@@ -111,7 +111,7 @@ async def test_a_pause_waits_for_each_manager() -> None:
     held = [asyncio.create_task(pause.hold("apply_batch", "done"))]
     await asyncio.sleep(0.05)
     assert not beginning.done()
-    held.append(asyncio.create_task(pause.hold("apply_batch", "done")))
+    held.append(asyncio.create_task(pause.hold("apply_batch", asyncio.sleep(0, "done"))))  # as of a long batch
     await beginning
     await pause.end(lambda: True)
     assert await asyncio.gather(*held) == ["done", "done"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
+from inspect import isawaitable
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import msgpack
@@ -205,4 +206,4 @@ class TrafficManagerPause:
         if not self._missing:
             self._called.set()
         await self._over.wait()
-        return answer
+        return await answer if isawaitable(answer) else answer

@@ -98,7 +98,7 @@ def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> l
         return found if isinstance(found, list) else await found
 
     rest, later = asyncio.ensure_future(execute_rest()), asyncio.ensure_future(answer_later())
-    client.read_after(asyncio.shield(later))  # its next calls come after these commands
+    client.read_after(asyncio.wait([later]))  # its next calls come after these commands
     return later
 
 
