@@ -610,6 +610,17 @@ def test_contacts_with_pauses(tmp_path: Path) -> None:
     ]
 
 
+def test_a_contact_in_adjacent_frames_far_apart_is_one_line(tmp_path: Path) -> None:
+    frames = driven(9, spawned=[spawn(1), spawn(2)])
+    for at in (1, 2, 3, 4, 6):
+        frames[at] |= {"collisions": [(at, 1, 2, 0, 0)]}
+    source = write(tmp_path / "contacts.log", frames, tick=2.0)
+    rrd = export(source, tmp_path / "contacts.rrd")
+    with open_recording(source) as recording:
+        assert recording.collisions().contacts == 2
+    assert [time for time, (text,) in rrd.rows("/events", "TextLog:text") if "collides" in text] == [2, 12]
+
+
 def test_part_of_a_recording(tmp_path: Path) -> None:
     rrd = export(CROSSING, tmp_path / "part.rrd", start=30.05, duration=5, follow=BLOCKING)
     times = [time for time, _ in rrd.rows("/map/actors", "Points2D:positions")]

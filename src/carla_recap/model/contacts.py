@@ -133,6 +133,11 @@ class Contact:
         return any(id == each and not speed < AT_FAULT for each, speed in zip(self.ids, self.impact.speeds, strict=True))
 
 
+def is_same_contact(frames: int, seconds: float) -> bool:
+    """Return whether a collision record of a pair belongs to the contact of the one before, some frames and seconds ago."""
+    return frames <= 1 or abs(seconds) < SAME_CONTACT
+
+
 class Contacts:
     """The contacts that collision records belong to; iterable in order of their first records."""
 
@@ -155,7 +160,7 @@ class Contacts:
         pair = frozenset(ids)
         known, latest = self._of_pair.setdefault(pair, []), self._latest.get(pair)
         self._latest[pair] = frame.index
-        if latest is not None and (frame.index - latest <= 1 or abs(frame.elapsed - known[-1].stop) < SAME_CONTACT):
+        if latest is not None and is_same_contact(frame.index - latest, frame.elapsed - known[-1].stop):
             known[-1].stop = frame.elapsed
             return known[-1]
         contact = Contact(len(self._all) + 1, ids, heroes, frame.index, frame.elapsed, frame.elapsed)

@@ -17,6 +17,7 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.model.batch import within
+from carla_recap.model.contacts import is_same_contact
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries.incidents import IncidentOptions, IncidentSearch, incidents, with_roads
 from carla_recap.queries.kinds import KINDS, kinds_named, kinds_without_roads
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from carla_recap.roads.network import RoadNetwork
 
 _MANY: Final = 5  # the number of actors that appear or disappear in a scene from which on they are counted, not named
-_PAUSE: Final = 1.0  # s; actors that touch again within this time are still in the same contact
 _AROUND: Final = 5.0  # s around what is shown in which incidents are looked for
 _MAKES: Final = {"bh": "", "bmw": "BMW", "carlamotors": "", "t2": "T2", "tt": "TT", "c3": "C3", "a2": "A2", "zx125": "ZX125"}
 
@@ -66,7 +66,7 @@ class EventText:
 
     def __init__(self) -> None:
         self._actors: dict[int, ActorLife] = {}  # the present ones, and those destroyed in the current scene
-        self._contacts: dict[frozenset[int], float] = {}  # the latest time of contact of pairs, in elapsed seconds
+        self._touching: dict[frozenset[int], tuple[int, float]] = {}  # the latest frame and elapsed seconds of pairs
 
     def lines(self, scene: Scene) -> Iterator[Line]:
         """Yield the lines of a scene; scenes have to come in order."""
@@ -92,11 +92,14 @@ class EventText:
                 self._actors.pop(event.id, None)
 
     def _contact_lines(self, scene: Scene) -> Iterator[Line]:
-        self._contacts = {pair: time for pair, time in self._contacts.items() if scene.time - time <= _PAUSE}
+        index = scene.batch.frames.index + scene.row
+        for pair, (frame, time) in list(self._touching.items()):
+            if scene.fresh or not is_same_contact(index - frame, scene.time - time):
+                del self._touching[pair]
         for event in scene.collisions:
             pair = frozenset((event.actor1, event.actor2))
-            is_new = pair not in self._contacts
-            self._contacts[pair] = event.elapsed
+            is_new = pair not in self._touching
+            self._touching[pair] = index, scene.time
             if is_new:
                 level = Level.ERROR if event.hero1 or event.hero2 else Level.WARNING
                 yield Line(level, "collisions", style.sentence(event, self._actors), event)

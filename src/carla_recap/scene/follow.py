@@ -175,7 +175,8 @@ class FollowedActor:
         light[lit] = batch.light_states["id"][0][found[lit]]
         state[lit] = batch.light_states["state"][lit, found[lit]]
         controls = self._records(batch, "vehicle_controls", CONTROLS)
-        return FollowedRecords(batch.time, poses, speed, recorded, controls, light, state, distance)
+        # A view would keep the poses of all actors, and the bytes that the times are in.
+        return FollowedRecords(batch.time.copy(), poses.copy(), speed, recorded, controls, light, state, distance)
 
     def derive(self, records: FollowedRecords) -> FollowedSeries:
         """Return the series of scenes of which the records have been read, as many as one likes at once."""

@@ -448,7 +448,8 @@ class _PlayedRecording:
     ) -> list[Sent]:
         """Return the messages of incidents, in the order of time."""
         incidents = PlayedIncidents(player, roads)
-        seconds: Floats = np.concatenate([batch.time for batch in player.batches(progress)])
+        # As a view, the times of a batch would keep all of it in memory.
+        seconds: Floats = np.concatenate([batch.time.copy() for batch in player.batches(progress)])
         times = np.array([clock.at(time) or 0 for time in seconds.tolist()], np.uint64)
         return sorted(incident_messages(incidents.found(), seconds, times).in_order(), key=lambda sent: sent.time)
 

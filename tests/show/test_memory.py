@@ -1,0 +1,57 @@
+"""The memory that viewers take: it does not grow with the recording, but for a few numbers of a frame."""
+
+from __future__ import annotations
+
+import tracemalloc
+from typing import TYPE_CHECKING, Any, Final
+
+import pytest
+
+from carla_recap import open_recording
+from carla_recap.scene.follow import followed_series
+from tests.replay.scripts import pose, spawn, write
+
+pytest.importorskip("foxglove", reason="the extra foxglove-live is not installed")
+
+from carla_recap.show.foxglove.websocket import _PlayedRecording
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from carla_recap import Recording
+
+ACTORS: Final = 60
+SHORT, LONG = 2000, 4500  # frames
+PER_FRAME: Final = 1500  # bytes; the poses of all actors are 2,880
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("memory")
+    frames: list[dict[str, Any]] = [
+        {"transforms": [pose(1, 50 * frame), *(pose(id, 1000 * id, 900) for id in range(2, ACTORS + 1))]}
+        for frame in range(LONG)
+    ]
+    frames[0]["spawned"] = [spawn(id, role_name="hero" * (id == 1)) for id in range(1, ACTORS + 1)]
+    return [write(folder / f"{count}.mcap", frames[:count], tick=0.05) for count in (SHORT, LONG)]
+
+
+SHOWN: Final[dict[str, Callable[[Recording], object]]] = {
+    "the followed actor": lambda recording: followed_series(recording, 1, {}),
+    "view --foxglove": lambda recording: _PlayedRecording(recording, None, 0.0, 0.0, None, None),
+}
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_memory_does_not_grow_with_the_recording(recordings: list[Path], name: str) -> None:
+    peaks = []
+    for path in (recordings[0], *recordings):  # the first time, modules are imported
+        with open_recording(path) as recording:
+            tracemalloc.start()
+            try:
+                SHOWN[name](recording)
+                peaks.append(tracemalloc.get_traced_memory()[1])
+            finally:
+                tracemalloc.stop()
+    assert peaks[2] - peaks[1] < PER_FRAME * (LONG - SHORT)
