@@ -45,6 +45,19 @@ def test_every_blueprint_has_a_model_and_its_box():
         assert look.center[2] == pytest.approx(0 if kind == ActorKind.WALKER else look.half_extents[2], abs=0.01), type_id
 
 
+@pytest.mark.parametrize(
+    ("type_id", "name"),
+    [
+        ("vehicle.volkswagen.t2_2021", "minibus"),
+        ("vehicle.lincoln.mkz2017", "sedan"),
+        ("vehicle.test2.car", "sedan"),
+        ("vehicle.omnibuster.car", "sedan"),
+    ],
+)
+def test_the_model_of_a_vehicle_is_found_by_words_of_its_name(type_id, name):
+    assert model_of(type_id) == name
+
+
 def test_every_vehicle_has_a_model_of_its_class():
     names = {type_id: model_of(type_id) for type_id in blueprint_sizes() if type_id.startswith("vehicle.")}
     assert names["vehicle.carlamotors.firetruck"] == "fire engine"

@@ -357,7 +357,7 @@ def test_ctrl_c_ends_it() -> None:
         said = process.stderr.read().splitlines()
     assert [line.partition(":")[0] for line in said] == [
         "the layout for Foxglove",
-        "the layout for Lichtblick and Foxglove 1.x",
+        "Lichtblick and Foxglove 1.x cannot connect; they open what 'carla-recap export --to foxglove' writes",
         "Ctrl-C ends it",
     ]
 
@@ -559,7 +559,7 @@ def test_frames_are_shown_as_they_come() -> None:
     assert hero.type_id == "vehicle.tesla.model3"
 
 
-def test_a_new_viewer_gets_the_latest_messages_alone() -> None:
+def test_each_new_viewer_gets_the_latest_messages() -> None:
     with open_recording(CROSSING) as recording, FoxgloveServer("live", 0) as server, ExitStack() as stack:
         view = FoxgloveView(server, recording.header)
         view.enter(next(recording.frames()))
@@ -570,4 +570,3 @@ def test_a_new_viewer_gets_the_latest_messages_alone() -> None:
         view.close()
         for viewer in viewers:
             viewer.receive(lambda found=viewer.messages: "/lights" in {topic for topic, _, _ in found}, view.flush)
-            assert [topic for topic, _, _ in viewer.messages].count("/map") == 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 from urllib.parse import parse_qs, urlsplit
@@ -27,17 +28,22 @@ import sys
 from carla_recap import open_recording
 from carla_recap.show.viewer import view
 with open_recording(sys.argv[1]) as recording:
-    view(recording, web=True, start=20, duration=6, ready=lambda url: print(url, flush=True))
+    view(recording, web=True, web_port=int(sys.argv[2]), start=20, duration=6, ready=lambda url: print(url, flush=True))
 """
 
 
 @pytest.fixture
 def served(temporary):
-    """The process that serves the crossing, and the address that it gave."""
-    command = [sys.executable, "-c", SERVE, SAMPLE]
+    """The process that serves the crossing, and the address that it gave, whose port was asked for."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    command = [sys.executable, "-c", SERVE, SAMPLE, str(port)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
-            yield process, process.stdout.readline().strip()
+            url = process.stdout.readline().strip()
+            assert urlsplit(url).port == port
+            yield process, url
         finally:
             process.terminate()
 
@@ -52,8 +58,8 @@ def test_a_browser_is_served_until_it_is_interrupted(served):
         assert b"re_viewer" in page.read()
     with urlopen(url.partition("?")[0] + "re_viewer_bg.wasm", timeout=PATIENCE) as program:
         assert program.read(4) == b"\0asm"
-    sockets = [socket for child in children for socket in child.net_connections("inet")]
-    assert {socket.laddr.ip for socket in sockets} == {"127.0.0.1"}
+    sockets = [each for child in children for each in child.net_connections("inet")]
+    assert {each.laddr.ip for each in sockets} == {"127.0.0.1"}
     process.send_signal(signal.SIGINT)
     assert process.wait(PATIENCE) == 0
     assert process.stderr.read() == ""

@@ -150,6 +150,9 @@ class Replay {
     this.clock.addEventListener("state", () => this.changed());
     theme.addEventListener("change", () => this.drawStages());
     document.addEventListener("keydown", (event) => this.key(event));
+    document.addEventListener("click", ({ detail, target }) => {
+      if (detail) target.closest("button:not(.incident)")?.blur(); // pressed by a pointer, so that Space plays and pauses
+    });
     window.addEventListener("hashchange", () => this.readLink());
     const observer = new ResizeObserver(() => this.resize());
     for (const stage of this.stages) observer.observe(stage.canvas);

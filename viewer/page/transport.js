@@ -93,7 +93,6 @@ class Transport {
     const mark = element("button", "mark", group.length > 1 ? (group.length > 99 ? "99+" : String(group.length)) : "");
     const lines = group.slice(0, 8).map(({ incident }) => `${clockTime(incident.start)} ${incident.text}`);
     mark.type = "button";
-    mark.tabIndex = -1; // on the keyboard, incidents are chosen in the list
     const several = `${group.length} incidents; a click plays one after the other:`;
     mark.title = [...(group.length > 1 ? [several] : []), ...lines, ...(group.length > 8 ? [`and ${group.length - 8} more`] : [])].join("\n");
     mark.setAttribute("aria-label", group.length > 1 ? `${group.length} incidents` : mark.title);

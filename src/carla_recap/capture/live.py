@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     import carla
 
     from carla_recap.model.frame import Frame, Header
+    from carla_recap.show.foxglove.websocket import FoxgloveServer
     from carla_recap.show.rerun import View
 
 
@@ -88,14 +89,22 @@ def watch(
         RecapError: There is no server, no display, or the file cannot be written.
         MissingExtra: There is no viewer.
     """
-    check_target(to, foxglove_port, force=force)
-    with Observer(host, port, additional_data=True, interval=1 / RATE) as observer, observer.until_signal():
+    with ExitStack() as stack:
+        server: FoxgloveServer | None = None
+        if foxglove_port is None:
+            check_target(to, force=force)
+        else:
+            from carla_recap.show.foxglove.websocket import FoxgloveServer
+
+            server = stack.enter_context(FoxgloveServer(f"{host}:{port}", foxglove_port))
+        observer = stack.enter_context(Observer(host, port, additional_data=True, interval=1 / RATE))
+        stack.enter_context(observer.until_signal())
         road_map = _road_map(observer.map)
         header = header_of(observer)
-        if foxglove_port is None:
+        if server is None:
             opened = _in_rerun(to, header, f"{host}:{port}", follow, view, road_map)
         else:
-            opened = _in_foxglove(foxglove_port, header, follow, road_map, ready)
+            opened = _in_foxglove(server, header, follow, road_map, ready)
         with opened as (live, is_open):
 
             def show() -> None:
@@ -140,14 +149,13 @@ def check_target(to: Path | str | None, foxglove_port: int | None = None, *, for
 
 @contextmanager
 def _in_foxglove(
-    port: int, header: Header, follow: Follow, road_map: RoadMap | None, ready: Callable[[str], object]
+    server: FoxgloveServer, header: Header, follow: Follow, road_map: RoadMap | None, ready: Callable[[str], object]
 ) -> Iterator[tuple[LiveViewer, Callable[[], bool]]]:
     """Let Foxglove connect; yield what shows frames, and a function that returns whether it is still open."""
-    from carla_recap.show.foxglove.websocket import FoxgloveServer, FoxgloveView
+    from carla_recap.show.foxglove.websocket import FoxgloveView
 
-    with FoxgloveServer(header.map_name, port) as server:
-        ready(server.address)
-        yield FoxgloveView(server, header, follow, road_map), lambda: True
+    ready(server.address)
+    yield FoxgloveView(server, header, follow, road_map), lambda: True
 
 
 @contextmanager

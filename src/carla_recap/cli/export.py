@@ -188,12 +188,16 @@ def _facts(clip: IncidentClip) -> dict[str, Any]:
 @options.camera
 @options.models
 @click.option("--web", is_flag=True, help="Serve the viewer to a browser on this machine.")
+@click.option(
+    "--web-port", type=click.IntRange(0, 65535), metavar="N", help="The same at this port; --web alone takes any free one."
+)
 @options.foxglove
 def view(
     source: str,
     road_map: str | None,
     view: View,
     web: bool,
+    web_port: int | None,
     foxglove: bool,
     foxglove_port: int | None,
     **shown: Any,
@@ -205,21 +209,22 @@ def view(
     from carla_recap.cli.progress import watch_scenes
 
     port, context = options.foxglove_port_of(foxglove, foxglove_port), click.get_current_context()
-    for name in ("view", "web"):
+    for name in ("view", "web", "web_port"):
         if port is not None and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
-            raise click.UsageError(f"--{name} goes with Rerun's viewer.", context)
+            raise click.UsageError(f"--{name.replace('_', '-')} goes with Rerun's viewer.", context)
     with opening.opened_part(source, shown) as (recording, part):
         roads = opening.road_map_of(recording, road_map, part["start"], part["duration"])
         if port is None:
             from carla_recap.show.viewer import view as open_viewer
 
             progress = watch_scenes("exporting")
-            open_viewer(recording, road_map=roads, progress=progress, view=view, web=web, ready=_announce, **part)
+            served = {"web": web or web_port is not None, "web_port": web_port or 0}
+            open_viewer(recording, road_map=roads, progress=progress, view=view, ready=_announce, **served, **part)
         else:
-            from carla_recap.show.foxglove import layout_hints
+            from carla_recap.show.foxglove import connection_hints
             from carla_recap.show.foxglove.websocket import serve_recording
 
-            ready = partial(_announce, hints=layout_hints(recording.location))
+            ready = partial(_announce, hints=connection_hints(recording.location))
             serve_recording(recording, road_map=roads, progress=watch_scenes("searching"), port=port, ready=ready, **part)
 
 

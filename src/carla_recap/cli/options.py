@@ -136,8 +136,8 @@ any_view = click.option(
 )
 overlay = click.option(
     "--overlay/--no-overlay",
-    default=True,
-    help="Show time, speed, controls, lights and incidents on it; by default it does.",
+    default=None,
+    help="Show time, speed, controls, lights and incidents on it; by default it does, unless the view is a recorded camera.",
 )
 road_map = click.option(
     "--map",

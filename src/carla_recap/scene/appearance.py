@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from carla_recap.model.blueprints import blueprint_box, other_names
@@ -78,7 +79,7 @@ _VEHICLES: Final = (
     ("charger", "sedan"),
     ("mkz", "sedan"),
 )
-"""The models of vehicles whose names contain something; the first one counts."""
+"""The models of vehicles whose names contain some words; the first ones count."""
 
 _TAGS: Final = {
     "box truck": Tag.TRUCK,
@@ -275,7 +276,7 @@ def _vehicle_of(type_id: str, attributes: Mapping[str, str], box: BoundingBox | 
     """Return the model of a vehicle: by its name, else by its type, its wheels and its size."""
     lowered = other_names().get(type_id, type_id).lower()
     for part, name in _VEHICLES:
-        if part in lowered:
+        if re.search(rf"(?<![a-z0-9]){re.escape(part)}(?![a-z])", lowered):  # mkz is in mkz2017, but t2 is not in test2
             return name
     length, height = (2 * box.extent_x, 2 * box.extent_z) if box else (0.0, 0.0)
     base = attributes.get("base_type", "")

@@ -190,6 +190,7 @@ def view(
     source: Recording | Reader,
     *,
     web: bool = False,
+    web_port: int = 0,
     follow: Follow | None = None,
     start: float = 0.0,
     duration: float = 0.0,
@@ -203,6 +204,7 @@ def view(
     Args:
         source: The recording.
         web: Serve the viewer to a browser, on the loopback alone; else open a window.
+        web_port: The port for the browser; 0: any free one.
         follow: The actor that the camera follows: see `export_rerun`.
         start: The beginning, in elapsed seconds.
         duration: The length in seconds.
@@ -229,7 +231,7 @@ def view(
         )
         try:
             if web:
-                _serve(path, ready)
+                _serve(path, web_port, ready)
             else:
                 _open(path)
         except (KeyboardInterrupt, BrokenPipeError):  # the latter: the output of `ready` is closed
@@ -241,8 +243,8 @@ def _open(path: Path) -> None:
         process.wait()
 
 
-def _serve(path: Path, ready: Callable[[str], object]) -> None:
-    with RerunViewer("--serve-web", "--web-viewer-port", "0", path) as process:
+def _serve(path: Path, port: int, ready: Callable[[str], object]) -> None:
+    with RerunViewer("--serve-web", "--web-viewer-port", str(port), path) as process:
         data = urlencode({"url": f"rerun+http://{HOST}:{process.port(GRPC_PORT)}/proxy", "theme": "dark"})
         ready(f"http://{HOST}:{process.port(WEB_PORT)}/?{data}")
         process.wait()

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from carla_recap.scene.instances import Instances
-from carla_recap.show.video.camera_paths import Subject, Transparency, camera_path, camera_size, pixels_per_metre
+from carla_recap.show.video.camera_paths import Subject, Transparency, camera_path, camera_size, covered_by, pixels_per_metre
 
 SIZE = (1280, 720)
 CAR, BUS, WALKER = (2.3, 0.95, 0.75), (6.0, 1.4, 1.75), (0.25, 0.25, 0.93)
@@ -18,7 +19,25 @@ CAR, BUS, WALKER = (2.3, 0.95, 0.75), (6.0, 1.4, 1.75), (0.25, 0.25, 0.93)
 def subject(half: tuple[float, float, float] = CAR, heading: float = 0.0, **options: Any) -> Subject:
     yaw = math.radians(heading)
     rotation = np.array([(math.cos(yaw), -math.sin(yaw), 0), (math.sin(yaw), math.cos(yaw), 0), (0, 0, 1)])
-    return Subject(np.array((10.0, 20.0, 1.0)), rotation, np.array(half), heading, options.pop("speed", 0.0), **options)
+    return Subject(
+        np.array((10.0, 20.0, 1.0)),
+        rotation,
+        np.array(half),
+        options.pop("body", rotation),
+        heading,
+        options.pop("speed", 0.0),
+        **options,
+    )
+
+
+def test_a_walker_that_lies_covers_what_its_body_covers() -> None:
+    lying = np.array([(0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)])  # its head is ahead
+    standing, fallen = subject(WALKER, is_walker=True), subject(WALKER, is_walker=True, body=lying)
+    camera = camera_path("chase", SIZE).camera(SimpleNamespace(time=0.0), instances(), standing)
+    (_, top, _, bottom), (left, lying_top, right, lying_bottom) = (covered_by(camera, each) for each in (standing, fallen))
+    assert lying_bottom - lying_top < 0.7 * (bottom - top)
+    assert lying_top > top + 0.4 * (bottom - top)
+    assert right > left
 
 
 def instances(*centres: tuple[float, float, float], half: Any = CAR) -> Instances:

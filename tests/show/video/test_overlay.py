@@ -62,6 +62,19 @@ def test_captions_leave_the_followed_actor_free(size: tuple[int, int], middle: f
     assert not is_caption[y - 40 : y + 40, x - 20 : x + 20].any()
 
 
+def test_captions_leave_their_place_when_the_followed_actor_comes_there() -> None:
+    overlay, readings = Overlay(SIZE), replace(FULL, captions=(Caption("blocked", "Hero stands still"),), progress=None)
+    picture = np.full((SIZE[1], SIZE[0], 4), GREY, np.uint8)
+    overlay.draw(picture.copy(), readings)
+    x, y = SIZE[0] // 2, SIZE[1] - 60  # a corner of it below the caption
+    readings = replace(readings, kept_free=(x - 20, y - 200, x + 20, y + 5))
+    without = picture.copy()
+    Overlay(SIZE).draw(without, replace(readings, captions=()))
+    overlay.draw(picture, readings)
+    assert (picture != without).any()
+    assert (picture == without)[y - 200 : y + 5, x - 20 : x + 20].all()
+
+
 def test_bars_are_as_long_as_the_controls() -> None:
     def bar(throttle: float, brake: float) -> tuple[int, int]:
         picture = drawn(Readings(0.0, controls=(throttle, brake, 0.0), speed=0.0))

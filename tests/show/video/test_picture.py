@@ -13,7 +13,7 @@ pytest.importorskip("PIL", reason="the extra `cameras` is not installed")
 
 from PIL import Image
 
-from carla_recap import open_recording
+from carla_recap import ActorKind, Spawn, attributes, open_recording
 from carla_recap.errors import RecapError
 from carla_recap.rendering.town import load_town_mesh
 from carla_recap.roads import find_map
@@ -35,13 +35,30 @@ def pixels(data: bytes) -> Any:
     return np.asarray(Image.open(io.BytesIO(data)).convert("RGB")).astype(int)
 
 
-def test_a_snapshot_is_a_png_of_the_size(crossing: Recording, tmp_path: Path, renderer: RenderProcess) -> None:
-    destination = tmp_path / "crash.png"
+@pytest.mark.parametrize(("name", "form"), [("crash.png", "PNG"), ("crash.jpg", "JPEG"), ("crash.JPEG", "JPEG")])
+def test_a_snapshot_is_a_picture_of_the_size(
+    crossing: Recording, tmp_path: Path, renderer: RenderProcess, name: str, form: str
+) -> None:
+    destination = tmp_path / name
     snapshot(crossing, destination, at=24.6, size=(640, 360))
     with Image.open(destination) as image:
-        assert (image.size, image.format) == ((640, 360), "PNG")
+        assert (image.size, image.format) == ((640, 360), form)
         assert len(image.convert("RGB").getcolors(1 << 24)) > 1000
-    assert names_in(tmp_path) == ["crash.png"]
+    assert names_in(tmp_path) == [name]
+
+
+def test_nothing_is_written_on_the_picture_of_a_recorded_camera_unless_that_is_asked_for(
+    tmp_path: Path, renderer: RenderProcess
+) -> None:
+    camera = Spawn(2, ActorKind.SENSOR, x=150, type_id="sensor.camera.rgb", attributes=attributes(fov="90"))
+    frames = [{"transforms": [pose(1, 100 * n)]} for n in range(3)]
+    frames[0] |= {"spawned": [spawn(1, role_name="hero"), camera], "parented": [(2, 1)]}
+    with open_recording(write(tmp_path / "camera.log", frames)) as recording:
+        default, without, written = (
+            picture(recording, at=1, view=2, size=(320, 180), renderer=renderer, **options)
+            for options in ({}, {"overlay": False}, {"overlay": True})
+        )
+    assert default == without != written
 
 
 def test_the_map_of_the_recording_is_found_by_its_name(renderer: RenderProcess) -> None:
@@ -130,7 +147,7 @@ def test_an_actor_whose_pose_is_nan_is_an_error_of_one_line(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("out.jpg", "out.jpg: a picture is written as .png"),
+        ("out.webp", "out.webp: expected a name that ends in .png, .jpg, .jpeg, found .webp"),
         ("there.png", "there.png: exists already"),
     ],
 )

@@ -24,7 +24,7 @@ from carla_recap.editing.convert import check_destination
 from carla_recap.formats.mcap.schema import LogClock
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay import Played, Player
-from carla_recap.show.foxglove.layouts import has_panels, layout_files, layout_hints, write_layouts
+from carla_recap.show.foxglove.layouts import connection_hints, has_panels, layout_files, layout_hints, write_layouts
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from carla_recap.replay.player import Progress
     from carla_recap.roads import RoadMap
 
-__all__ = ["export_foxglove", "layout_files", "layout_hints"]
+__all__ = ["connection_hints", "export_foxglove", "layout_files", "layout_hints"]
 
 
 def export_foxglove(

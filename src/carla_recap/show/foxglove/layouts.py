@@ -39,6 +39,14 @@ def layout_hints(path: Path | str, **_: object) -> list[str]:
     return hints_of(beside if all(each.is_file() for each in beside.values()) else layout_files())
 
 
+def connection_hints(path: Path | str) -> list[str]:
+    """Return where the layout of the viewer is that connects to what plays a file, and how others show it."""
+    return [
+        *layout_hints(path)[:1],
+        f"{_LICHTBLICK} cannot connect; they open what 'carla-recap export --to foxglove' writes",
+    ]
+
+
 def hints_of(layouts: Mapping[str, Path]) -> list[str]:
     """Return where layouts are, a line for each viewer."""
     return [f"the layout for {viewer}: {path}" for viewer, path in layouts.items()]

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import math
 from bisect import bisect_left
-from collections import defaultdict
 from heapq import merge
 from itertools import chain
 from threading import Event, Lock, Thread
@@ -169,13 +168,11 @@ class FoxgloveServer:
         self._requests.requested.clear()
 
     def welcome(self) -> None:
-        """Send viewers the latest messages of the topics to which they have subscribed, and all viewers the state."""
+        """Send the latest messages of topics that have new subscribers, and the state; other viewers show them again."""
         wanted = self._requests.take_topics()
-        for client, topics in wanted.items():
-            for topic in topics & self._latest.keys() - {LOG}:  # each message on it is shown, not the latest one
-                time, data = self._latest[topic]
-                # The SDK counts its sinks as it does clients, unless the process writes files by it.
-                self._channels[topic].log(data, log_time=time, sink_id=client)
+        for topic in wanted & self._latest.keys() - {LOG}:  # each message on it is shown, not the latest one
+            time, data = self._latest[topic]
+            self._channels[topic].log(data, log_time=time)
         if wanted and self._timeline is not None:
             self.show(self._timeline.state())
         elif wanted and self._time is not None:
@@ -277,19 +274,19 @@ class _Requests:
         self._timeline = timeline
         self._lock = Lock()
         self.requested = Event()
-        self._topics: defaultdict[int, set[str]] = defaultdict(set)  # by client
+        self._topics: set[str] = set()
         self._subscriptions = 0
 
-    def take_topics(self) -> dict[int, set[str]]:
+    def take_topics(self) -> set[str]:
         """Return the topics to which clients have subscribed since the last call."""
         with self._lock:
-            topics, self._topics = self._topics, defaultdict(set)
+            topics, self._topics = self._topics, set()
         return topics
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
         with self._lock:
             self._subscriptions += 1
-            self._topics[client.id].add(channel.topic)
+            self._topics.add(channel.topic)
 
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
         with self._lock:

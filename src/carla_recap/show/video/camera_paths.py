@@ -50,6 +50,7 @@ class Subject:
         ground: The point below its centre, at the bottom of its box.
         rotation: A matrix whose columns point forward, left and up.
         half: Half the size of its box.
+        body: The same as `rotation`, but of the body as it is drawn: that of a walker that has fallen lies.
         heading: The yaw of a calm camera, in degrees.
         speed: Its speed in m/s; None if unknown.
         two_wheeled: Whether its rider is not inside of it.
@@ -59,6 +60,7 @@ class Subject:
     ground: Floats
     rotation: Floats
     half: Floats
+    body: Floats
     heading: float
     speed: float | None
     two_wheeled: bool = False
@@ -78,10 +80,11 @@ def subject_of(id: int, scene: Scene, instances: Instances, series: FollowedSeri
     if pose is None or actor is None:
         return None
     placed = right_handed(pose)
-    rotation = rotations(placed)
+    rotation = body = rotations(placed)
     index = int(np.searchsorted(instances.ids, id))
     if index < len(instances) and instances.ids[index] == id:
         centre, half = instances.locations[index], instances.half_extents[index].astype(np.float64)
+        body = instances.rotations[index].astype(np.float64)
     else:
         box = box_of(actor)
         half = np.array((box.extent_x, box.extent_y, box.extent_z))
@@ -89,9 +92,10 @@ def subject_of(id: int, scene: Scene, instances: Instances, series: FollowedSeri
     if not (np.isfinite(centre).all() and np.isfinite(rotation).all() and np.isfinite(half).all()):
         return None
     return Subject(
-        centre - (0.0, 0.0, half[2]),
+        centre - np.array((0.0, 0.0, np.abs(body[2]) @ half)),
         rotation,
         half,
+        body,
         -series.heading_at(scene.time),
         number_or_none(series.speed[series.row_at(scene.time)]),
         actor.spawn.attribute("number_of_wheels") == "2",
@@ -275,8 +279,9 @@ def pixels_per_metre(camera: Camera, ground: float) -> float | None:
 
 def covered_by(camera: Camera, subject: Subject) -> tuple[float, float, float, float] | None:
     """Return the pixels that the box of the followed actor covers: left, top, right, bottom; None if it is not seen."""
-    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (0, 2)]) * subject.half
-    x, y, depth = camera.project(subject.ground + corners @ subject.rotation.T).T
+    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * subject.half
+    centre = subject.ground + np.array((0.0, 0.0, np.abs(subject.body[2]) @ subject.half))
+    x, y, depth = camera.project(centre + corners @ subject.body.T).T
     return (float(x.min()), float(y.min()), float(x.max()), float(y.max())) if depth.min() > 0 else None
 
 

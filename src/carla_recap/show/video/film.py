@@ -15,7 +15,7 @@ from carla_recap.recording import open_recording
 from carla_recap.rendering.camera import ImageKind
 from carla_recap.roads.find import plain_name
 from carla_recap.scene.ahead import NO_LIGHT, stop_points
-from carla_recap.scene.captions import incidents_around, readable_name
+from carla_recap.scene.captions import incidents_around, readable_name, shown_options
 from carla_recap.scene.follow import followed_series
 from carla_recap.show.video.camera_paths import (
     Transparency,
@@ -208,6 +208,14 @@ def followed_of(recording: Recording, view: VideoView, follow: Follow | None) ->
     if follow is None and camera is not None and camera.parent in recording.actors:
         return camera.parent
     return follow
+
+
+def overlay_options(
+    recording: Recording, view: VideoView, overlay: bool | None, incidents: IncidentOptions | None
+) -> IncidentOptions | None:
+    """Return which incidents are shown; None: nothing is written on pictures, by default on those of recorded cameras."""
+    wanted = not isinstance(view, int) if overlay is None else overlay
+    return shown_options(recording.reader, incidents) if wanted else None
 
 
 def recorded_size(recording: Recording, view: VideoView) -> Size | None:

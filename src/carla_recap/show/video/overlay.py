@@ -40,7 +40,6 @@ _SMALLEST_TEXT: Final = 8
 _SMALLEST: Final = 150  # pixels; less high or wide, a picture has nothing but the bar of its time
 _SMOOTHING: Final = 4  # the factor by which round shapes are drawn larger
 _SHADES: Final = 32  # of bars, per full length
-_HIDDEN: Final = 0.1  # of the followed actor; captions that hide more move elsewhere
 _KMH: Final = 3.6  # in a m/s
 _SCALES: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)  # m
 _SCALE_WIDTH: Final = 0.14  # of the width of the picture, at most
@@ -203,7 +202,7 @@ class Overlay:
         hidden = [_common((x - width / 2, y, x + width / 2, y + height), kept_free) for x, y in places]
         texts = tuple(caption.text for caption in captions)
         place = self._place[1] if self._place[0] == texts else -1  # where they have been, which they leave only if they must
-        if not 0 <= place < len(places) or (kept_free and hidden[place] > _HIDDEN * _common(kept_free, kept_free)):
+        if not 0 <= place < len(places) or hidden[place]:
             place = hidden.index(min(hidden))
         self._place = texts, place
         middle, y = places[place]

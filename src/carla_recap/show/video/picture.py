@@ -12,10 +12,9 @@ from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.replay import Player
-from carla_recap.scene.captions import shown_options
 from carla_recap.sensors.encoding import load_pillow
 from carla_recap.show.video.encoding import check_size
-from carla_recap.show.video.film import Film, followed_of, opened_renderer, recorded_size, submit
+from carla_recap.show.video.film import Film, followed_of, opened_renderer, overlay_options, recorded_size, submit
 from carla_recap.show.video.video import SIZE
 from carla_recap.util.files import WholeFile
 
@@ -32,6 +31,7 @@ _BEFORE: Final = 1.5  # s; the camera is as calm as if it had followed the actor
 _RATE: Final = 10.0  # scenes in a second of it
 _PNG: Final = b"\x89PNG"
 _JPEG: Final = b"\xff\xd8"
+_FORMS: Final = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
 _SHORTEST: Final = 1e-3  # s; a duration of 0 would be the whole recording
 
 
@@ -54,7 +54,7 @@ def snapshot(
     view: VideoView = "chase",
     town: Town | None = None,
     size: Size | None = None,
-    overlay: bool = True,
+    overlay: bool | None = None,
     incidents: IncidentOptions | None = None,
     force: bool = False,
 ) -> None:
@@ -62,14 +62,14 @@ def snapshot(
 
     Args:
         source: The recording.
-        destination: The .png; it appears when it is complete.
+        destination: The .png or .jpg; it appears when it is complete.
         at: The time in elapsed seconds; a negative number is counted from the end.
         follow: The actor that the camera follows: an id or "hero"; None: see `choose_followed`, in the seconds before.
         view: The view; see `export_video`.
         town: The town, or a function that loads it; None: that of the recording's map if it is the built-in one or in the
             folder that CARLA_RECAP_MAPS names, else roads where vehicles have driven.
         size: Width and height in pixels; None: 1280 x 720, or of a recorded camera those of its images.
-        overlay: Write the map, time, speed and more on it.
+        overlay: Write the map, time, speed and more on it; None: unless the view is that of a recorded camera.
         incidents: Which incidents are shown; see `export_video`.
         force: Overwrite an existing file.
 
@@ -79,10 +79,13 @@ def snapshot(
         MissingExtra: An optional dependency is not installed.
     """
     path = Path(destination)
-    if path.suffix.lower() != ".png":
-        raise RecapError(f"{path}: a picture is written as .png")
+    form = _FORMS.get(path.suffix.lower())
+    if form is None:
+        raise RecapError(f"{path}: expected a name that ends in {', '.join(_FORMS)}, found {path.suffix or 'none of these'}")
     check_destination(source.reader.location, path, force=force)
-    data = picture(source, at=at, follow=follow, view=view, town=town, size=size, overlay=overlay, incidents=incidents)
+    data = picture(
+        source, at=at, follow=follow, view=view, town=town, size=size, overlay=overlay, incidents=incidents, form=form
+    )
     with WholeFile(path, force=force) as file:
         file.write(data)
 
@@ -95,7 +98,7 @@ def picture(
     view: VideoView = "chase",
     town: Town | None = None,
     size: Size | None = None,
-    overlay: bool = True,
+    overlay: bool | None = None,
     incidents: IncidentOptions | None = None,
     renderer: RenderProcess | None = None,
     form: str = "PNG",
@@ -132,7 +135,7 @@ def picture(
     if follow is None and player.followed is None:
         player.followed = Player(source).followed
     with opened_renderer(renderer, town, source, start=start, stop=time, supersampling=2) as opened:
-        film = Film(source, player, view, size, shown=shown_options(source.reader, incidents) if overlay else None)
+        film = Film(source, player, view, size, shown=overlay_options(source, view, overlay, incidents))
         *_, shot = (film.shot(scene) for scene in player.scenes(_RATE))
         if follow is not None:
             _check_followed(source, player.followed, shot)

@@ -12,10 +12,9 @@ from carla_recap.editing.convert import check_destination
 from carla_recap.errors import RecapError
 from carla_recap.replay import Player
 from carla_recap.replay.follow import HERO
-from carla_recap.scene.captions import shown_options
 from carla_recap.sensors.viewing import CameraChoice
 from carla_recap.show.video.encoding import LONGEST, check_video, create_video
-from carla_recap.show.video.film import RATE, Film, followed_of, opened_renderer, recorded_size, submit
+from carla_recap.show.video.film import RATE, Film, followed_of, opened_renderer, overlay_options, recorded_size, submit
 from carla_recap.show.video.grid import CameraGrid, camera_pictures
 
 if TYPE_CHECKING:
@@ -70,7 +69,7 @@ def export_video(
     size: Size | None = None,
     rate: float | None = None,
     smooth: bool = False,
-    overlay: bool = True,
+    overlay: bool | None = None,
     incidents: IncidentOptions | None = None,
     town: Town | None = None,
     road_map: Path | str | None = None,
@@ -97,7 +96,8 @@ def export_video(
         size: Width and height in pixels; None: 1280 x 720, of a GIF 640 x 360, of cameras those of their images.
         rate: The frames per second; None: 30, of a GIF 12.5.
         smooth: Draw smooth edges, which takes about twice as long.
-        overlay: Write time, speed, controls, the light ahead and incidents on the pictures.
+        overlay: Write time, speed, controls, the light ahead and incidents on the pictures; None: unless the view is that of
+            a recorded camera.
         incidents: Which incidents are shown; None: all kinds, those against the rules of the road if the map is found.
         town: The town, or a function that loads it; None: that of the recording's map if it is the built-in one or in the
             folder that CARLA_RECAP_MAPS names, else roads where vehicles have driven.
@@ -124,7 +124,7 @@ def export_video(
     check_video(path, size, rate, frames)
     check_destination(source.reader.location, path, force=force)
 
-    shown = shown_options(source.reader, incidents) if overlay else None
+    shown = overlay_options(source, view, overlay, incidents)
 
     def film(rate: float, speed: float, frames: int) -> Film:
         part = Player(source, start=player.start, duration=length, follow=player.followed)
