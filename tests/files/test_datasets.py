@@ -18,9 +18,10 @@ from PIL import Image
 
 import carla_recap
 from carla_recap import RecapError, RecapWarning, SensorRig, export
+from carla_recap.files import nuscenes
 from carla_recap.files.coco import encoded
 from carla_recap.files.nuscenes import TABLES, VERSION
-from carla_recap.sensors.sensing import sense
+from carla_recap.sensors.sensing import DETECTION, Sample, sense
 from tests.sensors.test_sensing import AHEAD, BOX, CAMERA_HEIGHT, CARS, GAP, LEFT, RAISED, RIGHT, SPEED, STEP, drive
 from tests.waiting import PATIENCE
 
@@ -313,3 +314,16 @@ def test_what_is_no_dataset(recording: Path, tmp_path: Path, to: str) -> None:
             with pytest.raises(RecapError, match=message):
                 export(source, tmp_path / "out", to=to, **options)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_parked_car_does_not_move_in_the_compensated_velocities_of_a_radar():
+    own, pose = np.array((0.0, 10.0, 0.0)), np.array((5.0, 0, 1, 0, 0, 90.0))  # it looks along its motion
+    table = np.zeros(2, DETECTION)
+    table["azimuth"], table["depth"] = (0.0, np.radians(60)), (20.0, 30.0)
+    table["velocity"] = (-10.0, -5.0)  # the one ahead comes as fast as the radar drives, the one aside half as fast
+    (spec,) = SensorRig.of([{"type": "sensor.other.radar", "id": "radar", **PLACE}])
+    content = nuscenes._radar_file(Sample(spec, 0.0, pose, table, own))
+    points = np.frombuffer(content[content.index(b"DATA binary\n") + 12 : -1], nuscenes._RADAR_POINT)
+    assert points["vx"] == pytest.approx((-10.0, -5.0 * np.cos(np.radians(60))))
+    for name in ("vx_comp", "vy_comp"):
+        assert points[name] == pytest.approx((0, 0), abs=1e-5)

@@ -11,6 +11,8 @@ import pytest
 
 from carla_recap import open_recording
 from carla_recap.replay import Player
+from carla_recap.replay.pose import rotations
+from carla_recap.scene.description import SceneDescriber
 from carla_recap.scene.falls import FallenWalkers
 from carla_recap.scene.marks import MARKED, MOST_MARKS, CollisionMarks
 from tests.replay.scripts import pose, spawn, write
@@ -69,6 +71,26 @@ def test_a_walker_that_is_recorded_lying_is_shown_as_recorded(batches):
     for frame in frames[12:]:
         frame["transforms"][1] = (WALKER, 200.0, 0.0, 20.0, 0.0, 90.0, 0.0)
     assert falls(batches(frames)) == [(0.3, WALKER, True), (1.2, WALKER, False)]
+
+
+def test_a_walker_that_is_recorded_lying_from_the_hit_on_falls_in_six_tenths_of_a_second(batches):
+    frames = accident()
+    for frame in frames[HIT:]:
+        frame["transforms"][1] = (WALKER, 200.0, 0.0, 20.0, 0.0, 90.0, 0.0)
+    describer, heads = SceneDescriber(), []
+    for batch in batches(frames):
+        described = describer.describe(batch)
+        for row in range(len(batch)):
+            fall, turned = described.fallen_at(row).get(WALKER), rotations(described.pose_of(WALKER, row))
+            heads.append(float((turned if fall is None else turned @ fall.matrix)[2, 2]))
+            if fall is not None:  # it touches the ground, as the recorded body does
+                half = np.array(described.actors.look_of(WALKER).half_extents)
+                low = (turned @ fall.offset)[2] - np.abs((turned @ fall.matrix)[2]) @ half
+                assert low == pytest.approx(-np.abs(turned[2]) @ half, abs=1e-3)
+    assert heads[: HIT + 1] == pytest.approx([1.0] * (HIT + 1))
+    assert heads[HIT : HIT + 6] == sorted(heads[HIT : HIT + 6], reverse=True)
+    assert heads[HIT + 3] > 0.5
+    assert heads[HIT + 6 :] == pytest.approx([0.0] * (len(frames) - HIT - 6), abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -17,13 +17,6 @@ class Recorded {
     const rank = ({ kind, hero }) => ORDER.indexOf(kind) + (hero ? ORDER.length : 0);
     const { actors } = this.tracks;
     this.order = actors.map((_, actor) => actor).sort((a, b) => rank(actors[a]) - rank(actors[b]));
-    this.hits = new Map(); // actor → the time of its first collision
-    for (const { kind, start, actors: ids } of report.incidents) {
-      if (kind !== "collision" || start === null) continue;
-      for (const actor of ids.map((id) => this.tracks.indexOf(id, start))) {
-        if (actor >= 0 && !this.hits.has(actor)) this.hits.set(actor, start);
-      }
-    }
   }
 
   /** Return the actor with an id at a time; null if none. */

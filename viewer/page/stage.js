@@ -60,6 +60,7 @@ class Stage {
     context.fillStyle = theme.colors.ground;
     context.fillRect(0, 0, this.canvas.width, this.canvas.height);
     this.shown = this.locate(this.recording);
+    this.places = new Map(this.shown.map((one) => [one.actor, one]));
     this.ghosts = this.ghost ? this.locate(this.ghost).filter((one) => this.differs(one)) : [];
     camera.apply(context, this.ratio, this.origin);
     this.ground.draw(context, camera);
@@ -68,7 +69,7 @@ class Stage {
     if (this.marks) this.drawCollisions();
     for (const one of this.ghosts) this.drawGhost(one);
     for (const one of this.shown) this.drawActor(one);
-    const followed = this.shown.find(({ actor }) => this.tracks.actors[actor].id === camera.followed);
+    const followed = this.places.get(this.tracks.indexOf(camera.followed, this.time));
     if (followed) this.drawActor(followed); // above what may hide it
     if (this.ghosts.length) this.drawDistance();
     if (this.marks) this.drawIncidents();
@@ -94,7 +95,7 @@ class Stage {
     const { kind } = this.ghost.tracks.actors[actor];
     if (kind !== "vehicle" && kind !== "walker") return false;
     const twin = this.ghost.twin(actor);
-    const same = this.shown.find((one) => one.actor === twin);
+    const same = this.places.get(twin);
     return !same || Math.hypot(same.x - x, same.y - y) > APART + LATE * this.tracks.speed(twin, this.time);
   }
 
@@ -213,6 +214,7 @@ class Stage {
     const { context, camera } = this;
     const { id, kind, color, paint, hero, shape } = this.tracks.actors[actor];
     const [middle, side, length, width] = this.extent(this.recording, actor);
+    const heading = this.tracks.lying(actor, this.time) ?? yaw;
     const size = camera.scale * Math.max(length, width);
     if (Math.max(-left, -top, left - camera.width, top - camera.height) > size + 30) return;
     if (kind === "traffic light") {
@@ -224,7 +226,7 @@ class Stage {
     context.save();
     context.translate(left, top);
     if (marked || hero) this.drawGlow(color, Math.max(size, SMALLEST) + 12);
-    context.rotate(camera.up - UP - yaw);
+    context.rotate(camera.up - UP - heading);
     context.translate(middle * scale, -side * scale);
     context.globalAlpha = REST.has(kind) ? 0.5 : 1;
     const [halfLength, halfWidth] = [Math.max(length * scale, shape === "walker" ? 3 : 0), Math.max(width * scale, shape === "walker" ? 3 : 0)];
@@ -247,11 +249,10 @@ class Stage {
     context.restore();
   }
 
-  /** Return x, y and half extents of an actor; a walker that was hit lies on the road. */
-  extent({ tracks, hits }, actor) {
+  /** Return x, y and half extents of an actor, those of a walker that lies along its body. */
+  extent({ tracks }, actor) {
     const { kind, box } = tracks.actors[actor];
-    const lies = kind === "walker" && hits.get(actor) <= this.time;
-    if (lies) return [0, 0, Math.max(BODY, box[2]), Math.max(0.28, box[3])];
+    if (tracks.lying(actor, this.time) !== null) return [0, 0, Math.max(BODY, box[2]), Math.max(0.28, box[3])];
     return kind === "walker" ? [box[0], box[1], Math.min(0.22, box[2]), Math.max(0.28, box[3])] : box;
   }
 
@@ -290,7 +291,7 @@ class Stage {
     const scale = camera.scale * Math.max(1, SMALLEST / 2 / (camera.scale * Math.max(length, width)));
     context.save();
     context.translate(left, top);
-    context.rotate(camera.up - UP - yaw);
+    context.rotate(camera.up - UP - (this.ghost.tracks.lying(actor, this.time) ?? yaw));
     context.translate(middle * scale, -side * scale);
     context.beginPath();
     outline(context, shape, Math.max(3, length * scale), Math.max(3, width * scale));
@@ -306,7 +307,7 @@ class Stage {
   /** Draw a line from the followed actor to itself in the other recording. */
   drawDistance() {
     const { context, camera } = this;
-    const own = this.shown.find(({ actor }) => this.tracks.actors[actor].id === camera.followed);
+    const own = this.places.get(this.tracks.indexOf(camera.followed, this.time));
     const ghost = own && this.ghosts.find(({ actor }) => this.ghost.twin(actor) === own.actor);
     if (!ghost) return;
     context.strokeStyle = theme.colors.other;

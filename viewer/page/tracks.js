@@ -21,24 +21,19 @@ class Tracks {
       if (!this.byId.has(actor.id)) this.byId.set(actor.id, []);
       this.byId.get(actor.id).push(index);
     });
-    this.readLights(recording.lights);
-  }
-
-  readLights({ actor: actors, time: times, state: states }) {
-    this.lights = new Map(); // actor → its changes
-    actors.forEach((actor, i) => {
-      if (!this.lights.has(actor)) this.lights.set(actor, { times: [], states: [] });
-      const light = this.lights.get(actor);
-      light.times.push(times[i]);
-      light.states.push(states[i]);
-    });
+    this.lights = changesOf(recording.lights.actor, recording.lights.time, recording.lights.state);
+    this.falls = changesOf(recording.lying.actor, recording.lying.time, recording.lying.heading);
   }
 
   /** Return the state of a traffic light, in CARLA's numbers. */
   lightState(actor, time) {
-    const light = this.lights.get(actor);
-    const count = light ? countUntil(light.times, time + 1e-4) : 0;
-    return count ? light.states[count - 1] : null;
+    return latest(this.lights.get(actor), time);
+  }
+
+  /** Return the heading of the head of a walker that lies, in radians; null if it does not. */
+  lying(actor, time) {
+    const heading = latest(this.falls.get(actor), time);
+    return heading === null || heading < 0 ? null : (heading * Math.PI) / 180;
   }
 
   /** Return whether a time was sampled. */
@@ -116,4 +111,21 @@ class Tracks {
     const begun = indices.filter((index) => this.actors[index].since <= time + 1e-4);
     return begun.length ? begun[begun.length - 1] : indices.length ? indices[0] : -1;
   }
+}
+
+/** Return the changes of each actor: the times, and what is from then on. */
+function changesOf(actors, times, values) {
+  const found = new Map();
+  actors.forEach((actor, i) => {
+    if (!found.has(actor)) found.set(actor, { times: [], values: [] });
+    found.get(actor).times.push(times[i]);
+    found.get(actor).values.push(values[i]);
+  });
+  return found;
+}
+
+/** Return what is at a time, by the changes of an actor; null before the first one. */
+function latest(changes, time) {
+  const count = changes ? countUntil(changes.times, time + 1e-4) : 0;
+  return count ? changes.values[count - 1] : null;
 }

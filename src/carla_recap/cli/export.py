@@ -217,9 +217,8 @@ def view(
         if port is None:
             from carla_recap.show.viewer import view as open_viewer
 
-            progress = watch_scenes("exporting")
-            served = {"web": web or web_port is not None, "web_port": web_port or 0}
-            open_viewer(recording, road_map=roads, progress=progress, view=view, ready=_announce, **served, **part)
+            how: dict[str, Any] = {"view": view, "web": web or web_port is not None, "web_port": web_port or 0, **part}
+            open_viewer(recording, road_map=roads, progress=watch_scenes("exporting"), ready=_announce, **how)
         else:
             from carla_recap.show.foxglove import connection_hints
             from carla_recap.show.foxglove.websocket import serve_recording

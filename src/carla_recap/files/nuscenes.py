@@ -338,15 +338,20 @@ def _directions(sample: Sample) -> Floats:
 
 
 def _radar_file(sample: Sample) -> bytes:
-    """Return the detections of a radar as a PCD file, whose fields are those of nuScenes; velocities are along the ray."""
+    """Return the detections of a radar as a PCD file, whose fields are those of nuScenes; velocities are along the ray.
+
+    In those that are compensated, what stands in the world has none.
+    """
     points = np.zeros(len(sample.data), _RADAR_POINT)
     directions = _directions(sample)
     places = directions * sample.data["depth"][:, None]
-    velocities = directions * sample.data["velocity"][:, None]
+    own = np.zeros(3) if sample.velocity is None else sample.velocity @ rotations(sample.pose)
+    relative = directions * sample.data["velocity"][:, None]
+    compensated = relative + directions * (directions @ own)[:, None]
     for axis, name in enumerate("xyz"):
         points[name] = places[:, axis]
     for axis, name in enumerate(("vx", "vy")):
-        points[name] = points[f"{name}_comp"] = velocities[:, axis]
+        points[name], points[f"{name}_comp"] = relative[:, axis], compensated[:, axis]
     points["id"] = np.arange(len(points)) % (1 << 15)
     points["is_quality_valid"], points["ambig_state"] = 1, _UNAMBIGUOUS
     types = [_RADAR_POINT[name] for name in _RADAR_POINT.names or ()]

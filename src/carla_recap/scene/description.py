@@ -13,12 +13,13 @@ from carla_recap.model.lives import ActorLife
 from carla_recap.model.presence import FAR
 from carla_recap.model.records import Spawn
 from carla_recap.replay.player import Player
-from carla_recap.replay.pose import right_handed
+from carla_recap.replay.pose import ROTATION, right_handed, rotations
 from carla_recap.replay.selection import NO_IDS, find
 from carla_recap.scene.appearance import UNKNOWN, look_of_present
-from carla_recap.scene.falls import FallChange, FallenWalkers
+from carla_recap.scene.falls import UPRIGHT, FallChange, FallenWalkers
 from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehicles
 from carla_recap.scene.marks import MARKED, CollisionMarks
+from carla_recap.scene.materials import Tag
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
     Lamps = NDArray[np.uint64]
 
 _STEERED: Final = math.radians(40)  # of the front wheels at full steering
+LYING: Final = 0.7
+"""The part of its height up to which the head of a walker that lies is above its feet."""
+
 _LOOK_BACK: Final = MARKED + 0.5  # s before a moment that decide which lamps are lit then, and where marks are
 
 
@@ -196,6 +200,18 @@ class SceneDescription:
                 found.pop(change.id, None)
                 if change.fall is not None:
                     found[change.id] = change.fall
+        return found
+
+    def lying_at(self, row: int) -> dict[int, float]:
+        """Return the walkers that lie in a scene, by their ids: the heading of their heads in degrees, right-handed."""
+        fallen, poses, found = self.fallen_at(row), self.poses[row], dict[int, float]()
+        leaning = (np.abs(poses[:, ROTATION][:, :2]) > UPRIGHT).any(axis=1) & (self.actors.tags == Tag.PEDESTRIANS)
+        lying = np.isin(self.ids, list(fallen)) | leaning if fallen else leaning
+        for column in np.flatnonzero(lying & self.shown[row]).tolist():
+            id, turned = int(self.ids[column]), rotations(poses[column])
+            x, y, z = (turned @ fallen[id].matrix if id in fallen else turned)[:, 2].tolist()
+            if z < LYING:
+                found[id] = math.degrees(math.atan2(y, x)) % 360
         return found
 
     def marks_at(self, row: int) -> Floats:

@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 
 
 _KNOCKED: Final = 1.5  # m/s: from this speed on, a vehicle knocks a walker down
-_UPRIGHT: Final = 45.0  # degrees; the recorded pose of one that leans more is shown as it is
+UPRIGHT: Final = 45.0
+"""The angle in degrees up to which a recorded pose is upright; that of a walker that leans more is shown as it is."""
+
 _WALKING: Final = 20.0  # cm/s; one that walks again has got up
 _FALLING: Final = 0.6  # s from the hit until a walker lies
 _LEAD: Final = 2.0  # s before a hit that are read, for the velocities in the two frames before it
@@ -69,6 +71,14 @@ class _Hit(NamedTuple):
     turn: Floats
 
 
+class _Tip(NamedTuple):
+    """A walker whose recorded pose lies from a hit on: the elapsed seconds of the hit, its look, and its rotation before."""
+
+    time: float
+    look: Look
+    upright: Floats
+
+
 class FallChange(NamedTuple):
     """A walker that falls, in several steps, or gets up.
 
@@ -93,6 +103,7 @@ class FallenWalkers:
     def __init__(self) -> None:
         self.falls: dict[int, Fall] = {}
         self._hits: dict[int, _Hit | None] = {}  # what knocked them down; None of those that lie
+        self._tips: dict[int, _Tip] = {}  # those that are recorded as lying at once, while they fall
         self._before: SceneBatch | None = None
         self._recent: dict[int, tuple[Batch, int]] = {}  # the two latest frames by index, each a row of a batch
 
@@ -110,9 +121,14 @@ class FallenWalkers:
                 found += [FallChange(0, id, None) for id in self.falls]
                 self.falls.clear()
                 self._hits.clear()
+                self._tips.clear()
         for event in batch.events:
             if isinstance(event, Collided) and (knocked := self._hit(event, batch)) is not None:
                 self._hits[knocked[0]] = knocked[1]
+            elif isinstance(event, Collided):
+                self._tips |= self._tipped(event, batch)
+        for id, tip in list(self._tips.items()):
+            found += self._tip(id, tip, batch)
         for id, hit in list(self._hits.items()):
             up = np.flatnonzero(_up(id, batch.frames)) if id in batch.actors else [0]
             rises = int(up[0]) if len(up) else None
@@ -150,6 +166,7 @@ class FallenWalkers:
             seconds: By how much, in s.
         """
         self._hits = {id: None if hit is None else hit._replace(time=hit.time - seconds) for id, hit in self._hits.items()}
+        self._tips = {id: tip._replace(time=tip.time - seconds) for id, tip in self._tips.items()}
 
     def _fall(self, id: int, hit: _Hit, times: Floats) -> Iterator[FallChange]:
         """Yield how a walker leans in the scenes of some times, until it lies."""
@@ -160,6 +177,32 @@ class FallenWalkers:
             if share == 1:
                 self._hits[id] = None
                 return
+
+    def _tip(self, id: int, tip: _Tip, batch: SceneBatch) -> Iterator[FallChange]:
+        """Yield how a walker leans that is recorded as lying, until it lies as recorded."""
+        for row, time in enumerate(batch.time.tolist()):
+            pose, share = batch.pose_of(id, row), (time - tip.time) / _FALLING
+            if share < 1 and pose is not None and _is_lying(pose):
+                self.falls[id] = _tipping(tip, rotations(right_handed(pose)), max(share, 0.0) ** 2)
+                yield FallChange(row, id, self.falls[id])
+                continue
+            del self._tips[id]
+            if self.falls.pop(id, None) is not None:
+                yield FallChange(row, id, None)
+            return
+
+    def _tipped(self, contact: Collided, batch: SceneBatch) -> dict[int, _Tip]:
+        """Return the walkers of a contact that are recorded as upright just before it, and as lying from it on."""
+        found: dict[int, _Tip] = {}
+        for id in (contact.actor1, contact.actor2):
+            pose = batch.pose_of(id, 0)
+            before = None if self._before is None or batch.fresh else self._before.pose_of(id, len(self._before) - 1)
+            if pose is None or before is None or id not in batch.actors or batch.actors[id].kind != "walker":
+                continue
+            look = look_of_present(batch.actors[id])
+            if look is not None and _is_lying(pose) and np.isfinite(before).all() and not _is_lying(before):
+                found[id] = _Tip(contact.elapsed, look, rotations(right_handed(before)))
+        return found
 
     def _hit(self, contact: Collided, batch: SceneBatch) -> tuple[int, _Hit] | None:
         """Return the walker that a contact knocks down, and how; None if there is none."""
@@ -247,13 +290,29 @@ def _turn(matrix: Floats) -> Floats:
 
 def _leaning(hit: _Hit, share: float) -> Fall:
     """Return how a walker leans that has fallen by a share from 0 to 1; it touches the ground."""
-    angle = float(np.linalg.norm(hit.turn))
-    x, y, z = hit.turn / angle
+    rotation = _turned(hit.turn, share)
+    return _standing(hit.look, hit.upright, rotation)
+
+
+def _tipping(tip: _Tip, recorded: Floats, share: float) -> Fall:
+    """Return how a walker leans that has fallen by a share from 0 to 1 from upright to its recorded rotation."""
+    leaning = tip.upright @ _turned(_turn(tip.upright.T @ recorded), share)
+    return _standing(tip.look, recorded, recorded.T @ leaning)
+
+
+def _turned(turn: Floats, share: float) -> Floats:
+    """Return the matrix of a share of a turn, whose axis times its angle in rad is given."""
+    angle = float(np.linalg.norm(turn))
+    x, y, z = turn / angle
     across = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
-    rotation = np.eye(3) + np.sin(share * angle) * across + (1 - np.cos(share * angle)) * across @ across
-    half_extents = np.array(hit.look.half_extents)
-    height = np.abs((hit.upright @ rotation)[2]) @ half_extents
-    x, y, z = (hit.look.center + hit.upright.T @ (0.0, 0.0, height - half_extents[2])).round(4).tolist()
+    return np.asarray(np.eye(3) + np.sin(share * angle) * across + (1 - np.cos(share * angle)) * across @ across)
+
+
+def _standing(look: Look, recorded: Floats, rotation: Floats) -> Fall:
+    """Return a body that is turned in its own axes, as high above the ground as one at its recorded rotation."""
+    half_extents = np.array(look.half_extents)
+    height = (np.abs((recorded @ rotation)[2]) - np.abs(recorded[2])) @ half_extents
+    x, y, z = (look.center + recorded.T @ (0.0, 0.0, height)).round(4).tolist()
     return Fall(tuple(rotation.round(6).ravel().tolist()), (x, y, z))
 
 
@@ -268,10 +327,14 @@ def _up(id: int, frames: Batch) -> NDArray[np.bool_]:
     return up
 
 
+def _is_lying(pose: Floats) -> bool:
+    return bool(np.isfinite(pose).all() and _leans(*pose[ROTATION][:2]))
+
+
 def _leans(roll: NDArray[np.floating], pitch: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Return whether poses are far from upright, given two of their angles in degrees."""
     with np.errstate(invalid="ignore"):  # a signaling NaN
-        return np.asarray(np.maximum(np.abs(roll), np.abs(pitch)) > _UPRIGHT)
+        return np.asarray(np.maximum(np.abs(roll), np.abs(pitch)) > UPRIGHT)
 
 
 def is_new(batch: SceneBatch, before: SceneBatch | None) -> bool:

@@ -96,12 +96,14 @@ class Sample:
             float32. Of other sensors, a structured array: `POINT`s of a lidar, `SEMANTIC_POINT`s of a semantic lidar,
             `DETECTION`s of a radar; a single `FIX` of a GNSS receiver, `INERTIA` of an IMU; of a speedometer, the forward
             speed in m/s. Points and vectors are in the sensor's axes, right-handed.
+        velocity: The velocity of a radar's carrier in the world in m/s, right-handed, (3,); None of other sensors.
     """
 
     spec: SensorSpec
     time: float
     pose: Floats
     data: NDArray[Any]
+    velocity: Floats | None = None
 
     @property
     def camera(self) -> Camera:
@@ -408,7 +410,8 @@ class _Sensing:
                         cameras[spec.id] = PlacedSensor(spec, own)
                     elif spec.id in self._instruments:
                         data = self._instruments[spec.id](moment, own)
-                        samples[spec.id] = Sample(spec, scene.time, own, data)
+                        velocity = motion.velocity if motion is not None and spec.kind == "radar" else None
+                        samples[spec.id] = Sample(spec, scene.time, own, data, velocity)
                 if cameras and self._cameras is not None:
                     surrounding = _boxes_around(description, carrier)
                     images = self._cameras.submit(cameras.values(), instances, scene, surrounding)

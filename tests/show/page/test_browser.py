@@ -10,7 +10,7 @@ import pytest
 from carla_recap import open_recording
 from carla_recap.replay import Player, right_handed
 from carla_recap.show.page import Opening
-from tests.replay.scripts import spawn
+from tests.replay.scripts import pose, spawn, write
 from tests.samples import carla_log
 from tests.show.page.conftest import CROSSING, NASTY, data, record, report
 from tests.waiting import wait_until
@@ -155,6 +155,32 @@ def test_everything_works_with_the_keyboard(crossing: Page) -> None:
     assert crossing.ask("replay.camera.scale") > scale
     assert crossing.ask("[replay.camera.turns, document.getElementById('help').open]") == [True, True]
     assert crossing.errors == []
+
+
+def test_space_plays_after_a_click_on_a_button_and_marks_can_be_focused(crossing: Page) -> None:
+    from selenium.webdriver.common.by import By
+
+    crossing.browser.execute_script("replay.clock.pause()")
+    crossing.browser.find_element(By.ID, "trails").click()
+    pressed = crossing.ask("document.getElementById('trails').getAttribute('aria-pressed')")
+    crossing.press(" ")
+    assert crossing.ask("replay.clock.playing")
+    assert crossing.ask("document.getElementById('trails').getAttribute('aria-pressed')") == pressed
+    assert crossing.ask("[...document.querySelectorAll('.mark')].map(mark => mark.tabIndex)") == [0] * crossing.ask(
+        "document.querySelectorAll('.mark').length"
+    )
+
+
+def test_a_walker_lies_in_the_direction_of_its_fall(chromium: Chrome, tmp_path: Path) -> None:
+    there = {"transforms": [pose(1, 100), pose(2, 200, z=93)]}
+    frames: list[dict[str, Any]] = [{"transforms": [pose(1, 50 * n), pose(2, 200, z=93)]} for n in range(3)]
+    frames += [dict(there) for _ in range(37)]
+    frames[0]["spawned"] = [spawn(1), spawn(2, "walker.pedestrian.0001", yaw=90)]
+    frames[2]["collisions"] = [(0, 1, 2, False, False)]
+    page = Page(chromium, report(write(tmp_path / "fall.log", frames, tick=0.1), tmp_path / "page"))
+    headings = [page.ask("replay.tracks.lying(replay.tracks.indexOf(2, 0), arguments[0])", time) for time in (0.1, 2.0)]
+    assert headings[0] is None
+    assert headings[1] == pytest.approx(0, abs=0.05)
 
 
 def test_a_kind_can_be_hidden(crossing: Page) -> None:

@@ -124,6 +124,8 @@ class SampledReplay:
         actors: The actors.
         tracks: Their paths, those of an actor in order of time; the last sample of one may be the first of the next.
         lights: Each change of a traffic light: its index in `actors`, elapsed seconds, the state.
+        lying: Each change of a walker that lies: its index in `actors`, elapsed seconds, the heading of its head in degrees,
+            right-handed; -1 from when on it does not lie.
     """
 
     times: Floats
@@ -131,6 +133,7 @@ class SampledReplay:
     actors: list[SampledActor]
     tracks: list[Track]
     lights: list[tuple[int, float, int]]
+    lying: list[tuple[int, float, int]]
 
     def covers(self, time: float) -> bool:
         """Return whether the samples cover a time."""
@@ -155,6 +158,11 @@ class SampledReplay:
     def light_states(self, time: float) -> dict[int, int]:
         """Return the states of the traffic lights at a time, by their indices in `actors`."""
         return {actor: state for actor, since, state in self.lights if since <= time + _SAME_TIME}
+
+    def lying_at(self, time: float) -> dict[int, int]:
+        """Return the headings of the heads of the walkers that lie at a time, in degrees, by their indices in `actors`."""
+        latest = {actor: heading for actor, since, heading in self.lying if since <= time + _SAME_TIME}
+        return {actor: heading for actor, heading in latest.items() if heading >= 0}
 
     @cached_property
     def _bounds(self) -> NDArray[np.int64]:
@@ -191,6 +199,8 @@ class Sampler:
         self._columns = np.zeros(0, np.intp)  # the actors of the rows of a sample
         self._motion = SceneMotion()
         self._moving: tuple[SceneBatch, Floats] | None = None  # the latest batch, and the speeds in it
+        self._lying: list[tuple[int, float, int]] = []
+        self._down: dict[int, int] = {}  # the headings of the walkers that lie
         self._light_ids, self._light_states = b"", b""
         self._shown: dict[int, int] = {}  # the states of the traffic lights
 
@@ -241,6 +251,7 @@ class Sampler:
         rows[recorded, 3] = self._moving[1][scene.row][where[recorded]]
         self._block.append((self._columns, rows))
         self._note_lights(scene)
+        self._note_lying(self._description.lying_at(scene.row), scene.time)
         if len(self._block) > BLOCK:
             self._flush()
 
@@ -249,7 +260,7 @@ class Sampler:
         self._flush(ended=True)
         for actor in self._open:
             self._join(actor)
-        return SampledReplay(np.array(self._times), self._spans, self._sampled, self._tracks, self._lights)
+        return SampledReplay(np.array(self._times), self._spans, self._sampled, self._tracks, self._lights, self._lying)
 
     def _describe(self, scene: Scene) -> SceneDescription:
         """Return the description of the batch of a scene."""
@@ -287,6 +298,12 @@ class Sampler:
                 self._shown[actor] = state
                 self._lights.append((actor, scene.time, state))
         self._light_ids, self._light_states = ids, states
+
+    def _note_lying(self, headings: dict[int, float], time: float) -> None:
+        now = {self._index[id]: round(heading) % 360 for id, heading in headings.items() if id in self._index}
+        self._lying += [(actor, time, heading) for actor, heading in now.items() if self._down.get(actor) != heading]
+        self._lying += [(actor, time, -1) for actor in self._down if actor not in now]
+        self._down = now
 
     def _flush(self, *, ended: bool = False) -> None:
         """Add the block to the tracks; its last sample is the first of the next one, unless the interval has ended."""

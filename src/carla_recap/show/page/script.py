@@ -211,6 +211,7 @@ def recording_data(replay: SampledReplay, measured: Iterable[MeasuredActor], pac
     x, y, yaw, speed = np.concatenate(rows).T if rows else np.zeros((4, 0))
     columns = np.array(table, np.float64).reshape(-1, 5).T
     actors, times, states = np.array(replay.lights, np.float64).reshape(-1, 3).T
+    walkers, since, headings = np.array(replay.lying, np.float64).reshape(-1, 3).T
     return {
         "times": packer.column(replay.times, TIME_UNIT, order=2),
         "spans": [[number(start, 6), number(stop, 6)] for start, stop in replay.spans],
@@ -225,6 +226,11 @@ def recording_data(replay: SampledReplay, measured: Iterable[MeasuredActor], pac
             "actor": packer.column(actors),
             "time": packer.column(times, TIME_UNIT),
             "state": packer.column(states % 256, order=0),
+        },
+        "lying": {
+            "actor": packer.column(walkers),
+            "time": packer.column(since, TIME_UNIT),
+            "heading": packer.column(headings, order=0),
         },
     }
 
