@@ -14,7 +14,7 @@ from carla_recap.model.records import CM
 from carla_recap.queries.recorded_actors import actors
 from carla_recap.replay.motion import numbers_of
 from carla_recap.replay.pose import LOCATION
-from carla_recap.replay.selection import NO_IDS, array, find, latest
+from carla_recap.replay.selection import NO_IDS, Selection, array, latest, numbers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.model.lives import ActorLife
     from carla_recap.replay.scene import Scene
-    from carla_recap.util.arrays import Ids
 
 __all__ = ["HERO", "Follow", "LiveChoice", "choose_followed", "find_followed"]
 
@@ -107,21 +106,20 @@ def _first_to_collide(reader: Reader, ids: set[int], start: float, stop: float) 
 def _distances(reader: Reader, start: float, stop: float) -> dict[int, float]:
     """Return the distance, in cm, that each actor with transforms moves; jumps do not count."""
     step = min(_MAX_STEP, (min(stop, reader.extent().duration) - start) / _MIN_STEPS)
-    ids: Ids = NO_IDS
+    selection, ids, here, rows = Selection(), NO_IDS, NO_IDS, np.zeros(0, np.intp)
     before, distance = np.zeros((0, 5)), np.zeros(0)  # x, y, z, the time and the speed of each where it was last
     for elapsed, transforms, velocities in _samples(reader, start, stop, step):
-        here = np.unique(transforms["id"])
-        if not find(here, ids)[1].all():
-            where, known = find(every := np.union1d(ids, here), ids)
-            rows = np.flatnonzero(known)
-            grown, more = np.full((len(every), 5), np.nan), np.zeros(len(every))
-            grown[rows], more[rows] = before[where[known]], distance[where[known]]
-            ids, before, distance = every, grown, more
-        rows = np.searchsorted(ids, here)
+        chosen = selection.choose(transforms, NO_IDS)
+        if selection.ids is not here:
+            here, every = selection.ids, np.union1d(ids, selection.ids)
+            added = np.searchsorted(ids, np.setdiff1d(every, ids))
+            ids, before, distance = every, np.insert(before, added, np.nan, axis=0), np.insert(distance, added, 0.0)
+            rows = np.searchsorted(ids, here)
         with np.errstate(invalid="ignore", over="ignore"):
-            places = numbers_of(here, latest(transforms))[:, LOCATION]
-            speeds = np.sqrt((numbers_of(here, latest(velocities))[:, LOCATION] ** 2).sum(axis=1))
-            speeds[~np.isfinite(speeds)] = np.nan
+            places, speeds = numbers(transforms)[chosen, LOCATION].astype(np.float64), np.full(len(here), np.nan)
+            if velocities.size:
+                speeds = np.sqrt((numbers_of(here, latest(velocities))[:, LOCATION] ** 2).sum(axis=1))
+                speeds[~np.isfinite(speeds)] = np.nan
             steps = np.sqrt(((places - before[rows, :3]) ** 2).sum(axis=1))
             possible = possible_step(elapsed - before[rows, 3], np.fmax(speeds, before[rows, 4]))
             distance[rows] += np.where(steps * CM <= possible, steps, 0.0)

@@ -245,12 +245,11 @@ def measured_actors(source: Reader, recorded: ActorLives, wanted: Subjects) -> d
     if wanted == "all":
         return movers
     if wanted == HERO:
-        find_actor(source.location, movers.values(), HERO, "vehicle or walker", "to measure")
+        _find(source, movers.values(), HERO)
         return heroes
     if isinstance(wanted, str):
         raise RecapError(f"actors to measure must be ids, 'hero' or 'all', not {wanted!r}")
-    found = [find_actor(source.location, movers.values(), name, "vehicle or walker", "to measure").id for name in wanted]
-    return {id: movers[id] for id in found}
+    return {id: movers[id] for id in (_find(source, movers.values(), name) for name in wanted)}
 
 
 def _find(source: Reader, lives: Iterable[ActorLife], name: ActorName) -> int:
