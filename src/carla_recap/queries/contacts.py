@@ -120,24 +120,19 @@ class ImpactSearch:
         else:
             wanted = [index for index in rows if index in self._indexes]
         for index in wanted:
-            self._add(index, batch.frame(index - batch.index), is_whole=is_whole)
+            self._add(batch.frame(index - batch.index), index, is_whole=is_whole)
 
     def add_frames(self, frames: Iterable[Frame]) -> None:
         """Search the frames at `indexes`."""
         for frame in frames:
-            self._add(frame.index, frame, is_whole=True)
+            self._add(frame, frame.index, is_whole=True)
 
-    def _add(self, index: int, frame: Frame, *, is_whole: bool) -> None:
+    def _add(self, frame: Frame, index: int, *, is_whole: bool) -> None:
         self._frames = {each: held for each, held in self._frames.items() if each > index - _FRAMES} | {index: frame}
-        self._find(index, is_whole=is_whole)
-
-    def _find(self, index: int, *, is_whole: bool) -> None:
-        recent = [self._frames.get(index - back) for back in range(_FRAMES)]
-        frame, before, earlier = recent
-        if index not in self.missing or frame is None or not (is_whole or None not in recent[: index + 1]):
-            return
-        for key in self.missing.pop(index):
-            self.found[key] = Impact.of(key, frame, before, earlier)
+        _, before, earlier = recent = [self._frames.get(index - back) for back in range(_FRAMES)]
+        if is_whole or None not in recent[: index + 1]:
+            for key in self.missing.pop(index, ()):
+                self.found[key] = Impact.of(key, frame, before, earlier)
 
 
 def is_known(vector: tuple[float, float, float]) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Final, Literal, Protocol, TypedDict
+from typing import TYPE_CHECKING, Final, Literal, TypedDict
 
 from carla_recap.errors import RecapError
 from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, BrakingDetector
@@ -201,37 +201,36 @@ class Search:
         )
 
 
-class Detector(Protocol):
-    """Finds the incidents of some kinds: it is made of a `Search`, gets the batches, and returns what it has found."""
+class Detector:
+    """Finds the incidents of some kinds: it is made of a `Search`, gets the batches, and returns what it has found.
 
-    @property
-    def types(self) -> Collection[str]:
-        """The record types that it needs; none if it needs no frames."""
-        ...
-
-    @property
-    def also(self) -> Collection[str]:
-        """The record types that it uses, too, if frames are read."""
-        ...
-
-    def add(self, batch: Batch) -> None:
-        """Process the next frames."""
-        ...
-
-    def finish(self) -> Iterable[Incident]:
-        """Return the incidents, in any order."""
-        ...
-
-
-class CollisionIncidents:
-    """Finds collisions: the contacts of actors, with the place and the speed at which they begin."""
+    Attributes:
+        types: The record types that it needs; none if it needs no frames.
+        also: The record types that it uses, too, if frames are read.
+    """
 
     types: Collection[str] = ()
+    also: Collection[str] = ()
 
     def __init__(self, search: Search) -> None:
         self._search = search
+
+    def add(self, batch: Batch) -> None:
+        """Process the next frames."""
+        raise NotImplementedError
+
+    def finish(self) -> Iterable[Incident]:
+        """Return the incidents, in any order."""
+        raise NotImplementedError
+
+
+class CollisionIncidents(Detector):
+    """Finds collisions: the contacts of actors, with the place and the speed at which they begin."""
+
+    def __init__(self, search: Search) -> None:
+        super().__init__(search)
         self._impacts = ImpactSearch(contact.key for contact in search.contacts)
-        self.also: Collection[str] = MOTION if self._impacts.missing else ()
+        self.also = MOTION if self._impacts.missing else ()
 
     def add(self, batch: Batch) -> None:
         """See `Detector.add`."""
@@ -262,20 +261,18 @@ class CollisionIncidents:
         return replace(found, contact=contact)
 
 
-class LongStopIncidents:
+class LongStopIncidents(Detector):
     """Finds vehicles and walkers that do not move for long."""
 
-    also: Collection[str] = ()
-
     def __init__(self, search: Search) -> None:
+        super().__init__(search)
         source, limits = search.source, (search.options.min_time, search.options.min_distance)
-        self._search = search
         self._heights = RoadHeights(list(search.actors))
         self._listed: Sequence[BlockedRow] | None = listed_intervals(source, *limits)
         if self._listed is None and not search.options.is_whole:  # of a part, stops may begin before and end behind it
             self._listed = blocked(source, *limits)
         self._tracker = StationaryTracker(source.header.table, *limits) if self._listed is None else None
-        self.types: Collection[str] = STATIONARY_TYPES if self._tracker else ()
+        self.types = STATIONARY_TYPES if self._tracker else ()
 
     def add(self, batch: Batch) -> None:
         """See `Detector.add`."""
@@ -299,17 +296,16 @@ class LongStopIncidents:
         return self._search.incident("blocked", (row.id,), (row.start, stop), place, DURATION, extreme, threshold, text)
 
 
-class HardBrakingIncidents:
+class HardBrakingIncidents(Detector):
     """Finds vehicles that brake hard: not because of a contact, and not harder than brakes can."""
 
-    also: Collection[str] = ()
-
     def __init__(self, search: Search) -> None:
-        self._search, deceleration = search, search.options.deceleration
+        super().__init__(search)
+        deceleration = search.options.deceleration
         self._listed = listed_braking(search.source, deceleration) if search.options.is_whole else None
         is_listed = self._listed is not None
         self._detector = None if is_listed else BrakingDetector(search.actors.ids("vehicle"), deceleration)
-        self.types: Collection[str] = BRAKING_TYPES if self._detector else ()
+        self.types = BRAKING_TYPES if self._detector else ()
 
     def add(self, batch: Batch) -> None:
         """See `Detector.add`."""
@@ -351,14 +347,13 @@ class HardBrakingIncidents:
         return detector
 
 
-class NearMissIncidents:
+class NearMissIncidents(Detector):
     """Finds near misses."""
 
     types = MOTION_TYPES
-    also: Collection[str] = ()
 
     def __init__(self, search: Search) -> None:
-        self._search = search
+        super().__init__(search)
         ids = None if search.near is None else frozenset(search.near)
         self._detector = NearMissDetector(
             search.actors,
@@ -395,15 +390,14 @@ class NearMissIncidents:
             yield self._search.incident("near miss", ids, span, place, MEASURES[measure], extreme, threshold, text)
 
 
-class RoadIncidents:
+class RoadIncidents(Detector):
     """Finds vehicles that break a rule of the road."""
 
     types = ROAD_TYPES
-    also: Collection[str] = ()
 
     def __init__(self, search: Search) -> None:
+        super().__init__(search)
         assert search.roads is not None
-        self._search = search
         self._roads = RoadSearch(search.source, search.roads, search.actors)
 
     def add(self, batch: Batch) -> None:

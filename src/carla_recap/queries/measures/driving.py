@@ -114,11 +114,6 @@ def _reported_speed(drive: Drive, path: Trajectory, frames: Integers) -> Floats:
 
     The evaluator's traffic manager moves vehicles that are far from the hero without physics. Of such a vehicle, CARLA
     reports the speed that it had when it was near the hero, or 0 if it never was.
-
-    Args:
-        drive: The drive of the hero.
-        path: The trajectory of the vehicle.
-        frames: The frame of the drive at each of its positions.
     """
     away = np.hypot(path.x - drive.position[frames, 0], path.y - drive.position[frames, 1])
     has_physics = path.velocity_recorded | (away < _WITH_PHYSICS)
