@@ -123,12 +123,7 @@ class Exported(NamedTuple):
 
 
 def find_format(destination: Path | str, to: str | None = None, *, is_folder: bool = False) -> ExportFormat:
-    """Return the format of an export.
-
-    Args:
-        destination: What is to be written.
-        to: The name of the format; None: the suffix of the destination says it.
-        is_folder: Whether the destination is a folder of several exports.
+    """Return the format of an export by its name, or by the suffix of the destination, unless that is a folder of several.
 
     Raises:
         RecapError: There is no such format, or the destination has another suffix.
@@ -214,14 +209,7 @@ def export(
 
 
 def write_part(recording: Recording, folder: Path, *, to: str, name: str, **options: Any) -> Played:
-    """Write the part of a dataset that is of a recording.
-
-    Args:
-        recording: The recording.
-        folder: The folder of the part, which is there and empty.
-        to: The name of the format.
-        name: The name of the recording in the dataset.
-        options: Those of `export`.
+    """Write the part of a dataset that is of a recording, which has a name there, into an empty folder; see `export`.
 
     Raises:
         MissingExtra: See `export`.

@@ -62,12 +62,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 class _Server:
-    """A server process, started again if it has ended.
-
-    Args:
-        folder: The folder of recordings.
-        release: The release of CARLA, as of `running`.
-    """
+    """A server process of a release of CARLA, as of `running`, started again if it has ended."""
 
     def __init__(self, folder: Path, release: str) -> None:
         self._folder = folder

@@ -96,10 +96,7 @@ class Recorder:
 def packets_of(table: Table, records: Mapping[str, Any], *, additional_data: bool) -> list[Packet]:
     """Return the packets of a frame, between its start and its end, in the order of CARLA's recorder.
 
-    Args:
-        table: The record types of the recording.
-        records: Records by type; types that CARLA writes in each frame get empty packets if they are missing.
-        additional_data: Whether the types of CARLA's additional data get empty packets, too.
+    Types that CARLA writes in each frame, or with additional data, get empty packets if they have no records.
 
     Raises:
         RecordError: The records do not fit their type.

@@ -79,11 +79,7 @@ def clip(
 
 
 def clip_begin(reader: Reader, start: float) -> float:
-    """Return the elapsed seconds of the first frame of a clip.
-
-    Args:
-        reader: The recording.
-        start: See `clip`.
+    """Return the elapsed seconds of the first frame of a clip of a recording; see `clip`.
 
     Raises:
         RecapError: The start lies outside the recording, or it has no frames.
@@ -92,11 +88,7 @@ def clip_begin(reader: Reader, start: float) -> float:
 
 
 class ClipCutter:
-    """Writes clips of one recording; fastest in the order of their starts.
-
-    Args:
-        reader: The recording.
-    """
+    """Writes clips of one recording; fastest in the order of their starts."""
 
     def __init__(self, reader: Reader) -> None:
         self._reader = reader

@@ -33,9 +33,6 @@ class InitialState:
     """The state that earlier frames have left: actors, destroyed actors, their properties, weather, lights, doors.
 
     It has neither the physics of UE5 builds, which are raw bytes, nor records that CARLA writes in each frame.
-
-    Args:
-        source: The recording.
     """
 
     _next: Frame | None  # the first frame with events that has not been applied

@@ -129,13 +129,6 @@ def finish_partial(
 ) -> RecapError:
     """Finish a recording whose writer has failed with the frames written so far; if that fails, keep the partial file.
 
-    Args:
-        writer: The writer.
-        path: Its destination.
-        error: The error of the writer.
-        force: Overwrite an existing file.
-        format: The suffix of the format, if it is not that of the destination.
-
     Returns:
         An error with the reason, and with the end of the recording or the path of the partial file.
     """
@@ -153,14 +146,7 @@ def finish_partial(
 
 
 def _written(source: Path | str) -> Path | str:
-    """Return the file with the frames of a recording: itself, or the partial file beside it.
-
-    Raises:
-        RecapError: There are several partial files.
-
-    Warns:
-        RecapWarning: It is the partial file.
-    """
+    """Return the file with the frames of a recording: itself, or the partial file beside it."""
     left = [] if is_remote(source) else partials(path_of(source))
     if not left or _has_frames(source):
         return source

@@ -56,12 +56,9 @@ def is_log(start: bytes) -> bool:
 
 
 class LogReader(Reader):
-    """Reads a CARLA log.
+    """Reads a CARLA log from a path, a `file:` URL, or in place of it from an unbuffered `file`: a copy of an object.
 
-    Args:
-        location: The path of the file, or its `file:` URL.
-        lenient: Leave out what contradicts the format, and go on with the next frame that looks complete.
-        file: The open file, unbuffered, if it is another than the one at the location: a copy of an object.
+    If it is `lenient`, it leaves out what contradicts the format, and goes on with the next frame that looks complete.
 
     Attributes:
         path: Its path.
@@ -384,13 +381,7 @@ def pack_header(header: Header) -> bytes:
 
 
 class LogWriter(AtomicFile):
-    """Writes a CARLA log.
-
-    Args:
-        path: The destination.
-        header: The header.
-        live: Write the frames every `SYNC_SECONDS` of recording; see `AtomicFile`.
-        force: See `AtomicFile`.
+    """Writes a CARLA log; if it is `live`, the frames every `SYNC_SECONDS` of recording. See `AtomicFile`.
 
     Raises:
         RecapError: The destination cannot be written.

@@ -90,14 +90,10 @@ class Offsets:
 
 
 class Window:
-    """A part of a file in memory, moved along as needed.
+    """A part of a file in memory, moved along as needed; `piece` bytes are read at once, unless more are needed.
 
     Reading copies, unlike a mapping of the file; but a file that shrinks meanwhile is an error then, instead of a signal
     that ends the process.
-
-    Args:
-        source: The file.
-        piece: The bytes to read at once, unless more are needed.
 
     Attributes:
         base: The offset of the data in the file.
@@ -349,11 +345,7 @@ class Scanner:
         return [packet for packet in packets if wanted[packet[0]] and packet[2] != ignored], here
 
     def _next_packet(self, here: int, id: int, size: int) -> int | None:
-        """Return where to go on from a packet: after it if it is sound, else None at the end of what is readable.
-
-        Raises:
-            FormatError: The packet contradicts the format, and the reader is not lenient.
-        """
+        """Return where to go on from a packet: after it if it is sound, else None at the end of what is readable."""
         end = here + PACKET.size + size
         if end > self._window.size:
             return self.next_frame(here + 1) if self._lenient else None

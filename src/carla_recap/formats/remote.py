@@ -117,11 +117,7 @@ class ListedObject(NamedTuple):
 
 
 def list_objects(url: str, source: str = "") -> Iterator[ListedObject]:
-    """Yield the objects below a URL of an object store, in the order of the server, as they are listed.
-
-    Args:
-        url: The URL.
-        source: The URL or glob that was given, for messages.
+    """Yield the objects below a URL, in the order of the server, as they are listed; messages name the `source` instead.
 
     Raises:
         RecapError: They cannot be listed.
@@ -188,9 +184,6 @@ def _store(root: str, settings: frozenset[tuple[str, str]]) -> ObjectStore:
 
 class RemoteSource:
     """An object in an object store, or a file on a web server; see `ByteSource`.
-
-    Args:
-        url: Its URL.
 
     Raises:
         RecapError: It cannot be read.
@@ -307,11 +300,7 @@ class RemoteSource:
         return self._get({"range": (max(size - TAIL, 0), size)})
 
     def _get(self, options: GetOptions) -> tuple[bytes, ObjectMeta]:
-        """Return what the server sends, and the description of the object.
-
-        Raises:
-            RecapError: It cannot be read, or it has changed since it was opened.
-        """
+        """Return what the server sends, and the description of the object."""
         self.check_open()
         if self.etag and not self.etag.startswith("W/"):  # which never matches
             options["if_match"] = self.etag

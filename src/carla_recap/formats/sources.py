@@ -48,12 +48,7 @@ class ByteSource(Protocol):
     is_remote: bool
 
     def read(self, offset: int, size: int, what: str) -> bytes:
-        """Return some bytes.
-
-        Args:
-            offset: The offset of the first one.
-            size: Their number.
-            what: What they should be, for messages.
+        """Return some bytes; messages say `what` they should be.
 
         Raises:
             FormatError: There are no such bytes.
@@ -64,10 +59,7 @@ class ByteSource(Protocol):
     def read_ranges(self, spans: Iterable[ByteRange], what: str, *, whole: bool = False) -> Iterator[bytes]:
         """Yield the bytes of each of some spans, in their order; those of an object are fetched many at a time.
 
-        Args:
-            spans: The spans.
-            what: See `read`.
-            whole: Whether all are wanted for certain; else, few are fetched at first.
+        With `whole`, all are wanted for certain; else, few are fetched at first.
         """
         ...
 
@@ -85,12 +77,7 @@ class ByteSource(Protocol):
 
 
 class LocalSource:
-    """A file of this machine; see `ByteSource`.
-
-    Args:
-        location: Its path, or a `file:` URL.
-        file: The open file, unbuffered, if it is another than the one at the location: a copy of an object.
-    """
+    """A file of this machine, or in place of it an unbuffered `file`, such as a copy of an object; see `ByteSource`."""
 
     etag: str | None = None
     is_remote = False

@@ -370,11 +370,7 @@ class MetricsLog:
         return {id: (frames[id], path) for id, path in trajectories(self._reader, axes="carla").items()}
 
     def _index(self, frame: int) -> int:
-        """Return the index of a frame that is counted from 0.
-
-        Raises:
-            RecapError: The recording has no frames, or the number is negative.
-        """
+        """Return the index of a frame that is counted from 0."""
         count = self.get_total_frame_count()
         if frame < 0 or not count:
             raise RecapError(

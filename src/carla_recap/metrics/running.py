@@ -42,11 +42,7 @@ class BasicMetric:
         self._create_metric(town_map, log, criteria)
 
     def _create_metric(self, town_map: Any, log: MetricsLog, criteria: dict[str, Any] | None) -> None:
-        """Compute the metric; every metric has its own.
-
-        Raises:
-            NotImplementedError: It has none.
-        """
+        """Compute the metric; every metric has its own."""
         raise NotImplementedError(f"{type(self).__name__} has no method _create_metric")
 
 

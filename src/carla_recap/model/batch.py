@@ -100,17 +100,9 @@ class ConstantColumn(Column):
 
 
 class PackedColumn(Column):
-    """Payloads in CARLA's layout, at equal distances in a buffer.
+    """Payloads of some size in CARLA's layout, at equal distances (`stride` bytes) in a buffer, from an offset on.
 
-    Args:
-        id: See `Column`.
-        type: See `Column`.
-        size: Bytes of each payload.
-        buffer: The bytes.
-        offset: The first byte of the first payload.
-        stride: Bytes from one payload to the next.
-        count: The number of frames.
-        origin: The location of the file that the buffer was read from, and the offset of the buffer's first byte in it.
+    `origin` is the location of the file that the buffer was read from, and the offset of the buffer's first byte in it.
     """
 
     __slots__ = ("_buffer", "_count", "_offset", "_origin", "_stride")
@@ -344,13 +336,7 @@ class _Single(Batch):
 
 
 def equal_rows(rows: NDArray[Any], columns: NDArray[np.intp], masks: NDArray[Any] | None = None) -> int:
-    """Return the number of rows, from the first one on, that equal the first one in some columns.
-
-    Args:
-        rows: The rows.
-        columns: The columns that count.
-        masks: The bits of each of these columns that count; None for all.
-    """
+    """Return the number of rows, from the first one on, that equal it in some columns, or in some bits of these."""
     expected = rows[0, columns]
     if masks is not None:
         expected &= masks
@@ -369,13 +355,7 @@ def equal_rows(rows: NDArray[Any], columns: NDArray[np.intp], masks: NDArray[Any
 
 
 def within(batches: Iterable[Batch], start: float, stop: float) -> Iterator[Batch]:
-    """Yield the frames from one elapsed time on, until the first one at or after another.
-
-    Args:
-        batches: Batches in order.
-        start: The first elapsed time, in seconds; -inf for all.
-        stop: The elapsed time at which to stop, in seconds (exclusive); inf for all.
-    """
+    """Yield the frames from one elapsed time on (-inf: all), until the first one at or after another (inf: all), in s."""
     for batch in batches:
         part, last = batch, False
         if stop < np.inf:

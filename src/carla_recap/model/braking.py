@@ -64,14 +64,10 @@ class Braking(NamedTuple):
 
 
 class BrakingDetector:
-    """Finds hard braking in the frames of a recording.
+    """Finds braking of vehicles from a deceleration in m/s² on in the frames of a recording.
 
     Speeds are those recorded, and the slopes of the positions where no velocities are recorded. Frames are evaluated some
     thousand together. Vehicles do not depend on each other, so that of many, some are evaluated at a time.
-
-    Args:
-        vehicles: The ids of the vehicles.
-        deceleration: The deceleration from which on braking is hard, in m/s².
     """
 
     def __init__(self, vehicles: Collection[int], deceleration: float) -> None:
@@ -126,14 +122,9 @@ class BrakingDetector:
         return [Braking(id, start, stop, x, y, z, speed) for (id, _, _, start, x, y, z, speed, _), stop in rows]
 
     def hardest(self, id: int, start: float, stop: float) -> tuple[float, float]:
-        """Return the greatest deceleration of a vehicle that brakes hard, in m/s², and its time, after `finish`.
+        """Return the greatest deceleration in m/s² of a vehicle within some elapsed seconds, and its time, after `finish`.
 
         A deceleration above `FIRMEST_BRAKING` counts only if there is no interval below it that is long enough.
-
-        Args:
-            id: The vehicle.
-            start: The elapsed seconds from which on it is looked for.
-            stop: The elapsed seconds until which it is looked for.
         """
         rows = self._hard_of(id, start, stop)
         rows = rows[possible] if (possible := _can_be_braking(rows)).any() else rows
@@ -143,13 +134,7 @@ class BrakingDetector:
         return round(row["deceleration"].item(), _DIGITS), row["time"].item()
 
     def can_be_braking(self, id: int, start: float, stop: float) -> bool:
-        """Return whether brakes can slow a vehicle down as much, for long enough; True where its frames are unknown.
-
-        Args:
-            id: See `hardest`.
-            start: See `hardest`.
-            stop: See `hardest`.
-        """
+        """Return whether brakes can slow a vehicle down as in some elapsed seconds; True where its frames are unknown."""
         rows = self._hard_of(id, start, stop)
         return not len(rows) or bool(_can_be_braking(rows).any())
 
@@ -200,12 +185,7 @@ class BrakingDetector:
     ) -> NDArray[np.void]:
         """Return the frames in which vehicles brake hard, by vehicle, then frame; an id is the number of the vehicle.
 
-        Args:
-            places: The positions in cm, (3, vehicles, frames).
-            present: Where they are known, (vehicles, frames).
-            velocities: The recorded velocities in m/s, (3, vehicles, frames).
-            recorded: Where they are known, (vehicles, frames).
-            elapsed: The elapsed seconds of the frames.
+        Places are in cm and velocities in m/s, (3, vehicles, frames), each with where it is known, (vehicles, frames).
         """
         # From here on, arrays have a row for each frame of the first vehicle, then of the second one, and so on.
         there = np.flatnonzero(present)

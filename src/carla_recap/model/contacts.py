@@ -61,14 +61,7 @@ class Impact(NamedTuple):
 
     @classmethod
     def of(cls, key: Key, frame: Frame, before: Frame | None, earlier: Frame | None) -> Impact:
-        """Return an impact.
-
-        Args:
-            key: The index of the frame and the ids of the actors.
-            frame: The frame.
-            before: The frame before it, if there is one.
-            earlier: The frame before that one, if there is one.
-        """
+        """Return an impact, by its frame and the two frames before it, as far as there are such frames."""
         _, id1, id2 = key
         positions = _position(frame, id1), _position(frame, id2)
         return cls(*key, positions, (velocity_before(id1, before, earlier), velocity_before(id2, before, earlier)))
@@ -175,13 +168,9 @@ class Contacts:
         return self._of_pair.get(frozenset((id1, id2)), [])
 
     def affected(self, id: int, before: float) -> list[tuple[float, float]]:
-        """Return the times in which contacts affect the motion of an actor, in order.
+        """Return the times in which contacts, from some seconds before each on, affect the motion of an actor, in order.
 
         Contacts that are less than a second apart affect the time between them, too.
-
-        Args:
-            id: The actor.
-            before: The seconds before a contact in which its effect begins, for motion that is smoothed over time.
         """
         spans: list[tuple[float, float]] = []
         for contact in sorted(self._of_actor.get(id, ()), key=lambda contact: contact.start):

@@ -61,12 +61,7 @@ class Framing(Enum):
 
 
 class PayloadError(ValueError):
-    """A payload contradicts its type's layout.
-
-    Args:
-        offset: The offset in the payload, in bytes.
-        expected: What was expected.
-    """
+    """A payload contradicts its type's layout, at an offset in bytes."""
 
     def __init__(self, offset: int, expected: str) -> None:
         super().__init__(expected)
@@ -253,12 +248,7 @@ class Span(NamedTuple):
 
 
 class _Cursor:
-    """Goes through a payload.
-
-    Args:
-        name: The name of the record type, for messages.
-        data: The payload.
-        choice: Which of alternative layouts to take.
+    """Goes through a payload, and takes the `choice`-th of alternative layouts.
 
     Attributes:
         offset: The offset of what comes next, in bytes.

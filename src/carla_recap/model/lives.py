@@ -52,11 +52,7 @@ class BoundingBox:
 
     @classmethod
     def of(cls, sizes: Sequence[float]) -> BoundingBox | None:
-        """Return the box of a record; None unless it is finite and has a size.
-
-        Args:
-            sizes: Centre and half extents in cm, left-handed.
-        """
+        """Return the box of centre and half extents in cm, left-handed; None unless it is finite and has a size."""
         if not all(map(math.isfinite, sizes)) or min(sizes[3:]) <= 0:
             return None
         x, y, z, *extent = (size * CM for size in sizes)
@@ -131,11 +127,7 @@ class ActorLife:
 
 
 class ActorLives:
-    """All actors of a recording, by id and time; iterable in order of appearance.
-
-    Args:
-        lives: The actors, in order of appearance; `add` adds more.
-    """
+    """All actors of a recording, by id and time; iterable in order of appearance, in which they are given and added."""
 
     def __init__(self, lives: Iterable[ActorLife] = ()) -> None:
         self._by_id: dict[int, list[ActorLife]] = {}
@@ -218,10 +210,7 @@ def is_object(id: int, actors: Container[int]) -> bool:
 def ranked(ids: tuple[int, int], actors: Mapping[int, ActorLife], heroes: tuple[bool, bool]) -> tuple[int, int]:
     """Return both ids of a collision: the hero first, else a vehicle, a walker, the actor with the sensor; an object last.
 
-    Args:
-        ids: The ids, that of the actor with the sensor first.
-        actors: The actors of these ids, as far as they are known.
-        heroes: Whether each is recorded as the hero.
+    The id of the actor with the sensor is given first, as is whether it is recorded as the hero.
     """
 
     def rank(side: int) -> int:
@@ -243,14 +232,9 @@ def _spawned_at(life: ActorLife) -> float:
 def find_actor(
     location: object, known: Iterable[ActorLife], wanted: ActorName, what: str = "actor", purpose: str = ""
 ) -> ActorLife:
-    """Return the actor that is asked for; of several that had its id, the first.
+    """Return the actor that is asked for by its id, or as "hero"; of several that had its id, the first.
 
-    Args:
-        location: The recording, for messages.
-        known: The actors that can be asked for.
-        wanted: An id, or "hero".
-        what: The noun for such an actor, for messages.
-        purpose: What it is needed for, for messages, such as "to follow".
+    Messages call it `what`, and say the purpose, such as "to follow".
 
     Raises:
         RecapError: There is no such actor; the message names the hero, and vehicles and walkers of near ids.

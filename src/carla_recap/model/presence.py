@@ -42,9 +42,6 @@ class RoadHeights:
     from that of another one, and so on. Where these heights are in several groups, the one of most lights and signs counts,
     or without any that of a hero, else that of most road users, of equal ones the highest. An actor of another group is
     there, too, if a slope of 20% leads to it from what is nearest of that group, within 30 m.
-
-    Args:
-        actors: The present actors, or all of a recording.
     """
 
     def __init__(self, actors: Collection[ActorLife] = ()) -> None:

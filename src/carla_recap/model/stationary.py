@@ -115,11 +115,7 @@ class StationaryTracker:
                 self.frame(frame)
 
     def frame(self, frame: Frame, packets: Iterable[Packet] | None = None) -> None:
-        """Process a frame.
-
-        Args:
-            frame: The frame.
-            packets: The packets to process; None for all.
+        """Process a frame, or some of its packets.
 
         Raises:
             FormatError: A packet contradicts its layout.
@@ -189,13 +185,7 @@ class StationaryTracker:
         return slots[id]
 
     def _transforms(self, elapsed: Floats, duration: Floats, records: NDArray[np.void]) -> None:
-        """Process the transforms of consecutive frames.
-
-        Args:
-            elapsed: The beginning of each frame, in seconds.
-            duration: The length of each frame, in seconds.
-            records: The transforms, (frames, transforms of each).
-        """
+        """Process the transforms of consecutive frames, (frames, transforms of each), with times and durations in s."""
         if not records.shape[1]:
             return
         lengths = duration if self._compat else np.fmax(duration, 0.0)
@@ -214,16 +204,10 @@ class StationaryTracker:
 
     @np.errstate(all="ignore")
     def _follow(self, elapsed: Floats, lengths: Floats, records: NDArray[np.void], slots: Indices) -> None:
-        """Carry the state of different actors through frames that list them, in CARLA's order of arithmetic.
+        """Carry the state of actors through frames that list them, (frames, actors), in CARLA's order of arithmetic.
 
         An actor at 9, 18 and 20 cm, whose anchor is 0, moves in the second of these frames, 18 cm from its anchor: the
         anchors become 0, 18 and 18 cm. An actor at no number moves, too.
-
-        Args:
-            elapsed: The beginning of each frame, in seconds.
-            lengths: The length of each frame, in seconds.
-            records: The transforms, (frames, actors).
-            slots: The slots of the actors.
         """
         states = self._states[slots]
         # Before the first frame, and behind each; at first, the anchors are the positions in the frames.

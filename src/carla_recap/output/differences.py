@@ -36,12 +36,7 @@ def text(found: Differences) -> Iterator[str]:
 
 
 def table(found: Differences, console: Console | None = None) -> None:
-    """Print differences as tables.
-
-    Args:
-        found: The differences.
-        console: The console to print to; None for the standard output.
-    """
+    """Print differences as tables, to the standard output unless a console is given."""
     from rich.console import Console
     from rich.text import Text
 

@@ -25,10 +25,6 @@ def json(answer: AnyAnswer, warnings: Sequence[str] | None = None) -> Iterator[s
     That of info also lists the sensors whose data the recording has.
 
     Numbers that are not finite become null.
-
-    Args:
-        answer: The answer.
-        warnings: The warnings about the recording, which may become more while the rows are made; None: it has none of them.
     """
     yield encoded(_header(answer.header))[:-1] + ', "rows": ['
     separator = "\n"

@@ -65,13 +65,7 @@ _FIELD: Final = re.compile(r"\{(\w+)\}")
 
 
 class PacketLines:
-    """Formats the packets of a type.
-
-    Args:
-        template: Formats the records.
-        heading: The heading, which the number of records follows; None for no heading.
-        end: The text after the records.
-    """
+    """Formats the packets of a type: a heading with the number of records, unless it is None, the records, and an end."""
 
     def __init__(self, template: _Template, heading: str | None, end: str = "") -> None:
         self._template = template

@@ -37,12 +37,7 @@ if TYPE_CHECKING:
 
 
 def table(answer: AnyAnswer, console: Console | None = None) -> None:
-    """Print an answer as a table; characters that could control the terminal are shown as escape sequences.
-
-    Args:
-        answer: The answer.
-        console: The console to print to; None for the standard output.
-    """
+    """Print an answer as a table; characters that could control the terminal are shown as escape sequences."""
     from rich.console import Console
     from rich.text import Text
 
@@ -85,14 +80,7 @@ def cells(answer: AnyAnswer) -> Iterator[tuple[str, ...]]:
 
 
 def print_rows(console: Console, row_type: type | None, rows: Sequence[Sequence[str]], *first: TableColumn) -> None:
-    """Print a table of the rows of several answers, whose cells are known.
-
-    Args:
-        console: The console to print to.
-        row_type: The class of the rows; None if there are no cells of rows.
-        rows: The cells of each row: those of further columns at the left, then those of `cells`.
-        first: The columns at the left.
-    """
+    """Print a table of the rows of several answers: the cells of the `first` columns, then those of `cells`, if any."""
     columns = [*first, *_COLUMNS[row_type]] if row_type else first
     print_table(console, columns, rows)
 

@@ -81,12 +81,6 @@ def print_table(
     """Print a table; characters that could control the terminal are shown as escape sequences.
 
     Columns without any text are left out. If others have to be left out in a narrow terminal, a last line names them.
-
-    Args:
-        console: The console to print to.
-        columns: The columns.
-        rows: The cells of each row.
-        headed: Whether it has headings.
     """
     from rich import box
     from rich.table import Table

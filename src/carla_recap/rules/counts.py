@@ -211,11 +211,7 @@ class SameAs(Condition):
         return Finding(False, f"differs from {path}", tuple(offences))
 
     def _path(self, recording: str) -> str:
-        """Return the path of the baseline of a recording.
-
-        Raises:
-            RecapError: The folder has none.
-        """
+        """Return the path of the baseline of a recording."""
         name = Path(recording.partition("?")[0])
         if "://" in self.baseline and self.baseline.endswith("/"):
             return self.baseline + name.name

@@ -163,11 +163,6 @@ def _once(ask: Callable[P, T]) -> Callable[P, T]:
 class Facts:
     """Answers about a recording for the conditions of rules; each is computed once, when it is first needed.
 
-    Args:
-        recording: The recording.
-        needs: What all conditions that will be judged need to know.
-        road_map: The map, or the folder of maps; None: the usual folders.
-
     Attributes:
         answers: The answers that are known, and the errors, by question.
     """

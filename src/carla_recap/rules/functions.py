@@ -133,11 +133,7 @@ def _told(error: BaseException) -> str:
 
 
 def _module(name: str, folder: str) -> ModuleType:
-    """Return a module by its name or path: a file in a folder, imported anew if it has changed, else one that Python finds.
-
-    Raises:
-        NotSetUp: It is not there, or raises an error.
-    """
+    """Return a module by its name or path: a file in a folder, imported anew if it has changed, or one of Python's."""
     is_path = name.endswith(".py")
     path = Path(folder, name) if is_path else Path(folder, *name.split(".")).with_suffix(".py")
     try:

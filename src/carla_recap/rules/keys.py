@@ -53,12 +53,9 @@ ACTORS_OR_OBJECT: Final = _selector(HERO, "vehicle", "walker", ANY, OBJECT)
 
 
 def quantity(unit: str, least: float = -math.inf, *, is_open: bool = False) -> ValueType:
-    """Return the type of quantities.
+    """Return the type of quantities from a least value on, or above it if it `is_open`.
 
-    Args:
-        unit: Their unit; of those in `UNITS`, others of the same kind can be written.
-        least: The least value.
-        is_open: Whether values have to be above it.
+    They are in a unit; of those in `UNITS`, others of the same kind can be written.
     """
     units, noun = UNITS.get(unit, {}), _NOUNS.get(unit, "number")
     expected = f'a number in {unit}, or a text such as "1.5 {unit}" with one of the units {", ".join(units)},'

@@ -48,11 +48,7 @@ _TOLD: Final = re.compile(r" at \d+\.\d\d s\b")
 
 
 class RulesError(RecapError):
-    """Rules are wrong; the message has a line for each fault.
-
-    Args:
-        faults: The faults; each names the file, the rule and what was expected.
-    """
+    """Rules are wrong; the message has a line for each fault."""
 
     def __init__(self, faults: Sequence[str]) -> None:
         super().__init__(faults)
@@ -134,11 +130,7 @@ def load_rules(path: Path | str) -> RuleSet:
 
 
 def parse_rules(text: str, path: Path | str) -> RuleSet:
-    """Return the rules of a text.
-
-    Args:
-        text: The content of a TOML file.
-        path: Its path, for errors; paths of baselines are relative to its folder.
+    """Return the rules of a text in TOML; paths of baselines are relative to the folder of its path.
 
     Raises:
         RulesError: The text is wrong.

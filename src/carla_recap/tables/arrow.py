@@ -28,10 +28,7 @@ _HINTS: Final = {int: "int64", float: "float64", bool: "bool_", str: "string"}
 
 
 def require(feature: str) -> None:
-    """Check that pyarrow is installed.
-
-    Args:
-        feature: The feature that needs it.
+    """Check that pyarrow is installed, which a feature needs.
 
     Raises:
         MissingExtra: It is not installed.
@@ -64,13 +61,7 @@ def type_of(kind: Any) -> pa.DataType | None:
 
 
 def table(columns: Mapping[str, Any], types: Mapping[str, Any], units: Mapping[str, str]) -> pa.Table:
-    """Return columns as an Arrow table.
-
-    Args:
-        columns: Arrays, lists and `Lists` by name.
-        types: The Arrow types of columns that are lists.
-        units: The units of columns, for the metadata.
-    """
+    """Return columns (arrays, lists and `Lists`) as an Arrow table; types are those of lists, units go to the metadata."""
     import pyarrow as pa
 
     arrays = {name: _array(values, types.get(name)) for name, values in columns.items()}
@@ -99,10 +90,6 @@ class ParquetFile:
     """Writes a Parquet file table by table, each as a row group; a context manager.
 
     Integers, texts and times are dictionary-encoded; other real numbers are not, which would take three times as long.
-
-    Args:
-        path: The file.
-        schema: The schema of the tables.
 
     Attributes:
         rows: The number of rows written.

@@ -79,10 +79,7 @@ def _plain_column(values: Any) -> Any:
 
 
 class RecordTableBuilder:
-    """Gathers the records of a type from batches.
-
-    Args:
-        type: The record type, of the table of the recording's build.
+    """Collects the records of a type, of the table of the recording's build, from batches.
 
     Attributes:
         rows: The number of gathered records.

@@ -181,12 +181,7 @@ class LightStates(Columns):
 
 
 def trajectories(reader: Reader, actors: Collection[int] | None = None, *, axes: Axes = "right-handed") -> Trajectories:
-    """Return the trajectories of actors, in one pass over a recording.
-
-    Args:
-        reader: The recording.
-        actors: Their ids; None for all.
-        axes: See `Recording.trajectory`.
+    """Return the trajectories of some actors, or of all, in one pass over a recording; see `Recording.trajectory`.
 
     Raises:
         RecapError: There are no such axes.
@@ -214,12 +209,9 @@ def life_numbers(time: Floats | Integers, spawned: Sequence[float]) -> Indices:
 def trajectories_of(
     rows: dict[str, dict[int, ActorRows]], spawned: Mapping[int, Sequence[float]], *, axes: Axes = "right-handed"
 ) -> Trajectories:
-    """Return the trajectories that records make.
+    """Return the trajectories that records of the types `MOTION` make, by type and actor; these are taken out.
 
-    Args:
-        rows: The records of the types `MOTION`, by type and actor; they are taken out.
-        spawned: The elapsed seconds at which actors appear, by id: no velocity is derived from one life to the next.
-        axes: See `trajectories`.
+    No velocity is derived from one life to the next: at `spawned`, by id in elapsed seconds, another one begins.
     """
     poses, recorded = rows["transforms"], rows["velocities"]
     flip = -1.0 if axes == "right-handed" else 1.0
@@ -277,16 +269,9 @@ def actor_rows(
     start: float = -math.inf,
     stop: float = math.inf,
 ) -> dict[str, dict[int, ActorRows]]:
-    """Return the records by type and actor, in one pass over a recording.
+    """Return the records of types with an id, by type and actor, from one elapsed time to before another, in one pass.
 
     If a frame has several records of an actor, as in some builds, the last one counts.
-
-    Args:
-        reader: The recording.
-        names: Record types whose records have one size, and an id.
-        actors: The ids of the actors; None for all.
-        start: The elapsed seconds of the first frame.
-        stop: The elapsed seconds before which the last frame is.
 
     Raises:
         FormatError: The file contradicts its format.

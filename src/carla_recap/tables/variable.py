@@ -54,10 +54,6 @@ def record_fields(column: Column, frames: int) -> Iterator[tuple[int, int, Field
 
     Only the first packet of a run is parsed.
 
-    Args:
-        column: The packets.
-        frames: The number of frames.
-
     Yields:
         The number of frames, the number of records in each of them, and the fields of all of these records.
 
@@ -88,14 +84,7 @@ def _constant(span: Span) -> Iterator[tuple[int, int]]:
 
 
 def _fields(layout: CompiledLayout, spans: Sequence[Any], payloads: NDArray[np.uint8], first: Buffer) -> Fields:
-    """Return the fields of the records in spans of payloads.
-
-    Args:
-        layout: The layout of the records.
-        spans: The spans, in each payload.
-        payloads: The payloads, (n, size).
-        first: The first one.
-    """
+    """Return the fields of the records in the same spans of each payload, (n, size); the first one is given, too."""
     if layout.make is None:
         size = layout.dtype.itemsize
         offsets = [span.offset + index * size for span in spans for index in range(span.number)]

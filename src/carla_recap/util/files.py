@@ -153,11 +153,7 @@ class AtomicFile:
             self._partial.unlink()
 
     def _put(self, data: BytesLike) -> None:
-        """Write bytes.
-
-        Raises:
-            RecapError: The disk is full or broken, or the file is closed.
-        """
+        """Write bytes."""
         self._check_open()
         self._is_unused = False
         try:
@@ -166,11 +162,7 @@ class AtomicFile:
             raise self._unwritable(error) from None
 
     def _sync(self) -> None:
-        """Hand over what was written to the system, and if `_SYNC_SECONDS` have passed, have it written to the disk.
-
-        Raises:
-            RecapError: The disk is full or broken.
-        """
+        """Hand over what was written to the system, and if `_SYNC_SECONDS` have passed, have it written to the disk."""
         try:
             self._file.flush()
             if monotonic() >= self._next_sync:
@@ -198,12 +190,7 @@ class AtomicFile:
 
 
 class WholeFile(AtomicFile):
-    """A file of bytes.
-
-    Args:
-        path: The destination.
-        live: Sync what is written, so that a partial file remains if the process dies.
-        force: See `AtomicFile`.
+    """A file of bytes; if it is `live`, what is written is synced, so that a partial file remains if the process dies.
 
     Raises:
         RecapError: The destination cannot be written to.
@@ -235,12 +222,7 @@ def check_path(destination: Path | str) -> None:
 
 
 def read_document(path: Path | str, largest: int, expected: str) -> str:
-    """Return the text of a small file, in UTF-8.
-
-    Args:
-        path: The file.
-        largest: The greatest number of bytes that it may have.
-        expected: What it should be, such as "a rig", for errors.
+    """Return the text of a small file, in UTF-8; errors say what was `expected`, such as "a rig".
 
     Raises:
         RecapError: It cannot be read, or is no such text.

@@ -10,13 +10,7 @@ from typing import Any
 
 
 def log_info(name: str, message: str, *values: Any) -> None:
-    """Log what is done.
-
-    Args:
-        name: The name of the logger: that of the module.
-        message: The text, with a `%s` for each value.
-        values: The values.
-    """
+    """Log what is done, by a logger of a module's name; the text has a `%s` for each value."""
     logging = sys.modules.get("logging")
     if logging is not None:
         logging.getLogger(name).info(message, *values)

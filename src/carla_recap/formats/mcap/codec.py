@@ -178,11 +178,7 @@ def tail(piece: bytes) -> bytes:
 
 
 class WireNumbers:
-    """How numbers that follow each other in a payload are written in a message.
-
-    Args:
-        numbers: The numbers.
-        first: The field number of the first field of the record.
+    """How numbers that follow each other in a payload are written in a message, from a field number (`first`) on.
 
     Attributes:
         blank: The bytes of the message, all numbers being zero.
@@ -541,11 +537,7 @@ def _template(data: bytes, body: bytes, places: Places) -> PacketTemplate:
 
 
 def _decode_by_protobuf(type: RecordType, data: Buffer) -> bytes:
-    """Return the payload of a message with fields in any order; missing ones are zero, unknown ones are left out.
-
-    Raises:
-        WireError: The message contradicts its schema.
-    """
+    """Return the payload of a message with fields in any order; missing ones are zero, unknown ones are left out."""
     message = parse(type.name, type.message_name, data)
     if raw := getattr(message, "raw", b""):
         return bytes(raw)

@@ -92,13 +92,9 @@ class ChunkBuilder:
         self.size += size
 
     def add_records(self, records: Sequence[Buffer], index: Mapping[int, NDArray[np.uint64]], start: int, end: int) -> None:
-        """Add messages that are records already.
+        """Add messages that are records already, and have log times from `start` to `end` in ns.
 
-        Args:
-            records: The records, some or all of them together.
-            index: By channel, the log time in ns and the offset in the records of each message, (messages, 2).
-            start: First log time in ns.
-            end: Last log time in ns.
+        `index` has by channel the log time in ns and the offset in the records of each message, (messages, 2).
         """
         if self.is_empty:
             self.start = start
@@ -156,16 +152,9 @@ class _Sealed:
 
 
 class ChunkedFile(AtomicFile):
-    """Base of the writers of MCAP files.
+    """Base of the writers of MCAP files; see `AtomicFile`. Chunks of live files are written when they are cut.
 
     The channel of a topic is its position among the topics, from 1. Topics of the same message share a schema.
-
-    Args:
-        path: The destination.
-        topics: The topics; a topic without messages is declared only by `_declare`.
-        level: The level of compression, of zstd.
-        live: Write every chunk when it is cut; see `AtomicFile`.
-        force: See `AtomicFile`.
     """
 
     def __init__(

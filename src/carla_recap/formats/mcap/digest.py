@@ -38,11 +38,7 @@ _TOGETHER: Final = 1_000  # rows of a message, about
 
 
 class Digest:
-    """Computes the digest of a recording while it is written.
-
-    Args:
-        table: The record types of the recording.
-    """
+    """Computes the digest of a recording while it is written."""
 
     def __init__(self, table: Table) -> None:
         self._stationary_ids = {table.named(name).id for name in STATIONARY_TYPES}

@@ -56,10 +56,6 @@ _NO_CHANNEL: Final = -1
 class Channels:
     """The channels of a file that are those of a recording.
 
-    Args:
-        specs: The channels by id.
-        table: The record types of the recording.
-
     Attributes:
         frames: The channel of the frames' own messages; -1 where the file has none.
         raw: The channel of packets without a message of their own; -1 where the file has none.
@@ -189,15 +185,10 @@ class ReadSelection(NamedTuple):
 
 
 class FrameAssembler:
-    """Puts the frames of a read together.
+    """Puts the frames of a read together, of at most `allowance` messages.
 
-    Args:
-        location: The path or URL of the file, for messages.
-        channels: The channels of the file.
-        selection: What is read.
-        allowance: The most messages that are accepted.
-        warn: Called with the id of a frame of which messages are missing.
-        lenient: Leave out frames that contradict their schema.
+    `warn` is called with the id of a frame without all of its messages; with `lenient`, frames that contradict their schema
+    are left out.
     """
 
     def __init__(
@@ -245,10 +236,7 @@ class FrameAssembler:
             raise self._too_much(chunks[-1][0])
 
     def complete(self, horizon: int | None) -> Iterator[Batch]:
-        """Yield the frames that are complete, in order.
-
-        Args:
-            horizon: The first log time in ns of the chunks that are still to come; None if none are.
+        """Yield the frames that are complete, in order: those before the first log time in ns of chunks to come, if any are.
 
         Raises:
             FormatError: A frame contradicts its schema.

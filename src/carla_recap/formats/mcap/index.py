@@ -261,12 +261,7 @@ class Summary:
         self.finished = False
 
     def add(self, opcode: int, data: memoryview, offset: int) -> None:
-        """Add what a record says of the content, if it is of such a kind.
-
-        Args:
-            opcode: Its kind.
-            data: Its content.
-            offset: Where the content is in the file.
+        """Add what a record, whose content is at an offset in the file, says, if it is of such a kind.
 
         Raises:
             ValueError: It is broken.

@@ -65,13 +65,10 @@ _WORTH_A_THREAD: Final = 2 << 20  # bytes of a file from which on chunks are dec
 
 
 class McapReader(Reader):
-    """Reads a recording from MCAP.
+    """Reads a recording from MCAP: from a path, or from a source, which `close` closes.
 
-    Args:
-        file: The file: its path, or what is read from, which `close` closes.
-        summary: What the file holds, where that is known better than by the file itself.
-        header: Its header, where the file has none.
-        lenient: Leave out frames that contradict their schema.
+    Summary and header are given where they are known better than by the file itself. If it is `lenient`, frames that
+    contradict their schema are left out.
 
     Raises:
         NotARecording: It is no MCAP file, or none with a recording.

@@ -228,15 +228,7 @@ _CHUNK_HEAD: Final = CHUNK.size + 16 + U64.size + len(_ZSTD_FRAME)
 
 
 def _announced(start: bytes, length: int) -> int:
-    """Return how many bytes of records a chunk announces, before all of it is read.
-
-    Args:
-        start: What the chunk begins with.
-        length: Its length.
-
-    Raises:
-        ValueError: Its fixed fields make no sense.
-    """
+    """Return how many bytes of records a chunk of some length announces at its start, before all of it is read."""
     if len(start) < CHUNK.size:
         raise ValueError("a chunk of less than its fixed fields")
     *_, size, _, name_size = CHUNK.unpack_from(start)
@@ -252,11 +244,7 @@ def _announced(start: bytes, length: int) -> int:
 
 
 def _described(data: bytes, offset: int, size: int, most: int) -> tuple[ChunkIndex, Counter[int]]:
-    """Return a chunk as its messages have it, and how many each channel has: what it says of its times is under no checksum.
-
-    Raises:
-        ValueError: There are more than `most` messages, or what is no record.
-    """
+    """Return a chunk as its messages have it, since its times are under no checksum, and how many each channel has."""
     channels: list[int] = []
     times, at = [], 0
     while at + MESSAGE.size <= len(data):

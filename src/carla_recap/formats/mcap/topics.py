@@ -57,16 +57,9 @@ class _Held(NamedTuple):
 
 
 class FurtherTopics:
-    """The topics of a file that are none of a recording's own.
+    """The topics of a file that are none of a recording's own; `opened` yields the records of some chunks.
 
     Channels of one topic count as one where their messages have the same schema; else the first of them counts.
-
-    Args:
-        source: The file.
-        summary: What it holds.
-        own: The names of a recording's own topics.
-        clock: The clock of the recording.
-        opened: Yields the records of some chunks.
     """
 
     def __init__(
@@ -155,11 +148,7 @@ class FurtherTopics:
         return [TopicMessage(name, self._clock.elapsed(time), content) for name, (time, content) in ordered]
 
     def _channels_of(self, topics: Collection[str]) -> dict[int, str]:
-        """Return the channels of some topics, and the topic of each.
-
-        Raises:
-            RecapError: There is no such topic.
-        """
+        """Return the channels of some topics, and the topic of each."""
         for name in topics:
             if name not in self._channels:
                 has = first_of(sorted(self._channels))
@@ -255,11 +244,7 @@ class FurtherTopics:
         return self._schema(id)[1]
 
     def _schema(self, id: int) -> tuple[str, bytes]:
-        """Return the encoding and the data of a schema; nothing where the file has none of that id.
-
-        Raises:
-            FormatError: It is damaged, or too large.
-        """
+        """Return the encoding and the data of a schema; nothing where the file has none of that id."""
         span = self._summary.schema_spans.get(id)
         location = self._source.location
         if span is None:

@@ -82,13 +82,9 @@ class _FurtherTopic(NamedTuple):
 
 
 class McapWriter(ChunkedFile):
-    """Writes a recording, and beside it further topics, such as those of sensors.
+    """Writes a recording, and beside it further topics, such as those of sensors; see `AtomicFile`.
 
-    Args:
-        path: The destination.
-        header: The header.
-        live: Write every chunk when it is cut, so that a crash loses no more than 5 s of recording; see `AtomicFile`.
-        force: See `AtomicFile`.
+    If it is `live`, every chunk is written when it is cut, so that a crash loses no more than 5 s of recording.
 
     Raises:
         RecapError: The destination cannot be written to.
@@ -199,10 +195,8 @@ class McapWriter(ChunkedFile):
     def add_topic(self, topic: Topic, *, group: str = "") -> None:
         """Add a further topic, at any time before its first message.
 
-        Args:
-            topic: The topic.
-            group: Topics of the same group share chunks, as those with few and small messages should; "" means chunks of
-                its own. Who reads a topic decompresses the chunks of its group.
+        Topics of the same group share chunks, as those with few and small messages should; "" means chunks of its own. To
+        read a topic, the chunks of its group are decompressed.
 
         Raises:
             RecapError: The file has a topic of that name, or as many as a file can have; or it cannot be written.
@@ -220,12 +214,7 @@ class McapWriter(ChunkedFile):
             self._sync()
 
     def write_message(self, topic: str, elapsed: float, body: Buffer) -> None:
-        """Add a message of a further topic. Those of one topic should come in order of time.
-
-        Args:
-            topic: The name of the topic, which `add_topic` has added.
-            elapsed: Its time, in elapsed seconds.
-            body: The message, encoded.
+        """Add an encoded message of a topic that was added, at some elapsed seconds; those of a topic in order of time.
 
         Raises:
             RecapError: There is no such topic, the time is none that MCAP has, or the disk is full or broken.
@@ -397,12 +386,7 @@ def _schema(module: str, message: str) -> bytes:
 
 
 class FrameTemplate:
-    """The messages of frames that differ in nothing but their numbers.
-
-    Args:
-        channels: The channel of each type, by packet id.
-        frame_channel: The channel of the messages of the frames themselves.
-        batch: A batch of such frames; see `has_template`.
+    """The messages of frames that differ in nothing but their numbers, made of a batch of such frames; see `has_template`.
 
     Attributes:
         key: What batches with the same template have in common.
@@ -461,12 +445,9 @@ class FrameTemplate:
         return rows
 
     def number(self, rows: NDArray[np.uint8], sequence: int, times: NDArray[np.uint64]) -> dict[int, NDArray[np.uint64]]:
-        """Give messages their sequence numbers and times; return the index of them, see `ChunkBuilder.add_records`.
+        """Give messages of frames, (frames, bytes), their sequence numbers and log and publish times in ns, (frames, 2).
 
-        Args:
-            rows: The messages of each frame, (frames, bytes).
-            sequence: The sequence number of the first frame.
-            times: Log and publish time of each frame in ns, (frames, 2).
+        Return the index of the messages, see `ChunkBuilder.add_records`.
         """
         index = {}
         numbers = np.arange(sequence, sequence + len(rows))
