@@ -256,7 +256,7 @@ def test_the_hero_by_name(recording, question):
 
 
 def test_another_name_than_the_hero_is_an_error(recording):
-    with pytest.raises(RecapError, match="an actor id or 'hero' was expected, found 'ego'"):
+    with pytest.raises(RecapError, match="expected an actor id or 'hero', found 'ego'"):
         recording.trajectory("ego")
 
 

@@ -309,7 +309,7 @@ def test_empty_lines_are_read_up_to_a_limit(tmp_path, monkeypatch):
 def test_a_map_name_that_no_header_holds_is_an_error(tmp_path, suffix):
     source = tmp_path / "tracks.csv"
     source.write_text("time,id,x,y\n0,7,1,1\n")
-    with pytest.raises(RecapError, match=r"a map name of at most 65535 bytes was expected; x+… has 100000"):
+    with pytest.raises(RecapError, match=r"expected a map name of at most 65535 bytes, found 100000: x+…"):
         import_tracks(source, tmp_path / f"out{suffix}", map_name="x" * 100_000)
     assert [path.name for path in tmp_path.iterdir()] == ["tracks.csv"]
 

@@ -243,9 +243,9 @@ def test_zeros_at_the_end_are_left_out(tmp_path, zeros):
 @pytest.mark.parametrize(
     ("broken", "message"),
     [
-        (packet(0, bytes(16)), "FrameStart of 16 bytes, 24 were expected"),
-        (packet(0, bytes(25)), "FrameStart of 25 bytes, 24 were expected"),
-        (packet(1, b"x"), "FrameEnd of 1 bytes, 0 were expected"),
+        (packet(0, bytes(16)), "expected a FrameStart of 24 bytes, found 16"),
+        (packet(0, bytes(25)), "expected a FrameStart of 24 bytes, found 25"),
+        (packet(1, b"x"), "expected a FrameEnd of 0 bytes, found 1"),
     ],
 )
 def test_a_frame_of_the_wrong_size_is_an_error_with_its_offset(tmp_path, broken, message):

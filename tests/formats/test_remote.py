@@ -343,8 +343,8 @@ def test_what_is_no_recording(tmp_path, data, message):
     ("url", "message"),
     [
         ("ftp://host/x.mcap", "unknown kind of URL; s3, gs, az, abfs, http, https or file was expected"),
-        ("s3:///x.mcap", "s3://BUCKET/KEY was expected"),
-        ("http://", "http://HOST/PATH was expected"),
+        ("s3:///x.mcap", "expected s3://BUCKET/KEY"),
+        ("http://", "expected http://HOST/PATH"),
         ("http://[::1/x.mcap", "Invalid IPv6 URL"),
         ("file://host/x.mcap", "is on another machine; file:///PATH was expected"),
     ],

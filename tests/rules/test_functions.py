@@ -154,7 +154,7 @@ def test_what_is_no_finding_cannot_be_judged(folder: Path, value: str) -> None:
     found = judged(folder, f'{{ function = "my_rules:returns", what = "{value}" }}')
     assert found.status == "error"
     assert found.message.startswith("my_rules:returns returns ")
-    assert found.message.endswith("; a Finding, or the Offences that break the rule was expected")
+    assert found.message.endswith("; expected a Finding, or the Offences that break the rule")
     assert len(found.message) < 200
 
 

@@ -450,7 +450,7 @@ def test_a_batch_takes_names_and_slices_of_frames_in_a_row(key: object) -> None:
     with open_recording(CROSSING) as recording:
         batch = max(recording.batches(), key=len)
         assert len(batch[1:4]) == len(batch[1:4:1]) == 3
-        with pytest.raises(TypeError, match="the name of a record type, or a slice of frames in a row, was expected"):
+        with pytest.raises(TypeError, match="expected the name of a record type, or a slice of frames in a row, found"):
             batch[key]  # type: ignore[call-overload]
 
 

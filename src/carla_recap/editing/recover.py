@@ -118,7 +118,7 @@ def recover(
             cut = sum(map(len, reader.tail()))
             finished = not cut
             lost_bytes += reader.lost_bytes + cut
-        expected = max(last + 1, _stated_frames(reader))
+        expected = max(last + 1, int(getattr(reader, "metadata", {}).get("frames", 0)))
     finally:
         reader.close()
     return Recovery(frames, expected - frames, lost_bytes, duration, finished, headless, lost_packets, without_events)
@@ -180,11 +180,6 @@ def _is_sound(packet: Packet) -> bool:
 
 def _has_events(packet: Packet) -> bool:
     return packet.type is not None and packet.type.group is Group.EVENTS and len(packet.records) > 0
-
-
-def _stated_frames(reader: Reader) -> int:
-    """Return the number of frames according to the file; 0 if it has none."""
-    return int(getattr(reader, "metadata", {}).get("frames", 0))
 
 
 def _open(source: Path | str) -> tuple[Reader, bool, int, bool]:

@@ -74,7 +74,7 @@ class LogReader(Reader):
     def __init__(self, location: Path | str, *, lenient: bool = False, file: BinaryIO | None = None) -> None:
         self.lost_bytes = 0
         self._lenient = lenient
-        self._warned: set[str] = set()
+        self._warned = False
         self._extent: Extent | None = None
         self._elapsed: array[float] | None = None  # of each frame, in s
         self._offsets: Offsets | None = None  # once all frames have been read
@@ -83,7 +83,7 @@ class LogReader(Reader):
         self.path, self.location, self._size = self._source.path, self._source.location, self._source.size
         try:
             if not self._size:
-                raise NotARecording(location, "is empty, a CARLA log was expected")
+                raise NotARecording(location, "expected a CARLA log, found an empty file")
             self.header, self._start = self._read_header()
         except BaseException:
             self._source.close()
@@ -251,10 +251,10 @@ class LogReader(Reader):
         if scanner.last is not None:
             id, _, elapsed = START.unpack(window.read(scanner.last + PACKET.size, START.size))
             self._extent = Extent(scanner.count - self._preamble, id, elapsed)
-        if self._end < self._size:
-            dropped = self._size - self._end
+        if self._end < self._size and not self._warned:
+            self._warned, dropped = True, self._size - self._end
             message = f"the recording was cut short; the last {dropped} bytes are no complete packet"
-            self._warn("tail", f"byte {self._end}: {message}")
+            warnings.warn(f"{self.location}: byte {self._end}: {message}", RecapWarning, stacklevel=2)
 
     def _batch(self, run: Run) -> Batch:
         """Return the frames of a run."""
@@ -296,18 +296,9 @@ class LogReader(Reader):
 
     def _sound(self, packets: list[Packet]) -> list[Packet]:
         """Return those packets that are sound, and count the bytes of the others as lost."""
-        kept = []
-        for packet in packets:
-            if is_sound(packet.type, packet.payload):
-                kept.append(packet)
-            else:
-                self.lost_bytes += len(packet.payload)
+        kept = [packet for packet in packets if is_sound(packet.type, packet.payload)]
+        self.lost_bytes += sum(len(packet.payload) for packet in packets) - sum(len(packet.payload) for packet in kept)
         return kept
-
-    def _warn(self, key: str, message: str) -> None:
-        if key not in self._warned:
-            self._warned.add(key)
-            warnings.warn(f"{self.location}: {message}", RecapWarning, stacklevel=2)
 
     # --- random access -------------------------------------------------------------------------------------------------
 
@@ -361,18 +352,10 @@ def pack_header(header: Header) -> bytes:
     try:
         name = header.map_name.encode("utf-8", "surrogateescape")
         if len(name) > MAX_COUNT:
-            start = header.map_name[:20]
-            raise RecordError(f"a map name of at most {MAX_COUNT} bytes was expected; {start}… has {len(name)}")
-        return b"".join(
-            (
-                U16.pack(header.version),
-                U16.pack(len(MAGIC)),
-                MAGIC,
-                DATE.pack(header.date),
-                U16.pack(len(name)),
-                name,
-            )
-        )
+            found = f"{len(name)}: {header.map_name[:20]}…"
+            raise RecordError(f"expected a map name of at most {MAX_COUNT} bytes, found {found}")
+        start = U16.pack(header.version) + U16.pack(len(MAGIC)) + MAGIC
+        return start + DATE.pack(header.date) + U16.pack(len(name)) + name
     except (struct.error, UnicodeEncodeError) as error:
         raise RecordError(
             f"a header of version {header.version}, date {header.date} and map {header.map_name!r:.40} "

@@ -133,7 +133,9 @@ class Window:
         if offset + held >= self.size or offset + size > self.size:
             return False
         if max(held, size) > FRAME_LIMIT:
-            raise FormatError(self._source.location, offset, f"a frame of at most {FRAME_LIMIT} bytes was expected")
+            raise FormatError(
+                self._source.location, offset, f"expected a frame of at most {FRAME_LIMIT} bytes, found a larger one"
+            )
         self._read(offset, max(2 * held, size) if self.base == offset else size)
         return True
 
@@ -354,16 +356,12 @@ class Scanner:
             return end if inside is None else inside
         if size == (START.size if id == FRAME_START else 0):
             return end
-        if self._only_zeros(here):
-            return None
+        if not any(any(self._window.read(piece, _WINDOW)) for piece in range(here, self._window.size, _WINDOW)):
+            return None  # nothing but zeros follows, as a machine that crashed leaves them
         if self._lenient:
             return self.next_frame(here + 1) or self._window.size
         name, expected = ("FrameEnd", 0) if id else ("FrameStart", START.size)
-        raise FormatError(self._location, here, f"{name} of {size} bytes, {expected} were expected")
-
-    def _only_zeros(self, offset: int) -> bool:
-        """Return whether nothing but zeros follows, as a machine that crashed leaves them."""
-        return all(not any(self._window.read(piece, _WINDOW)) for piece in range(offset, self._window.size, _WINDOW))
+        raise FormatError(self._location, here, f"expected a {name} of {expected} bytes, found {size}")
 
     # --- what is damaged -----------------------------------------------------------------------------------------------
 

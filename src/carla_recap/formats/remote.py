@@ -97,8 +97,7 @@ def address_of(url: str) -> ObjectAddress:
     scheme = scheme_of(url)
     root, _, key = url.partition("://")[2].partition("/")
     if not root:
-        expected = "HOST/PATH" if scheme in WEB else "BUCKET/KEY"
-        raise RecapError(f"{url}: {scheme}://{expected} was expected")
+        raise RecapError(f"{url}: expected {scheme}://{'HOST/PATH' if scheme in WEB else 'BUCKET/KEY'}")
     try:
         if scheme in WEB and not _PLAIN.fullmatch(key):  # a key would be encoded in another spelling
             return ObjectAddress(_store(url, _settings()), "")
@@ -388,7 +387,9 @@ def copied(source: RemoteSource) -> BinaryIO:
         try:
             spans = ((offset, min(_PART, source.size - offset)) for offset in range(0, source.size, _PART))
             for data in source.read_ranges(spans, "the file", whole=True):
-                _write_all(file, data)
+                view = memoryview(data)
+                while view:
+                    view = view[file.write(view) :]
             file.seek(0)
         except BaseException:
             file.close()
@@ -396,12 +397,6 @@ def copied(source: RemoteSource) -> BinaryIO:
     except OSError as error:
         raise RecapError(f"{source.location}: cannot be copied to {folder}: {error.strerror}") from None
     return file
-
-
-def _write_all(file: BinaryIO, data: bytes) -> None:
-    view = memoryview(data)
-    while view:
-        view = view[file.write(view) :]
 
 
 def _windows(spans: Iterable[ByteRange], stop: int, limit: int) -> Iterator[list[ByteRange]]:

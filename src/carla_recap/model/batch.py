@@ -267,7 +267,7 @@ class Batch:
         if isinstance(key, str):
             return self.records(key)
         if not isinstance(key, slice) or key.step not in (None, 1):
-            raise TypeError(f"the name of a record type, or a slice of frames in a row, was expected, not {key!r}")
+            raise TypeError(f"expected the name of a record type, or a slice of frames in a row, found {key!r}")
         start, stop, _ = key.indices(len(self))
         stop = max(start, stop)
         return Batch(
@@ -363,15 +363,9 @@ def within(batches: Iterable[Batch], start: float, stop: float) -> Iterator[Batc
             if len(late):
                 part, last = batch[: int(late[0])], True
         if start != -np.inf and not (part.elapsed >= start).all():
-            yield from _kept(part, part.elapsed >= start)
+            edges = np.flatnonzero(np.diff(np.concatenate(([False], part.elapsed >= start, [False])))).tolist()
+            yield from (part[first:end] for first, end in zip(edges[::2], edges[1::2], strict=True))
         elif len(part):
             yield part
         if last:
             return
-
-
-def _kept(batch: Batch, kept: NDArray[np.bool_]) -> Iterator[Batch]:
-    """Yield the parts of a batch whose frames are kept."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], kept, [False]))))
-    for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        yield batch[start:stop]

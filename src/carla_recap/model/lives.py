@@ -167,7 +167,7 @@ class ActorLives:
     def at(self, id: int, time: float) -> ActorLife | None:
         """Return the actor that had an id at a time; the first one to have it, if none had it yet; None if unknown."""
         lives = self._by_id.get(id)
-        return lives[max(bisect_right(lives, time, key=_spawned_at) - 1, 0)] if lives else None
+        return lives[max(bisect_right(lives, time, key=lambda life: life.spawned_at) - 1, 0)] if lives else None
 
     def ids(self, *kinds: str) -> list[int]:
         """Return the ids that an actor of some kinds had at some time; without kinds, all ids."""
@@ -225,10 +225,6 @@ def ranked(ids: tuple[int, int], actors: Mapping[int, ActorLife], heroes: tuple[
     return ids[first], ids[second]
 
 
-def _spawned_at(life: ActorLife) -> float:
-    return life.spawned_at
-
-
 def find_actor(
     location: object, known: Iterable[ActorLife], wanted: ActorName, what: str = "actor", purpose: str = ""
 ) -> ActorLife:
@@ -241,7 +237,7 @@ def find_actor(
     """
     known, end = list(known), f" {purpose}" if purpose else ""
     if wanted != HERO and not isinstance(wanted, Integral):
-        raise RecapError(f"{location}: an actor id or 'hero' was expected{end}, found {wanted!r}")
+        raise RecapError(f"{location}: expected an actor id or 'hero'{end}, found {wanted!r}")
     matching = heroes_of(known) if wanted == HERO else (actor for actor in known if actor.id == wanted)
     found = next(iter(matching), None)
     if found is not None:

@@ -106,10 +106,6 @@ _ALL_LIGHTS: Final = sum(LIGHTS.values())
 _DOORS: Final = ("Front Left", "Front Right", "Rear Left", "Rear Right", "Hood", "Trunk", "All")
 
 
-def _lights(flags: int) -> str:
-    return _light_names(flags & _ALL_LIGHTS)
-
-
 @cache
 def _light_names(flags: int) -> str:
     return " ".join(name for name, bit in LIGHTS.items() if flags & bit) or "None"
@@ -138,14 +134,6 @@ def _rounded_as_in_carla(metres: float) -> float:
     """Return a length as CARLA prints it, converted from m to cm and back in single precision."""
     with np.errstate(all="ignore"):
         return float(np.float32(0.01) * (np.float32(100.0) * np.float32(metres)))
-
-
-def _true(flag: int) -> str:
-    return "true" if flag else "false"
-
-
-def _capital_true(flag: int) -> str:
-    return "True" if flag else "False"
 
 
 # --- records inside records ------------------------------------------------------------------------------
@@ -216,7 +204,7 @@ _PHYSICS: Final = """\
 {forward_gears}   wheels:
 {wheels}"""
 _PHYSICS_WORDS: Final[dict[str, Callable[[Any], Any]]] = {
-    "use_gear_auto_box": _true,
+    "use_gear_auto_box": lambda flag: "true" if flag else "false",
     "torque_curve": _curve,
     "steering_curve": _curve,
     "forward_gears": _GEAR.text,
@@ -261,12 +249,17 @@ _ROWS: Final = (
     ),
     _row("walker_controls", "Walker animations", "  Id: {id} speed: {speed}\n"),
     _row(*_DOORS_ROW, door=_door),
-    _row("vehicle_lights", "Vehicle light animations", "  Id: {id} {flags}\n", flags=_lights),
+    _row(
+        "vehicle_lights",
+        "Vehicle light animations",
+        "  Id: {id} {flags}\n",
+        flags=lambda flags: _light_names(flags & _ALL_LIGHTS),
+    ),
     _row(
         "scene_lights",
         "Scene light changes",
         "  Id: {id} enabled: {on} intensity: {intensity} RGB_color: ({red}, {green}, {blue})\n",
-        on=_capital_true,
+        on=bool,
     ),
     _row(
         "velocities",

@@ -15,7 +15,7 @@ from carla_recap.util.text import first_of, number, readable, visible
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from carla_recap.model.frame import Frame, Header
+    from carla_recap.model.frame import Frame
     from carla_recap.model.lives import ActorLife
     from carla_recap.queries.blocked import Blocked, BlockedRow
     from carla_recap.queries.collisions import CollisionRow, Collisions
@@ -38,7 +38,8 @@ KMH: Final = 3.6
 def text(answer: AnyAnswer) -> Iterator[str]:
     """Yield CARLA's text of an answer, in pieces; a similar list of what CARLA has no text for."""
     kind = type(answer).__name__
-    yield _preamble(answer.header)
+    header = answer.header
+    yield f"Version: {header.version}\nMap: {readable(header.map_name)}\nDate: {local_date(header.date)}\n\n"
     if kind in _ALONE:
         yield from _ALONE[kind](answer)
     else:
@@ -64,10 +65,6 @@ def lines(answer: AnyAnswer) -> Iterator[str]:
 def heading(kind: str) -> str:
     """Return the line above the rows of a kind of answers, by the name of its class; empty for info."""
     return f"{_LISTS[kind][0]}\n" if kind in _LISTS else ""
-
-
-def _preamble(header: Header) -> str:
-    return f"Version: {header.version}\nMap: {readable(header.map_name)}\nDate: {local_date(header.date)}\n\n"
 
 
 def local_date(seconds: int) -> str:

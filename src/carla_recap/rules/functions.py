@@ -81,7 +81,8 @@ class FunctionCondition(Condition):
         try:
             with modules_beside(self.folder):
                 answer = function(facts.recording, **self.parameters)
-                found = answer if isinstance(answer, Finding) else list(answer) if _is_iterable(answer) else answer
+                is_list = hasattr(answer, "__iter__") and not isinstance(answer, (Finding, str, bytes, dict))
+                found = list(answer) if is_list else answer
         except RecapError:
             raise
         except (Exception, SystemExit) as error:
@@ -90,16 +91,12 @@ class FunctionCondition(Condition):
             count = "1 offence" if len(found) == 1 else f"{len(found)} offences"
             found = Finding(not found, f"{self.name} finds {count if found else 'no offence'}", tuple(found))
         if not isinstance(found, Finding) or not _is_valid(found):
-            raise RecapError(f"{self.module}:{self.name} returns {_short(found)}; {EXPECTED} was expected")
+            raise RecapError(f"{self.module}:{self.name} returns {_short(found)}; expected {EXPECTED}")
         offences = tuple(
             Offence(each.text, None if each.time is None else float(each.time), tuple(map(int, each.actors)))
             for each in found.offences
         )
         return Finding(bool(found.passes), found.message, offences, bool(found.applies))
-
-
-def _is_iterable(answer: Any) -> bool:
-    return hasattr(answer, "__iter__") and not isinstance(answer, (str, bytes, dict))
 
 
 def _is_valid(found: Finding) -> bool:

@@ -12,14 +12,7 @@ from carla_recap.errors import RecapError
 from carla_recap.model.lives import HERO
 from carla_recap.queries.kinds import KINDS, kind_named
 from carla_recap.rules.places import LANE_TYPES, Circle, Lanes, Polygon
-from carla_recap.rules.reading import (
-    LARGEST_COUNT,
-    SHOWN,
-    Key,
-    KeyGroup,
-    Unexpected,
-    ValueType,
-)
+from carla_recap.rules.reading import LARGEST_COUNT, SHOWN, Key, KeyGroup, Unexpected, ValueType
 from carla_recap.rules.scope import Scope
 from carla_recap.rules.values import ANY, OBJECT, ROLE, UNITS, Bounds, Quantity, Selector
 from carla_recap.util.text import visible
@@ -80,11 +73,11 @@ TIME: Final = quantity("s", 0.0)
 LENGTH: Final = quantity("m", 0.0)
 
 
-def _count(value: Any, _: Reading) -> Quantity | None:
-    return Quantity(value) if type(value) is int and 0 <= value <= LARGEST_COUNT else None
-
-
-COUNT: Final = ValueType("number", "a whole number of 0 or more", _count)
+COUNT: Final = ValueType(
+    "number",
+    "a whole number of 0 or more",
+    lambda value, _: Quantity(value) if type(value) is int and 0 <= value <= LARGEST_COUNT else None,
+)
 FLAG: Final = ValueType("`true` or `false`", "true or false", lambda value, _: value if isinstance(value, bool) else None)
 
 

@@ -64,8 +64,8 @@ class MeasureBounds(Condition):
         if not values:
             return self._unmeasured(facts)
         if not offences:
-            worst = max(values, key=self._badness)
-            return Finding(True, f"the {self._extreme} {self._name} is {self.bounds.written.shown(worst)}")
+            worst, extreme = max(values, key=self._badness), "least" if self.bounds.most is None else "greatest"
+            return Finding(True, f"the {extreme} {self._name} is {self.bounds.written.shown(worst)}")
         offences.sort(key=lambda pair: -pair[0])
         return Finding(False, f"the {self._name} {self._limit}", tuple(offence for _, offence in offences))
 
@@ -156,10 +156,6 @@ class MeasureBounds(Condition):
     @property
     def _name(self) -> str:
         return f"{MEASURES[self.measure].title}{self.of.behind}{self.scope}"
-
-    @property
-    def _extreme(self) -> str:
-        return "least" if self.bounds.most is None else "greatest"
 
     @property
     def _limit(self) -> str:

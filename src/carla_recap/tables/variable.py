@@ -132,10 +132,8 @@ def _joined(pieces: Sequence[Fields]) -> Fields:
             fields[name] = Lists(np.concatenate([each.lengths for each in lists]), _joined([each.fields for each in lists]))
             continue
         masked = any(name not in piece for piece, _ in parts)
-        values = [piece[name] if name in piece else _masked(size, empty.dtype) for piece, size in parts]
+        values = [
+            piece[name] if name in piece else np.ma.MaskedArray(np.zeros(size, empty.dtype), True) for piece, size in parts
+        ]
         fields[name] = (np.ma.concatenate if masked else np.concatenate)([empty, *values])
     return fields
-
-
-def _masked(size: int, dtype: np.dtype[Any]) -> NDArray[Any]:
-    return np.ma.MaskedArray(np.zeros(size, dtype), True)

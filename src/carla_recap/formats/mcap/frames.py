@@ -17,15 +17,7 @@ from carla_recap.errors import FormatError
 from carla_recap.formats.mcap import codec
 from carla_recap.formats.mcap.codec import decode, records_codec
 from carla_recap.formats.mcap.runs import BrokenRecords, column, message_runs
-from carla_recap.formats.mcap.schema import (
-    EMPTY,
-    FILLED,
-    FRAME_MESSAGE,
-    FRAME_TOPIC,
-    FRAMELESS,
-    RAW_MESSAGE,
-    RAW_TOPIC,
-)
+from carla_recap.formats.mcap.schema import EMPTY, FILLED, FRAME_MESSAGE, FRAME_TOPIC, FRAMELESS, RAW_MESSAGE, RAW_TOPIC
 from carla_recap.model.batch import Batch, ConstantColumn
 from carla_recap.model.frame import Frame, Packet
 from carla_recap.model.layout import EMPTY_LIST, pack

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections import Counter
+from contextlib import contextmanager
 from functools import lru_cache
 from itertools import pairwise
 from threading import local
@@ -18,15 +19,7 @@ import zstandard
 from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError, NotARecording
-from carla_recap.formats.mcap.schema import (
-    CHUNK,
-    CHUNK_INDEX,
-    CHUNK_OFFSETS,
-    FOOTER,
-    MAGIC,
-    RECORD,
-    U64,
-)
+from carla_recap.formats.mcap.schema import CHUNK, CHUNK_INDEX, CHUNK_OFFSETS, FOOTER, MAGIC, RECORD, U64
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -112,42 +105,37 @@ def _string(data: memoryview, offset: int) -> tuple[str, int]:
     return str(data[offset + _U32.size : end], "utf-8"), end
 
 
+@contextmanager
+def _breaking(opcode: int) -> Iterator[None]:
+    """Raise a `ValueError` that names the kind of a record where it cannot be read."""
+    try:
+        yield
+    except (struct.error, ValueError) as error:
+        raise ValueError(f"broken {Opcode(opcode).name} record ({error})") from None
+
+
 def parse_metadata(content: bytes) -> tuple[str, dict[str, str]]:
     """Return the name and the values of a metadata record.
 
     Raises:
         ValueError: It is broken.
     """
-    try:
-        data = memoryview(content)
-        name, offset = _string(data, 0)
-        return name, _strings(data, offset)
-    except (struct.error, ValueError) as error:
-        raise ValueError(f"broken METADATA record ({error})") from None
+    with _breaking(Opcode.METADATA):
+        name, offset = _string(memoryview(content), 0)
+        return name, _strings(memoryview(content), offset)
 
 
 def parse_channel_metadata(content: bytes) -> dict[str, str]:
-    """Return the metadata of a channel record.
-
-    Raises:
-        ValueError: It is broken.
-    """
-    try:
+    """Return the metadata of a channel record; see `parse_metadata`."""
+    with _breaking(Opcode.CHANNEL):
         data = memoryview(content)
         _, offset = _string(data, _CHANNEL.size)
-        _, offset = _string(data, offset)
-        return _strings(data, offset)
-    except (struct.error, ValueError) as error:
-        raise ValueError(f"broken CHANNEL record ({error})") from None
+        return _strings(data, _string(data, offset)[1])
 
 
 def parse_schema(content: bytes) -> tuple[str, bytes]:
-    """Return the encoding and the data of a schema record.
-
-    Raises:
-        ValueError: It is broken.
-    """
-    try:
+    """Return the encoding and the data of a schema record; see `parse_metadata`."""
+    with _breaking(Opcode.SCHEMA):
         data = memoryview(content)
         _, offset = _string(data, _U16.size)
         encoding, offset = _string(data, offset)
@@ -156,8 +144,6 @@ def parse_schema(content: bytes) -> tuple[str, bytes]:
         if offset + size > len(data):
             raise ValueError("its data go beyond the end")
         return encoding, bytes(data[offset : offset + size])
-    except (struct.error, ValueError) as error:
-        raise ValueError(f"broken SCHEMA record ({error})") from None
 
 
 _of_thread: Final = local()
@@ -269,7 +255,7 @@ class Summary:
         if opcode == Opcode.CHUNK_INDEX:
             self.chunks.append(_chunk_index(data))
             return
-        try:
+        with _breaking(opcode):
             if opcode == Opcode.SCHEMA:
                 (id,) = _U16.unpack_from(data)
                 self.schemas[id], _ = _string(data, _U16.size)
@@ -285,8 +271,6 @@ class Summary:
             elif opcode == Opcode.STATISTICS:
                 self.messages, *_, self.chunk_count, _, _ = _STATISTICS.unpack_from(data)
                 self.counts = _channel_counts(data[_STATISTICS.size :])
-        except (struct.error, ValueError) as error:
-            raise ValueError(f"broken {Opcode(opcode).name} record ({error})") from None
 
 
 def read_summary(source: ByteSource) -> Summary:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import struct
 from collections import Counter
-from functools import cached_property, partial
+from functools import cached_property
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -175,7 +175,9 @@ class FurtherTopics:
                 raise self._damaged(chunk, "more messages than a file of this size can mean")
             if in_order and (pending or horizon is not None):
                 held.append(_Held(max((message.time for message in found), default=0), len(data), len(found)))
-                self._check_held(chunk, held)
+                if sum(each.size for each in held) > PENDING_LIMIT or sum(each.messages for each in held) > MESSAGES_LIMIT:
+                    limits = f"{PENDING_LIMIT} bytes or {MESSAGES_LIMIT} messages"
+                    raise self._damaged(chunk, f"more than {limits} of chunks of further topics overlap in time")
                 pending += found
                 pending.sort(key=itemgetter(0))
                 ready = sum(message.time < horizon for message in pending) if horizon is not None else len(pending)
@@ -186,11 +188,6 @@ class FurtherTopics:
             for message in found:
                 yield TopicMessage(channels[message.channel], self._clock.elapsed(message.time), bytes(message.data))
                 self._source.check_open()
-
-    def _check_held(self, chunk: ChunkIndex, held: list[_Held]) -> None:
-        if sum(each.size for each in held) > PENDING_LIMIT or sum(each.messages for each in held) > MESSAGES_LIMIT:
-            limits = f"{PENDING_LIMIT} bytes or {MESSAGES_LIMIT} messages"
-            raise self._damaged(chunk, f"more than {limits} of chunks of further topics overlap in time")
 
     def _messages_in(
         self, chunk: ChunkIndex, data: bytes, channels: Collection[int], first: int | None, last: int | None
@@ -236,12 +233,8 @@ class FurtherTopics:
         message = self._summary.schemas.get(channel.schema, "")
         if message and channel.schema not in self._schema_encodings:
             self._schema_encodings[channel.schema] = self._schema(channel.schema)[0]
-        schema = partial(self._schema_data, channel.schema)
         encoding = self._schema_encodings.get(channel.schema, "")
-        return Topic(channel.topic, message, schema, metadata, channel.encoding, encoding)
-
-    def _schema_data(self, id: int) -> bytes:
-        return self._schema(id)[1]
+        return Topic(channel.topic, message, lambda: self._schema(channel.schema)[1], metadata, channel.encoding, encoding)
 
     def _schema(self, id: int) -> tuple[str, bytes]:
         """Return the encoding and the data of a schema; nothing where the file has none of that id."""
