@@ -56,9 +56,6 @@ class InitialState:
         records later than the spawn are therefore left out here; see `add_parents`.
 
         Frames in ascending order are fastest.
-
-        Raises:
-            FormatError: The file contradicts its format.
         """
         if self._applied > frame.index:
             self._rewind()

@@ -192,11 +192,7 @@ class Scanner:
         self.offsets = Offsets()
 
     def runs(self, index: int, offset: int, *, preamble: bool) -> Iterator[Run]:
-        """Yield the runs from the frame at an index on; `preamble`: whether it is the packets before the first frame.
-
-        Raises:
-            FormatError: The file contradicts its format.
-        """
+        """Yield the runs from the frame at an index on; `preamble`: whether it is the packets before the first frame."""
         window = self._window
         if not preamble and offset + PACKET.size <= window.size:
             id, size = PACKET.unpack(window.read(offset, PACKET.size))

@@ -15,11 +15,11 @@ from concurrent.futures import Future
 from datetime import timedelta
 from functools import lru_cache, partial
 from shutil import disk_usage
-from threading import Lock, Thread
+from threading import Thread
 from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, TypeVar
 
 from carla_recap.errors import Closed, MissingExtra, NoCredentials, NotARecording, RecapError
-from carla_recap.formats.sources import WEB, outside, path_of, scheme_of, unsigned
+from carla_recap.formats.sources import WEB, ByteSource, scheme_of, unsigned
 from carla_recap.util.log import log_debug, log_info
 from carla_recap.util.text import single_line
 
@@ -54,12 +54,8 @@ _FIRST_WINDOW: Final = 256 << 10  # bytes that are fetched first of a long read,
 _WINDOW: Final = 8 << 20  # bytes that are fetched at once later, and as many again ahead of them
 _PART: Final = 4 << 20  # bytes of a file that is copied, for each request
 _AT_ONCE: Final = 32  # requests
-_METADATA: Final = (  # where keys are looked for last
-    "/latest/api/token",
-    "/latest/meta-data",
-    "metadata.google.internal",
-    "/metadata/identity",
-)
+_METADATA: Final = ("/latest/api/token", "/latest/meta-data", "metadata.google.internal", "/metadata/identity")
+"""Where keys are looked for last."""
 _MESSAGE: Final = re.compile('(?:message|error): "([^"]+)"')
 _STATUS: Final = re.compile(r"status code: ([0-9]+ [A-Za-z -]+)")
 _REFUSED: Final = re.compile("the server answers (400|501) |: is empty; ")
@@ -79,6 +75,21 @@ _RETRIES: Final[RetryConfig] = {
 _VARIABLES: Final = ("AWS_", "AZURE_", "GOOGLE_")
 _PLAIN: Final = re.compile("[A-Za-z0-9_.,=~-]+(/[A-Za-z0-9_.,=~-]+)*")  # a path without encoded characters
 _LONGEST_REASON: Final = 300  # characters
+_NO_KEYS: Final = (
+    "no credentials were found in the environment, such as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; "
+    "a public bucket needs none with AWS_SKIP_SIGNATURE=true"
+)
+_REASONS: Final[tuple[tuple[tuple[type[Exception], ...], tuple[str, ...], str], ...]] = (
+    ((FileNotFoundError,), (), "not found (404)"),
+    ((PermissionDeniedError,), (), "the server denies access (403)"),
+    ((UnauthenticatedError,), (), "the server expects credentials (401)"),
+    ((NotSupportedError,), (), "the server sends no ranges of a file, only all of it; download it"),
+    ((), ("non-partial response",), "the server sends no ranges of it, or it is empty"),
+    ((), _METADATA, _NO_KEYS),
+    ((), ("IncompleteMessage", "response body error"), "the server has hung up"),
+    ((), ("TimedOut",), "the server does not answer in time"),
+)
+"""Errors by their class or by parts of their text, and what each means."""
 
 
 class ObjectAddress(NamedTuple):
@@ -181,7 +192,7 @@ def _store(root: str, settings: frozenset[tuple[str, str]]) -> ObjectStore:
     return from_url(root, client_options=_CLIENT, retry_config=_RETRIES)
 
 
-class RemoteSource:
+class RemoteSource(ByteSource):
     """An object in an object store, or a file on a web server; see `ByteSource`.
 
     Raises:
@@ -191,14 +202,10 @@ class RemoteSource:
     is_remote = True
 
     def __init__(self, url: str) -> None:
-        self.location = url
-        self.path = path_of(url)
-        self.bytes_read = 0
+        super().__init__(url)
         self._address = address_of(url)
         self._closed = False
-        self._lock = Lock()
         self._block = 0, b""  # the offset of the bytes that were read last, and these
-        self.size, self.etag = 0, None
         tail, meta = _started(self._get_tail).result()
         self.size, self.etag = meta["size"], meta["e_tag"]
         self._tail = self.size - len(tail), tail
@@ -248,11 +255,6 @@ class RemoteSource:
         """Forget the bytes; do nothing if that was done."""
         self._closed = True
         self._tail = self._block = 0, b""
-
-    def _check(self, offset: int, size: int, what: str) -> None:
-        if offset < 0 or size < 0 or offset + size > self.size:
-            raise outside(self, offset, size, what)
-        self.check_open()
 
     def _fetch_all(self, spans: Sequence[ByteRange], what: str) -> deque[bytes]:
         """Return the bytes of some spans, fetched at once."""
@@ -446,31 +448,13 @@ def _failed(what: str, error: Exception) -> RecapError:
 def _reason(error: Exception) -> str:
     """Return in one line why an object cannot be read."""
     text = str(error)
-    if isinstance(error, FileNotFoundError):
-        return "not found (404)"
-    if isinstance(error, PermissionDeniedError):
-        return "the server denies access (403)"
-    if isinstance(error, UnauthenticatedError):
-        return "the server expects credentials (401)"
-    if isinstance(error, NotSupportedError):
-        return "the server sends no ranges of a file, only all of it; download it"
-    if "non-partial response" in text:
-        return "the server sends no ranges of it, or it is empty"
-    if any(host in text for host in _METADATA):
-        return (
-            "no credentials were found in the environment, such as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY; "
-            "a public bucket needs none with AWS_SKIP_SIGNATURE=true"
-        )
-    if "IncompleteMessage" in text or "response body error" in text:
-        return "the server has hung up"
-    if "TimedOut" in text:
-        return "the server does not answer in time"
-    other = _OTHER_RANGE.search(text)
-    if other is not None:
+    for kinds, parts, reason in _REASONS:
+        if isinstance(error, kinds) or any(part in text for part in parts):
+            return reason
+    if (other := _OTHER_RANGE.search(text)) is not None:
         start, stop, begin, end = map(int, other.groups())
         return f"the server sent {end - begin} of {stop - start} bytes"
-    status = _STATUS.search(text)
-    if status is not None:
+    if (status := _STATUS.search(text)) is not None:
         return f"the server answers {status[1]}"
     first = text.partition("\n")[0].rpartition(" - ")[2]
     said = _MESSAGE.findall(text)

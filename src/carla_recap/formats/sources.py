@@ -9,7 +9,7 @@ import os
 import re
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 from carla_recap.errors import Closed, FormatError, RecapError
@@ -28,8 +28,8 @@ WEB: Final = ("http", "https")
 """The kinds of URLs of web servers, which list no files."""
 
 
-class ByteSource(Protocol):
-    """What a reader reads from.
+class ByteSource:
+    """What a reader reads from; threads may read at the same time.
 
     Attributes:
         location: Its path or URL, as given; for messages.
@@ -40,12 +40,15 @@ class ByteSource(Protocol):
         is_remote: Whether it is read over the network.
     """
 
-    location: str
-    path: Path
-    size: int
-    etag: str | None
-    bytes_read: int
-    is_remote: bool
+    size = 0
+    etag: str | None = None
+    bytes_read = 0
+    is_remote = False
+
+    def __init__(self, location: Path | str) -> None:
+        self.location = os.fspath(location)
+        self.path = path_of(location)
+        self._lock = Lock()
 
     def read(self, offset: int, size: int, what: str) -> bytes:
         """Return some bytes; messages say `what` they should be.
@@ -54,14 +57,14 @@ class ByteSource(Protocol):
             FormatError: There are no such bytes.
             RecapError: They cannot be read.
         """
-        ...
+        raise NotImplementedError
 
     def read_ranges(self, spans: Iterable[ByteRange], what: str, *, whole: bool = False) -> Iterator[bytes]:
         """Yield the bytes of each of some spans, in their order; those of an object are fetched many at a time.
 
         With `whole`, all are wanted for certain; else, few are fetched at first.
         """
-        ...
+        return (self.read(offset, size, what) for offset, size in spans)
 
     def check_open(self) -> None:
         """Check that it is not closed.
@@ -69,35 +72,34 @@ class ByteSource(Protocol):
         Raises:
             Closed: It was.
         """
-        ...
+        raise NotImplementedError
 
     def close(self) -> None:
         """Close it; do nothing if it is closed."""
-        ...
+        raise NotImplementedError
+
+    def _check(self, offset: int, size: int, what: str) -> None:
+        """Check that bytes can be read."""
+        if offset < 0 or size < 0 or offset + size > self.size:
+            message = f"{what} of {size} bytes does not fit in the file of {self.size}"
+            raise FormatError(self.location, offset, message)
+        self.check_open()
 
 
-class LocalSource:
+class LocalSource(ByteSource):
     """A file of this machine, or in place of it an unbuffered `file`, such as a copy of an object; see `ByteSource`."""
 
-    etag: str | None = None
-    is_remote = False
-
     def __init__(self, location: Path | str, file: BinaryIO | None = None) -> None:
-        self.location = os.fspath(location)
-        self.path = path_of(location)
+        super().__init__(location)
         try:
             self._file: BinaryIO = file or self.path.open("rb", buffering=0)
             self.size = self._file.seek(0, 2)
         except OSError as error:
             raise RecapError(f"{location}: {error.strerror}") from None
-        self.bytes_read = 0
-        self._lock = Lock()
 
     def read(self, offset: int, size: int, what: str) -> bytes:
         """Return some bytes; see `ByteSource.read`."""
-        if offset < 0 or size < 0 or offset + size > self.size:
-            raise outside(self, offset, size, what)
-        self.check_open()
+        self._check(offset, size, what)
         try:
             with self._lock:  # the next chunk may be read by another thread
                 self._file.seek(offset)
@@ -111,11 +113,6 @@ class LocalSource:
             raise FormatError(self.location, offset + len(data), "the file has become shorter while it was read")
         return data
 
-    def read_ranges(self, spans: Iterable[ByteRange], what: str, *, whole: bool = False) -> Iterator[bytes]:
-        """Yield the bytes of each of some spans; see `ByteSource.read_ranges`."""
-        for offset, size in spans:
-            yield self.read(offset, size, what)
-
     def check_open(self) -> None:
         """Check that the file is not closed; see `ByteSource.check_open`."""
         if self._file.closed:
@@ -124,11 +121,6 @@ class LocalSource:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-
-def outside(source: ByteSource, offset: int, size: int, what: str) -> FormatError:
-    """Return the error about bytes that a source does not have."""
-    return FormatError(source.location, offset, f"{what} of {size} bytes does not fit in the file of {source.size}")
 
 
 def scheme_of(location: Path | str) -> str:

@@ -127,11 +127,7 @@ class PackedColumn(Column):
 
     @property
     def records(self) -> NDArray[np.void]:
-        """See `Column.records`: a strided view of the buffer.
-
-        Raises:
-            FormatError: The payloads contradict the type's layout.
-        """
+        """See `Column.records`: a strided view of the buffer."""
         type = self.type
         assert type is not None
         itemsize = type.dtype.itemsize

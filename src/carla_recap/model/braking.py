@@ -90,11 +90,7 @@ class BrakingDetector:
         return new.isdisjoint(self._others)
 
     def batch(self, batch: Batch) -> None:
-        """Process the frames of a batch.
-
-        Raises:
-            FormatError: A packet contradicts its layout.
-        """
+        """Process the frames of a batch."""
         transforms = batch.records("transforms")
         if not transforms.shape[1]:
             return

@@ -195,11 +195,7 @@ class ImpactTracker:
         self._found: list[Impact] = []
 
     def frame(self, frame: Frame, index: int) -> None:
-        """Process a frame; `index` is its position in the recording.
-
-        Raises:
-            FormatError: A packet contradicts its layout.
-        """
+        """Process a frame; `index` is its position in the recording."""
         if _has_collisions(frame.packets):
             self._collide(frame, index)
         else:
@@ -207,11 +203,7 @@ class ImpactTracker:
         self._recent = [*self._recent[-1:], frame]
 
     def batch(self, batch: Batch, index: int) -> None:
-        """Process the frames of a batch; `index` is the position of the first one in the recording.
-
-        Raises:
-            FormatError: A packet contradicts its layout.
-        """
+        """Process the frames of a batch; `index` is the position of the first one in the recording."""
         if len(batch) == 1 or _has_collisions(column.packet(0) for column in batch.columns):
             for row, frame in enumerate(batch):
                 self.frame(frame, index + row)

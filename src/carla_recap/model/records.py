@@ -10,7 +10,7 @@ field's comment in `proto/` says otherwise.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum, IntEnum
 from typing import TYPE_CHECKING, Any, Final
 
@@ -168,8 +168,12 @@ def _fixed(**fields: str) -> Layout:
     return Layout(dict(fields))
 
 
-_POSE = {"x": REAL, "y": REAL, "z": REAL, "roll": REAL, "pitch": REAL, "yaw": REAL}
-_BOX = {"x": REAL, "y": REAL, "z": REAL, "extent_x": REAL, "extent_y": REAL, "extent_z": REAL}
+def _reals(*names: str) -> Layout:
+    return Layout(dict.fromkeys(names, "f4"))
+
+
+_POSE = dict.fromkeys(("x", "y", "z", "roll", "pitch", "yaw"), REAL)
+_BOX = dict.fromkeys(("x", "y", "z", "extent_x", "extent_y", "extent_z"), REAL)
 _CURVE = Many("u4", (_fixed(x="f4", y="f4"),))
 
 _SPAWN = Layout(
@@ -184,38 +188,20 @@ _SPAWN = Layout(
     Spawn,
 )
 
-_WHEEL_END = {"position_x": "f4", "position_y": "f4", "position_z": "f4"}
-_WHEEL_START = {
-    "tire_friction": "f4",
-    "damping_rate": "f4",
-    "max_steer_angle": "f4",
-    "radius": "f4",
-    "max_brake_torque": "f4",
-    "max_handbrake_torque": "f4",
-}
-_STIFFNESS = {"lat_stiff_max_load": "f4", "lat_stiff_value": "f4", "long_stiff_value": "f4"}
+_TIRE: Final = ("tire_friction", "damping_rate", "max_steer_angle", "radius", "max_brake_torque", "max_handbrake_torque")
+_STIFFNESS: Final = ("lat_stiff_max_load", "lat_stiff_value", "long_stiff_value")
+_POSITION: Final = ("position_x", "position_y", "position_z")
 
 _PHYSICS = Layout(
     {
+        **dict.fromkeys((field.name for field in fields(Physics)), "f4"),
         "id": "u4",
-        "max_rpm": "f4",
-        "moi": "f4",
-        "damping_rate_full_throttle": "f4",
-        "damping_rate_zero_throttle_clutch_engaged": "f4",
-        "damping_rate_zero_throttle_clutch_disengaged": "f4",
         "use_gear_auto_box": FLAG,
-        "clutch_strength": "f4",
-        "final_ratio": "f4",
-        "mass": "f4",
-        "drag_coefficient": "f4",
-        "center_of_mass_x": "f4",
-        "center_of_mass_y": "f4",
-        "center_of_mass_z": "f4",
         "torque_curve": _CURVE,
         "forward_gears": Many("u4", (_fixed(ratio="f4", down_ratio="f4", up_ratio="f4"),)),
         "steering_curve": _CURVE,
         # 48 bytes a wheel since 0.9.12, 36 before.
-        "wheels": Many("u4", (_fixed(**_WHEEL_START, **_STIFFNESS, **_WHEEL_END), _fixed(**_WHEEL_START, **_WHEEL_END))),
+        "wheels": Many("u4", (_reals(*_TIRE, *_STIFFNESS, *_POSITION), _reals(*_TIRE, *_POSITION))),
     },
     Physics,
 )
@@ -227,21 +213,10 @@ _WHEELS = Layout(
     WheelSet,
 )
 
-_WEATHER = _fixed(
-    cloudiness="f4",
-    precipitation="f4",
-    precipitation_deposits="f4",
-    wind_intensity="f4",
-    sun_azimuth_angle="f4",
-    sun_altitude_angle="f4",
-    fog_density="f4",
-    fog_distance="f4",
-    fog_falloff="f4",
-    wetness="f4",
-    scattering_intensity="f4",
-    mie_scattering_scale="f4",
-    rayleigh_scattering_scale="f4",
-    dust_storm="f4",
+_WEATHER = _reals(
+    *("cloudiness", "precipitation", "precipitation_deposits", "wind_intensity", "sun_azimuth_angle", "sun_altitude_angle"),
+    *("fog_density", "fog_distance", "fog_falloff", "wetness", "scattering_intensity", "mie_scattering_scale"),
+    *("rayleigh_scattering_scale", "dust_storm"),
 )
 
 

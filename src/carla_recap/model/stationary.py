@@ -100,11 +100,7 @@ class StationaryTracker:
         self._intervals: list[BlockedRow] = []
 
     def batch(self, batch: Batch) -> None:
-        """Process the frames of a batch.
-
-        Raises:
-            FormatError: A packet contradicts its layout.
-        """
+        """Process the frames of a batch."""
         columns = [column for column in batch.columns if column.type is not None and column.type.name in TYPES]
         filled = [column for column in columns if len(column.packet(0).records)] if len(batch) > 1 else columns
         if len(batch) > 1 and [column.type.name for column in filled if column.type] in ([], [TRANSFORMS]):
@@ -115,11 +111,7 @@ class StationaryTracker:
                 self.frame(frame)
 
     def frame(self, frame: Frame, packets: Iterable[Packet] | None = None) -> None:
-        """Process a frame, or some of its packets.
-
-        Raises:
-            FormatError: A packet contradicts its layout.
-        """
+        """Process a frame, or some of its packets."""
         for packet in frame.packets if packets is None else packets:
             name = packet.type.name if packet.type else ""
             if name not in TYPES or not len(packet.records):

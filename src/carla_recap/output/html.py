@@ -40,11 +40,7 @@ _BITS: Final = 12  # of the number of a cell along an axis
 
 
 def recording_html(reader: Reader) -> str:
-    """Return the summary of a recording, with its quick kinds of incidents, above a drawing of all paths.
-
-    Raises:
-        FormatError: The file contradicts its format.
-    """
+    """Return the summary of a recording, with its quick kinds of incidents, above a drawing of all paths."""
     search = SummarySearch(reader, IncidentOptions())
     places = _PlaceCollector(search.actors)
     search.read(places.add)

@@ -74,11 +74,7 @@ class RecordedPaths:
         return numbers[max(bisect_right(numbers, time, key=lambda number: self.lives[number].spawned_at) - 1, 0)]
 
     def window(self, start: int, stop: int) -> dict[str, dict[int, ActorFrames]]:
-        """Return the records of some frames, by type and number of the actor; none before the start are read later.
-
-        Raises:
-            FormatError: The file contradicts its format.
-        """
+        """Return the records of some frames, by type and number of the actor; none before the start are read later."""
         for skipped in range(self._done, start, _FRAMES):
             self.window(skipped, min(skipped + _FRAMES, start))
         transforms = self._buffers["transforms"]

@@ -91,11 +91,7 @@ class RecordTableBuilder:
         self._clear()
 
     def add(self, batch: Batch) -> None:
-        """Add the records of a batch.
-
-        Raises:
-            FormatError: A packet contradicts its layout.
-        """
+        """Add the records of a batch."""
         if self._type.id == FRAME_START:
             records = _frame_records(batch, self._type)
         elif self._type.opaque:

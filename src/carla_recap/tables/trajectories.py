@@ -272,9 +272,6 @@ def actor_rows(
     """Return the records of types with an id, by type and actor, from one elapsed time to before another, in one pass.
 
     If a frame has several records of an actor, as in some builds, the last one counts.
-
-    Raises:
-        FormatError: The file contradicts its format.
     """
     collector = RowCollector(names, actors)
     for batches in portions(reader.batches(tuple(names), start=start, stop=stop)):

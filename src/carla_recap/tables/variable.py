@@ -56,9 +56,6 @@ def record_fields(column: Column, frames: int) -> Iterator[tuple[int, int, Field
 
     Yields:
         The number of frames, the number of records in each of them, and the fields of all of these records.
-
-    Raises:
-        FormatError: A packet contradicts its layout.
     """
     assert column.type is not None
     payloads, row = column.payloads(frames), 0

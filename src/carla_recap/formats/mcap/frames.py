@@ -105,11 +105,7 @@ class MessagePacket(Packet):
 
     @property
     def payload(self) -> Buffer:
-        """The bytes behind the packet header.
-
-        Raises:
-            FormatError: The message contradicts its schema.
-        """
+        """The bytes behind the packet header."""
         if self._payload is None:
             together = self._source.records
             assert self.type
@@ -124,11 +120,7 @@ class MessagePacket(Packet):
 
     @property
     def records(self) -> Records:
-        """The records.
-
-        Raises:
-            FormatError: The message contradicts its schema.
-        """
+        """The records."""
         together = self._source.records
         return super().records if together is None else together[self._index]
 
