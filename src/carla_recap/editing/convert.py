@@ -11,7 +11,7 @@ from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import create_writer, format_of, open_reader
 from carla_recap.formats.sources import is_remote, path_of
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.util.files import check_path, reason_of
+from carla_recap.util.files import check_path, writing
 from carla_recap.util.text import first_of
 
 if TYPE_CHECKING:
@@ -140,10 +140,8 @@ def check_destination(source: Path | str, destination: Path | str, *, force: boo
         RecapError: It is the source, or it exists.
     """
     target = Path(destination)
-    try:
+    with writing(destination):
         same = not is_remote(source) and target.exists() and path_of(source).exists() and target.samefile(path_of(source))
-    except (OSError, ValueError) as error:
-        raise RecapError(f"{str(destination)[:200]}: cannot be written: {reason_of(error)}") from None
     if same:
         raise RecapError(f"{destination}: is the source itself")
     check_free(destination, force=force)
@@ -156,10 +154,8 @@ def check_free(destination: Path | str, *, force: bool) -> None:
         RecapError: It exists, or is a URL.
     """
     check_path(destination)
-    try:
+    with writing(destination):
         exists = Path(destination).exists() or Path(destination).is_symlink()
-    except (OSError, ValueError) as error:
-        raise RecapError(f"{str(destination)[:200]}: cannot be written: {reason_of(error)}") from None
     if exists and not force:
         raise RecapError(f"{destination}: exists already; --force (in Python, force=True) replaces it")
 

@@ -15,7 +15,7 @@ from carla_recap.queries.differences import differences, metres, name_of
 from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import open_recording
 from carla_recap.roads.find import map_key, plain_name
-from carla_recap.rules.facts import Condition, Finding, Needs, Offence
+from carla_recap.rules.facts import Condition, Finding, Needs, Offence, bounded
 from carla_recap.rules.scope import WHOLE
 from carla_recap.rules.values import ANY, OBJECT, listed
 from carla_recap.util.text import number, readable
@@ -53,13 +53,11 @@ class IncidentCount(Condition):
         """See `Condition.judge`."""
         found = [incident for incident in facts.incidents if incident.kind in self.kinds and self._counts(incident, facts)]
         nouns = (KINDS[kind].singular if len(found) == 1 else KINDS[kind].plural for kind in self.kinds)
-        message = f"{len(found) or 'no'} {listed(nouns)}"
-        message += self._sides()
-        if self.bounds.contain(len(found)):
-            absent = "" if found else self.scope.absent(self.of, facts) or facts.absent(self.other)
+        message = f"{len(found) or 'no'} {listed(nouns)}{self._sides()}"
+        if not found and self.bounds.contain(0):
+            absent = self.scope.absent(self.of, facts) or facts.absent(self.other)
             return Finding(True, message + absent, applies=not absent)
-        offences = tuple(Offence(each.text, each.start, each.actors) for each in found)
-        return Finding(False, f"{message} instead of {self.bounds}", offences)
+        return bounded(message, len(found), self.bounds, [Offence(each.text, each.start, each.actors) for each in found])
 
     def _sides(self) -> str:
         of = f" caused by {self.of}" if self.at_fault and self.of.text != ANY else self.of.behind
@@ -133,10 +131,7 @@ class Size(Condition):
         value = extent.duration if self.unit == "s" else extent.frames
         written = self.bounds.written
         length = written.shown(value) if written.text else f"{number(value) if self.unit == 's' else value} {self.unit}"
-        message = f"the recording has {length}"
-        if self.bounds.contain(value):
-            return Finding(True, message)
-        return Finding(False, f"{message} instead of {self.bounds}{self._unit}")
+        return bounded(f"the recording has {length}", value, self.bounds, unit=self._unit)
 
     @property
     def _unit(self) -> str:
@@ -160,12 +155,10 @@ class ActorCount(Condition):
         if any(actor.kind in ROAD_USERS for actor in found):
             found = [actor for actor in found if actor.id not in facts.never_there]
         message = f"{len(found)} {'actor' if len(found) == 1 else 'actors'} ({self.of})"
-        if self.bounds.contain(len(found)):
-            return Finding(True, message)
         most = len(found) if self.bounds.most is None else int(self.bounds.most.value)
         surplus = sorted(found, key=lambda actor: actor.spawned_at)[most:]
-        offences = tuple(Offence(f"{each.name} appears", each.spawned_at, (each.id,)) for each in surplus)
-        return Finding(False, f"{message} instead of {self.bounds}", offences)
+        offences = [Offence(f"{each.name} appears", each.spawned_at, (each.id,)) for each in surplus]
+        return bounded(message, len(found), self.bounds, offences)
 
 
 @dataclass(frozen=True, slots=True)

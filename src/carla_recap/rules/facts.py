@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from carla_recap.recording import Recording
     from carla_recap.roads.network import RoadNetwork
     from carla_recap.rules.places import Occasion, Place
-    from carla_recap.rules.values import Selector
+    from carla_recap.rules.values import Bounds, Selector
     from carla_recap.tables.trajectories import Trajectories
     from carla_recap.util.arrays import Booleans, Floats
 
@@ -72,6 +72,13 @@ class Finding(NamedTuple):
     message: str
     offences: tuple[Offence, ...] = ()
     applies: bool = True
+
+
+def bounded(message: str, value: float, bounds: Bounds, offences: Sequence[Offence] = (), unit: str = "") -> Finding:
+    """Return the finding on a value that has bounds, whose offences count if it is outside."""
+    if bounds.contain(value):
+        return Finding(True, message)
+    return Finding(False, f"{message} instead of {bounds}{unit}", tuple(offences))
 
 
 class Positions(NamedTuple):

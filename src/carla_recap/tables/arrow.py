@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Final, Literal, Self, Union, get_args, ge
 
 import numpy as np
 
-from carla_recap.errors import MissingExtra, RecapError
+from carla_recap.errors import MissingExtra
 from carla_recap.tables.variable import Lists
-from carla_recap.util.files import reason_of
+from carla_recap.util.files import writing
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -102,7 +102,7 @@ class ParquetFile:
         repeating = [
             field.name for field in schema if not pa.types.is_floating(field.type) and not pa.types.is_nested(field.type)
         ]
-        try:
+        with writing(path):
             self._writer = parquet.ParquetWriter(
                 path,
                 schema,
@@ -110,8 +110,6 @@ class ParquetFile:
                 compression_level=1,
                 use_dictionary=[*repeating, "time"] if "time" in schema.names else repeating,
             )
-        except OSError as error:
-            raise _unwritable(path, error) from None
         self._path = path
         self.rows = 0
 
@@ -121,10 +119,8 @@ class ParquetFile:
         Raises:
             RecapError: The file cannot be written.
         """
-        try:
+        with writing(self._path):
             self._writer.write_table(table)
-        except OSError as error:
-            raise _unwritable(self._path, error) from None
         self.rows += len(table)
 
     def close(self) -> None:
@@ -133,10 +129,8 @@ class ParquetFile:
         Raises:
             RecapError: The file cannot be written.
         """
-        try:
+        with writing(self._path):
             self._writer.close()
-        except OSError as error:
-            raise _unwritable(self._path, error) from None
 
     def __enter__(self) -> Self:
         return self
@@ -153,7 +147,3 @@ def write_parquet(path: Path | str, table: pa.Table) -> None:
     """
     with ParquetFile(Path(path), table.schema) as file:
         file.write(table)
-
-
-def _unwritable(path: Path, error: OSError) -> RecapError:
-    return RecapError(f"{path}: cannot be written: {reason_of(error)}")

@@ -250,18 +250,26 @@ def reason_of(error: OSError | ValueError) -> str:
     return str(getattr(error, "strerror", None) or error)
 
 
+@contextmanager
+def writing(path: Path | str) -> Iterator[None]:
+    """Raise a `RecapError` that names a path if a `with` block cannot write to it."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise RecapError(f"{str(path)[:200]}: cannot be written: {reason_of(error)}") from None
+
+
 def make_folder(folder: Path | str) -> None:
     """Create a folder and those above it, if they are not there.
 
     Raises:
         RecapError: It cannot be created.
     """
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        raise RecapError(f"{folder}: is a file; a folder was expected") from None
-    except (OSError, ValueError) as error:
-        raise RecapError(f"{str(folder)[:200]}: cannot be written: {reason_of(error)}") from None
+    with writing(folder):
+        try:
+            Path(folder).mkdir(parents=True, exist_ok=True)
+        except FileExistsError:
+            raise RecapError(f"{folder}: is a file; a folder was expected") from None
 
 
 def prepare_file(path: Path | str) -> None:
@@ -271,11 +279,9 @@ def prepare_file(path: Path | str) -> None:
         RecapError: It cannot.
     """
     check_path(path)
-    try:
+    with writing(path):
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         WholeFile(path).abort()
-    except (OSError, ValueError) as error:
-        raise RecapError(f"{str(path)[:200]}: cannot be written: {reason_of(error)}") from None
 
 
 def check_folder(folder: Path | str, *, force: bool) -> None:
@@ -286,17 +292,12 @@ def check_folder(folder: Path | str, *, force: bool) -> None:
     """
     check_path(folder)
     folder = Path(folder)
-    try:
-        if not folder.exists():
-            return
-        if not folder.is_dir():
+    with writing(folder):
+        if folder.exists() and not folder.is_dir():
             raise RecapError(f"{folder}: is a file; a folder was expected")
-        if not force and any(folder.iterdir()):
-            raise RecapError(
-                f"{folder}: is not empty; --force (in Python, force=True) writes over what it has of the same names"
-            )
-    except (OSError, ValueError) as error:
-        raise RecapError(f"{str(folder)[:200]}: cannot be written: {reason_of(error)}") from None
+        if folder.exists() and not force and any(folder.iterdir()):
+            over = "--force (in Python, force=True) writes over what it has of the same names"
+            raise RecapError(f"{folder}: is not empty; {over}")
 
 
 @contextmanager
