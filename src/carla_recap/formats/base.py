@@ -7,12 +7,15 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, Self
 
 from carla_recap.errors import RecapError
+from carla_recap.model.batch import within
+from carla_recap.model.frame import SAME_TIME
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
 
+    from carla_recap.formats.sources import ByteSource
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Extent, Frame, Header
 
@@ -92,7 +95,7 @@ class DigestPart:
     read: Callable[[], list[tuple[Any, ...]] | None]
 
 
-class Reader(Protocol):
+class Reader:
     """An open recording.
 
     Attributes:
@@ -104,6 +107,7 @@ class Reader(Protocol):
     path: Path
     location: str
     header: Header
+    _source: ByteSource
 
     def frames(
         self,
@@ -131,7 +135,7 @@ class Reader(Protocol):
 
         Args:
             types: Names of record types: frames hold the packets of these alone, and no empty ones. None: all packets.
-            sparse: Leave out frames that hold no packet of `types`.
+            sparse: Leave out frames that hold no packet of `types`; in MCAP, durations are unknown (NaN) then.
             start: The first elapsed time, in seconds.
             stop: The elapsed time at which to stop, in seconds (exclusive). A frame within `SAME_TIME` of either counts as
                 being at it.
@@ -139,11 +143,19 @@ class Reader(Protocol):
         Raises:
             FormatError: The file contradicts its format.
         """
-        ...
+        self.check_open()
+        start, stop = start - SAME_TIME, stop - SAME_TIME
+        for batch in within(self._batches(types, start, stop, sparse=sparse), start, stop):
+            yield batch
+            self.check_open()
+
+    def _batches(self, types: Collection[str] | None, start: float, stop: float, *, sparse: bool) -> Iterator[Batch]:
+        """Yield batches with the frames from a time to another, and maybe more of them."""
+        raise NotImplementedError
 
     def frame_at(self, elapsed: float) -> Frame | None:
         """Return the last frame that begins at or before a time in seconds, or within `SAME_TIME` of it; else None."""
-        ...
+        raise NotImplementedError
 
     def frames_by_index(self, indexes: Iterable[int], types: Collection[str]) -> Iterator[Frame] | None:
         """Return the frames at some indexes, in their order; None if that would take reading all frames.
@@ -156,7 +168,7 @@ class Reader(Protocol):
 
     def extent(self) -> Extent:
         """Return the number of frames, the last id and the duration."""
-        ...
+        raise NotImplementedError
 
     def digest(self, part: PartName) -> DigestPart | None:
         """Return a part of the digest; None if the file has none.
@@ -168,7 +180,7 @@ class Reader(Protocol):
 
     def tail(self) -> Iterator[bytes]:
         """Yield the bytes after the last complete packet, in pieces."""
-        ...
+        raise NotImplementedError
 
     def further_topics(self) -> dict[str, FurtherTopic]:
         """Return the topics beside those of a recording, by name; none in formats that have no others.
@@ -225,11 +237,11 @@ class Reader(Protocol):
         Raises:
             Closed: It was.
         """
-        ...
+        self._source.check_open()
 
     def close(self) -> None:
         """Close the file; arrays that were read from it stay valid."""
-        ...
+        self._source.close()
 
 
 class Writer(Protocol):

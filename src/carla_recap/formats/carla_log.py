@@ -18,7 +18,7 @@ from carla_recap.errors import FormatError, NotARecording, RecapWarning, RecordE
 from carla_recap.formats.base import PIECE, Reader
 from carla_recap.formats.log_scan import PACKET, START, START_HEAD, Scanner, Window, is_sound
 from carla_recap.formats.sources import LocalSource
-from carla_recap.model.batch import Batch, ConstantColumn, PackedColumn, within
+from carla_recap.model.batch import Batch, ConstantColumn, PackedColumn
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, MAX_COUNT, OBJECTS_LIMIT, U16, Buffer, Framing
 from carla_recap.model.records import FRAME_START, UE4, UE5, RecordType
@@ -101,31 +101,11 @@ class LogReader(Reader):
         start = self._window().read(self._start, 1)
         self._preamble = bool(start) and start[0] != FRAME_START
 
-    def check_open(self) -> None:
-        """Check that it is not closed; see `Reader.check_open`."""
-        self._source.check_open()
-
-    def close(self) -> None:
-        """Close the file; see `Reader.close`."""
-        self._source.close()
-
-    def batches(
-        self,
-        types: Collection[str] | None = None,
-        *,
-        sparse: bool = False,
-        start: float = -math.inf,
-        stop: float = math.inf,
-    ) -> Iterator[Batch]:
-        """Yield the frames in batches; see `Reader.batches`."""
-        self.check_open()
-        start, stop = start - SAME_TIME, stop - SAME_TIME
+    def _batches(self, types: Collection[str] | None, start: float, stop: float, *, sparse: bool) -> Iterator[Batch]:
         names = None if types is None else frozenset(self.header.table.named(name).name for name in types)
         first = (0, self._start) if start == -math.inf else self._first_at(start)
-        if first is None:
-            return
-        batches = map(self._batch, self._runs(*first, names, sparse=sparse))
-        yield from batches if start == -math.inf and stop == math.inf else within(batches, start, stop)
+        if first is not None:
+            yield from map(self._batch, self._runs(*first, names, sparse=sparse))
 
     def frame_at(self, elapsed: float) -> Frame | None:
         """Return the last frame that begins at or before a time; see `Reader.frame_at`."""

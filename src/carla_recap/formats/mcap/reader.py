@@ -42,7 +42,6 @@ from carla_recap.formats.mcap.schema import (
     unchecked,
 )
 from carla_recap.formats.sources import LocalSource
-from carla_recap.model.batch import Batch, within
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header
 
 if TYPE_CHECKING:
@@ -53,6 +52,7 @@ if TYPE_CHECKING:
     from carla_recap.formats.mcap.index import ChunkIndex, Summary
     from carla_recap.formats.mcap.topics import FurtherTopics
     from carla_recap.formats.sources import ByteSource
+    from carla_recap.model.batch import Batch
     from carla_recap.model.records import RecordType
 
 T = TypeVar("T")
@@ -107,31 +107,10 @@ class McapReader(Reader):
         """What the file says of the recording as a whole, beyond the header; empty where it does not."""
         return self._read_metadata(EXTENT_METADATA) or {}
 
-    def check_open(self) -> None:
-        """Check that it is not closed; see `Reader.check_open`."""
-        self._source.check_open()
-
-    def close(self) -> None:
-        """Close the file."""
-        self._source.close()
-
-    def batches(
-        self,
-        types: Collection[str] | None = None,
-        *,
-        sparse: bool = False,
-        start: float = -math.inf,
-        stop: float = math.inf,
-    ) -> Iterator[Batch]:
-        """Yield the frames in batches; see `Reader.batches`. With `sparse`, durations are unknown (NaN)."""
-        self._source.check_open()
-        start, stop = start - SAME_TIME, stop - SAME_TIME
+    def _batches(self, types: Collection[str] | None, start: float, stop: float, *, sparse: bool) -> Iterator[Batch]:
         wanted = self._channels.wanted(types, frames=not sparse)
-        chunks = self._chunks(wanted, start, stop)
-        batches = self._assemble(chunks, ReadSelection(wanted, types is None, sparse, start, stop))
-        for batch in within(batches, start, stop):
-            yield batch
-            self._source.check_open()
+        selection = ReadSelection(wanted, types is None, sparse, start, stop)
+        return self._assemble(self._chunks(wanted, start, stop), selection)
 
     def frame_at(self, elapsed: float) -> Frame | None:
         """Return the last frame that begins at or before a time; see `Reader.frame_at`."""
