@@ -14,12 +14,10 @@ from carla_recap.model.segment import last_of_each, segments
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from numpy.typing import NDArray
 
     from carla_recap.model.batch import Batch
-    from carla_recap.model.frame import Frame, Packet
+    from carla_recap.model.frame import Frame
     from carla_recap.model.records import Table
     from carla_recap.util.arrays import Booleans, Floats, Indices
 
@@ -101,18 +99,20 @@ class StationaryTracker:
 
     def batch(self, batch: Batch) -> None:
         """Process the frames of a batch."""
-        columns = [column for column in batch.columns if column.type is not None and column.type.name in TYPES]
-        filled = [column for column in columns if len(column.packet(0).records)] if len(batch) > 1 else columns
-        if len(batch) > 1 and [column.type.name for column in filled if column.type] in ([], [TRANSFORMS]):
-            for column in filled:
-                self._transforms(batch.elapsed, batch.duration, column.records)
-        else:
-            for frame in batch:
-                self.frame(frame)
+        if len(batch) > 1:
+            columns = [
+                each for each in batch.columns if each.type and each.type.name in TYPES and len(each.packet(0).records)
+            ]
+            if [each.type.name for each in columns if each.type] in ([], [TRANSFORMS]):
+                for column in columns:
+                    self._transforms(batch.elapsed, batch.duration, column.records)
+                return
+        for frame in batch:
+            self.frame(frame)
 
-    def frame(self, frame: Frame, packets: Iterable[Packet] | None = None) -> None:
-        """Process a frame, or some of its packets."""
-        for packet in frame.packets if packets is None else packets:
+    def frame(self, frame: Frame) -> None:
+        """Process a frame."""
+        for packet in frame.packets:
             name = packet.type.name if packet.type else ""
             if name not in TYPES or not len(packet.records):
                 continue

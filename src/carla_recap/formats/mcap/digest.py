@@ -13,19 +13,18 @@ import numpy as np
 
 from carla_recap.formats.mcap.codec import encode
 from carla_recap.formats.mcap.schema import BRAKING, CONTACTS, STATIONARY, STATIONARY_RULE
-from carla_recap.model.batch import Batch
 from carla_recap.model.braking import HARD, BrakingDetector
 from carla_recap.model.braking import TYPES as BRAKING_TYPES
 from carla_recap.model.contacts import TYPES as CONTACT_TYPES
 from carla_recap.model.contacts import ImpactTracker
-from carla_recap.model.layout import EMPTY_LIST, MAX_COUNT, pack
+from carla_recap.model.layout import MAX_COUNT, pack
 from carla_recap.model.stationary import MIN_DISTANCE, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from carla_recap.model.frame import Frame
+    from carla_recap.model.batch import Batch
     from carla_recap.model.layout import Records
     from carla_recap.model.records import RecordType, Table
     from carla_recap.model.stationary import BlockedRow
@@ -41,34 +40,22 @@ class Digest:
     """Computes the digest of a recording while it is written."""
 
     def __init__(self, table: Table) -> None:
-        self._stationary_ids = {table.named(name).id for name in STATIONARY_TYPES}
-        self._spawned = table.named("spawned").id
         self._stationary: StationaryTracker | None = StationaryTracker(table, INTERVAL_TIME)
         self._detector: BrakingDetector | None = BrakingDetector((), HARD)
         self._impacts: ImpactTracker | None = ImpactTracker()
         self._intervals: list[BlockedRow] = []
         self._interval_count = self._braking_count = self._impact_count = 0
 
-    def frame(self, frame: Frame, index: int) -> None:
-        """Process a frame; `index`: its position in the file that is written."""
-        filled = [packet for packet in frame.packets if packet.id in self._stationary_ids and packet.payload != EMPTY_LIST]
-        if self._stationary:
-            self._stationary.frame(frame, filled)
-        if self._detector:
-            spawns = [spawn for packet in filled if packet.id == self._spawned for spawn in packet.records]
-            if self._detector.add_spawns(spawns):
-                self._detector.batch(Batch.of(frame))
-            else:  # it has left out frames of a vehicle that was not known to be one
-                self._detector = None
-        if self._impacts:
-            self._impacts.frame(frame, index)
-
     def batch(self, batch: Batch, index: int) -> None:
-        """Process the frames of a batch, in which no actors spawn; see `frame`."""
+        """Process a frame, or several in which no actors spawn; `index`: the position of the first in the file."""
         if self._stationary:
             self._stationary.batch(batch)
         if self._detector:
-            self._detector.batch(batch)
+            spawns = batch.frame(0)["spawned"] if len(batch) == 1 else []
+            if self._detector.add_spawns(spawns):
+                self._detector.batch(batch)
+            else:  # it has left out frames of a vehicle that was not known to be one
+                self._detector = None
         if self._impacts:
             self._impacts.batch(batch, index)
 

@@ -74,7 +74,6 @@ class FurtherTopics:
         self._summary = summary
         self._clock = clock
         self._opened = opened
-        self._schema_encodings: dict[int, str] = {}
         self._channels: dict[str, list[ChannelRecord]] = {}
         for channel in summary.channels.values():
             if channel.topic in own:
@@ -231,9 +230,7 @@ class FurtherTopics:
             except ValueError:
                 metadata = {}
         message = self._summary.schemas.get(channel.schema, "")
-        if message and channel.schema not in self._schema_encodings:
-            self._schema_encodings[channel.schema] = self._schema(channel.schema)[0]
-        encoding = self._schema_encodings.get(channel.schema, "")
+        encoding = self._schema(channel.schema)[0] if message else ""
         return Topic(channel.topic, message, lambda: self._schema(channel.schema)[1], metadata, channel.encoding, encoding)
 
     def _schema(self, id: int) -> tuple[str, bytes]:

@@ -41,7 +41,7 @@ from carla_recap.formats.mcap.schema import (
     header_metadata,
     parameters_metadata,
 )
-from carla_recap.model.batch import ConstantColumn
+from carla_recap.model.batch import Batch, ConstantColumn
 from carla_recap.model.frame import Extent, Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, Framing, PayloadError, check
 from carla_recap.model.lives import HERO
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from carla_recap.model.batch import Batch, Column
+    from carla_recap.model.batch import Column
     from carla_recap.model.layout import Buffer
 
 CHUNK_SIZE: Final = 1 << 20
@@ -139,7 +139,7 @@ class McapWriter(ChunkedFile):
         kinds = start + bytes([self._add(packet, head, times) for packet in frame.packets])
         body = codec.frame_body(frame.duration, packets, kinds)
         self._chunks[Group.STATE].add(self._frame_channel, self._sequence, times, head, body)
-        self._digest.frame(frame, self._sequence)
+        self._digest.batch(Batch.of(frame), self._sequence)
         self._add_digest(self._digest.take(), head, times)
         self._cut_large()
 
