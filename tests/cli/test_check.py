@@ -110,7 +110,7 @@ def test_on_a_terminal_verdicts_are_a_table(runs):
 def test_wrong_rules_are_an_error_before_anything_is_read(tmp_path):
     rules = save(tmp_path / "rules.toml", b"[rules.a]\ncollisions = { max = 'none' }")
     message = error("check", "absent.mcap", "--rules", rules)
-    assert message == f"{rules}: rule 'a': collisions.max: 'none'; a whole number of 0 or more was expected"
+    assert message == f"{rules}: rule 'a': collisions.max: expected a whole number of 0 or more, found 'none'"
 
 
 def test_the_folder_of_the_junit_file_is_made(runs, tmp_path):

@@ -170,13 +170,13 @@ def test_an_error_of_a_function_is_one_line_with_the_file_and_the_line(folder: P
 @pytest.mark.parametrize(
     ("condition", "fault"),
     [
-        ("3", ': 3; a function as "FILE.py:function" or "module:function" was expected'),
-        ("'my_rules'", ': \'my_rules\'; a function as "FILE.py:function" or "module:function" was expected'),
+        ("3", ': expected a function as "FILE.py:function" or "module:function", found 3'),
+        ("'my_rules'", ': expected a function as "FILE.py:function" or "module:function", found \'my_rules\''),
         (
             "'../my_rules:nothing'",
-            ': \'../my_rules:nothing\'; a function as "FILE.py:function" or "module:function" was expected',
+            ': expected a function as "FILE.py:function" or "module:function", found \'../my_rules:nothing\'',
         ),
-        ("{ limit = 3 }", '.function: is missing; a function as "FILE.py:function" or "module:function" was expected'),
+        ("{ limit = 3 }", '.function: expected a function as "FILE.py:function" or "module:function", found nothing'),
         ("'absent_rules:f'", ": there is no module absent_rules, in "),
         ("'my_rules:absent'", ": the module my_rules has no function absent"),
         ("'my_rules:not_a_function'", ": the module my_rules has no function not_a_function"),

@@ -60,26 +60,29 @@ def test_lanes_in_words():
 @pytest.mark.parametrize(
     ("place", "fault"),
     [
-        ("{}", "reaches: has no place; place, or x, y and within, or polygon, or lanes, road and junction was expected"),
+        ("{}", "reaches: expected place, or x, y and within, or polygon, or lanes, road and junction, found no place"),
         ("{ x = 1, y = 2 }", "reaches.within: is missing; x, y and within make a place"),
         ("{ x = 1, within = 2 }", "reaches.y: is missing; x, y and within make a place"),
-        ("{ x = 1, y = 2, within = 0 }", "reaches.within: 0; a distance above 0 was expected"),
-        ("{ x = 1, y = 2, within = '3 s' }", "reaches.within: '3 s'; a number in m, or a text"),
-        ("{ x = nan, y = 2, within = 1 }", "reaches.x: nan; a number in m, or a text"),
-        ("{ x = inf, y = 2, within = 1 }", "reaches.x: inf; a number in m, or a text"),
-        ("{ x = 1, y = 2, within = 1, before = '-3 s' }", "reaches.before: '-3 s'; a time of 0 or more was expected"),
-        ("{ x = 1, y = 2, within = 1, road = 3 }", "reaches: has several places; place, or x, y and within, or polygon, "),
-        ("{ place = 'nowhere' }", "reaches.place: 'nowhere'; the name of a table [places.NAME] was expected"),
+        ("{ x = 1, y = 2, within = 0 }", "reaches.within: expected a distance above 0, found 0"),
+        ("{ x = 1, y = 2, within = '3 s' }", "reaches.within: expected a number in m, or a text"),
+        ("{ x = nan, y = 2, within = 1 }", "reaches.x: expected a number in m, or a text"),
+        ("{ x = inf, y = 2, within = 1 }", "reaches.x: expected a number in m, or a text"),
+        ("{ x = 1, y = 2, within = 1, before = '-3 s' }", "reaches.before: expected a time of 0 or more, found '-3 s'"),
+        ("{ x = 1, y = 2, within = 1, road = 3 }", "reaches: expected place, or x, y and within, or polygon, "),
+        ("{ place = 'nowhere' }", "reaches.place: expected the name of a table [places.NAME], found 'nowhere'"),
         ("{ wihtin = 3 }", "unknown key 'wihtin'; did you mean within? The keys are of, place, x, y, z, within, polygon, "),
-        ("{ polygon = [[0, 0], [1, 1]] }", "reaches.polygon: [[0, 0], [1, 1]]; a list of 3 to 1000 points [x, y] in m"),
-        ("{ polygon = [[0, 0], [1, 0], [1, nan]] }", "a list of 3 to 1000 points [x, y] in m was expected"),
-        ("{ polygon = [[0, 0], [1, 0], [1, 1e300]] }", "a list of 3 to 1000 points [x, y] in m was expected"),
-        ("{ polygon = [[0, 0], [1, 0], [1, true]] }", "a list of 3 to 1000 points [x, y] in m was expected"),
-        ("{ polygon = [[0, 0], [1, 0], [2, 0]] }", "reaches.polygon: has no area; a polygon around an area was expected"),
-        ("{ polygon = [[0, 0], [9, 0], [0, 9], [9, 9]] }", "reaches.polygon: sides 2 and 4 cross; a polygon that does not "),
-        ("{ lanes = 'drivng' }", "reaches.lanes: 'drivng'; one or a list of driving, entry, "),
-        ("{ road = 1.5 }", "reaches.road: 1.5; an id in the map, or a list of ids, was expected"),
-        ("{ road = [] }", "reaches.road: []; an id in the map, or a list of ids, was expected"),
+        ("{ polygon = [[0, 0], [1, 1]] }", "reaches.polygon: expected a list of 3 to 1000 points [x, y] in m"),
+        ("{ polygon = [[0, 0], [1, 0], [1, nan]] }", "expected a list of 3 to 1000 points [x, y] in m"),
+        ("{ polygon = [[0, 0], [1, 0], [1, 1e300]] }", "expected a list of 3 to 1000 points [x, y] in m"),
+        ("{ polygon = [[0, 0], [1, 0], [1, true]] }", "expected a list of 3 to 1000 points [x, y] in m"),
+        ("{ polygon = [[0, 0], [1, 0], [2, 0]] }", "reaches.polygon: expected a polygon around an area, found none"),
+        (
+            "{ polygon = [[0, 0], [9, 0], [0, 9], [9, 9]] }",
+            "expected a polygon that does not cross itself, found sides 2 and 4",
+        ),
+        ("{ lanes = 'drivng' }", "reaches.lanes: expected one or a list of driving, entry, "),
+        ("{ road = 1.5 }", "reaches.road: expected an id in the map, or a list of ids, found 1.5"),
+        ("{ road = [] }", "reaches.road: expected an id in the map, or a list of ids, found []"),
     ],
 )
 def test_a_wrong_place_is_a_fault_in_one_line(place, fault):
@@ -93,13 +96,16 @@ def test_a_wrong_place_is_a_fault_in_one_line(place, fault):
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("axes = 'left'", "axes: 'left'; one of right-handed, carla was expected"),
-        ("places = 3", "places: 3; tables of the form [places.NAME] was expected"),
-        ("[places]\na = 3", "place 'a': 3; a table, as [places.NAME], was expected"),
+        ("axes = 'left'", "axes: expected one of right-handed, carla, found 'left'"),
+        ("places = 3", "places: expected tables of the form [places.NAME], found 3"),
+        ("[places]\na = 3", "place 'a': expected a table, as [places.NAME], found 3"),
         ("[places.a]\nx = 1", "place 'a'.y: is missing; x, y and within make a place"),
-        ("[places.a]\nz = []", "place 'a'.z: []; a number in m, or "),
-        ("[places.a]\nplace = 'b'", "place 'a'.place: 'b'; the name of a table [places.NAME] was expected"),
-        ("[places.near-miss]\nroad = 1", "place 'near-miss': 'near-miss'; a name that is no kind of incidents was expected"),
+        ("[places.a]\nz = []", "place 'a'.z: expected a number in m, or "),
+        ("[places.a]\nplace = 'b'", "place 'a'.place: expected the name of a table [places.NAME], found 'b'"),
+        (
+            "[places.near-miss]\nroad = 1",
+            "place 'near-miss': expected a name that is no kind of incidents, found 'near-miss'",
+        ),
     ],
 )
 def test_a_wrong_place_with_a_name_is_one_fault_wherever_it_is_used(text, fault):
@@ -111,7 +117,7 @@ def test_a_wrong_place_with_a_name_is_one_fault_wherever_it_is_used(text, fault)
     with pytest.raises(RulesError) as caught:
         parse_rules(f"{text}\n{rules}", "rules.toml")
     assert fault in caught.value.faults[0]
-    assert len(caught.value.faults) == 1 + ("'a': 3" in fault)
+    assert len(caught.value.faults) == 1 + fault.startswith("place 'a': ")
 
 
 @pytest.mark.parametrize(
@@ -119,14 +125,14 @@ def test_a_wrong_place_with_a_name_is_one_fault_wherever_it_is_used(text, fault)
     [
         (
             "during = ['9 s', '2 s']",
-            "during: ['9 s', '2 s']; two times in their order, such as [\"10 s\", \"20 s\"], was expected",
+            "during: expected two times in their order, such as [\"10 s\", \"20 s\"], found ['9 s', '2 s']",
         ),
-        ("during = [-1, 2]", "during: [-1, 2]; a time of 0 or more was expected"),
-        ("during = '3 s'", "during: '3 s'; two times in their order"),
-        ("until = 'crash'", "until: 'crash'; one of collision, red-light, wrong-way, "),
-        ("after = 3", "after: 3; the name of a table [places.NAME] was expected"),
+        ("during = [-1, 2]", "during: expected a time of 0 or more, found [-1, 2]"),
+        ("during = '3 s'", "during: expected two times in their order"),
+        ("until = 'crash'", "until: expected one of collision, red-light, wrong-way, "),
+        ("after = 3", "after: expected the name of a table [places.NAME], found 3"),
         ("where = { x = 3 }", "where.y: is missing; x, y and within make a place"),
-        ("where = 'here'", "where: 'here'; the name of a table [places.NAME] was expected"),
+        ("where = 'here'", "where: expected the name of a table [places.NAME], found 'here'"),
     ],
 )
 def test_a_wrong_scope_is_a_fault(scope, fault):
@@ -140,7 +146,7 @@ def test_a_polygon_of_many_points_is_refused_at_once():
     points = [[float(index), 0.0] for index in range(100_000)]
     with time_limit(), pytest.raises(RulesError) as caught:
         make_rules(reaches={"of": "hero", "polygon": points})
-    assert "a list of 3 to 1000 points [x, y] in m was expected" in str(caught.value)
+    assert "expected a list of 3 to 1000 points [x, y] in m" in str(caught.value)
     assert len(str(caught.value)) < 400
 
 

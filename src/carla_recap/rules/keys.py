@@ -51,7 +51,7 @@ def quantity(unit: str, least: float = -math.inf, *, is_open: bool = False) -> V
     They are in a unit; of those in `UNITS`, others of the same kind can be written.
     """
     units, noun = UNITS.get(unit, {}), _NOUNS.get(unit, "number")
-    expected = f'a number in {unit}, or a text such as "1.5 {unit}" with one of the units {", ".join(units)},'
+    expected = f'a number in {unit}, or a text such as "1.5 {unit}" with one of the units {", ".join(units)}'
     too_small = f"a {noun} above {least:g}" if is_open else f"a {noun} of {least:g} or more"
 
     def read(value: Any, _: Reading) -> Quantity | None:
@@ -102,9 +102,9 @@ def kind_of(text: str) -> str | None:
 
 def _bounds(_: Reading, min: Quantity | None = None, max: Quantity | None = None) -> Bounds:
     if min is None and max is None:
-        raise Unexpected("has no bound; min or max was expected")
+        raise Unexpected("expected min or max, found no bound")
     if min is not None and max is not None and min.value > max.value:
-        raise Unexpected(f"{min}; no more than max was expected", "min")
+        raise Unexpected(f"expected no more than max, found {min}", "min")
     return Bounds(min, max)
 
 
@@ -133,12 +133,12 @@ def _baseline(value: Any, reading: Reading) -> str | None:
         return None
     path = value if "://" in value else os.path.join(reading.folder, value)  # noqa: PTH118
     if "://" not in path and not os.path.exists(path):  # noqa: PTH110
-        reading.faults.append(f"{reading.prefix}: there is no {visible(path)}; {BASELINE.expected} was expected")
+        reading.faults.append(f"{reading.prefix}: expected {BASELINE.expected}, found no {visible(path)}")
         raise Unexpected
     return path
 
 
-BASELINE: Final = ValueType("path", "the path of a recording, or of a folder of recordings,", _baseline)
+BASELINE: Final = ValueType("path", "the path of a recording, or of a folder of recordings", _baseline)
 
 
 # --- places --------------------------------------------------------------------------------------------------------------
@@ -176,7 +176,7 @@ def _id(value: Any, _: Reading) -> tuple[str, ...] | None:
     return tuple(dict.fromkeys(map(str, values))) if is_valid else None
 
 
-ID: Final = ValueType("id, or list of ids", "an id in the map, or a list of ids,", _id)
+ID: Final = ValueType("id, or list of ids", "an id in the map, or a list of ids", _id)
 
 
 def _named_place(value: Any, reading: Reading) -> Place:
@@ -204,20 +204,18 @@ def _place(
     is_lanes = bool(lanes or road or junction)
     if (named is not None) + is_circle + (polygon is not None) + is_lanes != 1:
         ways = "place, or x, y and within, or polygon, or lanes, road and junction"
-        raise Unexpected(
-            f"has {'several places' if is_circle or is_lanes or named or polygon else 'no place'}; {ways} was expected"
-        )
+        found = "several places" if is_circle or is_lanes or named or polygon else "no place"
+        raise Unexpected(f"expected {ways}, found {found}")
     if named is not None:
         return named
     if polygon is not None:
-        found = Polygon(polygon)
-        if (sides := found.crossing()) is not None:
-            raise Unexpected(
-                f"sides {sides[0]} and {sides[1]} cross; a polygon that does not cross itself was expected", "polygon"
-            )
-        if not found.area > 0:
-            raise Unexpected("has no area; a polygon around an area was expected", "polygon")
-        return found
+        area = Polygon(polygon)
+        if (sides := area.crossing()) is not None:
+            text = f"expected a polygon that does not cross itself, found sides {sides[0]} and {sides[1]} that cross"
+            raise Unexpected(text, "polygon")
+        if not area.area > 0:
+            raise Unexpected("expected a polygon around an area, found none", "polygon")
+        return area
     if is_lanes:
         return Lanes(lanes, road, junction)
     for name, value in (("x", x), ("y", y), ("within", within)):
@@ -271,7 +269,7 @@ def place_of(value: Any, reading: Reading) -> Place:
     return place
 
 
-PLACE: Final = ValueType("place", "the name of a place, or a table of its keys,", place_of)
+PLACE: Final = ValueType("place", "the name of a place, or a table of its keys", place_of)
 
 
 def _order(value: Any, reading: Reading) -> tuple[Place, ...] | None:
@@ -299,7 +297,7 @@ def _interval(value: Any, reading: Reading) -> tuple[Quantity, Quantity] | None:
     return (start, stop) if start.value <= stop.value else None
 
 
-INTERVAL: Final = ValueType("list of two times", 'two times in their order, such as ["10 s", "20 s"],', _interval)
+INTERVAL: Final = ValueType("list of two times", 'two times in their order, such as ["10 s", "20 s"]', _interval)
 
 
 def _occasion(value: Any, reading: Reading) -> str | Place:
@@ -307,11 +305,11 @@ def _occasion(value: Any, reading: Reading) -> str | Place:
         return place_of(value, reading)
     if (kind := kind_of(value)) is None:
         names = ", ".join((*reading.places, *(kind.option for kind in KINDS.values())))
-        raise Unexpected(f"one of {names}, or a table of the keys of a place,")
+        raise Unexpected(f"one of {names}, or a table of the keys of a place")
     return kind
 
 
-OCCASION: Final = ValueType("occasion", "a kind of incidents, or a place,", _occasion)
+OCCASION: Final = ValueType("occasion", "a kind of incidents, or a place", _occasion)
 
 SCOPE: Final = KeyGroup(
     "scope",

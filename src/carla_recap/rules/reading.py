@@ -59,7 +59,7 @@ class Reading:
 
     def refuse(self, value: Any, expected: str) -> None:
         """Add the fault of a value."""
-        self.faults.append(f"{self.prefix}: {shown(value)}; {expected} was expected")
+        self.faults.append(f"{self.prefix}: expected {expected}, found {shown(value)}")
 
     def value(self, type: ValueType, value: Any, name: str = "") -> Any:
         """Return a value as its type reads it; None, and a fault, if it is wrong, or missing (None)."""
@@ -180,7 +180,7 @@ def hint(name: str, known: Sequence[str], what: str) -> str:
 def shown(value: Any) -> str:
     """Return a value of a file for an error."""
     if value is None:
-        return "is missing"
+        return "nothing"
     if type(value) is int and abs(value) > LARGEST_COUNT:
         return "a number of many digits"
     if isinstance(value, dict):

@@ -137,15 +137,15 @@ def parse_rules(text: str, path: Path | str) -> RuleSet:
     """
     for number, line in enumerate(text.split("\n"), 1):
         if line.count(".") > _MOST_DOTS:
-            raise RulesError([f"{path}: line {number}: has {line.count('.')} dots; keys of a few names were expected"])
+            raise RulesError([f"{path}: line {number}: expected keys of a few names, found {line.count('.')} dots"])
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise RulesError([f"{path}: {visible(str(error))}; TOML was expected"]) from None
+        raise RulesError([f"{path}: expected TOML: {visible(str(error))}"]) from None
     except RecursionError:
-        raise RulesError([f"{path}: is nested too deeply; tables of rules were expected"]) from None
+        raise RulesError([f"{path}: expected tables of rules, found too many in one another"]) from None
     except ValueError:  # of `int`
-        fault = f"{path}: has a number of thousands of digits; quantities and numbers of things were expected"
+        fault = f"{path}: expected quantities and numbers of things, found a number of thousands of digits"
         raise RulesError([fault]) from None
     reading = Reading(str(path), folder=os.path.dirname(path))  # noqa: PTH120
     unknown = [key for key in document if key not in _KEYS]
@@ -154,7 +154,7 @@ def parse_rules(text: str, path: Path | str) -> RuleSet:
     found = document.get("rules")
     if isinstance(found, dict) and found:
         return _rules(found, reading)
-    raise RulesError(reading.faults or [f"{path}: has no rules; a table of the form [rules.NAME] was expected"])
+    raise RulesError(reading.faults or [f"{path}: expected a table of the form [rules.NAME], found no rules"])
 
 
 def make_rules(*, axes: Axes = "right-handed", places: Mapping[str, Any] | None = None, **conditions: Any) -> RuleSet:
@@ -240,7 +240,7 @@ def _with_places(reading: Reading, axes: Any, places: Any) -> Reading:
         if not name.strip() or name in KINDS or any(name == kind.option for kind in KINDS.values()):
             of_it.refuse(name, "a name that is no kind of incidents")
         elif not isinstance(table, dict):
-            of_it.refuse(table, "a table, as [places.NAME],")
+            of_it.refuse(table, "a table, as [places.NAME]")
         else:
             place = of_it.value(PLACE, table)
             found[name] = None if place is None else replace(place, name=name)
@@ -262,9 +262,9 @@ def _rule(name: str, table: Any, reading: Reading) -> Rule | None:
     prefix, faults = reading.prefix, reading.faults
     count = len(faults)
     if not name.strip():
-        faults.append(f"{prefix}: a name was expected")
+        faults.append(f"{prefix}: expected a name")
     if not isinstance(table, dict):
-        reading.refuse(table, "a table, as [rules.NAME],")
+        reading.refuse(table, "a table, as [rules.NAME]")
         return None
     description = table.get("description")
     if description is not None and not isinstance(description, str):
@@ -274,11 +274,8 @@ def _rule(name: str, table: Any, reading: Reading) -> Rule | None:
     unknown = [key for key in given if key not in kinds]
     faults += [f"{prefix}: unknown condition {shown(key)}; {hint(key, list(CONDITIONS), 'conditions')}" for key in unknown]
     if len(kinds) != 1 and not unknown:
-        several, none = (
-            f"has the conditions {' and '.join(kinds)}; one alone",
-            f"has no condition; one of {', '.join(CONDITIONS)}",
-        )
-        faults.append(f"{prefix}: {several if kinds else none} was expected")
+        one = "one condition" if kinds else f"one of the conditions {', '.join(CONDITIONS)}"
+        faults.append(f"{prefix}: expected {one}, found {' and '.join(kinds) or 'none'}")
     found = [kind.read(given[key], reading.of(f"{prefix}: {key}")) for key, kind in kinds.items()]
     if len(faults) > count or found[0] is None:
         return None
