@@ -89,7 +89,7 @@ def test_another_format_is_an_error() -> None:
     with pytest.raises(RecapError, match=r"'a\.txt' does not end in ") as caught:
         find_format("a.txt")
     assert all(suffix in str(caught.value) for suffix in suffixes)
-    with pytest.raises(RecapError, match=f"'wings' is no format of exports; one of {', '.join(FORMATS)} was expected"):
+    with pytest.raises(RecapError, match=f"expected a format of exports, one of {', '.join(FORMATS)}, found 'wings'"):
         find_format("a.txt", "wings")
     with pytest.raises(RecapError, match=r"'a\.txt' does not end in \.rrd"):
         find_format("a.txt", "rerun")

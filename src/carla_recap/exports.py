@@ -129,7 +129,7 @@ def find_format(destination: Path | str, to: str | None = None, *, is_folder: bo
         RecapError: There is no such format, or the destination has another suffix.
     """
     if to is not None and to not in FORMATS:
-        raise RecapError(f"{to!r} is no format of exports; one of {', '.join(FORMATS)} was expected")
+        raise RecapError(f"expected a format of exports, one of {', '.join(FORMATS)}, found {to!r}")
     given = Path(destination).suffix.lower()
     if to is not None:
         form = FORMATS[to]

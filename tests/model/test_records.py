@@ -164,7 +164,7 @@ def test_one_record_is_a_record():
         ([(1, 2)], "transforms: .*the fields are id"),
         ([1], "transforms: .*the fields are id"),
         (5, "transforms: .*the fields are id"),
-        (np.zeros(3), "transforms: rows of 7 numbers were expected"),
+        (np.zeros(3), "transforms: expected rows of 7 numbers"),
         (np.zeros(3, "u4,f4"), "transforms: .*the fields are id"),
     ],
     ids=str,

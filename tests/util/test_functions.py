@@ -39,9 +39,9 @@ def test_what_is_no_plain_function_is_called_too(file):
     [
         (SOURCE, "gone", "has no function gone; it has run, plain"),
         ("def run(:\n", "run", ":1: "),
-        ("x = '\0'", "run", "Python was expected"),
-        (b"\xff\xfe", "run", "Python was expected|:1: "),
-        ("(" * 5000, "run", "Python was expected|:1: "),
+        ("x = '\0'", "run", "expected Python"),
+        (b"\xff\xfe", "run", "expected Python|:1: "),
+        ("(" * 5000, "run", "expected Python|:1: "),
         ("", "run", "has no function run"),
     ],
 )

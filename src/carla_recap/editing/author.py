@@ -54,7 +54,7 @@ class Recorder:
         if self._closed:
             raise RecordError("the recording is closed")
         if not isinstance(elapsed, float | int | SupportsFloat) or not 0 <= (elapsed := float(elapsed)) < math.inf:
-            raise RecordError(f"elapsed seconds of 0 or more were expected, found {elapsed!r}")
+            raise RecordError(f"expected elapsed seconds of 0 or more, found {elapsed!r}")
         if self._latest is not None and not elapsed > self._latest.elapsed:
             raise RecordError(f"a frame at {elapsed:g} s cannot follow one at {self._latest.elapsed:g} s")
         number = self.extent.frames + 1
@@ -146,7 +146,7 @@ def create_recording(
         RecapError: The suffix is of no format, or the file cannot be created.
     """
     if not isinstance(map_name, str):
-        raise RecordError(f"{path}: the name of a map was expected, found {map_name!r}")
+        raise RecordError(f"{path}: expected the name of a map, found {map_name!r}")
     if isinstance(date, datetime):
         date = date.timestamp()
     try:

@@ -86,7 +86,7 @@ def _criteria(path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise RecapError(f"{path}: is no JSON file ({error})") from None
     if not isinstance(found, dict):
-        raise RecapError(f"{path}: an object with a member for each criterion was expected")
+        raise RecapError(f"{path}: expected an object with a member for each criterion")
     return found
 
 
@@ -103,15 +103,13 @@ def _town_map(path: Path) -> Any:
     except subprocess.TimeoutExpired:
         failed = True
     if failed:
-        raise FormatError(path, None, "an OpenDRIVE map was expected; CARLA's library breaks down on it")
+        raise FormatError(path, None, "expected an OpenDRIVE map, found a file on which CARLA's library breaks down")
     return carla.Map(path.stem, text)
 
 
 def _metric_class(path: Path) -> Any:
     if not path.is_file() or path.suffix != ".py":
-        raise RecapError(
-            f"{path}: {'no Python file' if path.exists() else 'no such file'}; a metric's .py file was expected"
-        )
+        raise RecapError(f"{path}: expected a metric's .py file, found {'another file' if path.exists() else 'none'}")
     _provide_scenario_runner()
     module = import_module(path.stem)
     for _, member in inspect.getmembers(module, inspect.isclass):

@@ -291,13 +291,13 @@ class RecordType(PacketType):
         make = self.layout.make
         for item in objects:
             if make is None or not isinstance(item, make):
-                raise TypeError(f"a {make.__name__ if make else 'packet'} was expected, found {item!r:.60}")
+                raise TypeError(f"expected a {make.__name__ if make else 'packet'}, found {item!r:.60}")
         return objects
 
     def _row(self, row: Any) -> dict[str, Any]:
         values = tuple(row) if np.ndim(row) or isinstance(row, np.void) else (row,)
         if len(values) != len(self.layout.fields):
-            raise ValueError(f"rows of {len(self.layout.fields)} numbers were expected, found {row!r:.60}")
+            raise ValueError(f"expected rows of {len(self.layout.fields)} numbers, found {row!r:.60}")
         return dict(zip(self.layout.fields, values, strict=True))
 
     def _from_columns(self, columns: Mapping[str, Any]) -> NDArray[np.void]:
@@ -307,7 +307,7 @@ class RecordType(PacketType):
         arrays = {name: np.asarray(column) for name, column in columns.items()}
         lengths = {len(array) for array in arrays.values() if array.ndim}
         if len(lengths) > 1 or any(array.ndim > 1 for array in arrays.values()):
-            raise ValueError(f"columns of one length were expected, found {sorted(lengths)}")
+            raise ValueError(f"expected columns of one length, found {sorted(lengths)}")
         records = np.zeros(lengths.pop() if lengths else 1, dtype=self.dtype)
         for name, array in arrays.items():
             records[name] = array

@@ -64,18 +64,18 @@ def function_in(place: str) -> tuple[FileFunction, Keywords | None]:
     """
     file, colon, name = place.rpartition(":")
     if not colon or not file or not name.isidentifier():
-        raise RecapError(f"{place[:200]!r}: is no function; FILE.py:FUNCTION was expected")
+        raise RecapError(f"expected FILE.py:FUNCTION, found {place[:200]!r}")
     try:
         path = Path(file).absolute()
         source = path.read_bytes()
         tree = ast.parse(source, file)
         symbols = symtable.symtable(source.decode("utf-8-sig"), file, "exec")
     except OSError as error:
-        raise RecapError(f"{file[:200]}: {error.strerror}; a Python file with the function {name} was expected") from None
+        raise RecapError(f"{file[:200]}: expected a Python file with the function {name}: {error.strerror}") from None
     except SyntaxError as error:
-        raise RecapError(f"{file}:{error.lineno or 1}: {error.msg}; Python was expected") from None
+        raise RecapError(f"{file}:{error.lineno or 1}: expected Python: {error.msg}") from None
     except (ValueError, RecursionError, MemoryError) as error:
-        raise RecapError(f"{file[:200]}: Python was expected ({single_line(error) or type(error).__name__})") from None
+        raise RecapError(f"{file[:200]}: expected Python: {single_line(error) or type(error).__name__}") from None
     found = [each for each in tree.body if isinstance(each, ast.FunctionDef) and each.name == name]
     if found:
         return FileFunction(str(path), name), _keywords(found[-1].args) if not found[-1].decorator_list else None

@@ -57,9 +57,9 @@ def test_a_place_outside_is_an_error(source, at, size):
 def test_a_record_of_another_kind_is_an_error(tmp_path):
     source = LocalSource(save(tmp_path / "one", packed(records.DataEnd(data_section_crc=7))))
     assert read_record(source, 0, Opcode.DATA_END, "the end") == struct.pack("<I", 7)
-    with pytest.raises(FormatError, match="a chunk was expected, found a record of kind 15 with 4 bytes"):
+    with pytest.raises(FormatError, match="expected a chunk, found a record of kind 15 with 4 bytes"):
         read_record(source, 0, Opcode.CHUNK, "a chunk")
-    with pytest.raises(FormatError, match="the end was expected"):
+    with pytest.raises(FormatError, match="expected the end"):
         read_record(source, 0, Opcode.DATA_END, "the end", limit=3)
     source.close()
 
@@ -153,7 +153,7 @@ def test_more_than_the_limit_is_an_error_before_anything_is_unpacked():
 
 def test_an_lz4_bomb_is_unpacked_no_further_than_announced():
     data = lz4.frame.compress(bytes(100 << 20))
-    with pytest.raises(ValueError, match="1001 bytes after decompression, 1000 were expected"):
+    with pytest.raises(ValueError, match="expected 1000 bytes after decompression, found 1001"):
         decompress("lz4", data, 1000)
 
 

@@ -54,7 +54,7 @@ def read_record(source: ByteSource, offset: int, opcode: Opcode, what: str, limi
     """
     found, size = RECORD.unpack(source.read(offset, RECORD.size, what))
     if found != opcode or size > limit:
-        raise FormatError(source.location, offset, f"{what} was expected, found a record of kind {found} with {size} bytes")
+        raise FormatError(source.location, offset, f"expected {what}, found a record of kind {found} with {size} bytes")
     return source.read(offset + RECORD.size, size, what)
 
 
@@ -181,7 +181,7 @@ def decompress(compression: str, data: bytes | memoryview, size: int) -> bytes:
     except (zstandard.ZstdError, RuntimeError, MemoryError) as error:
         raise ValueError(f"damaged data ({error})") from None
     if len(records) != size:
-        raise ValueError(f"{len(records)} bytes after decompression, {size} were expected")
+        raise ValueError(f"expected {size} bytes after decompression, found {len(records)}")
     return records
 
 

@@ -224,7 +224,7 @@ class McapReader(Reader):
     def _read_header(self) -> Header:
         metadata = self._read_metadata(HEADER_METADATA)
         if metadata is None and EXPORT_METADATA in self._summary.metadata:
-            raise NotARecording(self.location, "is an export for a viewer; the recording that it was made from was expected")
+            raise NotARecording(self.location, "expected a recording, found an export for a viewer that was made from one")
         if metadata is None:
             raise NotARecording(self.location, f"holds no recording (MCAP metadata {HEADER_METADATA!r} is missing)")
         try:
@@ -281,7 +281,7 @@ class McapReader(Reader):
         """Return the records of a chunk, from its bytes in the file."""
         opcode, size = RECORD.unpack_from(data) if len(data) >= RECORD.size else (0, 0)
         if opcode != Opcode.CHUNK or RECORD.size + size != chunk.length:
-            raise FormatError(self.location, chunk.offset, f"a chunk of {chunk.length} bytes was expected")
+            raise FormatError(self.location, chunk.offset, f"expected a chunk of {chunk.length} bytes, found another record")
         try:
             return open_chunk(memoryview(data)[RECORD.size :])[2]
         except ValueError as error:

@@ -257,7 +257,7 @@ def parameters_metadata(header: Header) -> dict[str, str]:
         RecordError: They are too long, or one has a name that has another meaning there.
     """
     if CHECKSUM in header.parameters:
-        raise RecordError(f"a parameter {CHECKSUM!r} cannot be recorded; another name was expected")
+        raise RecordError(f"expected another name of a parameter than {CHECKSUM!r}")
     values = {_unicode(name): _unicode(value) for name, value in header.parameters.items()}
     size = sum(len(text.encode()) for pair in values.items() for text in pair)
     if size > PARAMETERS_LIMIT:
