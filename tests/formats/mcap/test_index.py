@@ -226,7 +226,7 @@ def test_metadata_of_thousands_of_entries(driven):
         if isinstance(part, records.Metadata) and part.name == "carla_recap.header":
             parts[number] = records.Metadata(part.name, part.metadata | entries)
     Forge(parts).write(driven)
-    with time_limit(), pytest.raises(FormatError, match=r"the metadata carla_recap\.header was expected"):
+    with time_limit(), pytest.raises(FormatError, match=r"expected the metadata carla_recap\.header"):
         open_recording(driven)
     with time_limit(), warnings_ignored():
         recovery = recover(driven, driven.with_name("saved.mcap"))
