@@ -109,7 +109,7 @@ def _town_map(path: Path) -> Any:
 
 def _metric_class(path: Path) -> Any:
     if not path.is_file() or path.suffix != ".py":
-        raise RecapError(f"{path}: expected a metric's .py file, found {'another file' if path.exists() else 'no such file'}")
+        raise RecapError(f"{path}: expected a metric's .py file, found {'another' if path.exists() else 'no such file'}")
     _provide_scenario_runner()
     module = import_module(path.stem)
     for _, member in inspect.getmembers(module, inspect.isclass):
