@@ -14,6 +14,8 @@ import numpy as np
 from carla_recap.roads.cells import BoxGrid, least
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from carla_recap.util.arrays import Booleans, Floats, Integers
@@ -170,6 +172,9 @@ class RoadNetwork:
         return _Pieces(self)
 
 
+_OTHER: Final = ("lane", "limit")
+"""The fields of a piece that are not its shape."""
+
 _NEAREST: Final = np.dtype(
     [("cost", "f8"), ("piece", "i8"), ("offset", "f8"), ("beside", "f8"), ("outside", "f8"), ("in_junction", "?")]
 )
@@ -179,10 +184,11 @@ class _Pieces:
     """The pieces of lanes, and which of them is nearest to a point."""
 
     def __init__(self, roads: RoadNetwork) -> None:
-        pieces, kinds = roads.pieces, roads.lanes["kind"][roads.pieces["lane"]]
-        self._is_driving = np.isin(kinds, (DRIVING, BOTH_WAYS))
-        self._in_junction = roads.lanes["junction"][pieces["lane"]] != NONE
-        self._shapes, self._bounds = _Shapes(pieces), _bounds(pieces)
+        pieces, lanes = roads.pieces, roads.lanes[roads.pieces["lane"]]
+        self._is_driving, self._in_junction = np.isin(lanes["kind"], (DRIVING, BOTH_WAYS)), lanes["junction"] != NONE
+        self._columns = {name: np.ascontiguousarray(pieces[name]) for name in PIECE.names or () if name not in _OTHER}
+        self._bounds = _bounds(pieces)
+        self._headings = np.arctan2(pieces["y1"] - pieces["y0"], pieces["x1"] - pieces["x0"])
         self._grids: dict[float, BoxGrid] = {}
 
     def nearest(self, points: Floats, headings: Floats | None, farthest: float = REACH) -> NDArray[np.void]:
@@ -210,8 +216,7 @@ class _Pieces:
         reach: float,
     ) -> None:
         """Set what is near to points: of the pairs of these, ascending, and all pieces within a reach."""
-        shapes = self._shapes
-        lateral, away = shapes.beside(piece, points[query])
+        lateral, away = _beside({name: values[piece] for name, values in self._columns.items()}, points[query])
         starts = np.flatnonzero(np.diff(query, prepend=-1))
         if not len(starts):
             return
@@ -219,51 +224,29 @@ class _Pieces:
         near["in_junction"][query[starts]] = np.logical_or.reduceat(self._in_junction[piece] & (away <= 0), starts)
         cost = np.where(self._is_driving[piece] & (away <= reach), away + 1e-3 * np.abs(lateral), np.inf)
         if headings is not None:
-            heading = headings[query]
-            turned = np.cos(heading) * shapes.ahead_x[piece] + np.sin(heading) * shapes.ahead_y[piece]
-            cost += np.where(np.isfinite(turned), (1 - turned) * (_AGAINST / 2), 0.0)
+            cost += np.nan_to_num(1 - np.cos(self._headings[piece] - headings[query])) * (_AGAINST / 2)
         best = least(query, cost)
         best = best[np.isfinite(cost[best])]
         for name, values in (("cost", cost), ("piece", piece), ("offset", lateral), ("beside", away)):
             near[name][query[best]] = values[best]
 
 
-class _Shapes:
-    """The pieces as columns, (pieces,) each: lines across the start and the end, and the way in between.
-
-    Attributes:
-        ahead_x, ahead_y: The direction from the middle of the start to that of the end.
-    """
-
-    def __init__(self, pieces: NDArray[np.void]) -> None:
-        column = {name: np.ascontiguousarray(pieces[name]) for name in PIECE.names or ()}
-        self._x0, self._y0, self._x1, self._y1 = (column[name] for name in ("x0", "y0", "x1", "y1"))
-        # How far a point is behind the line across the start, and before that across the end: linear functions of x and y.
-        self._after = column["left_y0"], -column["left_x0"]
-        self._before = -column["left_y1"], column["left_x1"]
-        self._way_x, self._way_y = self._x1 - self._x0, self._y1 - self._y0
-        length = np.maximum(np.hypot(self._way_x, self._way_y), _TINY)
-        self.ahead_x, self.ahead_y = self._way_x / length, self._way_y / length
-        self._half, self._wider = column["half0"], column["half1"] - column["half0"]
-        self._level, self._rise = column["z0"], column["z1"] - column["z0"]
-
-    def beside(self, index: Integers, points: Floats) -> tuple[Floats, Floats]:
-        """Return how far points, (n, 2) or (n, 3), are to the left of the middle of a piece each, and outside it."""
-        x, y = points[:, 0] - self._x0[index], points[:, 1] - self._y0[index]
-        way_x, way_y = self._way_x[index], self._way_y[index]
-        after = x * self._after[0][index] + y * self._after[1][index]
-        before = (x - way_x) * self._before[0][index] + (y - way_y) * self._before[1][index]
-        beyond = np.minimum(after, before)
-        share = np.where(beyond >= 0, after / np.maximum(after + before, _TINY), after > before)
-        lateral = (y - share * way_y) * self.ahead_x[index] - (x - share * way_x) * self.ahead_y[index]
-        away = np.abs(lateral) - (self._half[index] + share * self._wider[index])
-        np.maximum(away, 0.0, out=away)
-        away = np.where(beyond < 0, np.hypot(beyond, away), away)
-        away[away <= _INSIDE] = 0.0
-        if points.shape[1] > 2:
-            level = self._level[index] + share * self._rise[index]
-            away[np.abs(points[:, 2] - level) > _LEVELS] = np.inf
-        return lateral, away
+def _beside(pieces: Mapping[str, Floats], points: Floats) -> tuple[Floats, Floats]:
+    """Return how far points, (n, 2) or (n, 3), are to the left of the middle of a piece each, and outside it."""
+    x, y = points[:, 0] - pieces["x0"], points[:, 1] - pieces["y0"]
+    way_x, way_y = pieces["x1"] - pieces["x0"], pieces["y1"] - pieces["y0"]
+    after = x * pieces["left_y0"] - y * pieces["left_x0"]  # the line across the start
+    before = (y - way_y) * pieces["left_x1"] - (x - way_x) * pieces["left_y1"]  # that across the end
+    beyond = np.minimum(after, before)
+    share = np.where(beyond >= 0, after / np.maximum(after + before, _TINY), after > before)
+    lateral = ((y - share * way_y) * way_x - (x - share * way_x) * way_y) / np.maximum(np.hypot(way_x, way_y), _TINY)
+    away = np.maximum(np.abs(lateral) - (pieces["half0"] + share * (pieces["half1"] - pieces["half0"])), 0.0)
+    away = np.where(beyond < 0, np.hypot(beyond, away), away)
+    away[away <= _INSIDE] = 0.0
+    if points.shape[1] > 2:
+        level = pieces["z0"] + share * (pieces["z1"] - pieces["z0"])
+        away[np.abs(points[:, 2] - level) > _LEVELS] = np.inf
+    return lateral, away
 
 
 def _bounds(pieces: NDArray[np.void]) -> tuple[Floats, Floats]:

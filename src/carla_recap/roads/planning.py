@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 from itertools import count, pairwise
 from math import dist
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -59,23 +59,6 @@ class _Edge:
     is_change: bool = False
 
 
-class _Way(NamedTuple):
-    """A way to a place: the number of points from the first place on, those of the last leg, and the way before that."""
-
-    points: int
-    leg: list[Place]
-    before: _Way | None
-
-    def legs(self) -> list[list[Place]]:
-        """Return the points of each leg."""
-        legs: list[list[Place]] = []
-        plan = self
-        while plan.before is not None:
-            legs.append(plan.leg)
-            plan = plan.before
-        return legs[::-1]
-
-
 class RoutePlanner:
     """Finds routes along the lanes of a town.
 
@@ -108,19 +91,19 @@ class RoutePlanner:
             ValueError: A place is far from all lanes, or there is no way to the next one.
             RecapWarning: The way to the next place is many times as long as the straight line.
         """
-        plans = {start: _Way(0, [], None) for start in self._candidates(places[0], 1)}
+        plans: dict[Place, tuple[int, list[list[Place]]]] = {start: (0, []) for start in self._candidates(places[0], 1)}
         for number, place in enumerate(places[1:], 2):
-            following: dict[Place, _Way] = {}
+            following: dict[Place, tuple[int, list[list[Place]]]] = {}
             for stop in self._candidates(place, number):
-                for start, plan in plans.items():
+                for start, (points, legs) in plans.items():
                     way = self._path(start[0], stop[0])
                     leg = [] if way is None else self._traced(way, start, stop, place)
-                    if leg and (stop not in following or plan.points + len(leg) < following[stop].points):
-                        following[stop] = _Way(plan.points + len(leg), leg, plan)
+                    if leg and (stop not in following or points + len(leg) < following[stop][0]):
+                        following[stop] = points + len(leg), [*legs, leg]
             if not following:
                 raise ValueError(f"no lanes lead from position {number - 1} to position {number}")
             plans = following
-        legs = min(plans.values(), key=lambda plan: plan.points).legs()
+        _, legs = min(plans.values(), key=lambda plan: plan[0])
         for number, leg in enumerate(legs, 1):
             length, straight = stations(self._positions(leg))[-1], dist(*places[number - 1 : number + 1])
             if length > max(_DETOUR * straight, _SHORT_LEG):
