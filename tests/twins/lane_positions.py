@@ -17,7 +17,7 @@ _INSIDE = 1e-3  # m
 
 
 def lane_position(roads: RoadNetwork, point: Any, heading: float | None = None) -> dict[str, Any]:
-    """Return the lanes of least cost for a point, how far it is beside each and outside all, and if one of a junction has it."""
+    """Return the lanes of least cost for a point, how far it is beside each and outside all, and if a junction has it."""
     pieces, lanes = roads.pieces, roads.lanes[roads.pieces["lane"]]
     lateral, away, turn = _beside(pieces, point)
     outside = away.min(initial=np.inf)
