@@ -14,7 +14,7 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.model.motion import place_in_metres
-from carla_recap.model.records import CM, NO_ACTOR, ActorKind, Spawn
+from carla_recap.model.records import CM, NO_ACTOR, ActorKind, Physics, Spawn
 from carla_recap.util.text import first_of, readable
 
 if TYPE_CHECKING:
@@ -75,8 +75,9 @@ class ActorLife:
         bounding_box: Its bounding box; None unless a finite one of positive size is recorded.
         attached: Whether it was attached when it was spawned: the pose of its spawn is then in the parent's axes.
         spawn: The record of its spawn, with its pose in cm and degrees, left-handed.
+        physics: The latest record of its physics, in a replay; None without one.
 
-    The last two are no columns of a table.
+    The last three are no columns of a table.
     """
 
     id: int
@@ -90,6 +91,7 @@ class ActorLife:
     bounding_box: BoundingBox | None = None
     attached: bool = field(default=False, repr=False)
     spawn: Spawn = field(kw_only=True, repr=False, compare=False)
+    physics: Physics | None = field(default=None, repr=False, compare=False)
 
     @classmethod
     def of(cls, spawn: Spawn, elapsed: float) -> ActorLife:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame
-    from carla_recap.model.records import Spawn, Table
+    from carla_recap.model.records import Physics, Spawn, Table
     from carla_recap.util.arrays import Ids
 
 ALL_DOORS: Final = 6
@@ -175,6 +175,12 @@ class ReplayState:
             if id in self._actors and (box := BoundingBox.of(sizes)) is not None:
                 self._actors[id] = replace(self._actors[id], bounding_box=box)
 
+    def _change_physics(self, records: Iterable[Physics], elapsed: float) -> None:
+        self._unshare()
+        for physics in records:
+            if physics.id in self._actors:
+                self._actors[physics.id] = replace(self._actors[physics.id], physics=physics)
+
     def _change_weather(self, records: NDArray[np.void], elapsed: float) -> None:
         self.weather = records[-1]
 
@@ -230,6 +236,7 @@ _HANDLERS: Final[dict[str, Callable[[ReplayState, Any, float], None]]] = {
     "doors": ReplayState._move_doors,
     "weather": ReplayState._change_weather,
     "bounding_boxes": ReplayState._box,
+    "physics": ReplayState._change_physics,
     "scene_lights": ReplayState._change_scene_lights,
 }
 

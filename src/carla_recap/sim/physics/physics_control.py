@@ -1,7 +1,6 @@
-"""The physics control of a vehicle, as CARLA describes it, and the forces that follow: of engine and brakes, grip, drag.
+"""The physics control of a vehicle, as CARLA describes it, and the parameters of `drivetrain` that follow.
 
-The wheels of an axle act as one: each adds the load that it carries times its own friction, and its own brake. Along the
-vehicle, a tyre also gives no more than its longitudinal stiffness allows at a large slip.
+All values are accepted that CARLA accepts: those that have no meaning make a vehicle that coasts, or stands.
 """
 
 from __future__ import annotations
@@ -18,31 +17,37 @@ from carla_recap.sim.geometry import Vector
 from carla_recap.sim.validation import expect_between, expect_numbers
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from carla_recap.sim.geometry import Box
     from carla_recap.util.arrays import Floats
 
 
 Curve = tuple[tuple[float, float], ...]
 
-LEAST_MASS: Final = 1.0  # kg
-LEAST_STIFFNESS: Final = 0.01  # lateral stiffness of tyres, per unit of load and radian
-
 DEFAULT_STEERING: Final[Curve] = ((0.0, 1.0), (20.0, 0.9), (60.0, 0.8), (120.0, 0.7))
 """How much of the steering angle is left at a speed in km/h, as CARLA's cars have it."""
-SPEEDS: Final = np.arange(0.0, 120.0, 0.5)  # m/s: the columns of the tables
-GEARS: Final = 14  # rows of the table of forces: neutral, the forward gears, and reverse as the last
-DRY_ASPHALT: Final = 3.5  # the tyre friction of CARLA's cars, in the scale of its physics; here a friction coefficient of 1
-_AIR: Final = 1.2  # kg/m³
-_FRONT_AREA: Final = 0.85  # of the rectangle around it (Hucho, Aerodynamics of Road Vehicles)
-_EFFICIENCY: Final = 0.9  # between engine and wheels
-_DRIVEN: Final = 0.6  # the share of the weight that the driven wheels carry in acceleration
-_IDLE: Final = 0.12  # of the most revolutions: below, the clutch slips
-_FASTEST_REVERSE: Final = 12.0  # m/s, where the gears would allow more
-_MOST_SLIP: Final = 2.0  # of a wheel that spins, relative to the speed of the vehicle
+SPEEDS: Final = np.arange(0.0, 120.0, 0.5)  # m/s: the columns of the table of steering
+GEARS: Final = 14  # columns of the tables of gears: neutral, the forward gears, and reverse as the last
+CORNERS: Final = 4
+"""Front left, front right, rear left, rear right: the wheels of a vehicle as it drives."""
+TORQUES: Final = 256  # steps of the table of torques, from no revolutions to the most
+WHEEL: Final = ("x", "y", "radius", "inertia", "damping", "grip", "lateral", "longitudinal", "brake", "hand_brake")
+"""The parameters of a corner, see `parameters`."""
+_AIR: Final = 1.25  # kg/m³, as in UE4
+CHASSIS_AREA: Final = 1.8 * 1.4  # m², UE4's chassis, which CARLA does not change
+_REVERSE: Final = -4.0  # the ratio of the reverse gear in UE4, which no physics control has
+_NEUTRAL_UP: Final = 0.15  # of the most revolutions, above which the gearbox leaves neutral, in PhysX and UE4
+_NEVER: Final = 1e9  # a share of the most revolutions that no engine reaches
+_WHEEL_MASS: Final = 20.0  # kg, in UE4; no physics control has it
+_WHEEL_SHARE: Final = 0.05  # of the vehicle's mass that a wheel has at most
+_USUAL_SWITCH_TIME: Final = 0.5  # s, of UE4
+_USUAL_LATENCY, _QUICK_LATENCY = 2.0, 0.5
+"""s between two shifts of the gearbox: in PhysX and UE4, and in CARLA's gearboxes since 0.9.12; no physics control has it.
+
+Recordings show 2.0 s where a shift takes 0.5 s (0.9.10), and 0.5 s where it takes 0.1 s (0.9.13)."""
+_LEAST_MOMENT: Final = 1e-3  # kg m² of engine and wheels
+_STEEPEST_LOCK: Final = 85.0  # degrees
 _CM: Final = 0.01  # m
-_LEAST_LEVER: Final = 0.05  # m, between the centre of a vehicle and an axle: where all wheels steer, their mean is 0
+_LEAST_LEVER: Final = 0.05  # m, between the centre of a vehicle and an axle
 
 
 @dataclass(slots=True)
@@ -50,7 +55,7 @@ class WheelPhysics:
     """A wheel, in CARLA's units.
 
     Attributes:
-        tire_friction: Grip; 3.5 is that of CARLA's cars, and counts as dry asphalt.
+        tire_friction: The friction coefficient; 3.5 is that of CARLA's cars.
         damping_rate: Of the wheel's rotation.
         max_steer_angle: How far it turns to each side, in degrees; 0 for a wheel that does not steer.
         radius: In cm.
@@ -149,99 +154,145 @@ def expect_physics(what: str, control: PhysicsControl) -> None:
         control: The physics control.
 
     Raises:
-        SimError: It has no wheel, no gear or more than 12, or a number is too large, or too small.
+        SimError: It has no wheel, or more than 12 gears, or a number is too large, infinite or NaN.
     """
     expect_numbers(what, control)
-    wheels = control.wheels
-    if not wheels:
+    if not control.wheels:
         raise SimError(f"{what}: expected a wheel at least, found none")
-    expect_between(f"{what}: forward gears", len(control.forward_gears), 1, GEARS - 2)
-    if control.mass < LEAST_MASS or any(wheel.lat_stiff_value < LEAST_STIFFNESS for wheel in wheels):
-        least = f"a mass of {LEAST_MASS:g} kg and a lateral stiffness of tyres of {LEAST_STIFFNESS:g} or more"
-        raise SimError(f"{what}: {least} were expected")
-    if control.drag_coefficient < 0 or any(min(wheel.tire_friction, wheel.max_brake_torque) < 0 for wheel in wheels):
-        raise SimError(f"{what}: drag, tyre friction and brake torque of 0 or more were expected")
-    if control.max_rpm <= 0:
-        raise SimError(f"{what}: a max_rpm of more than 0 was expected, found {control.max_rpm:g}")
+    expect_between(f"{what}: forward gears", len(control.forward_gears), 0, GEARS - 2)
 
 
-def columns(control: PhysicsControl, box: Box, *, weightless: bool = False) -> dict[str, Any]:
-    """Return the columns of `Vehicles` that follow from a physics control, which may be incomplete.
-
-    Args:
-        control: The physics control.
-        box: The box of the vehicle: it has the area of the front, and the positions of the wheels if there are none.
-        weightless: Whether there is no gravity, so that the tyres have no grip.
-    """
-    wheels = control.wheels
-    steering = [wheel for wheel in wheels if wheel.max_steer_angle]
-    fixed = [wheel for wheel in wheels if not wheel.max_steer_angle]
-    front = _mean([wheel.position.x * _CM for wheel in steering], 0.6 * box.extent.x)
-    rear = -_mean([wheel.position.x * _CM for wheel in fixed], -0.6 * box.extent.x)
-    front, rear = (lever if abs(lever) > _LEAST_LEVER else _LEAST_LEVER for lever in (front, rear))
-    radius = max(_mean([wheel.radius * _CM for wheel in wheels], 0.35), 0.05)
+def columns(control: PhysicsControl, box: Box) -> dict[str, float]:
+    """Return the columns of `Vehicles` that follow from a physics control, which may be incomplete."""
+    x = _corners(control, box)[0]
     mass = max(control.mass, 1.0)
-    forces, gear = _forces(control, radius)
-    speeds, shares = zip(*(control.steering_curve or ((0.0, 1.0),)), strict=True)
-    wheelbase = max(front + rear, 0.1)
-    load = 0.0 if weightless else 1.0
-    front_grip, rear_grip = load * _grip(steering or wheels), load * _grip(fixed or wheels)
-    hold = load * _mean([min(_grip([wheel]), _stiffness(wheel) / mass * len(wheels)) for wheel in wheels], 1.0)
-    stiffness = _mean([wheel.lat_stiff_value for wheel in wheels], 20.0)
-    weight = mass * GRAVITY / wheelbase
     return {
         "mass": mass,
         "moment": mass * ((2 * box.extent.x) ** 2 + (2 * box.extent.y) ** 2) / 12,
-        "wheelbase": wheelbase,
-        "front": front,
-        "rear": rear,
-        "traction": _DRIVEN * hold * mass * GRAVITY,
-        "front_grip": weight * rear * front_grip,
-        "rear_grip": weight * front * rear_grip,
-        "softness": wheelbase / (stiffness * GRAVITY * mass),
-        "air": 0.5 * _AIR * control.drag_coefficient * _FRONT_AREA * 4 * box.extent.y * box.extent.z,
-        "front_brake": _braking(steering, radius),
-        "rear_brake": _braking(fixed, radius),
-        "full_lock": radians(_mean([wheel.max_steer_angle for wheel in steering], 70.0)),
-        "forces": forces,
-        "best_force": forces[1:-1].max(axis=0),
-        "usual_gear": gear,
-        "lock_share": np.interp(SPEEDS * 3.6, speeds, shares),
+        "wheelbase": x[0] - x[2],
+        "front": x[0],
+        "rear": -x[2],
+        "air": 0.5 * _AIR * max(control.drag_coefficient, 0.0) * CHASSIS_AREA,
     }
 
 
-def _forces(control: PhysicsControl, radius: float) -> tuple[Floats, NDArray[np.int64]]:
-    """Return the greatest force at the wheels by gear and speed, and the gear of moderate driving by speed."""
-    forces = np.zeros((GEARS, len(SPEEDS)))
+def parameters(control: PhysicsControl, box: Box, *, weightless: bool = False) -> dict[str, Any]:
+    """Return the row of `DriveTables` that follows from a physics control, which may be incomplete.
+
+    Args:
+        control: The physics control.
+        box: The box of the vehicle: it has the positions of the wheels if there are none.
+        weightless: Whether there is no gravity, so that the tyres have no grip.
+    """
+    x, y = _corners(control, box)
+    base, mass = x[0] - x[2], max(control.mass, 1.0)
+    centre = min(max(control.center_of_mass.x, x[2] + 0.05 * base), x[0] - 0.05 * base)
+    weight = mass * GRAVITY / base / 2
+    loads = [weight * (centre - x[2]), weight * (centre - x[2]), weight * (x[0] - centre), weight * (x[0] - centre)]
+    full_lock = radians(min(max(max(wheel.max_steer_angle for wheel in control.wheels[:2]), 0.0), _STEEPEST_LOCK))
+    corners = []
+    for own_x, own_y, load, wheels in zip(x, y, loads, _wheels_of_corners(control), strict=True):
+        radius = max(_mean([wheel.radius * _CM for wheel in wheels]), 0.05)
+        stiffness = _mean([max(wheel.lat_stiff_value, 0.0) * _saturation(wheel.lat_stiff_max_load) for wheel in wheels])
+        friction = 0.0 if weightless else _mean([max(wheel.tire_friction, 0.0) for wheel in wheels])
+        inertia = 0.5 * min(_WHEEL_MASS, _WHEEL_SHARE * mass) * radius * radius
+        corners.append(
+            (
+                own_x - centre,
+                own_y,
+                radius,
+                max(len(wheels) * inertia, _LEAST_MOMENT),
+                sum(max(wheel.damping_rate, 0.0) for wheel in wheels),
+                friction * load,
+                stiffness * load,
+                sum(max(wheel.long_stiff_value, 0.0) for wheel in wheels) * GRAVITY,
+                sum(max(wheel.max_brake_torque, 0.0) for wheel in wheels),
+                sum(max(wheel.max_handbrake_torque, 0.0) for wheel in wheels),
+            )
+        )
+    most = max(control.max_rpm, 0.0)
+    return {
+        "wheels": np.array(corners).T,
+        "centre": centre,
+        "full_lock": full_lock,
+        "track": y[1] - y[0],
+        "torques": _torques(control, most),
+        "most_turns": most * 2 * pi / 60,
+        "engine_inertia": max(control.moi, _LEAST_MOMENT),
+        "damping": np.maximum(
+            (
+                control.damping_rate_full_throttle,
+                control.damping_rate_zero_throttle_clutch_engaged,
+                control.damping_rate_zero_throttle_clutch_disengaged,
+            ),
+            0.0,
+        ),
+        "clutch": max(control.clutch_strength, 0.0),
+        **_gears(control),
+        "lock_share": _lock_share(control),
+    }
+
+
+def _gears(control: PhysicsControl) -> dict[str, Any]:
+    """Return what the gearbox is and does by gear: neutral, the forward gears, and reverse as the last one."""
+    ratios, up, down = np.zeros(GEARS), np.full(GEARS, _NEVER), np.full(GEARS, -1.0)
     gears = control.forward_gears[: GEARS - 2]
-    usual = np.ones(len(SPEEDS), np.int64)
-    turns, torques = zip(*(control.torque_curve or ((0.0, 0.0),)), strict=True)
     for number, gear in enumerate(gears, 1):
-        ratio = gear.ratio * control.final_ratio
-        rpm = SPEEDS / radius * ratio * 60 / (2 * pi)
-        torque = np.interp(np.maximum(rpm, _IDLE * control.max_rpm), turns, torques)
-        forces[number] = np.where(rpm <= control.max_rpm, torque * ratio / radius * _EFFICIENCY, 0.0)
-        usual[rpm > gear.up_ratio * control.max_rpm] = min(number + 1, len(gears))
-    forces[-1] = np.where(SPEEDS <= _FASTEST_REVERSE, forces[1], 0.0)
-    return forces, usual
+        ratios[number] = gear.ratio * control.final_ratio
+        up[number] = gear.up_ratio if number < len(gears) else _NEVER
+        down[number] = gear.down_ratio if number > 1 else -1.0
+    ratios[-1] = _REVERSE * control.final_ratio
+    up[0] = _NEUTRAL_UP if gears else _NEVER
+    return {
+        "ratios": ratios,
+        "up": up,
+        "down": down,
+        "autobox": control.use_gear_autobox,
+        "switch_time": max(control.gear_switch_time, 0.0),
+        "latency": _USUAL_LATENCY if control.gear_switch_time >= _USUAL_SWITCH_TIME else _QUICK_LATENCY,
+    }
 
 
-def _braking(wheels: list[WheelPhysics], radius: float) -> float:
-    """Return the greatest force of the brakes of an axle, in N."""
-    if all(wheel.max_brake_torque <= _stiffness(wheel) * GRAVITY * radius for wheel in wheels):
-        return sum(wheel.max_brake_torque for wheel in wheels) / radius
-    return sum(min(wheel.max_brake_torque / radius, _stiffness(wheel) * GRAVITY) for wheel in wheels)
+def _torques(control: PhysicsControl, most: float) -> Floats:
+    """Return the torques of the engine at full throttle, in N m, from no revolutions to the most."""
+    turns, torques = np.array(sorted(control.torque_curve) or [(0.0, 0.0)]).T
+    return np.maximum(np.interp(np.linspace(0.0, most, TORQUES + 1), turns, torques), 0.0)
 
 
-def _grip(wheels: list[WheelPhysics]) -> float:
-    """Return the friction coefficient of an axle."""
-    return _mean([wheel.tire_friction for wheel in wheels], DRY_ASPHALT) / DRY_ASPHALT
+def _lock_share(control: PhysicsControl) -> Floats:
+    """Return the share of the full lock that steering reaches by speed."""
+    speeds, shares = np.array(sorted(control.steering_curve) or [(0.0, 1.0)]).T
+    return np.interp(SPEEDS * 3.6, speeds, np.clip(shares, 0.0, 1.0))
 
 
-def _stiffness(wheel: WheelPhysics) -> float:
-    """Return the greatest force along a tyre per unit of gravity, in kg."""
-    return wheel.long_stiff_value * _MOST_SLIP
+def _corners(control: PhysicsControl, box: Box) -> tuple[list[float], list[float]]:
+    """Return x and y of the four corners in m; where the wheels have no places, those that suit the box."""
+    places = [_mean_position(wheels) for wheels in _wheels_of_corners(control)]
+    front, rear = (places[0][0] + places[1][0]) / 2, (places[2][0] + places[3][0]) / 2
+    if front - rear < _LEAST_LEVER:
+        front, rear = 0.6 * max(box.extent.x, 0.1), -0.6 * max(box.extent.x, 0.1)
+    right = (places[1][1] - places[0][1] + places[3][1] - places[2][1]) / 4
+    right = right if right > 0 else 0.8 * box.extent.y
+    return [front, front, rear, rear], [-right, right, -right, right]
 
 
-def _mean(values: list[float], otherwise: float) -> float:
-    return sum(values) / len(values) if values else otherwise
+def _wheels_of_corners(control: PhysicsControl) -> list[list[WheelPhysics]]:
+    """Return the wheels of each corner: those behind the fourth one belong to the rear, and missing ones are as the last."""
+    wheels: list[list[WheelPhysics]] = [[] for _ in range(CORNERS)]
+    for number, wheel in enumerate(control.wheels or [WheelPhysics()]):
+        wheels[number if number < CORNERS else 2 + number % 2].append(wheel)
+    return [corner or wheels[0][-1:] for corner in wheels]
+
+
+def _mean_position(wheels: list[WheelPhysics]) -> tuple[float, float]:
+    return _mean([wheel.position.x * _CM for wheel in wheels]), _mean([wheel.position.y * _CM for wheel in wheels])
+
+
+def _saturation(most_load: float) -> float:
+    """Return the share of the lateral stiffness that a tyre has at its load at rest, by PhysX's curve."""
+    k = min(3.0 / most_load, 3.0) if most_load > 0 else 3.0
+    return k - k * k / 3 + k**3 / 27
+
+
+def _mean(values: list[float]) -> float:
+    return sum(values) / len(values)

@@ -11,7 +11,8 @@ import numpy as np
 
 from carla_recap.model.records import UE4, Attribute, Physics, RecordType, Spawn
 from carla_recap.sim.attributes import attribute_type
-from carla_recap.sim.geometry import Location, Rotation, Transform
+from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
+from carla_recap.sim.physics.physics_control import Gear, PhysicsControl, WheelPhysics
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -28,6 +29,10 @@ Row = tuple[float, ...]
 Pose = tuple[float, float, float, float, float, float]
 
 _PHYSICS: Final[RecordType] = UE4.named("physics")
+_OLD_TYRES: Final = {"lat_stiff_max_load": 2.0, "lat_stiff_value": 17.0, "long_stiff_value": 1000.0}
+"""The tyres of UE4, which CARLA has recorded since 0.9.12."""
+_OLD_SWITCH_TIME: Final = 0.5  # s, of UE4
+_LONGEST: Final = 2000.0  # cm between a vehicle and its wheels
 _HALF_HEIGHT: Final = 1.0  # m, of trigger volumes, which stand on the road
 CM_PER_M: Final = 100.0
 _OTHERS: Final = ("id", "use_gear_auto_box", "center_of_mass_x", "center_of_mass_y", "center_of_mass_z")
@@ -103,6 +108,40 @@ def physics_record(
         steering_curve=_rows("steering_curve", steering_curve),
         wheels=_rows("wheels", wheels),
         **{name: getattr(control, name) for name in _SAME},
+    )
+
+
+def physics_control(record: Physics, place: Pose, usual: PhysicsControl) -> PhysicsControl:
+    """Return the physics of a vehicle as a record has it.
+
+    Args:
+        record: The record; its wheels have places in the world.
+        place: The pose of the vehicle at that time; far from the wheels, they get their usual places.
+        usual: The usual physics of such a vehicle: a record does not tell how long it takes to shift, nor do those of
+            CARLA up to 0.9.11 have the stiffness of tyres, which was UE4's then, as was the time to shift.
+    """
+    is_old = "long_stiff_value" not in (record.wheels.dtype.names or ())
+    yaw = np.radians(place[5])
+    along, aside = record.wheels["position_x"] - place[0], record.wheels["position_y"] - place[1]
+    near = len(record.wheels) and float(np.hypot(along, aside).max()) < _LONGEST
+    wheels = []
+    for number, row in enumerate(record.wheels):
+        values = {name: float(row[name]) for name in record.wheels.dtype.names if not name.startswith("position_")}
+        if near:
+            x, y = float(along[number]), float(aside[number])
+            position = Vector(np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x)
+        else:
+            position = usual.wheels[number].position if number < len(usual.wheels) else Vector()
+        wheels.append(WheelPhysics(**(_OLD_TYRES if is_old else {}) | values, position=position))
+    return PhysicsControl(
+        torque_curve=tuple((float(x), float(y)) for x, y in record.torque_curve),
+        use_gear_autobox=bool(record.use_gear_auto_box),
+        gear_switch_time=_OLD_SWITCH_TIME if is_old else usual.gear_switch_time,
+        forward_gears=[Gear(*map(float, gear)) for gear in record.forward_gears],
+        center_of_mass=Vector(record.center_of_mass_x, record.center_of_mass_y, record.center_of_mass_z),
+        steering_curve=tuple((float(x), float(y)) for x, y in record.steering_curve),
+        wheels=wheels,
+        **{name: getattr(record, name) for name in _SAME},
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from difflib import SequenceMatcher
 from types import MappingProxyType
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.errors import RecapWarning
 from carla_recap.model.blueprints import other_names
 from carla_recap.model.records import ActorKind
 from carla_recap.sim.actors.lights import Sign
@@ -18,7 +20,9 @@ from carla_recap.sim.actors.spawning import place
 from carla_recap.sim.blueprints import Blueprint
 from carla_recap.sim.episode import LARGEST_WANTED
 from carla_recap.sim.geometry import Box, Location, Vector
-from carla_recap.sim.recording.packets import CM_PER_M, transform
+from carla_recap.sim.errors import SimError
+from carla_recap.sim.physics.physics_control import expect_physics
+from carla_recap.sim.recording.packets import CM_PER_M, physics_control, transform
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
@@ -28,6 +32,7 @@ if TYPE_CHECKING:
     from carla_recap.replay import Scene
     from carla_recap.sim.blueprints import BlueprintLibrary
     from carla_recap.sim.episode import Actor, Episode
+    from carla_recap.sim.physics.physics_control import PhysicsControl
 
 _NEAR: Final = 15.0  # m: the greatest distance between a recorded light or sign and the town's
 _SPECTATOR: Final = "spectator"
@@ -184,7 +189,7 @@ def _make_kinematic(actor: Actor) -> None:
 def blueprint_for(actor: ActorLife, library: BlueprintLibrary) -> tuple[Blueprint, str]:
     """Return the blueprint of a recorded actor, with the id and the attributes that were recorded.
 
-    If the library does not have it, the rest is that of the blueprint with another name for it, else of the most similar
+    A vehicle has the physics that were recorded, too. If the library does not have it, the rest is that of the blueprint with another name for it, else of the most similar
     one: of the same kind, with as many wheels if possible, with a similar id, and of a similar size if that is recorded; or
     a box, if there is none of its kind.
 
@@ -197,10 +202,24 @@ def blueprint_for(actor: ActorLife, library: BlueprintLibrary) -> tuple[Blueprin
     attributes = {a.key: readable(a.value) for a in actor.spawn.attributes}
     if model is None:
         return Blueprint(actor.type_id, ActorKind.OTHER, attributes, _DEFAULT_BOX), ""
+    model = replace(model, physics=_physics(actor, model))
     if known:
         return replace(model, attributes={**model.attributes, **attributes}), model.id
     box = model.box if actor.bounding_box is None else _box(actor.bounding_box)
     return replace(model, id=actor.type_id, attributes=attributes, box=box, uid=0), model.id
+
+
+def _physics(actor: ActorLife, model: Blueprint) -> PhysicsControl | None:
+    """Return the physics that were recorded of a vehicle, else those of the blueprint."""
+    if actor.physics is None or model.physics is None:
+        return model.physics
+    recorded = physics_control(actor.physics, tuple(actor.spawn_pose.tolist()), model.physics)
+    try:
+        expect_physics(f"the recorded physics of {actor.name}", recorded)
+    except SimError as error:
+        warnings.warn(f"{error}; those of {model.id} are used", RecapWarning, stacklevel=2)
+        return model.physics
+    return recorded
 
 
 def _most_similar(actor: ActorLife, library: BlueprintLibrary) -> Blueprint | None:

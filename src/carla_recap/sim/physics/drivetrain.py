@@ -1,0 +1,335 @@
+"""How vehicles drive: engine, clutch, gearbox, wheels and tyres of all at once, as in the engine of CARLA.
+
+That is PhysX 3's vehicle with four driven wheels (its guide's chapter Vehicles, and PxVehicleUpdate.cpp) as UE4 sets it up.
+Four wheels and the engine turn; a clutch couples the engine to the mean of the wheels:
+
+    torque of the clutch = strength * (engine - ratio * mean of the wheels)
+
+The torque of the engine is that of its curve times the throttle, less its damping; that of a wheel is its share of the clutch,
+the brake, the damping, and the tyre. They are integrated together and backwards, so that any clutch is stable. A tyre's force
+follows from its slips, lengthwise and sideways, as in the Michigan model: it grows by its stiffnesses, and saturates at its
+friction. Loads are those at rest.
+
+PhysX takes the force of a tyre from before the step, which makes stiff tyres oscillate at 5 to 15 m/s in steps of 0.01 s; so
+they do in CARLA's recordings, whose cars accelerate less there. `advance` does the same in CARLA's own steps, 0.01 s at most,
+a third of it below 5 m/s. For vehicles whose drives need not be CARLA's to the point, as those of the autopilot, it takes
+one step, with tyres that follow the change of their slips within it, which is stable in a step of any length.
+"""
+
+from __future__ import annotations
+
+from math import ceil, pi
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from carla_recap.sim.columns import StructOfArrays, column
+from carla_recap.sim.physics.physics_control import CORNERS, GEARS, SPEEDS, TORQUES, WHEEL
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from numpy.typing import NDArray
+
+    from carla_recap.sim.physics.vehicles import Vehicles
+    from carla_recap.util.arrays import Booleans, Floats, Integers
+
+_STEP: Final = 0.01  # s: CARLA's default of the longest step of physics
+_ROUNDING: Final = 1e-6
+_SLOW: Final = 5.0  # m/s: below, PhysX divides a step by three
+_SLOW_STEPS: Final = 3
+_LEAST_SLIP_SPEED: Final = 0.1  # m/s, added below the slip of wheels that are driven or braked
+_LEAST_SIDE_SPEED: Final = 1.0  # m/s, added below the slip sideways
+_TINY: Final = 1e-9
+_STICKY_SPEED: Final = 0.2  # m/s: slower vehicles whose wheels are locked stand, and others after a second
+_STICKY_TIME: Final = 1.0  # s
+_RATES: Final = {"throttle": (6.0, 10.0), "brake": (6.0, 10.0), "steer": (2.5, 5.0)}
+"""1/s, by which the pedals and the steering of UE4's vehicles rise and fall at most."""
+LONG_AGO: Final = 1e3
+"""s since the latest shift of a gearbox that has not shifted yet."""
+
+
+class DriveTables(StructOfArrays):
+    """The parameters of drivetrains; vehicles of one physics control share a row. See `physics_control.parameters`."""
+
+    wheels: Floats = column(np.zeros((len(WHEEL), CORNERS)))
+    """The parameters `WHEEL` of each corner: places from the centre of mass in m, radius in m, moment of inertia in kg m²,
+    damping in kg m²/s, friction times load in N, stiffness in N sideways and lengthwise, torques of the brakes in N m."""
+    centre: Floats = column(0.0)
+    """How far the centre of mass is ahead of the origin, in m."""
+    full_lock: Floats = column(0.0)
+    """The greatest angle of the inner front wheel in radians."""
+    track: Floats = column(1.0)
+    """The distance between left and right wheels in m."""
+    torques: Floats = column(np.zeros(TORQUES + 1))
+    """The torque of the engine in N m, from no revolutions to the most."""
+    most_turns: Floats = column(0.0)
+    """The most revolutions of the engine in rad/s."""
+    engine_inertia: Floats = column(1.0)
+    """The moment of inertia of the engine in kg m²."""
+    damping: Floats = column(np.zeros(3))
+    """The damping of the engine in kg m²/s: at full throttle, and without throttle in a gear and in neutral."""
+    clutch: Floats = column(0.0)
+    """The strength of the clutch in kg m²/s."""
+    ratios: Floats = column(np.zeros(GEARS))
+    """Engine by wheels, by gear; 0 in neutral, negative in reverse."""
+    up: Floats = column(np.zeros(GEARS))
+    """The share of the most revolutions above which the gearbox shifts up, by gear."""
+    down: Floats = column(np.zeros(GEARS))
+    """The share of the most revolutions below which it shifts down, by gear."""
+    autobox: Booleans = column(True)
+    """Whether it shifts by itself."""
+    switch_time: Floats = column(0.0)
+    """How long it is in neutral when it shifts, in s."""
+    latency: Floats = column(0.0)
+    """The least time between two shifts in s."""
+    lock_share: Floats = column(np.zeros(len(SPEEDS)))
+    """The share of the full lock that steering reaches, by speed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._keys: list[bytes] = []
+
+    def row(self, values: Mapping[str, Any], used: Integers) -> int:
+        """Return the row of some values, which is one that is not used yet if none has them."""
+        key = b"".join(np.asarray(values[name], float).tobytes() for name in self.COLUMNS)
+        if key in self._keys:
+            return self._keys.index(key)
+        free = np.setdiff1d(np.arange(len(self)), used)
+        if not len(free):
+            self._keys.append(key)
+            return self.append_row(**values)
+        row = int(free[0])
+        self._keys[row] = key
+        for name, value in values.items():
+            getattr(self, name)[row] = value
+        return row
+
+
+def steer(fleet: Vehicles, seconds: float) -> None:
+    """Let the pedals and the steering follow their controls for a step of a length in s."""
+    for name, limits in _RATES.items():
+        _follow(getattr(fleet, f"{name}_input"), getattr(fleet, name), limits, seconds)
+    tables, own = fleet.tables, fleet.table
+    limit = tables.full_lock[own] * tables.lock_share[own, column_of(np.abs(fleet.speed))]
+    # The angle between those of the front wheels has a cotangent between theirs, which differ by track / wheelbase.
+    by_track = tables.track[own] / (2 * fleet.wheelbase)
+    inner, most = np.tan(limit * np.abs(fleet.steer_input)), np.tan(limit)
+    fleet.steer_angle[:] = np.copysign(np.arctan(inner / (1 + inner * by_track)), fleet.steer_input)
+    fleet.steer_limit[:] = np.arctan(most / (1 + most * by_track))
+
+
+def column_of(speed: Floats) -> Integers:
+    """Return the columns of the tables for speeds in m/s."""
+    found: Integers = np.minimum((speed / SPEEDS[1]).astype(np.int64), len(SPEEDS) - 1)
+    return found
+
+
+def _follow(values: Floats, wanted: Floats, limits: tuple[float, float], seconds: float) -> None:
+    """Let inputs follow what is wanted, away from 0 by one rate and back by another, as UE4 does."""
+    change = wanted - values
+    rate = np.where(change * values >= 0, limits[0], limits[1]) * seconds
+    values += np.minimum(np.maximum(change, -rate), rate)
+
+
+def shift(fleet: Vehicles, rows: Integers, seconds: float) -> None:
+    """Let the gearboxes of some vehicles work for a step of a length in s; a shift goes by way of neutral."""
+    tables, own = fleet.tables, fleet.table[rows]
+    gear, target = fleet.gear[rows], fleet.target_gear[rows]
+    since, waited = fleet.since_shift[rows], fleet.shift_time[rows]
+    idle = gear == target
+    turns = fleet.engine[rows] / np.maximum(tables.most_turns[own], _TINY)
+    ready = idle & (since > tables.latency[own]) & tables.autobox[own] & ~fleet.manual[rows] & (gear >= 0)
+    up, down = ready & (turns > tables.up[own, gear]), ready & (turns < tables.down[own, gear])
+    shifting = up | down
+    target = np.where(shifting, gear + up - down, target)
+    since = np.where(shifting, 0.0, since + seconds)
+    gear, waited = np.where(shifting, 0, gear), np.where(shifting, 0.0, waited)
+    changing = gear != target
+    done = changing & (waited > tables.switch_time[own])
+    fleet.gear[rows], fleet.target_gear[rows] = np.where(done, target, gear), target
+    fleet.since_shift[rows], fleet.shift_time[rows] = since, np.where(changing & ~done, waited + seconds, 0.0)
+
+
+def advance(fleet: Vehicles, rows: Integers, seconds: float, *, exactly: bool) -> tuple[Floats, Floats, Floats]:
+    """Drive some vehicles for a step.
+
+    Args:
+        fleet: The vehicles.
+        rows: The rows of those to drive.
+        seconds: The length of the step.
+        exactly: Whether to drive as CARLA does, in its steps.
+
+    Returns:
+        How far their origins have moved, ahead and to the right of how they stood at first, in m, and their turn in radians.
+    """
+    drive = _Drive(fleet, rows)
+    steps = max(ceil(seconds / _STEP - _ROUNDING), 1) if exactly else 1
+    for _ in range(steps):
+        step = seconds / steps
+        shift(fleet, rows, step)
+        drive.read_gears()
+        slow = drive.speed() < _SLOW
+        if exactly and slow.any():
+            drive.step(np.where(slow, step / _SLOW_STEPS, step), implicit=False)
+            for _ in range(_SLOW_STEPS - 1):
+                drive.step(np.where(slow, step / _SLOW_STEPS, 0.0), implicit=False)
+        else:
+            drive.step(np.full(len(rows), step), implicit=not exactly)
+        fleet.engine[rows] = drive.engine
+    return drive.write(seconds)
+
+
+class _Drive:
+    """Some vehicles while they are driven: x and y are ahead and to the right of how they stood at first.
+
+    Arrays have a column for each vehicle, and a row for each corner where there are four.
+    """
+
+    def __init__(self, fleet: Vehicles, rows: Integers) -> None:
+        self.fleet, self.rows = fleet, rows
+        tables, own = fleet.tables, fleet.table[rows]
+        self.tables, self.own = tables, own
+        wheels = np.ascontiguousarray(tables.wheels[own].transpose(1, 2, 0))
+        self.x, self.y, self.radius, inertia, self.damping, self.grip, self.lateral, self.longitudinal, *brakes = wheels
+        self.per_inertia = 1 / inertia
+        self.per_grip = 1 / np.maximum(self.grip, _TINY)
+        self.stiffnesses = self.lateral / np.maximum(self.longitudinal, _TINY)
+        self.hand_brake = fleet.hand_brake[rows]
+        self.brakes = fleet.brake_input[rows] * brakes[0] + self.hand_brake * brakes[1]
+        self.braked = self.brakes > 0
+        self.share = np.full((CORNERS, len(rows)), 1 / CORNERS)
+        self.share[:2, self.hand_brake], self.share[2:, self.hand_brake] = 0.5, 0.0  # PhysX's: drive at the front alone
+        self.mass, self.moment, self.air = fleet.mass[rows], fleet.moment[rows], fleet.air[rows]
+        self.throttle = fleet.throttle_input[rows]
+        self.most_turns, self.clutch = tables.most_turns[own], tables.clutch[own]
+        self.per_turn = TORQUES / np.maximum(self.most_turns, _TINY)
+        self.per_engine = 1 / tables.engine_inertia[own]
+        self.full, self.engaged, self.disengaged = tables.damping[own].T
+        self.cos, self.sin = self._front_wheels()
+        self.centre = tables.centre[own]
+        self.turning = fleet.turning[rows]
+        self.vx, self.vy = fleet.speed[rows], fleet.sideways[rows] + self.turning * self.centre
+        self.yaw, self.moved_x, self.moved_y = np.zeros((3, len(rows)))
+        self.omega, self.engine = np.ascontiguousarray(fleet.omega[rows].T), fleet.engine[rows]
+        self.ratio = self.strength = self.accelerator = self.engine_damping = self.yaw
+        self._old = self.vx, self.vy
+
+    def _front_wheels(self) -> tuple[Floats, Floats]:
+        """Return cosine and sine of the angles of the wheels: those of the front ones meet at the axis of the rear ones."""
+        fleet, rows = self.fleet, self.rows
+        between = np.tan(fleet.steer_angle[rows])
+        by_track = between * self.tables.track[self.own] / (2 * fleet.wheelbase[rows])
+        tangents = np.zeros_like(self.x)
+        tangents[0], tangents[1] = between / (1 + by_track), between / np.maximum(1 - by_track, _TINY)
+        cos: Floats = 1 / np.sqrt(1 + tangents * tangents)
+        return cos, cos * tangents
+
+    def speed(self) -> Floats:
+        """Return the speeds ahead or backwards in m/s."""
+        return np.abs(self.vx * np.cos(self.yaw) + self.vy * np.sin(self.yaw))
+
+    def read_gears(self) -> None:
+        """Read the gears, and what follows from them: an automatic shift takes the throttle away."""
+        gear, own = self.fleet.gear[self.rows], self.own
+        shifting = (gear != self.fleet.target_gear[self.rows]) & ~self.fleet.manual[self.rows]
+        self.ratio = self.tables.ratios[own, gear]
+        self.strength = np.where(gear == 0, 0.0, self.clutch)
+        self.accelerator = np.where(shifting, 0.0, self.throttle)
+        without = np.where(gear == 0, self.disengaged, self.engaged)
+        self.engine_damping = without + (self.full - without) * self.accelerator
+
+    def step(self, seconds: Floats, *, implicit: bool) -> None:
+        """Advance by a step of a length in s for each vehicle."""
+        cos, sin, omega = np.cos(self.yaw), np.sin(self.yaw), self.omega
+        forward, right = self.vx * cos + self.vy * sin, self.vy * cos - self.vx * sin
+        along, across = forward - self.turning * self.y, right + self.turning * self.x
+        ahead, aside = along * self.cos + across * self.sin, across * self.cos - along * self.sin
+
+        rim = omega * self.radius
+        speed = np.abs(ahead)
+        per_slip_speed = 1 / (np.maximum(speed, np.abs(rim)) + _LEAST_SLIP_SPEED)
+        slip = (rim - ahead) * per_slip_speed
+        per_side_speed = 1 / (speed + _LEAST_SIDE_SPEED)
+        side_slip = aside * per_side_speed
+        load = np.hypot(self.lateral * side_slip, self.longitudinal * slip) * self.per_grip
+        bounded = np.minimum(load, 3.0)
+        saturation = bounded * (1 + bounded * (bounded / 27 - 1 / 3))
+        weighting = 0.5 * (1 + self.stiffnesses - (1 - self.stiffnesses) * np.cos(np.minimum(0.5 * load, pi)))
+        effective = weighting * side_slip
+        by_slip = self.grip * saturation / (np.hypot(slip, effective) + _TINY)
+        pull, push = by_slip * slip, -by_slip * effective
+
+        brake = -np.sign(omega) * self.brakes
+        softness = by_slip * per_slip_speed * self.radius if implicit else 0.0
+        new = self._turn_wheels(seconds, (brake - pull * self.radius), softness * self.radius)
+        if implicit:
+            pull = pull + softness * (new - omega)
+        self.omega = new
+
+        force_x = (pull * self.cos - push * self.sin).sum(axis=0) - self.air * forward * np.abs(forward)
+        push_y = pull * self.sin + push * self.cos
+        force_y, torque = push_y.sum(axis=0), (self.x * push_y - self.y * (pull * self.cos - push * self.sin)).sum(axis=0)
+        ax, ay, spin = force_x / self.mass * seconds, force_y / self.mass * seconds, torque / self.moment * seconds
+        if implicit:
+            locked = (by_slip * per_slip_speed * (new == 0)).sum(axis=0)
+            ax /= 1 + locked / self.mass * seconds
+            ay, spin = self._follow_slip(by_slip * weighting * per_side_speed * self.cos**2, ay, spin, seconds)
+        self.vx += ax * cos - ay * sin
+        self.vy += ax * sin + ay * cos
+        self.turning = self.turning + spin
+        self.moved_x += self.vx * seconds
+        self.moved_y += self.vy * seconds
+        self.yaw = self.yaw + self.turning * seconds
+
+    def _turn_wheels(self, seconds: Floats, torque: Floats, softness: Floats | float) -> Floats:
+        """Turn engine and wheels for a step, and return the speeds of the wheels after it, in rad/s.
+
+        With the torque of the clutch t, the engine is e0 - a t after the step, and a wheel w0 + b t. As t itself is
+        strength * (engine - ratio * mean of the wheels) after the step, it is a fraction.
+        """
+        turned = self.engine * self.per_turn
+        index = np.minimum(turned.astype(np.int64), TORQUES - 1)
+        torques, own = self.tables.torques, self.own
+        low = torques[own, index]
+        drive = self.accelerator * (low + (torques[own, index + 1] - low) * (turned - index))
+        per_engine = seconds * self.per_engine
+        engine_less = per_engine / (1 + per_engine * self.engine_damping)
+        engine = (self.engine + per_engine * drive) / (1 + per_engine * self.engine_damping)
+        per_wheel = seconds * self.per_inertia
+        slowed = 1 / (1 + per_wheel * (self.damping + softness))
+        free = (self.omega + per_wheel * (torque + softness * self.omega)) * slowed
+        gained = per_wheel * slowed * self.share * self.ratio
+        difference = engine - self.ratio * (self.share * free).sum(axis=0)
+        clutch = self.strength * difference
+        clutch /= 1 + self.strength * (engine_less + self.ratio * (self.share * gained).sum(axis=0))
+        self.engine = np.minimum(np.maximum(engine - engine_less * clutch, 0.0), self.most_turns)
+        wheels: Floats = free + gained * clutch
+        wheels[self.braked & (self.omega * wheels <= 0)] = 0.0
+        return wheels
+
+    def _follow_slip(self, stiffness: Floats, ay: Floats, spin: Floats, seconds: Floats) -> tuple[Floats, Floats]:
+        """Return the changes of the speed to the right and of the yaw rate if tyres follow the change of their slips."""
+        a = 1 + stiffness.sum(axis=0) / self.mass * seconds
+        levers = (stiffness * self.x).sum(axis=0) * seconds
+        d = 1 + (stiffness * self.x * self.x).sum(axis=0) / self.moment * seconds
+        b, c = levers / self.mass, levers / self.moment
+        determinant = a * d - b * c
+        return (d * ay - b * spin) / determinant, (a * spin - c * ay) / determinant
+
+    def write(self, seconds: float) -> tuple[Floats, Floats, Floats]:
+        """Write the state back after a step of a length in s; see `advance`."""
+        fleet, rows, cos, sin = self.fleet, self.rows, np.cos(self.yaw), np.sin(self.yaw)
+        forward, right = self.vx * cos + self.vy * sin, self.vy * cos - self.vx * sin
+        rims = np.abs(self.omega * self.radius).max(axis=0)
+        slow = (np.hypot(forward, right) < _STICKY_SPEED) & (rims < _STICKY_SPEED) & (self.accelerator == 0)
+        waited = np.where(slow, fleet.slow_time[rows] + seconds, 0.0)
+        stands = slow & (self.braked.any(axis=0) & (rims == 0) | (waited > _STICKY_TIME))
+        moving = ~stands
+        fleet.slow_time[rows] = waited
+        fleet.speed[rows], fleet.turning[rows] = forward * moving, self.turning * moving
+        fleet.sideways[rows] = (right - self.turning * self.centre) * moving
+        fleet.omega[rows] = (self.omega * moving).T
+        x = self.moved_x + (1 - cos) * self.centre
+        y = self.moved_y - sin * self.centre
+        return x * moving, y * moving, self.yaw * moving
