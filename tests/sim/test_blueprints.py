@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import re
+
+import numpy as np
 import pytest
 
+from carla_recap import open_recording
 from carla_recap.model.records import ActorKind
 from carla_recap.sim.attributes import attribute_type
-from carla_recap.sim.blueprints import standard_library
+from carla_recap.sim.blueprints import known_physics, standard_library
 from carla_recap.sim.errors import SpawnError
+from tests.samples import ROOT, carla_log
 
 LIBRARY = standard_library()
 
@@ -43,12 +48,11 @@ def test_patterns_find_blueprints() -> None:
 @pytest.mark.parametrize("blueprint", LIBRARY.filter("vehicle.*"), ids=lambda blueprint: blueprint.id)
 def test_the_parameters_of_a_vehicle_are_consistent(blueprint) -> None:  # type: ignore[no-untyped-def]
     physics, extent = blueprint.physics, blueprint.box.extent
-    assert 0.5 * extent.x < blueprint.wheelbase < 2 * extent.x
     assert blueprint.box.location.z == extent.z
     assert len(physics.wheels) == max(4, int(blueprint.attributes["number_of_wheels"]))
     front, rear = physics.wheels[0], physics.wheels[-1]
     behind = [wheel.position.x for wheel in physics.wheels if not wheel.max_steer_angle]
-    assert front.position.x - sum(behind) / len(behind) == pytest.approx(100 * blueprint.wheelbase)
+    assert 50 * extent.x < front.position.x - sum(behind) / len(behind) < 200 * extent.x
     assert all(
         left.position.y < 0 < right.position.y for left, right in zip(physics.wheels[::2], physics.wheels[1::2], strict=True)
     )
@@ -56,6 +60,39 @@ def test_the_parameters_of_a_vehicle_are_consistent(blueprint) -> None:  # type:
     assert front.max_handbrake_torque == 0 < rear.max_handbrake_torque
     assert [speed for speed, _ in physics.torque_curve] == sorted(speed for speed, _ in physics.torque_curve)
     assert [gear.ratio for gear in physics.forward_gears] == sorted((g.ratio for g in physics.forward_gears), reverse=True)
+
+
+def test_the_documentation_lists_the_vehicles_whose_physics_is_known() -> None:
+    page = (ROOT / "docs" / "simulating.md").read_text("utf-8")
+    listed = re.findall(r"^\| `(vehicle\.[a-z0-9_.]+)` \| (\w+)", page, re.MULTILINE)
+    assert dict(listed) == {name: table["source"].split()[0] for name, table in known_physics().items()}
+
+
+def test_physics_that_was_recorded_is_that_of_the_recording() -> None:
+    control = LIBRARY.get("vehicle.lincoln.mkz_2017").physics
+    assert control is not None
+    with open_recording(carla_log("carla-0.9.13-lane-center.log")) as recording:
+        table = recording.table("physics").to_pandas().iloc[0]
+        spawn = recording.actors[int(table.id)].spawn
+    assert (spawn.type_id, spawn.yaw) == ("vehicle.lincoln.mkz_2017", pytest.approx(90.0, abs=0.001))
+    names = ("max_rpm", "moi", "clutch_strength", "final_ratio", "mass", "drag_coefficient")
+    dampings = [name for name in table.index if name.startswith("damping")]
+    assert len(dampings) == 3
+    for name in (*names, *dampings):
+        assert getattr(control, name) == pytest.approx(table[name], abs=1e-6), name
+    for name in ("torque_curve", "steering_curve"):
+        recorded = np.array([tuple(point.values()) for point in table[name]])
+        assert recorded == pytest.approx(np.array(getattr(control, name)), abs=1e-6)
+    gears = [tuple(gear.values()) for gear in table.forward_gears]
+    assert gears == [pytest.approx((gear.ratio, gear.down_ratio, gear.up_ratio)) for gear in control.forward_gears]
+    assert (table.center_of_mass_x, table.center_of_mass_z) == pytest.approx(
+        (control.center_of_mass.x, control.center_of_mass.z)
+    )
+    for wheel, found in zip(control.wheels, table.wheels, strict=True):
+        same = {name: getattr(wheel, name) for name in found if not name.startswith("position")}
+        assert same == pytest.approx({name: found[name] for name in same}, abs=1e-4)
+        place = found["position_y"] - spawn.y, spawn.x - found["position_x"]  # it stands in the direction of y
+        assert place == pytest.approx((wheel.position.x, wheel.position.y), abs=0.05)
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import cache
 from math import pi
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
@@ -16,7 +18,7 @@ from carla_recap.model.records import ActorKind
 from carla_recap.sensors.kinds import SENSOR_ATTRIBUTES
 from carla_recap.sim.errors import SpawnError
 from carla_recap.sim.geometry import Box, Location, Vector
-from carla_recap.sim.physics.physics_control import Gear, PhysicsControl, WheelPhysics
+from carla_recap.sim.physics.physics_control import CHASSIS_AREA, Gear, PhysicsControl, WheelPhysics
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -38,7 +40,6 @@ class Blueprint:
         attributes: The attributes of its actors, with their defaults.
         box: The box around an actor, in the actor's axes; of no size if it has no body.
         physics: The physics control of its vehicles; None if it is no vehicle.
-        wheelbase: The distance between the axles in m; 0 if it is no vehicle.
         choices: The attributes that can be chosen when an actor is spawned, with their recommended values.
         uid: The position in the library, from 1; 0 for signs, lights and the spectator.
         is_traffic: Whether random traffic consists of it, among others.
@@ -49,7 +50,6 @@ class Blueprint:
     attributes: Mapping[str, str]
     box: Box
     physics: PhysicsControl | None = None
-    wheelbase: float = 0.0
     choices: Mapping[str, tuple[str, ...]] = field(default_factory=lambda: MappingProxyType({}))
     uid: int = 0
     is_traffic: bool = False
@@ -127,7 +127,8 @@ class _Model:
     """A row of `vehicles.csv`, less what becomes an attribute as it is.
 
     Lengths, widths and heights are those of CARLA's boxes, or close to them; wheelbases, masses, powers and speeds are those
-    of the makers. Sizes are in m, the mass in kg, the power in kW, the top speed in km/h, the steering angle in degrees.
+    of the makers, and absent where `vehicle_physics.toml` has CARLA's. Sizes are in m, the mass in kg, the power in kW, the
+    top speed in km/h, the steering angle in degrees.
     """
 
     id: str
@@ -151,9 +152,9 @@ class _Model:
     @classmethod
     def of(cls, row: dict[str, str]) -> _Model:
         """Return the model of a row."""
-        numbers = {name: float(row[name]) for name, type in cls.__annotations__.items() if type == "float"}
+        numbers = {name: float(row[name] or "nan") for name, type in cls.__annotations__.items() if type == "float"}
         special = {
-            "gears": int(row["gears"]),
+            "gears": int(row["gears"] or 0),
             "traffic": row["traffic"] == "true",
             "drivers": tuple(row["drivers"].split()),
             "colors": tuple(",".join(map(str, bytes.fromhex(color))) for color in row["colors"].split()),
@@ -165,45 +166,101 @@ class _Model:
 _TRACK: Final = 0.78  # of the width, between the middles of the tyres
 _BIKE_TRACK: Final = 0.1  # of the width: CARLA's bikes have four wheels, left and right close together
 _TANDEM: Final = 1.3  # m, between the rear axles of a vehicle with six wheels
-_REV_RANGE: Final = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0)
-_PEAK: Final = {"electric": 0.30, "combustion": 0.70}  # the share of the revolutions at which full power is reached
+_ELECTRIC: Final = ((0.0, 1.0), (0.3, 1.0), (0.45, 0.667), (0.6, 0.5), (0.75, 0.4), (1.0, 0.3))
+"""The torque of an electric motor, and of a rider, as shares of the peak at shares of the most revolutions."""
+_COMBUSTION: Final = ((0.0, 0.8), (0.33, 1.0), (1.0, 0.8))
+"""The same of UE4's usual engine."""
+_USUAL_ENGINE: Final = 500.0 / 628.0  # N m s, its peak torque by its most revolutions
+_SHIFT_UP: Final = 0.35  # of the most revolutions, as in CARLA's gearboxes of five gears
+_SHIFT_DOWN: Final = 0.8  # of the revolutions after a shift up, so that it is not undone; those gearboxes have about as much
+_SHIFT_TIME: Final = 0.1  # s, of CARLA's gearboxes since 0.9.12
 _BRAKING: Final = 1.0  # g, by all brakes together; tyres of dry asphalt give about as much
 _FIRST_GEAR: Final = 0.23  # the share of the top speed that the first of many gears reaches
+_FRONT_AREA: Final = 0.85  # of the rectangle around it (Hucho, Aerodynamics of Road Vehicles)
+
+
+@cache
+def known_physics() -> Mapping[str, dict[str, Any]]:
+    """Return what is known of the physics of CARLA's own vehicles, by blueprint: see `vehicle_physics.toml`."""
+    with Path(__file__).with_name("vehicle_physics.toml").open("rb") as file:
+        tables = tomllib.load(file)
+    return {f"vehicle.{id}": tables[table.get("like", id)] | table for id, table in tables.items()}
 
 
 def _physics(model: _Model) -> PhysicsControl:
+    known = known_physics().get(f"vehicle.{model.id}")
+    if known is not None:
+        return _known(known)
     top = model.top_speed / 3.6
     turns = model.max_rpm * 2 * pi / 60
-    final = turns * model.radius / top
-    peak = _PEAK["electric" if model.gears == 1 else "combustion"]
-    torque = model.power * 1000 / (turns * peak)
-    curve = tuple((share * model.max_rpm, torque * min(1.0, peak / max(share, 1e-9))) for share in _REV_RANGE)
-    steps = [_FIRST_GEAR ** (number / (model.gears - 1)) if model.gears > 1 else 1.0 for number in range(model.gears)]
+    one_gear = model.gears == 1
+    curve = _ELECTRIC if one_gear else _COMBUSTION
+    torque = model.power * 1000 / (turns * max(share * part for share, part in curve))
+    scale = torque / turns / _USUAL_ENGINE
+    usual = PhysicsControl()
+    step = 1.0 if one_gear else _FIRST_GEAR ** (1 / (model.gears - 1))
+    shifts = (0.0, 0.0) if one_gear else (_SHIFT_DOWN * _SHIFT_UP * step, _SHIFT_UP)
     return PhysicsControl(
-        torque_curve=curve,
+        torque_curve=tuple((share * model.max_rpm, part * torque) for share, part in curve),
         max_rpm=model.max_rpm,
-        final_ratio=final,
-        forward_gears=[Gear(_FIRST_GEAR**-1 * step if model.gears > 1 else 1.0) for step in steps],
+        moi=usual.moi * scale,
+        damping_rate_full_throttle=usual.damping_rate_full_throttle * scale,
+        damping_rate_zero_throttle_clutch_engaged=usual.damping_rate_zero_throttle_clutch_engaged * scale,
+        damping_rate_zero_throttle_clutch_disengaged=usual.damping_rate_zero_throttle_clutch_disengaged * scale,
+        gear_switch_time=0.0 if one_gear else _SHIFT_TIME,
+        clutch_strength=usual.clutch_strength * scale,
+        final_ratio=turns * model.radius / top,
+        forward_gears=[Gear(1 / step**number, *shifts) for number in reversed(range(model.gears))],
         mass=model.mass,
-        drag_coefficient=model.drag,
+        drag_coefficient=model.drag * _FRONT_AREA * model.width * model.height / CHASSIS_AREA,
         center_of_mass=Vector(0.0, 0.0, 0.3 * model.height),
-        wheels=_wheels(model),
+        wheels=_estimated_wheels(model),
     )
 
 
-def _wheels(model: _Model) -> list[WheelPhysics]:
-    """Return the wheels from front to back, the left one of each axle first."""
+def _known(values: dict[str, Any]) -> PhysicsControl:
+    """Return a physics control that is known."""
+    special: dict[str, Any] = {
+        "torque_curve": tuple((rpm, torque) for rpm, torque in values["torque_curve"]),
+        "forward_gears": [Gear(*gear) for gear in values["forward_gears"]],
+        "center_of_mass": Vector(*values["center_of_mass"]),
+        "wheels": _wheels(*(values[name] for name in _OF_WHEELS)),
+    }
+    same = PhysicsControl.__annotations__.keys() & values.keys() - special.keys()
+    return PhysicsControl(**special, **{name: values[name] for name in same})
+
+
+_OF_WHEELS: Final = ("axles", "track", "radius", "max_brake_torque", "max_handbrake_torque", "max_steer_angle")
+
+
+def _estimated_wheels(model: _Model) -> list[WheelPhysics]:
     half = model.wheelbase / 2
     axles = (half, -half) if model.number_of_wheels != "6" else (half, -half + _TANDEM / 2, -half - _TANDEM / 2)
-    aside = (_BIKE_TRACK if model.number_of_wheels == "2" else _TRACK) * model.width / 2
+    track = (_BIKE_TRACK if model.number_of_wheels == "2" else _TRACK) * model.width
     brake = _BRAKING * GRAVITY * model.mass * model.radius / (2 * len(axles))
+    return _wheels(axles, track, 100 * model.radius, brake, 2 * brake, model.steer)
+
+
+def _wheels(
+    axles: Iterable[float], track: float, radius: float, brake: float, hand_brake: float, steer: float
+) -> list[WheelPhysics]:
+    """Return the wheels from front to back, the left one of each axle first: the front steers, the rear has the hand brake.
+
+    Args:
+        axles: Their places, in m ahead of the middle of the vehicle.
+        track: The distance between left and right wheels in m.
+        radius: In cm.
+        brake: The most torque of the brake of each in N m.
+        hand_brake: The same of the hand brake.
+        steer: The greatest angle to each side in degrees.
+    """
     return [
         WheelPhysics(
-            max_steer_angle=model.steer if axle > 0 else 0.0,
-            radius=100 * model.radius,
+            max_steer_angle=steer if axle > 0 else 0.0,
+            radius=radius,
             max_brake_torque=brake,
-            max_handbrake_torque=0.0 if axle > 0 else 2 * brake,
-            position=Vector(100 * axle, 100 * side * aside, 100 * model.radius),
+            max_handbrake_torque=0.0 if axle > 0 else hand_brake,
+            position=Vector(100 * axle, 50 * side * track, radius),
         )
         for axle in axles
         for side in (-1, 1)
@@ -243,7 +300,7 @@ def _vehicle(row: dict[str, str]) -> Blueprint:
         object_type="",
         **{key: row[key] for key in fixed},
     )
-    return replace(blueprint, physics=_physics(model), wheelbase=model.wheelbase, is_traffic=model.traffic)
+    return replace(blueprint, physics=_physics(model), is_traffic=model.traffic)
 
 
 def _walker(row: dict[str, str]) -> Blueprint:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
-from carla_recap.sim.blueprints import standard_library
+from carla_recap.sim.blueprints import known_physics, standard_library
 from carla_recap.sim.geometry import Vector
 from tests.sim.flat import at, flat_world, spawn_car
 
@@ -80,7 +80,7 @@ def test_top_speeds_are_plausible() -> None:
 
 def test_vehicles_brake_from_100_within_a_plausible_distance() -> None:
     world = flat_world()
-    cars = side_by_side(world, "tesla.model3", "nissan.patrol", "carlamotors.firetruck", "kawasaki.ninja")
+    cars = side_by_side(world, "audi.tt", "nissan.patrol", "carlamotors.firetruck", "kawasaki.ninja")
     for car in cars:
         car.set_target_velocity(Vector(100 * KMH))
         car.apply_control(VehicleControl(brake=1.0))
@@ -94,7 +94,7 @@ def test_less_grip_makes_the_way_longer() -> None:
     ways = []
     for friction in (3.5, 1.4):
         world = flat_world()
-        car = vehicle(world, "tesla.model3")
+        car = vehicle(world, "audi.tt")
         control = car.physics_control
         for wheel in control.wheels:
             wheel.tire_friction = friction
@@ -253,7 +253,7 @@ def test_a_heavier_car_with_the_same_engine_is_slower() -> None:
     times = []
     for mass in (1.0, 2.0):
         world = flat_world()
-        car = vehicle(world, "tesla.model3")
+        car = vehicle(world, "audi.a2")
         control = car.physics_control
         car.physics_control = replace(control, mass=control.mass * mass)
         car.apply_control(VehicleControl(throttle=1.0))
@@ -288,14 +288,17 @@ def rebuilt(car: Vehicle, *, drag: float = 0.0, **values: float | list[float]) -
     car.physics_control = control
 
 
-def test_every_vehicle_has_four_wheels_or_more_that_brake_with_1_g_together() -> None:
+def test_vehicles_have_four_wheels_or_more_and_those_whose_brakes_are_unknown_brake_with_1_g() -> None:
     for blueprint in flat_world().blueprints.filter("vehicle.*"):
         physics = blueprint.physics
         assert physics is not None
         assert len(physics.wheels) >= 4
         assert [wheel.max_steer_angle > 0 for wheel in physics.wheels[:4]] == [True, True, False, False]
-        force = sum(100 * wheel.max_brake_torque / wheel.radius for wheel in physics.wheels)
-        assert force == pytest.approx(9.81 * physics.mass, rel=0.01)
+        deceleration = sum(100 * wheel.max_brake_torque / wheel.radius for wheel in physics.wheels) / physics.mass
+        if blueprint.id in known_physics():
+            assert 4 < deceleration < 6
+        else:
+            assert deceleration == pytest.approx(9.81, rel=0.01)
 
 
 @pytest.mark.parametrize("name", ["tesla.model3", "bh.crossbike", "carlamotors.firetruck"])
@@ -328,7 +331,7 @@ def test_friction_acts_on_each_axle() -> None:
     ways = []
     for friction in ([3.5] * 4, [3.5, 3.5, 0.0, 0.0], [3.5, 0.0, 3.5, 0.0], [0.5] * 4, [0.0] * 4):
         world = flat_world()
-        car = vehicle(world, "tesla.model3")
+        car = vehicle(world, "audi.tt")
         rebuilt(car, tire_friction=friction)
         car.set_target_velocity(Vector(20.0))
         car.apply_control(VehicleControl(brake=1.0))
