@@ -237,7 +237,7 @@ class Vehicle(MovingActor):
         rows.manual[row] = control.manual_gear_shift
         rows.controlled[row] = True
         if control.manual_gear_shift:
-            rows.gear[row] = control.gear
+            rows.gear[row] = rows.target_gear[row] = control.gear
 
     @property
     def light_state(self) -> int:
@@ -260,7 +260,10 @@ class Vehicle(MovingActor):
 
     def set_autopilot(self, enabled: bool = True) -> None:
         """Let the autopilot drive it, or leave it to its control."""
-        self.rows.autopilot[self.row] = enabled
+        row = self.row
+        if enabled:
+            self.rows.engage(row)
+        self.rows.autopilot[row] = enabled
 
     @property
     def gears(self) -> int:

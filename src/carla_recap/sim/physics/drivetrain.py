@@ -5,15 +5,15 @@ Four wheels and the engine turn; a clutch couples the engine to the mean of the 
 
     torque of the clutch = strength * (engine - ratio * mean of the wheels)
 
-The torque of the engine is that of its curve times the throttle, less its damping; that of a wheel is its share of the clutch,
-the brake, the damping, and the tyre. They are integrated together and backwards, so that any clutch is stable. A tyre's force
-follows from its slips, lengthwise and sideways, as in the Michigan model: it grows by its stiffnesses, and saturates at its
-friction. Loads are those at rest.
+The torque of the engine is that of its curve times the throttle, less its damping; that of a wheel is its share of the
+clutch, the brake, the damping, and the tyre. They are integrated together and backwards, so that any clutch is stable. The force of
+a tyre follows from its slips, lengthwise and sideways, as in the Michigan model: it grows by its stiffnesses, and saturates at
+its friction. Loads are those at rest.
 
 PhysX takes the force of a tyre from before the step, which makes stiff tyres oscillate at 5 to 15 m/s in steps of 0.01 s; so
-they do in CARLA's recordings, whose cars accelerate less there. `advance` does the same in CARLA's own steps, 0.01 s at most,
-a third of it below 5 m/s. For vehicles whose drives need not be CARLA's to the point, as those of the autopilot, it takes
-one step, with tyres that follow the change of their slips within it, which is stable in a step of any length.
+they do in CARLA's recordings, whose cars accelerate less there. `advance` does so, too, in CARLA's own steps, 0.01 s at
+most, a third of it below 5 m/s. For the vehicles of the autopilot, whose drives need not be CARLA's to the point, it takes one
+step, with tyres that follow the change of their slips within it, which is stable in a step of any length.
 """
 
 from __future__ import annotations
@@ -29,8 +29,6 @@ from carla_recap.sim.physics.physics_control import CORNERS, GEARS, SPEEDS, TORQ
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from numpy.typing import NDArray
-
     from carla_recap.sim.physics.vehicles import Vehicles
     from carla_recap.util.arrays import Booleans, Floats, Integers
 
@@ -40,6 +38,7 @@ _SLOW: Final = 5.0  # m/s: below, PhysX divides a step by three
 _SLOW_STEPS: Final = 3
 _LEAST_SLIP_SPEED: Final = 0.1  # m/s, added below the slip of wheels that are driven or braked
 _LEAST_SIDE_SPEED: Final = 1.0  # m/s, added below the slip sideways
+_KEPT: Final = 8
 _TINY: Final = 1e-9
 _STICKY_SPEED: Final = 0.2  # m/s: slower vehicles whose wheels are locked stand, and others after a second
 _STICKY_TIME: Final = 1.0  # s
@@ -89,6 +88,16 @@ class DriveTables(StructOfArrays):
     def __init__(self) -> None:
         super().__init__()
         self._keys: list[bytes] = []
+        self._of: dict[bytes, _Parameters] = {}
+
+    def of(self, own: Integers) -> _Parameters:
+        """Return the parameters of vehicles by their rows here; the latest few are kept."""
+        key = own.tobytes()
+        if key not in self._of:
+            if len(self._of) == _KEPT:
+                self._of.clear()
+            self._of[key] = _Parameters(self, own)
+        return self._of[key]
 
     def row(self, values: Mapping[str, Any], used: Integers) -> int:
         """Return the row of some values, which is one that is not used yet if none has them."""
@@ -101,19 +110,43 @@ class DriveTables(StructOfArrays):
             return self.append_row(**values)
         row = int(free[0])
         self._keys[row] = key
+        self._of.clear()
         for name, value in values.items():
             getattr(self, name)[row] = value
         return row
+
+
+class _Parameters:
+    """The parameters of some vehicles: arrays with a column for each, and a row for each corner where there are four."""
+
+    def __init__(self, tables: DriveTables, own: Integers) -> None:
+        wheels = np.ascontiguousarray(tables.wheels[own].transpose(1, 2, 0))
+        self.x, self.y, self.radius, inertia, self.damping, self.grip, self.lateral, self.longitudinal, *brakes = wheels
+        self.brake, self.hand_brake = brakes
+        self.per_inertia = 1 / inertia
+        self.per_grip = 1 / np.maximum(self.grip, _TINY)
+        self.stiffnesses = self.lateral / np.maximum(self.longitudinal, _TINY)
+        self.most_turns, self.clutch = tables.most_turns[own], tables.clutch[own]
+        self.per_turn = TORQUES / np.maximum(self.most_turns, _TINY)
+        self.per_engine = 1 / tables.engine_inertia[own]
+        self.full, self.engaged, self.disengaged = np.ascontiguousarray(tables.damping[own].T)
+        self.centre, self.track, self.full_lock = tables.centre[own], tables.track[own], tables.full_lock[own]
+        self.autobox, self.latency, self.switch_time = tables.autobox[own], tables.latency[own], tables.switch_time[own]
+        self.brakes, self.wheel_damping, self.wheel_inertia = (
+            brakes[0].sum(axis=0),
+            self.damping.sum(axis=0),
+            inertia.sum(axis=0),
+        )
 
 
 def steer(fleet: Vehicles, seconds: float) -> None:
     """Let the pedals and the steering follow their controls for a step of a length in s."""
     for name, limits in _RATES.items():
         _follow(getattr(fleet, f"{name}_input"), getattr(fleet, name), limits, seconds)
-    tables, own = fleet.tables, fleet.table
-    limit = tables.full_lock[own] * tables.lock_share[own, column_of(np.abs(fleet.speed))]
+    own = fleet.tables.of(fleet.table)
+    limit = own.full_lock * fleet.tables.lock_share[fleet.table, column_of(np.abs(fleet.speed))]
     # The angle between those of the front wheels has a cotangent between theirs, which differ by track / wheelbase.
-    by_track = tables.track[own] / (2 * fleet.wheelbase)
+    by_track = own.track / (2 * fleet.wheelbase)
     inner, most = np.tan(limit * np.abs(fleet.steer_input)), np.tan(limit)
     fleet.steer_angle[:] = np.copysign(np.arctan(inner / (1 + inner * by_track)), fleet.steer_input)
     fleet.steer_limit[:] = np.arctan(most / (1 + most * by_track))
@@ -132,23 +165,25 @@ def _follow(values: Floats, wanted: Floats, limits: tuple[float, float], seconds
     values += np.minimum(np.maximum(change, -rate), rate)
 
 
-def shift(fleet: Vehicles, rows: Integers, seconds: float) -> None:
+def shift(fleet: Vehicles, rows: Integers, own: _Parameters, seconds: float) -> None:
     """Let the gearboxes of some vehicles work for a step of a length in s; a shift goes by way of neutral."""
-    tables, own = fleet.tables, fleet.table[rows]
     gear, target = fleet.gear[rows], fleet.target_gear[rows]
-    since, waited = fleet.since_shift[rows], fleet.shift_time[rows]
-    idle = gear == target
-    turns = fleet.engine[rows] / np.maximum(tables.most_turns[own], _TINY)
-    ready = idle & (since > tables.latency[own]) & tables.autobox[own] & ~fleet.manual[rows] & (gear >= 0)
-    up, down = ready & (turns > tables.up[own, gear]), ready & (turns < tables.down[own, gear])
+    since = fleet.since_shift[rows] + seconds
+    turns, table = fleet.engine[rows] * own.per_turn / TORQUES, fleet.table[rows]
+    ready = (gear == target) & (since - seconds > own.latency) & own.autobox & ~fleet.manual[rows] & (gear >= 0)
+    up, down = ready & (turns > fleet.tables.up[table, gear]), ready & (turns < fleet.tables.down[table, gear])
     shifting = up | down
-    target = np.where(shifting, gear + up - down, target)
-    since = np.where(shifting, 0.0, since + seconds)
-    gear, waited = np.where(shifting, 0, gear), np.where(shifting, 0.0, waited)
+    if shifting.any():
+        target = target + up - down
+        since, gear = np.where(shifting, 0.0, since), np.where(shifting, 0, gear)
+        fleet.shift_time[rows[shifting]] = 0.0
+    fleet.since_shift[rows] = since
     changing = gear != target
-    done = changing & (waited > tables.switch_time[own])
-    fleet.gear[rows], fleet.target_gear[rows] = np.where(done, target, gear), target
-    fleet.since_shift[rows], fleet.shift_time[rows] = since, np.where(changing & ~done, waited + seconds, 0.0)
+    if changing.any():
+        waited = fleet.shift_time[rows]
+        done = changing & (waited > own.switch_time)
+        fleet.gear[rows], fleet.target_gear[rows] = np.where(done, target, gear), target
+        fleet.shift_time[rows] = waited + seconds
 
 
 def advance(fleet: Vehicles, rows: Integers, seconds: float, *, exactly: bool) -> tuple[Floats, Floats, Floats]:
@@ -167,7 +202,7 @@ def advance(fleet: Vehicles, rows: Integers, seconds: float, *, exactly: bool) -
     steps = max(ceil(seconds / _STEP - _ROUNDING), 1) if exactly else 1
     for _ in range(steps):
         step = seconds / steps
-        shift(fleet, rows, step)
+        shift(fleet, rows, drive.own, step)
         drive.read_gears()
         slow = drive.speed() < _SLOW
         if exactly and slow.any():
@@ -188,39 +223,28 @@ class _Drive:
 
     def __init__(self, fleet: Vehicles, rows: Integers) -> None:
         self.fleet, self.rows = fleet, rows
-        tables, own = fleet.tables, fleet.table[rows]
-        self.tables, self.own = tables, own
-        wheels = np.ascontiguousarray(tables.wheels[own].transpose(1, 2, 0))
-        self.x, self.y, self.radius, inertia, self.damping, self.grip, self.lateral, self.longitudinal, *brakes = wheels
-        self.per_inertia = 1 / inertia
-        self.per_grip = 1 / np.maximum(self.grip, _TINY)
-        self.stiffnesses = self.lateral / np.maximum(self.longitudinal, _TINY)
-        self.hand_brake = fleet.hand_brake[rows]
-        self.brakes = fleet.brake_input[rows] * brakes[0] + self.hand_brake * brakes[1]
+        self.table = fleet.table[rows]
+        self.own = fleet.tables.of(self.table)
+        hand_brake = fleet.hand_brake[rows]
+        self.brakes = fleet.brake_input[rows] * self.own.brake + hand_brake * self.own.hand_brake
         self.braked = self.brakes > 0
         self.share = np.full((CORNERS, len(rows)), 1 / CORNERS)
-        self.share[:2, self.hand_brake], self.share[2:, self.hand_brake] = 0.5, 0.0  # PhysX's: drive at the front alone
+        self.share[:2, hand_brake], self.share[2:, hand_brake] = 0.5, 0.0  # PhysX's: drive at the front alone
         self.mass, self.moment, self.air = fleet.mass[rows], fleet.moment[rows], fleet.air[rows]
         self.throttle = fleet.throttle_input[rows]
-        self.most_turns, self.clutch = tables.most_turns[own], tables.clutch[own]
-        self.per_turn = TORQUES / np.maximum(self.most_turns, _TINY)
-        self.per_engine = 1 / tables.engine_inertia[own]
-        self.full, self.engaged, self.disengaged = tables.damping[own].T
         self.cos, self.sin = self._front_wheels()
-        self.centre = tables.centre[own]
         self.turning = fleet.turning[rows]
-        self.vx, self.vy = fleet.speed[rows], fleet.sideways[rows] + self.turning * self.centre
+        self.vx, self.vy = fleet.speed[rows], fleet.sideways[rows] + self.turning * self.own.centre
         self.yaw, self.moved_x, self.moved_y = np.zeros((3, len(rows)))
         self.omega, self.engine = np.ascontiguousarray(fleet.omega[rows].T), fleet.engine[rows]
         self.ratio = self.strength = self.accelerator = self.engine_damping = self.yaw
-        self._old = self.vx, self.vy
 
     def _front_wheels(self) -> tuple[Floats, Floats]:
         """Return cosine and sine of the angles of the wheels: those of the front ones meet at the axis of the rear ones."""
         fleet, rows = self.fleet, self.rows
         between = np.tan(fleet.steer_angle[rows])
-        by_track = between * self.tables.track[self.own] / (2 * fleet.wheelbase[rows])
-        tangents = np.zeros_like(self.x)
+        by_track = between * self.own.track / (2 * fleet.wheelbase[rows])
+        tangents = np.zeros_like(self.own.x)
         tangents[0], tangents[1] = between / (1 + by_track), between / np.maximum(1 - by_track, _TINY)
         cos: Floats = 1 / np.sqrt(1 + tangents * tangents)
         return cos, cos * tangents
@@ -232,44 +256,45 @@ class _Drive:
     def read_gears(self) -> None:
         """Read the gears, and what follows from them: an automatic shift takes the throttle away."""
         gear, own = self.fleet.gear[self.rows], self.own
+        neutral = gear == 0
         shifting = (gear != self.fleet.target_gear[self.rows]) & ~self.fleet.manual[self.rows]
-        self.ratio = self.tables.ratios[own, gear]
-        self.strength = np.where(gear == 0, 0.0, self.clutch)
+        self.ratio = self.fleet.tables.ratios[self.table, gear]
+        self.strength = np.where(neutral, 0.0, own.clutch)
         self.accelerator = np.where(shifting, 0.0, self.throttle)
-        without = np.where(gear == 0, self.disengaged, self.engaged)
-        self.engine_damping = without + (self.full - without) * self.accelerator
+        without = np.where(neutral, own.disengaged, own.engaged)
+        self.engine_damping = without + (own.full - without) * self.accelerator
 
     def step(self, seconds: Floats, *, implicit: bool) -> None:
         """Advance by a step of a length in s for each vehicle."""
-        cos, sin, omega = np.cos(self.yaw), np.sin(self.yaw), self.omega
+        own, cos, sin, omega = self.own, np.cos(self.yaw), np.sin(self.yaw), self.omega
         forward, right = self.vx * cos + self.vy * sin, self.vy * cos - self.vx * sin
-        along, across = forward - self.turning * self.y, right + self.turning * self.x
+        along, across = forward - self.turning * own.y, right + self.turning * own.x
         ahead, aside = along * self.cos + across * self.sin, across * self.cos - along * self.sin
 
-        rim = omega * self.radius
+        rim = omega * own.radius
         speed = np.abs(ahead)
         per_slip_speed = 1 / (np.maximum(speed, np.abs(rim)) + _LEAST_SLIP_SPEED)
         slip = (rim - ahead) * per_slip_speed
         per_side_speed = 1 / (speed + _LEAST_SIDE_SPEED)
         side_slip = aside * per_side_speed
-        load = np.hypot(self.lateral * side_slip, self.longitudinal * slip) * self.per_grip
+        load = np.hypot(own.lateral * side_slip, own.longitudinal * slip) * own.per_grip
         bounded = np.minimum(load, 3.0)
         saturation = bounded * (1 + bounded * (bounded / 27 - 1 / 3))
-        weighting = 0.5 * (1 + self.stiffnesses - (1 - self.stiffnesses) * np.cos(np.minimum(0.5 * load, pi)))
+        weighting = 0.5 * (1 + own.stiffnesses - (1 - own.stiffnesses) * np.cos(np.minimum(0.5 * load, pi)))
         effective = weighting * side_slip
-        by_slip = self.grip * saturation / (np.hypot(slip, effective) + _TINY)
+        by_slip = own.grip * saturation / (np.hypot(slip, effective) + _TINY)
         pull, push = by_slip * slip, -by_slip * effective
 
         brake = -np.sign(omega) * self.brakes
-        softness = by_slip * per_slip_speed * self.radius if implicit else 0.0
-        new = self._turn_wheels(seconds, (brake - pull * self.radius), softness * self.radius)
+        softness = by_slip * per_slip_speed * own.radius if implicit else 0.0
+        new = self._turn_wheels(seconds, (brake - pull * own.radius), softness * own.radius)
         if implicit:
             pull = pull + softness * (new - omega)
         self.omega = new
 
         force_x = (pull * self.cos - push * self.sin).sum(axis=0) - self.air * forward * np.abs(forward)
         push_y = pull * self.sin + push * self.cos
-        force_y, torque = push_y.sum(axis=0), (self.x * push_y - self.y * (pull * self.cos - push * self.sin)).sum(axis=0)
+        force_y, torque = push_y.sum(axis=0), (own.x * push_y - own.y * (pull * self.cos - push * self.sin)).sum(axis=0)
         ax, ay, spin = force_x / self.mass * seconds, force_y / self.mass * seconds, torque / self.moment * seconds
         if implicit:
             locked = (by_slip * per_slip_speed * (new == 0)).sum(axis=0)
@@ -288,22 +313,22 @@ class _Drive:
         With the torque of the clutch t, the engine is e0 - a t after the step, and a wheel w0 + b t. As t itself is
         strength * (engine - ratio * mean of the wheels) after the step, it is a fraction.
         """
-        turned = self.engine * self.per_turn
+        own, torques = self.own, self.fleet.tables.torques
+        turned = self.engine * own.per_turn
         index = np.minimum(turned.astype(np.int64), TORQUES - 1)
-        torques, own = self.tables.torques, self.own
-        low = torques[own, index]
-        drive = self.accelerator * (low + (torques[own, index + 1] - low) * (turned - index))
-        per_engine = seconds * self.per_engine
+        low = torques[self.table, index]
+        drive = self.accelerator * (low + (torques[self.table, index + 1] - low) * (turned - index))
+        per_engine = seconds * own.per_engine
         engine_less = per_engine / (1 + per_engine * self.engine_damping)
         engine = (self.engine + per_engine * drive) / (1 + per_engine * self.engine_damping)
-        per_wheel = seconds * self.per_inertia
-        slowed = 1 / (1 + per_wheel * (self.damping + softness))
+        per_wheel = seconds * own.per_inertia
+        slowed = 1 / (1 + per_wheel * (own.damping + softness))
         free = (self.omega + per_wheel * (torque + softness * self.omega)) * slowed
         gained = per_wheel * slowed * self.share * self.ratio
         difference = engine - self.ratio * (self.share * free).sum(axis=0)
         clutch = self.strength * difference
         clutch /= 1 + self.strength * (engine_less + self.ratio * (self.share * gained).sum(axis=0))
-        self.engine = np.minimum(np.maximum(engine - engine_less * clutch, 0.0), self.most_turns)
+        self.engine = np.minimum(np.maximum(engine - engine_less * clutch, 0.0), own.most_turns)
         wheels: Floats = free + gained * clutch
         wheels[self.braked & (self.omega * wheels <= 0)] = 0.0
         return wheels
@@ -311,8 +336,8 @@ class _Drive:
     def _follow_slip(self, stiffness: Floats, ay: Floats, spin: Floats, seconds: Floats) -> tuple[Floats, Floats]:
         """Return the changes of the speed to the right and of the yaw rate if tyres follow the change of their slips."""
         a = 1 + stiffness.sum(axis=0) / self.mass * seconds
-        levers = (stiffness * self.x).sum(axis=0) * seconds
-        d = 1 + (stiffness * self.x * self.x).sum(axis=0) / self.moment * seconds
+        levers = (stiffness * self.own.x).sum(axis=0) * seconds
+        d = 1 + (stiffness * self.own.x * self.own.x).sum(axis=0) / self.moment * seconds
         b, c = levers / self.mass, levers / self.moment
         determinant = a * d - b * c
         return (d * ay - b * spin) / determinant, (a * spin - c * ay) / determinant
@@ -321,15 +346,15 @@ class _Drive:
         """Write the state back after a step of a length in s; see `advance`."""
         fleet, rows, cos, sin = self.fleet, self.rows, np.cos(self.yaw), np.sin(self.yaw)
         forward, right = self.vx * cos + self.vy * sin, self.vy * cos - self.vx * sin
-        rims = np.abs(self.omega * self.radius).max(axis=0)
+        rims = np.abs(self.omega * self.own.radius).max(axis=0)
         slow = (np.hypot(forward, right) < _STICKY_SPEED) & (rims < _STICKY_SPEED) & (self.accelerator == 0)
         waited = np.where(slow, fleet.slow_time[rows] + seconds, 0.0)
         stands = slow & (self.braked.any(axis=0) & (rims == 0) | (waited > _STICKY_TIME))
         moving = ~stands
         fleet.slow_time[rows] = waited
         fleet.speed[rows], fleet.turning[rows] = forward * moving, self.turning * moving
-        fleet.sideways[rows] = (right - self.turning * self.centre) * moving
+        fleet.sideways[rows] = (right - self.turning * self.own.centre) * moving
         fleet.omega[rows] = (self.omega * moving).T
-        x = self.moved_x + (1 - cos) * self.centre
-        y = self.moved_y - sin * self.centre
+        x = self.moved_x + (1 - cos) * self.own.centre
+        y = self.moved_y - sin * self.own.centre
         return x * moving, y * moving, self.yaw * moving

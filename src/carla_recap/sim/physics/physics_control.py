@@ -33,7 +33,7 @@ TORQUES: Final = 256  # steps of the table of torques, from no revolutions to th
 WHEEL: Final = ("x", "y", "radius", "inertia", "damping", "grip", "lateral", "longitudinal", "brake", "hand_brake")
 """The parameters of a corner, see `parameters`."""
 _AIR: Final = 1.25  # kg/m³, as in UE4
-CHASSIS_AREA: Final = 1.8 * 1.4  # m², UE4's chassis, which CARLA does not change
+CHASSIS_AREA: Final = 1.8 * 1.4  # m², against the air, of every vehicle: the chassis of UE4's default
 _REVERSE: Final = -4.0  # the ratio of the reverse gear in UE4, which no physics control has
 _NEUTRAL_UP: Final = 0.15  # of the most revolutions, above which the gearbox leaves neutral, in PhysX and UE4
 _NEVER: Final = 1e9  # a share of the most revolutions that no engine reaches
@@ -109,7 +109,7 @@ class PhysicsControl:
         final_ratio: Between gearbox and wheels.
         forward_gears: From first to last.
         mass: In kg.
-        drag_coefficient: Of the air, for the area of the vehicle's front.
+        drag_coefficient: Of the air, for `CHASSIS_AREA`.
         center_of_mass: In m, in the axes of the vehicle.
         steering_curve: The share of the steering angle that is left at a speed in km/h, ascending.
         wheels: From front to back, the left one of each pair first.

@@ -1,12 +1,12 @@
 """All vehicles as a struct of arrays: their controls, what follows from their physics controls, and their motion.
 
-Speeds are in the vehicle's own axes: forward, to the right, and the yaw rate. `drivetrain` tells how a step changes them, and
-how far a vehicle moves in it; its body gets the mean velocity of the step.
+Speeds are in the vehicle's own axes: forward, to the right, and the yaw rate. `drivetrain` tells how a step changes them,
+and how far a vehicle moves in it; its body gets the mean velocity of the step.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from carla_recap.sim.columns import column
 from carla_recap.sim.physics import drivetrain
 from carla_recap.sim.physics.drivetrain import DriveTables
 from carla_recap.sim.physics.moving_bodies import MovingBodies
-from carla_recap.sim.physics.physics_control import CORNERS, GEARS, TORQUES, WHEEL, columns, parameters
+from carla_recap.sim.physics.physics_control import CORNERS, GEARS, WHEEL, columns, parameters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 _STILL: Final = 0.02  # m/s and rad/s: slower vehicles stand
 _IDLE: Final = 1.0  # rad/s: so slow an engine does nothing
-_ROLLS: Final = 1.0  # m/s: a vehicle that is set to a greater speed is in the gear for it
+_ROLLS: Final = 1.0  # m/s: below, a vehicle is taken to stand
 _STEEPEST: Final = 0.5  # the slope of a road, rise by run
 _LEAST: Final = np.array([[0.0], [-1.0], [0.0]])  # of throttle, steering and brake
 _TINY: Final = 1e-9
-_RADIUS, _INERTIA, _DAMPING, _BRAKE = map(WHEEL.index, ("radius", "inertia", "damping", "brake"))
+_RADIUS: Final = WHEEL.index("radius")
 
 
 class Vehicles(MovingBodies):
@@ -125,20 +125,26 @@ class Vehicles(MovingBodies):
             self.bodies[row].mass, self.bodies[row].moment = self.mass[row].item(), self.moment[row].item()
 
     def set_velocity(self, row: int, x: float, y: float, z: float) -> None:
-        """See `MovingBodies.set_velocity`; the wheels roll, and engine and gearbox turn with them."""
+        """See `MovingBodies.set_velocity`; the wheels roll, and an engine in gear turns with them."""
         super().set_velocity(row, x, y, z)
         yaw = np.radians(self.rotation[row, 1])
         speed = self.speed[row] = np.cos(yaw) * x + np.sin(yaw) * y
         self.sideways[row] = np.cos(yaw) * y - np.sin(yaw) * x
-        tables, own = self.tables, self.table[row]
-        self.omega[row] = speed / tables.wheels[own, _RADIUS]
-        turns, most = tables.ratios[own] * self.omega[row].mean(), tables.most_turns[own]
-        if speed > _ROLLS and self.gear[row] >= 0 and not (self.gear[row] and turns[self.gear[row]] <= most):
-            gears = np.flatnonzero(tables.ratios[own, 1:-1]) + 1
-            if len(gears):
-                low_enough = gears[turns[gears] <= np.minimum(tables.up[own, gears], 1.0) * most]
-                self.gear[row] = self.target_gear[row] = low_enough[0] if len(low_enough) else gears[-1]
-        self.engine[row] = min(max(turns[self.gear[row]], 0.0), most) if self.gear[row] else self.engine[row]
+        self.omega[row] = speed / self.tables.wheels[self.table[row], _RADIUS]
+        if self.gear[row]:
+            turns = self.tables.ratios[self.table[row], self.gear[row]] * self.omega[row].mean()
+            self.engine[row] = min(max(turns, 0.0), self.tables.most_turns[self.table[row]])
+
+    def engage(self, row: int) -> None:
+        """Put a vehicle that rolls in neutral in the gear for its speed, as an autopilot needs to take over."""
+        tables, own, speed = self.tables, self.table[row], self.speed[row]
+        gears = np.flatnonzero(tables.ratios[own, 1:-1]) + 1
+        if self.gear[row] or speed < _ROLLS or not len(gears):
+            return
+        turns = tables.ratios[own] * speed / tables.wheels[own, _RADIUS, 0]
+        fits = gears[turns[gears] <= np.minimum(tables.up[own, gears], 1.0) * tables.most_turns[own]]
+        self.gear[row] = self.target_gear[row] = fits[0] if len(fits) else gears[-1]
+        self.engine[row] = min(turns[self.gear[row]], tables.most_turns[own])
 
     def drive(self, rows: list[int], pedals: Floats, hand_brake: Sequence[bool], reverse: Sequence[bool]) -> None:
         """Apply controls to some vehicles, as `Vehicle.apply_control` does, with automatic gearboxes.
@@ -163,20 +169,20 @@ class Vehicles(MovingBodies):
             acceleration: The accelerations in the direction of the gear, in m/s², (n,).
             backwards: Whether that is backwards, (n,).
         """
-        tables, own = self.tables, self.table[rows]
+        table = self.table[rows]
+        own, tables = self.tables.of(table), self.tables
         speed = np.maximum(np.where(backwards, -self.speed[rows], self.speed[rows]), 0)
         gear = np.where(backwards, GEARS - 1, np.maximum(self.target_gear[rows], 1))
-        wheels = tables.wheels[own]
-        radius, ratio = wheels[:, _RADIUS, 0], np.maximum(np.abs(tables.ratios[own, gear]), _TINY)
-        turns = np.minimum(ratio * speed / radius, tables.most_turns[own])
-        share = turns / np.maximum(tables.most_turns[own], _TINY)
-        torque = tables.torques[own, (share * TORQUES).astype(np.int64)]
-        inertia = self.mass[rows] * radius**2 + wheels[:, _INERTIA].sum(axis=1) + tables.engine_inertia[own] * ratio**2
-        resistance = self.air[rows] * speed * speed * radius + wheels[:, _DAMPING].sum(axis=1) * speed / radius
-        full, engaged, _ = tables.damping[own].T
-        wanted = inertia * acceleration / radius + resistance + engaged * turns * ratio  # N m at the wheels
-        throttle = np.clip(wanted / ratio / np.maximum(torque + (engaged - full) * turns, _TINY), 0, 1)
-        brake = np.clip(-wanted / np.maximum(wheels[:, _BRAKE].sum(axis=1), _TINY), 0, 1)
+        radius, ratio = own.radius[0], np.maximum(np.abs(tables.ratios[table, gear]), _TINY)
+        turns = np.minimum(ratio * speed / radius, own.most_turns)
+        torque = tables.torques[table, (turns * own.per_turn).astype(np.int64)]
+        inertia = self.mass[rows] * radius**2 + own.wheel_inertia + ratio * ratio / own.per_engine
+        resistance = self.air[rows] * speed * speed * radius + own.wheel_damping * speed / radius
+        wanted = inertia * acceleration / radius + resistance + own.engaged * turns * ratio  # N m at the wheels
+        throttle = wanted / (ratio * np.maximum(torque + (own.engaged - own.full) * turns, _TINY))
+        throttle, brake = (
+            np.minimum(np.maximum(each, 0), 1) for each in (throttle, -wanted / np.maximum(own.brakes, _TINY))
+        )
         return throttle, np.where(acceleration < 0, brake, 0)
 
     def _moment(self, row: int) -> float:
@@ -221,11 +227,12 @@ class Vehicles(MovingBodies):
         """See `MovingBodies.write_velocities`."""
         drivetrain.steer(self, seconds)
         moved = np.zeros((3, len(self)))
-        driven = self.awake & self.simulated
-        for which in (self.autopilot, ~self.autopilot):
-            rows = np.flatnonzero(driven & which)
+        for rows, exactly in (
+            (np.flatnonzero(self.autopilot & self.simulated), False),
+            (np.flatnonzero(~self.autopilot & self.simulated & self.awake), True),
+        ):
             if len(rows):
-                moved[:, rows] = drivetrain.advance(self, rows, seconds, exactly=not self.autopilot[rows[0]])
+                moved[:, rows] = drivetrain.advance(self, rows, seconds, exactly=exactly)
         in_motion = self._in_motion()
         for values in (self.speed, self.sideways, self.turning):
             values[self.awake & ~in_motion] = 0

@@ -19,8 +19,10 @@ from carla_recap.sim.actors.props import Prop
 from carla_recap.sim.actors.spawning import place
 from carla_recap.sim.blueprints import Blueprint
 from carla_recap.sim.episode import LARGEST_WANTED
+from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Box, Location, Vector
 from carla_recap.sim.errors import SimError
+from carla_recap.sim.geometry import Box, Location, Vector
 from carla_recap.sim.physics.physics_control import expect_physics
 from carla_recap.sim.recording.packets import CM_PER_M, physics_control, transform
 from carla_recap.util.text import readable
@@ -189,7 +191,9 @@ def _make_kinematic(actor: Actor) -> None:
 def blueprint_for(actor: ActorLife, library: BlueprintLibrary) -> tuple[Blueprint, str]:
     """Return the blueprint of a recorded actor, with the id and the attributes that were recorded.
 
-    A vehicle has the physics that were recorded, too. If the library does not have it, the rest is that of the blueprint with another name for it, else of the most similar
+    A vehicle has the physics that were recorded, too.
+
+    If the library does not have it, the rest is that of the blueprint with another name for it, else of the most similar
     one: of the same kind, with as many wheels if possible, with a similar id, and of a similar size if that is recorded; or
     a box, if there is none of its kind.
 

@@ -400,6 +400,7 @@ class Replayer:
         if isinstance(actor, Vehicle):
             actor.set_target_velocity(Vector(*self._kinematic.velocity(actor)))
             actor.apply_control(VehicleControl())
+            actor.rows.engage(actor.row)
             actor.set_autopilot(autopilot)
         if isinstance(actor, Walker):
             self._episode.walkers.speed[actor.row] = 0.0
