@@ -6,14 +6,14 @@ Four wheels and the engine turn; a clutch couples the engine to the mean of the 
     torque of the clutch = strength * (engine - ratio * mean of the wheels)
 
 The torque of the engine is that of its curve times the throttle, less its damping; that of a wheel is its share of the
-clutch, the brake, the damping, and the tyre. They are integrated together and backwards, so that any clutch is stable. The force of
-a tyre follows from its slips, lengthwise and sideways, as in the Michigan model: it grows by its stiffnesses, and saturates at
-its friction. Loads are those at rest.
+clutch, the brake, the damping, and the tyre. They are integrated together and backwards, so that any clutch is stable. The
+force of a tyre follows from its slips, lengthwise and sideways, as in the Michigan model: it grows by its stiffnesses, and
+saturates at its friction. Loads are those at rest.
 
 PhysX takes the force of a tyre from before the step, which makes stiff tyres oscillate at 5 to 15 m/s in steps of 0.01 s; so
 they do in CARLA's recordings, whose cars accelerate less there. `advance` does so, too, in CARLA's own steps, 0.01 s at
-most, a third of it below 5 m/s. For the vehicles of the autopilot, whose drives need not be CARLA's to the point, it takes one
-step, with tyres that follow the change of their slips within it, which is stable in a step of any length.
+most, a third of it below 5 m/s. For the vehicles of the autopilot, whose drives need not be CARLA's to the point, it takes
+one step, with tyres that follow the change of their slips within it, which is stable in a step of any length.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def steer(fleet: Vehicles, seconds: float) -> None:
     by_track = own.track / (2 * fleet.wheelbase)
     inner, most = np.tan(limit * np.abs(fleet.steer_input)), np.tan(limit)
     fleet.steer_angle[:] = np.copysign(np.arctan(inner / (1 + inner * by_track)), fleet.steer_input)
-    fleet.steer_limit[:] = np.arctan(most / (1 + most * by_track))
+    fleet.steer_limit[:] = np.maximum(np.arctan(most / (1 + most * by_track)), _TINY)
 
 
 def column_of(speed: Floats) -> Integers:

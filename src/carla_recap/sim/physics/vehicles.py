@@ -113,6 +113,11 @@ class Vehicles(MovingBodies):
         self._moved = np.empty(0, np.bool_)
         self.tables = DriveTables()
 
+    @property
+    def full_lock(self) -> Floats:
+        """The greatest angle of the inner front wheel in radians, (n,)."""
+        return self.tables.of(self.table).full_lock
+
     def set_physics(self, row: int, control: PhysicsControl, box: Box) -> None:
         """Set what follows from a physics control."""
         drive = parameters(control, box, weightless=bool(self.weightless[row]))

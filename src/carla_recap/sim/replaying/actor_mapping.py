@@ -21,8 +21,6 @@ from carla_recap.sim.blueprints import Blueprint
 from carla_recap.sim.episode import LARGEST_WANTED
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Box, Location, Vector
-from carla_recap.sim.errors import SimError
-from carla_recap.sim.geometry import Box, Location, Vector
 from carla_recap.sim.physics.physics_control import expect_physics
 from carla_recap.sim.recording.packets import CM_PER_M, physics_control, transform
 from carla_recap.util.text import readable

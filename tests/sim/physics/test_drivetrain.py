@@ -1,0 +1,225 @@
+"""Engine, clutch, gearbox, brakes and tyres against calculations by hand, and drives of CARLA driven again."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from importlib.machinery import SourceFileLoader
+from math import exp, nan, pi
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from carla_recap import open_recording
+from carla_recap.replay import Player
+from carla_recap.sim.actors.moving import Vehicle, VehicleControl
+from carla_recap.sim.blueprints import standard_library
+from carla_recap.sim.errors import SimError
+from carla_recap.sim.geometry import Vector
+from carla_recap.sim.physics.physics_control import Gear
+from carla_recap.sim.replaying.actor_mapping import blueprint_for
+from tests.samples import ROOT, carla_log
+from tests.sim.flat import at, flat_world, spawn_car
+
+if TYPE_CHECKING:
+    from carla_recap.sim.world import World
+
+RADIUS = 0.37  # m, of the Tesla's wheels
+WHEELS = 4 * 0.5 * 20.0  # kg: what the inertia of four wheels of 20 kg adds to the mass
+
+
+def tesla(**changes: Any) -> tuple[World, Vehicle]:
+    """Return a world with short ticks, and a Tesla with changes of its physics."""
+    world = flat_world()
+    world.settings.fixed_delta_seconds = 0.01
+    car = spawn_car(world, at(10.0))
+    change(car, changes)
+    return world, car
+
+
+def change(car: Vehicle, changes: dict[str, Any]) -> None:
+    """Change the physics of a car: of its wheels what begins with wheel_."""
+    wheels = {name.removeprefix("wheel_"): value for name, value in changes.items() if name.startswith("wheel_")}
+    control = replace(car.physics_control, **{name: changes[name] for name in changes if not name.startswith("wheel_")})
+    control.wheels = [replace(wheel, **wheels) for wheel in control.wheels]
+    car.physics_control = control
+
+
+def test_in_neutral_the_engine_is_revved_by_its_torque() -> None:
+    world, car = tesla(torque_curve=((0.0, 300.0),), moi=2.0, damping_rate_full_throttle=0.0)
+    car.apply_control(VehicleControl(throttle=1.0))
+    world.run(0.5)
+    assert world.vehicles.engine[0] == pytest.approx(300.0 / 2.0 * (0.5 - 1 / 12), rel=0.02)  # the throttle takes 1/6 s
+    assert car.control.gear == 0
+    assert car.velocity.length() == 0
+
+
+def test_without_throttle_the_engine_slows_down_by_its_damping() -> None:
+    world, _ = tesla(damping_rate_zero_throttle_clutch_disengaged=0.7, moi=1.0)
+    world.vehicles.engine[0] = 100.0
+    world.run(1.0)
+    assert world.vehicles.engine[0] == pytest.approx(100.0 * exp(-0.7), rel=0.01)
+
+
+def test_the_clutch_gives_its_strength_times_its_slip() -> None:
+    world, car = tesla(torque_curve=((0.0, 400.0),), forward_gears=[Gear(1.0, 0.0, 0.0)], drag_coefficient=2.0)
+    world.settings.fixed_delta_seconds = 0.05
+    car.set_target_velocity(Vector(40.0))
+    car.apply_control(VehicleControl(throttle=0.8, manual_gear_shift=True, gear=1))
+    world.run(40.0)
+    fleet, control = world.vehicles, car.physics_control
+    slip = fleet.engine[0] - control.final_ratio * fleet.omega[0].mean()
+    damping = 0.8 * control.damping_rate_full_throttle + 0.2 * control.damping_rate_zero_throttle_clutch_engaged
+    assert car.acceleration.length() < 0.02
+    assert control.clutch_strength * slip == pytest.approx(0.8 * 400.0 - damping * fleet.engine[0], rel=0.02)
+
+
+def test_a_shift_begins_at_its_revolutions_and_takes_its_time() -> None:
+    gears = [Gear(3.0, 0.1, 0.3), Gear(2.0, 0.1, 0.3), Gear(1.0, 0.1, 0.3)]
+    world, car = tesla(forward_gears=gears, gear_switch_time=0.3, final_ratio=4.0)
+    car.apply_control(VehicleControl(throttle=1.0))
+    most, seen = car.physics_control.max_rpm * 2 * pi / 60, [(0.0, 0, 0.0)]
+    while world.elapsed < 12.0 and car.control.gear != 3:
+        engine = world.vehicles.engine[0]
+        world.tick()
+        if car.control.gear != seen[-1][1]:
+            seen.append((world.elapsed, car.control.gear, engine / most))
+    assert [gear for _, gear, _ in seen] == [0, 1, 0, 2, 0, 3]
+    for (begun, _, turns), (done, _, _) in ((seen[2], seen[3]), (seen[4], seen[5])):
+        assert turns == pytest.approx(0.3, abs=0.02)
+        assert done - begun == pytest.approx(0.3, abs=0.025)
+
+
+def test_brakes_slow_it_by_their_torques() -> None:
+    world, car = tesla(drag_coefficient=0.0, wheel_max_brake_torque=400.0, wheel_damping_rate=0.0)
+    car.set_target_velocity(Vector(30.0))
+    car.apply_control(VehicleControl(brake=1.0))
+    world.run(0.5)
+    fast = car.velocity.x
+    world.run(0.5)
+    assert fast - car.velocity.x == pytest.approx(0.5 * 4 * 400.0 / RADIUS / (1845.0 + WHEELS), rel=0.01)
+
+
+def test_in_neutral_air_and_wheels_slow_it() -> None:
+    world, car = tesla(drag_coefficient=0.5, wheel_damping_rate=1.0)
+    car.set_target_velocity(Vector(30.0))
+    world.run(1.0)
+    force = 0.5 * 1.25 * 0.5 * 2.52 * 29.5**2 + 4 * 1.0 * 29.5 / RADIUS**2
+    assert 30.0 - car.velocity.x == pytest.approx(force / (1845.0 + WHEELS), rel=0.03)
+
+
+def test_in_a_gear_the_engine_slows_it_by_its_damping() -> None:
+    world, car = tesla(drag_coefficient=0.0, wheel_damping_rate=0.0, final_ratio=4.0)
+    car.set_target_velocity(Vector(30.0))
+    world.vehicles.engage(0)
+    assert car.control.gear == 1
+    world.run(1.0)
+    fast, engine = car.velocity.x, world.vehicles.engine[0]
+    world.run(0.5)
+    braking = 2.0 * (engine + world.vehicles.engine[0]) / 2 * 4.0 / RADIUS
+    assert fast - car.velocity.x == pytest.approx(0.5 * braking / (1845.0 + WHEELS + (4.0 / RADIUS) ** 2), rel=0.03)
+
+
+def test_the_same_controls_give_the_same_drive_to_the_bit() -> None:
+    def drive() -> bytes:
+        world = flat_world()
+        cars = [spawn_car(world, at(10.0, 20.0 * number), f"vehicle.{name}") for number, name in enumerate(NAMES)]
+        for tick in range(120):
+            for car in cars:
+                car.apply_control(VehicleControl(throttle=tick % 70 / 70, steer=tick % 30 / 90, brake=float(tick > 100)))
+            world.tick()
+        fleet = world.vehicles
+        return b"".join(each.tobytes() for each in (fleet.position, fleet.rotation, fleet.engine, fleet.omega))
+
+    assert drive() == drive()
+
+
+NAMES = ("tesla.model3", "lincoln.mkz_2017", "audi.tt", "bh.crossbike", "carlamotors.firetruck")
+BAD: list[dict[str, Any]] = [
+    {"torque_curve": ()},
+    {"torque_curve": ((1000.0, 300.0),)},
+    {"torque_curve": ((5000.0, 300.0), (0.0, -10.0), (2000.0, 400.0))},
+    {"forward_gears": []},
+    {"forward_gears": [Gear(0.0, 0.0, 0.0), Gear(-2.0, 2.0, -1.0)]},
+    {"final_ratio": 0.0},
+    {"final_ratio": -1e6},
+    {"mass": 0.0},
+    {"mass": 1e6},
+    {"moi": 0.0, "clutch_strength": 1e6},
+    {"moi": -1.0, "clutch_strength": -1.0, "damping_rate_full_throttle": -5.0},
+    {"max_rpm": 0.0},
+    {"max_rpm": 1e9},
+    {"gear_switch_time": -1.0},
+    {"drag_coefficient": -1.0},
+    {"steering_curve": ()},
+    {"steering_curve": ((100.0, 5.0), (0.0, -1.0))},
+    {"center_of_mass": Vector(1e6)},
+    {"wheel_tire_friction": 0.0},
+    {"wheel_radius": 0.0},
+    {"wheel_radius": 1e6},
+    {"wheel_lat_stiff_value": 0.0, "wheel_long_stiff_value": 0.0},
+    {"wheel_lat_stiff_max_load": 0.0},
+    {"wheel_lat_stiff_value": 1e6, "wheel_long_stiff_value": 1e9},
+    {"wheel_max_steer_angle": 180.0},
+    {"wheel_max_brake_torque": -1.0, "wheel_damping_rate": -1.0},
+    {"wheel_position": Vector()},
+]
+
+
+@pytest.mark.parametrize("driven_by", ["client", "autopilot"])
+def test_no_value_of_a_physics_control_makes_a_tick_fail(driven_by: str) -> None:
+    world = flat_world()
+    cars = [spawn_car(world, at(4000.0, 400.0 * number)) for number in range(len(BAD))]
+    for car, changes in zip(cars, BAD, strict=True):
+        change(car, changes)
+    with np.errstate(all="raise", under="ignore"):
+        for control in (VehicleControl(1.0, 0.5), VehicleControl(brake=1.0), VehicleControl(1.0, reverse=True)):
+            for car in cars:
+                car.apply_control(control)
+                car.set_autopilot(driven_by == "autopilot")
+            world.run(2.0)
+    fleet = world.vehicles
+    for values in (fleet.position, fleet.rotation, fleet.velocity, fleet.engine, fleet.omega):
+        bad = ~np.isfinite(values.reshape(len(BAD), -1)).all(axis=1)
+        assert [BAD[row] for row in np.flatnonzero(bad)] == []
+
+
+@pytest.mark.parametrize("name", ["mass", "max_rpm", "moi", "final_ratio", "wheel_radius", "wheel_tire_friction"])
+def test_a_number_that_is_none_is_an_error_at_the_call(name: str) -> None:
+    with pytest.raises(SimError, match="found nan"):
+        tesla(**{name: nan})
+
+
+DRIVES = {
+    "the Lincoln of 0.9.10": ("carla-0.9.10-lane-center", 259, 5.3, 99.0),
+    "the Lincoln of 0.9.13": ("carla-0.9.13-lane-center", 234, 4.4, 99.0),
+    "a Tesla at 0.5": ("town05-two-cars", 190, 0.0, 3.2),
+    "a Tesla at 0.6": ("town05-two-cars", 192, 0.0, 3.2),
+}
+
+
+@pytest.fixture(scope="module")
+def tool() -> ModuleType:
+    loader = SourceFileLoader("drive_again", str(ROOT / "tools" / "drive-again"))
+    module = ModuleType("drive_again")
+    sys.modules["drive_again"] = module
+    loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("drive", DRIVES)
+def test_recorded_controls_give_the_recorded_drive(drive: str, tool: Any) -> None:
+    name, actor, start, duration = DRIVES[drive]
+    with open_recording(carla_log(f"{name}.log")) as recording:
+        life = Player(recording, start=start).at(start).actors[actor]
+        blueprint, _ = blueprint_for(life, standard_library())
+        theirs, controls, track = tool.recorded(recording, actor, start, start + duration)
+    ours = tool.driven(blueprint, track, controls, tool.lead_of(blueprint, track, controls))
+    speed, place, heading = tool.off_by(theirs, ours)
+    soon = min(np.searchsorted(theirs.time, theirs.time[(theirs.speed > 0.1).argmax()] + 3.0), len(theirs.time) - 1)
+    assert np.sqrt(np.mean(speed**2)) < 0.3
+    assert place[soon] < 1.05
+    assert abs(heading[soon]) < 2.0
+    assert tool.same_gear(theirs, ours, 0.1) > 0.95
