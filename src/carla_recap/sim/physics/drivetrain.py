@@ -13,7 +13,8 @@ saturates at its friction. Loads are those at rest.
 PhysX takes the force of a tyre from before the step, which makes stiff tyres oscillate at 5 to 15 m/s in steps of 0.01 s; so
 they do in CARLA's recordings, whose cars accelerate less there. `advance` does so, too, in CARLA's own steps, 0.01 s at
 most, a third of it below 5 m/s. For the vehicles of the autopilot, whose drives need not be CARLA's to the point, it takes
-one step, with tyres that follow the change of their slips within it, which is stable in a step of any length.
+one step, with tyres that follow the change of their slips within it, which is stable in a step of any length. So do those
+of vehicles that roll slowly without throttle: they come to rest.
 """
 
 from __future__ import annotations
@@ -205,12 +206,13 @@ def advance(fleet: Vehicles, rows: Integers, seconds: float, *, exactly: bool) -
         shift(fleet, rows, drive.own, step)
         drive.read_gears()
         slow = drive.speed() < _SLOW
+        implicit = slow & (drive.accelerator == 0) if exactly else np.ones(len(rows), np.bool_)
         if exactly and slow.any():
-            drive.step(np.where(slow, step / _SLOW_STEPS, step), implicit=False)
+            drive.step(np.where(slow, step / _SLOW_STEPS, step), implicit)
             for _ in range(_SLOW_STEPS - 1):
-                drive.step(np.where(slow, step / _SLOW_STEPS, 0.0), implicit=False)
+                drive.step(np.where(slow, step / _SLOW_STEPS, 0.0), implicit)
         else:
-            drive.step(np.full(len(rows), step), implicit=not exactly)
+            drive.step(np.full(len(rows), step), implicit)
         fleet.engine[rows] = drive.engine
     return drive.write(seconds)
 
@@ -264,8 +266,13 @@ class _Drive:
         without = np.where(neutral, own.disengaged, own.engaged)
         self.engine_damping = without + (own.full - without) * self.accelerator
 
-    def step(self, seconds: Floats, *, implicit: bool) -> None:
-        """Advance by a step of a length in s for each vehicle."""
+    def step(self, seconds: Floats, implicit: Booleans) -> None:
+        """Advance by a step.
+
+        Args:
+            seconds: The length of the step of each vehicle in s.
+            implicit: Whether its tyres follow the change of their slips.
+        """
         own, cos, sin, omega = self.own, np.cos(self.yaw), np.sin(self.yaw), self.omega
         forward, right = self.vx * cos + self.vy * sin, self.vy * cos - self.vx * sin
         along, across = forward - self.turning * own.y, right + self.turning * own.x
@@ -286,20 +293,19 @@ class _Drive:
         pull, push = by_slip * slip, -by_slip * effective
 
         brake = -np.sign(omega) * self.brakes
-        softness = by_slip * per_slip_speed * own.radius if implicit else 0.0
-        new = self._turn_wheels(seconds, (brake - pull * own.radius), softness * own.radius)
-        if implicit:
-            pull = pull + softness * (new - omega)
+        softness = by_slip * per_slip_speed * own.radius * implicit
+        new = self._turn_wheels(seconds, brake - pull * own.radius, softness * own.radius)
+        pull = pull + softness * (new - omega)
         self.omega = new
 
         force_x = (pull * self.cos - push * self.sin).sum(axis=0) - self.air * forward * np.abs(forward)
         push_y = pull * self.sin + push * self.cos
         force_y, torque = push_y.sum(axis=0), (own.x * push_y - own.y * (pull * self.cos - push * self.sin)).sum(axis=0)
         ax, ay, spin = force_x / self.mass * seconds, force_y / self.mass * seconds, torque / self.moment * seconds
-        if implicit:
-            locked = (by_slip * per_slip_speed * (new == 0)).sum(axis=0)
-            ax /= 1 + locked / self.mass * seconds
-            ay, spin = self._follow_slip(by_slip * weighting * per_side_speed * self.cos**2, ay, spin, seconds)
+        if implicit.any():
+            ax /= 1 + (softness * (new == 0) / own.radius).sum(axis=0) / self.mass * seconds
+            stiffness = by_slip * weighting * per_side_speed * self.cos**2 * implicit
+            ay, spin = self._follow_slip(stiffness, ay, spin, seconds)
         self.vx += ax * cos - ay * sin
         self.vy += ax * sin + ay * cos
         self.turning = self.turning + spin
@@ -307,7 +313,7 @@ class _Drive:
         self.moved_y += self.vy * seconds
         self.yaw = self.yaw + self.turning * seconds
 
-    def _turn_wheels(self, seconds: Floats, torque: Floats, softness: Floats | float) -> Floats:
+    def _turn_wheels(self, seconds: Floats, torque: Floats, softness: Floats) -> Floats:
         """Turn engine and wheels for a step, and return the speeds of the wheels after it, in rad/s.
 
         With the torque of the clutch t, the engine is e0 - a t after the step, and a wheel w0 + b t. As t itself is
