@@ -405,10 +405,9 @@ def test_invalid_physics_controls_and_controls_are_errors() -> None:
     attempts = [
         lambda: car.add_impulse(Vector(1.1e4 * control.mass)),
         lambda: car.add_force(Vector(1.1e4 * control.mass / world.delta)),
-        lambda: setattr(car, "physics_control", replace(control, mass=0.0)),
+        lambda: setattr(car, "physics_control", replace(control, mass=float("nan"))),
         lambda: setattr(car, "physics_control", replace(control, wheels=[])),
-        lambda: setattr(car, "physics_control", replace(control, forward_gears=[])),
-        lambda: setattr(car, "physics_control", replace(control, max_rpm=0.0)),
+        lambda: setattr(car, "physics_control", replace(control, forward_gears=control.forward_gears * 13)),
         lambda: setattr(car, "physics_control", replace(control, clutch_strength=1e39)),
         lambda: car.apply_control(VehicleControl(manual_gear_shift=True, gear=99)),
         lambda: car.apply_control(VehicleControl(throttle=float("nan"))),

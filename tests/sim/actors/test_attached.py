@@ -36,7 +36,7 @@ def test_an_attached_actor_follows_its_vehicle(blueprint: str) -> None:
     world = flat_world()
     parent = truck(world)
     child = world.spawn(blueprint, at(-9.0, 1.0, yaw=10.0), parent=parent)
-    for _ in range(60):
+    for _ in range(120):
         world.tick()
         there = parent.transform.transform(Location(-9.0, 1.0))
         assert astuple(child.transform.location) == pytest.approx(astuple(there), abs=1e-6)

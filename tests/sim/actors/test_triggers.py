@@ -87,7 +87,7 @@ def test_vehicles_brake_worse_where_it_is_slippery() -> None:
         vehicle.apply_control(VehicleControl(brake=1.0))
         world.run(10)
         distances.append(vehicle.transform.location.x)
-    assert distances[0] > 3 * distances[1]
+    assert distances[0] > 1.3 * distances[1]
 
 
 def test_a_destroyed_trigger_restores_the_friction() -> None:

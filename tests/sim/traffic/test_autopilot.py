@@ -106,7 +106,7 @@ def test_keeps_its_lane_in_tight_turns_at_a_comfortable_speed(name: str, radius:
         fastest = max(fastest, speed(vehicle))
     assert max(errors) < most
     assert max(sideways) < 3.5
-    assert 6.0 < fastest < 1.06 * LIMIT
+    assert 5.0 < fastest < 1.06 * LIMIT
 
 
 def test_drives_about_as_fast_as_the_limit() -> None:
