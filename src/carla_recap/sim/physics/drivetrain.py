@@ -25,12 +25,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.sim.columns import StructOfArrays, column
+from carla_recap.sim.physics.moving_bodies import MovingBodies
 from carla_recap.sim.physics.physics_control import CORNERS, GEARS, SPEEDS, TORQUES, WHEEL
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from carla_recap.sim.physics.vehicles import Vehicles
+    from carla_recap.sim.physics.moving_bodies import Height
+    from carla_recap.sim.physics.plane import Plane
     from carla_recap.util.arrays import Booleans, Floats, Integers
 
 _STEP: Final = 0.01  # s: CARLA's default of the longest step of physics
@@ -45,8 +47,7 @@ _STICKY_SPEED: Final = 0.2  # m/s: slower vehicles whose wheels are locked stand
 _STICKY_TIME: Final = 1.0  # s
 _RATES: Final = {"throttle": (6.0, 10.0), "brake": (6.0, 10.0), "steer": (2.5, 5.0)}
 """1/s, by which the pedals and the steering of UE4's vehicles rise and fall at most."""
-LONG_AGO: Final = 1e3
-"""s since the latest shift of a gearbox that has not shifted yet."""
+_LONG_AGO: Final = 1e3  # s since the latest shift of a gearbox that has not shifted yet
 
 
 class DriveTables(StructOfArrays):
@@ -117,6 +118,69 @@ class DriveTables(StructOfArrays):
         return row
 
 
+class Drivetrains(MovingBodies):
+    """The controls of vehicles, and what moves in them; row i of each array belongs to `actors[i]`."""
+
+    throttle: Floats = column(0.0)
+    """The throttle, 0 to 1."""
+    steer: Floats = column(0.0)
+    """The steering, -1 (left) to 1 (right), relative to `steer_limit`."""
+    brake: Floats = column(0.0)
+    """The brake, 0 to 1."""
+    hand_brake: Booleans = column(False)
+    """Whether the hand brake is drawn."""
+    throttle_input: Floats = column(0.0)
+    """The throttle that has reached the engine: inputs take their time."""
+    steer_input: Floats = column(0.0)
+    """The steering that has reached the wheels."""
+    brake_input: Floats = column(0.0)
+    """The brake that has reached the wheels."""
+    reverse: Booleans = column(False)
+    """Whether the throttle drives backwards."""
+    gear: Integers = column(np.int64(0))
+    """The gear: from 1, 0 neutral, -1 reverse."""
+    target_gear: Integers = column(np.int64(0))
+    """The gear that the gearbox shifts to."""
+    shift_time: Floats = column(0.0)
+    """How long it has been shifting, in s."""
+    since_shift: Floats = column(_LONG_AGO)
+    """The time since the gearbox began to shift by itself, in s."""
+    engine: Floats = column(0.0)
+    """The speed of the engine in rad/s."""
+    omega: Floats = column(np.zeros(CORNERS))
+    """The speeds of the wheels in rad/s, (n, corners)."""
+    slow_time: Floats = column(0.0)
+    """How long it has hardly been moving, in s."""
+    manual: Booleans = column(False)
+    """Whether `gear` is part of the control; else the gearbox is automatic."""
+    speed: Floats = column(0.0)
+    """The speed forward in m/s; negative backwards."""
+    sideways: Floats = column(0.0)
+    """The speed to the right, in m/s."""
+    turning: Floats = column(0.0)
+    """The yaw rate in rad/s, positive to the right."""
+    steer_angle: Floats = column(0.0)
+    """The angle between those of the front wheels in radians, positive to the right."""
+    steer_limit: Floats = column(1.0)
+    """The angle of the front wheels at full steering and the present speed, in radians."""
+    wheelbase: Floats = column(1.0)
+    """The distance between the axles in m."""
+    front: Floats = column(0.5)
+    """The distance from its origin to the front axle in m."""
+    rear: Floats = column(0.5)
+    """The distance from its origin to the rear axle in m."""
+    moment: Floats = column(1.0)
+    """The moment of inertia in kg m²."""
+    air: Floats = column(0.0)
+    """The drag of the air: the force in N at 1 m/s."""
+    table: Integers = column(np.int64(0))
+    """The rows of `tables` that are theirs."""
+
+    def __init__(self, plane: Plane, height: Height) -> None:
+        super().__init__(plane, height)
+        self.tables = DriveTables()
+
+
 class _Parameters:
     """The parameters of some vehicles: arrays with a column for each, and a row for each corner where there are four."""
 
@@ -140,7 +204,7 @@ class _Parameters:
         )
 
 
-def steer(fleet: Vehicles, seconds: float) -> None:
+def steer(fleet: Drivetrains, seconds: float) -> None:
     """Let the pedals and the steering follow their controls for a step of a length in s."""
     for name, limits in _RATES.items():
         _follow(getattr(fleet, f"{name}_input"), getattr(fleet, name), limits, seconds)
@@ -166,7 +230,7 @@ def _follow(values: Floats, wanted: Floats, limits: tuple[float, float], seconds
     values += np.minimum(np.maximum(change, -rate), rate)
 
 
-def shift(fleet: Vehicles, rows: Integers, own: _Parameters, seconds: float) -> None:
+def shift(fleet: Drivetrains, rows: Integers, own: _Parameters, seconds: float) -> None:
     """Let the gearboxes of some vehicles work for a step of a length in s; a shift goes by way of neutral."""
     gear, target = fleet.gear[rows], fleet.target_gear[rows]
     since = fleet.since_shift[rows] + seconds
@@ -187,7 +251,7 @@ def shift(fleet: Vehicles, rows: Integers, own: _Parameters, seconds: float) -> 
         fleet.shift_time[rows] = waited + seconds
 
 
-def advance(fleet: Vehicles, rows: Integers, seconds: float, *, exactly: bool) -> tuple[Floats, Floats, Floats]:
+def advance(fleet: Drivetrains, rows: Integers, seconds: float, *, exactly: bool) -> tuple[Floats, Floats, Floats]:
     """Drive some vehicles for a step.
 
     Args:
@@ -223,7 +287,7 @@ class _Drive:
     Arrays have a column for each vehicle, and a row for each corner where there are four.
     """
 
-    def __init__(self, fleet: Vehicles, rows: Integers) -> None:
+    def __init__(self, fleet: Drivetrains, rows: Integers) -> None:
         self.fleet, self.rows = fleet, rows
         self.table = fleet.table[rows]
         self.own = fleet.tables.of(self.table)

@@ -256,13 +256,15 @@ def _gears(control: PhysicsControl) -> dict[str, Any]:
 def _torques(control: PhysicsControl, most: float) -> Floats:
     """Return the torques of the engine at full throttle, in N m, from no revolutions to the most."""
     turns, torques = np.array(sorted(control.torque_curve) or [(0.0, 0.0)]).T
-    return np.maximum(np.interp(np.linspace(0.0, most, TORQUES + 1), turns, torques), 0.0)
+    found: Floats = np.maximum(np.interp(np.linspace(0.0, most, TORQUES + 1), turns, torques), 0.0)
+    return found
 
 
 def _lock_share(control: PhysicsControl) -> Floats:
     """Return the share of the full lock that steering reaches by speed."""
     speeds, shares = np.array(sorted(control.steering_curve) or [(0.0, 1.0)]).T
-    return np.interp(SPEEDS * 3.6, speeds, np.clip(shares, 0.0, 1.0))
+    found: Floats = np.interp(SPEEDS * 3.6, speeds, np.clip(shares, 0.0, 1.0))
+    return found
 
 
 def _corners(control: PhysicsControl, box: Box) -> tuple[list[float], list[float]]:

@@ -12,9 +12,8 @@ import numpy as np
 
 from carla_recap.sim.columns import column
 from carla_recap.sim.physics import drivetrain
-from carla_recap.sim.physics.drivetrain import DriveTables
-from carla_recap.sim.physics.moving_bodies import MovingBodies
-from carla_recap.sim.physics.physics_control import CORNERS, GEARS, WHEEL, columns, parameters
+from carla_recap.sim.physics.drivetrain import Drivetrains
+from carla_recap.sim.physics.physics_control import GEARS, WHEEL, columns, parameters
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,41 +36,9 @@ _TINY: Final = 1e-9
 _RADIUS: Final = WHEEL.index("radius")
 
 
-class Vehicles(MovingBodies):
+class Vehicles(Drivetrains):
     """The vehicles; row i of each array belongs to `actors[i]`."""
 
-    throttle: Floats = column(0.0)
-    """The throttle, 0 to 1."""
-    steer: Floats = column(0.0)
-    """The steering, -1 (left) to 1 (right), relative to `steer_limit`."""
-    brake: Floats = column(0.0)
-    """The brake, 0 to 1."""
-    hand_brake: Booleans = column(False)
-    """Whether the hand brake is drawn."""
-    throttle_input: Floats = column(0.0)
-    """The throttle that has reached the engine: inputs take their time."""
-    steer_input: Floats = column(0.0)
-    """The steering that has reached the wheels."""
-    brake_input: Floats = column(0.0)
-    """The brake that has reached the wheels."""
-    reverse: Booleans = column(False)
-    """Whether the throttle drives backwards."""
-    gear: NDArray[np.int64] = column(np.int64(0))
-    """The gear: from 1, 0 neutral, -1 reverse."""
-    target_gear: NDArray[np.int64] = column(np.int64(0))
-    """The gear that the gearbox shifts to."""
-    shift_time: Floats = column(0.0)
-    """How long it has been shifting, in s."""
-    since_shift: Floats = column(drivetrain.LONG_AGO)
-    """The time since the gearbox began to shift by itself, in s."""
-    engine: Floats = column(0.0)
-    """The speed of the engine in rad/s."""
-    omega: Floats = column(np.zeros(CORNERS))
-    """The speeds of the wheels in rad/s, (n, corners)."""
-    slow_time: Floats = column(0.0)
-    """How long it has hardly been moving, in s."""
-    manual: Booleans = column(False)
-    """Whether `gear` is part of the control; else the gearbox is automatic."""
     light_state: NDArray[np.uint32] = column(np.uint32(0))
     """CARLA's light bits."""
     autopilot: Booleans = column(False)
@@ -80,38 +47,15 @@ class Vehicles(MovingBodies):
     """Whether a control holds until the next one; else it holds for a tick."""
     controlled: Booleans = column(False)
     """Whether a control was applied since the latest tick."""
-    speed: Floats = column(0.0)
-    """The speed forward in m/s; negative backwards."""
-    sideways: Floats = column(0.0)
-    """The speed to the right, in m/s."""
-    turning: Floats = column(0.0)
-    """The yaw rate in rad/s, positive to the right."""
-    steer_angle: Floats = column(0.0)
-    """The angle between those of the front wheels in radians, positive to the right."""
-    steer_limit: Floats = column(1.0)
-    """The angle of the front wheels at full steering and the present speed, in radians."""
     awake: Booleans = column(False)
     """Whether it moves, or is about to."""
     force: Floats = column(np.zeros(2))
     """The external force of the next tick, in N, (n, 2)."""
-    wheelbase: Floats = column(1.0)
-    """The distance between the axles in m."""
-    front: Floats = column(0.5)
-    """The distance from its origin to the front axle in m."""
-    rear: Floats = column(0.5)
-    """The distance from its origin to the rear axle in m."""
-    moment: Floats = column(1.0)
-    """The moment of inertia in kg m²."""
-    air: Floats = column(0.0)
-    """The drag of the air: the force in N at 1 m/s."""
-    table: Integers = column(np.int64(0))
-    """The rows of `tables` that are theirs."""
 
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__(plane, height)
         self._written = np.empty((0, 3))
         self._moved = np.empty(0, np.bool_)
-        self.tables = DriveTables()
 
     @property
     def full_lock(self) -> Floats:

@@ -120,13 +120,14 @@ def physics_control(record: Physics, place: Pose, usual: PhysicsControl) -> Phys
         usual: The usual physics of such a vehicle: a record does not tell how long it takes to shift, nor do those of
             CARLA up to 0.9.11 have the stiffness of tyres, which was UE4's then, as was the time to shift.
     """
-    is_old = "long_stiff_value" not in (record.wheels.dtype.names or ())
+    names = [name for name in record.wheels.dtype.names or () if not name.startswith("position_")]
+    is_old = "long_stiff_value" not in names
     yaw = np.radians(place[5])
     along, aside = record.wheels["position_x"] - place[0], record.wheels["position_y"] - place[1]
     near = len(record.wheels) and float(np.hypot(along, aside).max()) < _LONGEST
     wheels = []
     for number, row in enumerate(record.wheels):
-        values = {name: float(row[name]) for name in record.wheels.dtype.names if not name.startswith("position_")}
+        values = {name: float(row[name]) for name in names}
         if near:
             x, y = float(along[number]), float(aside[number])
             position = Vector(np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x)
