@@ -264,7 +264,7 @@ class RoadSearch:
             point[:, 1] += ahead * sin
             points.append(point)
         rows = np.flatnonzero(motion.is_new & motion.continues & (motion.distance > 0))
-        slow = motion.speed < STOPPED
+        slow = (motion.speed < STOPPED) & motion.is_new
         for by_front, point in zip((True, False), points, strict=True):
             found = self._lines.crossed(point[rows - 1], point[rows], motion.samples["yaw"][rows])
             for index, line, share in zip(*(values.tolist() for values in found), strict=True):
