@@ -1,4 +1,4 @@
-"""The protocols of readers and writers, which every format implements, and what all readers have in common."""
+"""The base of readers and the protocol of writers, which every format implements."""
 
 from __future__ import annotations
 
