@@ -27,14 +27,14 @@ LOADER = """
 import json, os, resource, sys
 from pathlib import Path
 from carla_recap import RecapError
+from carla_recap.server.lights_ahead import LightsAhead
 from carla_recap.rendering.town import load_town_mesh
 from carla_recap.roads import load_map, load_road_network
-from carla_recap.sim.town.junctions import Rules
 from carla_recap.sim.town.loading import load_town
 
 def load_rules(path):
     town = load_town(path)
-    Rules(town.lanes, town.index, town.signals)
+    LightsAhead(town)
 
 def outcome(name, path):
     try:

@@ -8,7 +8,7 @@ import re
 import socket
 import struct
 import time
-from contextlib import closing, suppress
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -16,11 +16,11 @@ import pytest
 
 from carla_recap.server import quirks
 from carla_recap.server.host import Host
-from carla_recap.server.quirks import PendingSubscriptions, busy_polling_loop, unread_bytes
+from carla_recap.server.quirks import PendingSubscriptions, unread_bytes
 from tests.server.inside import client_inside
 from tests.server.test_sensor_feeds import sensor
 from tests.sim.flat import flat_world
-from tests.waiting import PATIENCE, wait_until
+from tests.waiting import PATIENCE
 
 
 def rows() -> list[list[str]]:
@@ -41,80 +41,6 @@ def test_each_quirk_has_a_place_and_tests(row: list[str]) -> None:
     module, _, name = place.strip("`").rpartition(".")
     assert hasattr(__import__(f"carla_recap.server.{module}", fromlist=[name]), name)
     assert {test.strip(" `") for test in tests.split(",")} <= names_of_tests()
-
-
-# --- busy polling ---------------------------------------------------------------------------------------------------------
-
-
-class Polls:
-    """The polls of a loop.
-
-    Attributes:
-        count: How often the loop has yielded the processor between two polls.
-    """
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.count = 0
-        monkeypatch.setattr(quirks, "_yield_processor", self._yield)
-
-    def _yield(self) -> None:
-        self.count += 1
-
-
-def test_the_loop_polls_after_an_event(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without it, the processor sleeps between the calls of a client, and each one waits until it is awake."""
-    polls = Polls(monkeypatch)
-    one, other = socket.socketpair()
-
-    async def receive() -> None:
-        one.setblocking(False)
-        asyncio.get_running_loop().add_reader(one, lambda: one.recv(10))
-        async with asyncio.timeout(PATIENCE):
-            while not polls.count:  # a loop that is not scheduled for long enough does not poll
-                other.sendall(b"x")
-                await asyncio.sleep(0.01)
-
-    with one, other, closing(busy_polling_loop()) as loop:
-        loop.run_until_complete(receive())
-
-
-def test_an_idle_loop_does_not_poll(monkeypatch: pytest.MonkeyPatch) -> None:
-    polls = Polls(monkeypatch)
-    with closing(busy_polling_loop()) as loop:
-        loop.run_until_complete(asyncio.sleep(0.1))
-    assert polls.count == 0
-
-
-def test_timers_are_on_time() -> None:
-    async def wait() -> float:
-        begin = time.monotonic()
-        for _ in range(20):
-            await asyncio.sleep(0.01)
-        return time.monotonic() - begin
-
-    def is_on_time() -> bool:
-        seconds = loop.run_until_complete(wait())
-        assert seconds >= 0.2
-        return seconds < 1.0
-
-    with closing(busy_polling_loop()) as loop:
-        wait_until(is_on_time)
-
-
-def test_a_waiting_loop_takes_no_processor_time() -> None:
-    async def wait() -> float:
-        reader, writer = await asyncio.open_connection(*server.getsockname())
-        caller, _ = server.accept()
-        with caller:
-            caller.sendall(b"x")
-            await reader.read(1)  # so that there has been an event just before
-            begin = time.thread_time()
-            await asyncio.sleep(0.5)
-            writer.close()
-            return time.thread_time() - begin
-
-    with socket.create_server(("127.0.0.1", 0)) as server, closing(busy_polling_loop()) as loop:
-        assert loop.run_until_complete(wait()) < 0.1
 
 
 # --- unread calls ---------------------------------------------------------------------------------------------------------

@@ -10,17 +10,16 @@ import numpy as np
 
 from carla_recap.errors import RecapWarning
 from carla_recap.model.lives import HERO
-from carla_recap.model.records import UE4, ActorKind, Attribute, Spawn
+from carla_recap.model.packets import WITH_POSE, box_row, physics_record, pose, wheel_row
+from carla_recap.model.records import CM_PER_M, UE4, ActorKind, Attribute, Spawn
 from carla_recap.replay.pose import detach
 from carla_recap.sim.attributes import attribute_type
-from carla_recap.sim.recording.packets import CM_PER_M, box_row, physics_record, pose, wheel_row
-from carla_recap.sim.recording.snapshots import WITH_POSE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from carla_recap.model.packets import Pose, Row
     from carla_recap.model.records import Physics
-    from carla_recap.sim.recording.packets import Pose, Row
 
     Types = dict[str, dict[str, int]]
     Rows = list[tuple[float, ...]]

@@ -17,11 +17,11 @@ from carla_recap.capture.observer import ANSWER
 from carla_recap.capture.samples import SensorFrame
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.lives import HERO
+from carla_recap.model.packets import pose
 from carla_recap.model.records import CM
 from carla_recap.replay.pose import LOCATION, detach
 from carla_recap.sensors.kinds import SENSOR_TYPES
 from carla_recap.sensors.rig import SensorRig, SensorSpec
-from carla_recap.sim.recording.packets import pose
 from carla_recap.util.text import first_of, single_line
 
 if TYPE_CHECKING:

@@ -97,7 +97,6 @@ def serve(
 
     from carla_recap.server.host import Host
     from carla_recap.server.protocol import release_named
-    from carla_recap.server.quirks import busy_polling_loop
     from carla_recap.server.serving import serve as serve_clients
     from carla_recap.sim import World
 
@@ -121,7 +120,7 @@ def serve(
                 shown.open(host, port)
 
         warnings.simplefilter("once", RecapWarning)  # however often a client asks about a damaged recording
-        with asyncio.Runner(loop_factory=busy_polling_loop) as runner:
+        with asyncio.Runner() as runner:
             release = release_named(carla)
             served = Host(world, confined=confine, stand_in=stand_in, quality=quality, release=release)
             if fps is not None:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 CM: Final = 0.01  # m
+CM_PER_M: Final = 100.0
 
 NO_ACTOR: Final = 0xFFFFFFFF
 """The id that stands for something that is no actor: a building, a barrier (since CARLA 0.9.13)."""

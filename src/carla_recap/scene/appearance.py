@@ -91,7 +91,7 @@ _TAGS: Final = {
     "scooter": Tag.MOTORCYCLE,
     "bicycle": Tag.BICYCLE,
 }
-_BASE_TYPES: Final = {
+BASE_TYPES: Final = {
     "car": Tag.CAR,
     "van": Tag.CAR,
     "truck": Tag.TRUCK,
@@ -210,7 +210,7 @@ def look_of(
         return _fixed(_sign_of(type_id), Tag.TRAFFIC_SIGNS) if signs else None
     if kind == ActorKind.VEHICLE or type_id.startswith("vehicle."):
         name = _vehicle_of(type_id, attributes, recorded)
-        tag = _BASE_TYPES.get(attributes.get("base_type", ""), _TAGS.get(name, Tag.CAR))
+        tag = BASE_TYPES.get(attributes.get("base_type", ""), _TAGS.get(name, Tag.CAR))
         color = _color_of(attributes) or _CALM[id % len(_CALM)]
         return _look(name, color, tag, type_id, box)
     if kind == ActorKind.WALKER or type_id.startswith("walker."):

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from carla_recap.util.arrays import Booleans, Floats, Ids, Indices, Integers
 
 
-BRAKE, RIGHT_BLINKER, LEFT_BLINKER, REVERSE = 8, 16, 32, 64
+POSITION, LOW_BEAM, HIGH_BEAM, BRAKE, RIGHT_BLINKER, LEFT_BLINKER, REVERSE, FOG = (1 << bit for bit in range(8))
 """Bits of CARLA's VehicleLightState."""
-_POSITION, _LOW, _HIGH, _FOG, _SPECIAL = 1, 2, 4, 128, 512 | 1024
+_SPECIAL: Final = 512 | 1024
 
 BRAKING: Final = 0.02
 """The brake control beyond which brake lamps are lit: about 0.2 m/s², less than a driver means by braking."""
@@ -37,8 +37,8 @@ _SPAN: Final = 0.3  # s; the time over which a deceleration is a mean
 _LONGEST: Final = 1.0  # s; over a longer step there is no deceleration
 
 _LIT_BY: Final = (
-    (Material.HEADLIGHT, _LOW | _HIGH | _FOG),
-    (Material.TAIL_LIGHT, _POSITION | _LOW | _HIGH | BRAKE),
+    (Material.HEADLIGHT, LOW_BEAM | HIGH_BEAM | FOG),
+    (Material.TAIL_LIGHT, POSITION | LOW_BEAM | HIGH_BEAM | BRAKE),
     (Material.BRAKE_LIGHT, BRAKE),
     (Material.LEFT_INDICATOR, LEFT_BLINKER),
     (Material.RIGHT_INDICATOR, RIGHT_BLINKER),

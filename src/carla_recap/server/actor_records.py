@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.model.records import ActorKind
+from carla_recap.scene.appearance import BASE_TYPES
+from carla_recap.scene.materials import Tag
 from carla_recap.sensors.kinds import LARGEST_SIDE
 from carla_recap.server.protocol.releases import DEFAULT, RELEASES, AttributeCode, Labels
 from carla_recap.server.rpc.codec import encoder
@@ -43,8 +45,6 @@ if TYPE_CHECKING:
 
 _FIRST_SENSOR_STREAM: Final = 1 << 24  # streams of sensors are numbered from here, those of snapshots below
 _RELEASE: Final = 28  # bits before the number of a release in that of a stream
-_TAGS: Final = {"car": 14, "van": 14, "truck": 15, "bus": 16, "motorcycle": 18, "bicycle": 19}
-_WALKER_TAG, _SIGN_TAG, _LIGHT_TAG, _PROP_TAG = 12, 8, 7, 20
 _BEFORE: Final = 2.0  # m, from the stop line back to the middle of the trigger volume, so that it is not in the junction
 _TRIGGER_HEIGHT: Final = 1.0  # m: half the height of a trigger volume
 _STREAMING: Final = "sensor."
@@ -212,15 +212,15 @@ def streams_data(actor: Actor | DestroyedActor) -> bool:
 def _tags(actor: Actor | DestroyedActor) -> Iterable[int]:
     match actor.kind:
         case ActorKind.VEHICLE:
-            yield _TAGS.get(actor.attributes.get("base_type", ""), _TAGS["car"])
+            yield BASE_TYPES.get(actor.attributes.get("base_type", ""), Tag.CAR)
         case ActorKind.WALKER:
-            yield _WALKER_TAG
+            yield Tag.PEDESTRIANS
         case ActorKind.TRAFFIC_LIGHT:
-            yield _LIGHT_TAG
+            yield Tag.TRAFFIC_LIGHT
         case ActorKind.TRAFFIC_SIGN:
-            yield _SIGN_TAG
+            yield Tag.TRAFFIC_SIGNS
         case _ if actor.type_id.startswith("static.prop."):
-            yield _PROP_TAG
+            yield Tag.STATIC
 
 
 def _destroyed(actor: Actor) -> DestroyedActor:

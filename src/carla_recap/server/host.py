@@ -185,10 +185,6 @@ class Host:
             self._is_new = False
         self.snapshots.publish(payload)
 
-    def look_ahead(self) -> None:
-        """Do some of the work of the next tick, while clients are busy with the latest one."""
-        self._encoder.look_ahead()
-
     def publish_again(self, client: Client) -> None:
         """Send a client a snapshot of the unchanged world as a new frame."""
         self._frames_before += 1

@@ -2,9 +2,6 @@
 
 | quirk | symptom without it | place | tests |
 |---|---|---|---|
-| the next call of a client comes within microseconds, while a sleeping processor takes tens of them to wake \
-| fewer ticks per second, above all in a virtual machine | `quirks.busy_polling_loop` \
-| `test_the_loop_polls_after_an_event` |
 | a script ends right after its last call, and its system resets the connection \
 | that call, often `stop_recorder`, is lost | `quirks.unread_bytes` \
 | `test_the_last_calls_of_a_client_that_has_left_are_served`, `test_what_arrived_before_a_write_failed_can_be_read` |
@@ -32,60 +29,10 @@ are never exactly in line | it drives into a car that stands in its lane | `quir
 from __future__ import annotations
 
 import asyncio
-import os
-import selectors
-import sys
-import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Final
+from typing import Final
 
 from carla_recap.sim.geometry import Location, Transform
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Ready = list[tuple[selectors.SelectorKey, int]]
-
-# --- busy polling -------------------------------------------------------------------------------------------------------
-
-_BUSY: Final = 0.002  # s: a traffic manager of 50 vehicles mostly makes its next call within that time
-_yield_processor: Final[Callable[[], Any]] = getattr(os, "sched_yield", lambda: None)
-
-
-class _BusySelector(selectors.DefaultSelector):
-    """Polls for a moment after each event before it blocks, and yields the processor between two polls."""
-
-    _is_busy = False
-
-    def select(self, timeout: float | None = None) -> Ready:
-        """See `selectors.BaseSelector.select`."""
-        ready = super().select(0)
-        if ready:
-            self._is_busy = True
-        elif timeout is None or timeout > 0:
-            if self._is_busy:
-                begin = time.monotonic()
-                ready = self._poll(_BUSY if timeout is None else min(_BUSY, timeout))
-                timeout = None if timeout is None else max(0.0, timeout - (time.monotonic() - begin))
-            ready = ready or super().select(timeout)
-            self._is_busy = bool(ready)
-        return ready
-
-    def _poll(self, seconds: float) -> Ready:
-        end = time.monotonic() + seconds
-        ready: Ready = []
-        while not ready and time.monotonic() < end:
-            _yield_processor()
-            ready = super().select(0)
-        return ready
-
-
-def busy_polling_loop() -> asyncio.AbstractEventLoop:
-    """Return an event loop that polls for 2 ms after each event; on Windows, the loop that takes most connections."""
-    if sys.platform == "win32":
-        return asyncio.new_event_loop()
-    return asyncio.SelectorEventLoop(_BusySelector())
-
 
 # --- unread calls -------------------------------------------------------------------------------------------------------
 

@@ -19,6 +19,7 @@ from carla_recap.queries.info import Info
 from carla_recap.server.rpc.registry import CallError
 from carla_recap.sim.errors import DestinationError
 from carla_recap.sim.recording.recorder import is_within, recording_path, recordings_folder
+from carla_recap.sim.recording.writer_process import discard_process, start_process
 from carla_recap.sim.replaying.replayer import find_recording
 from carla_recap.util.text import number, readable
 
@@ -52,18 +53,13 @@ class Recordings:
         self._world = world
         self._confined = confined
         self._thread = ThreadPoolExecutor(1, "carla-recap-recordings")
-        self._completed = self._prepared = self._thread.submit(lambda: None)
-
-    def prepare(self) -> None:
-        """Start in a thread the process that writes the next recording."""
-        self._prepared = self._thread.submit(self._world.recorder.prepare)
+        self._completed = self._thread.submit(lambda: None)
 
     def stop(self) -> None:
         """End the recording, if there is one; its file is completed in a thread, so that no tick waits for it."""
         if self._world.recorder.path is not None:
             self._completed = self._thread.submit(self._world.recorder.end())
             self._completed.add_done_callback(_log_error)
-            self.prepare()
 
     async def completed(self) -> None:
         """Wait until the file of each recording that has ended is complete, or has failed, which is in the log."""
@@ -87,14 +83,16 @@ class Recordings:
         self._check(name, recording_path(name, self._world.recordings))
         destination = recorder.destination(name)
         self._check(name, destination)
-        await asyncio.shield(asyncio.wrap_future(self._prepared))
-        while recorder.path is not None:
+        process = await asyncio.to_thread(start_process)
+        if recorder.path is not None:
             _LOG.warning("start_recorder: the recording of %s ends, since %s begins", recorder.path, destination)
             self.stop()
-            await asyncio.shield(asyncio.wrap_future(self._prepared))
         try:
-            return str(recorder.start(name, additional_data, visible=True).absolute())
-        except DestinationError as error:
+            return str(recorder.start(name, additional_data, visible=True, process=process).absolute())
+        except BaseException as error:
+            discard_process(process)
+            if not isinstance(error, DestinationError):
+                raise
             _LOG.warning("start_recorder: %s", error)
             return NOT_RECORDED
 

@@ -77,8 +77,6 @@ async def serve(
         port, host.streams.port = (server.sockets[0].getsockname()[1] for server in (calls, streams))
         ticker = asyncio.create_task(Ticker(host).run())
         ready(port)
-        if host.world.recorder.path is None:
-            host.recordings.prepare()
         if load_ahead and not attached:  # such servers are started by tests, most of which have no cameras
             host.load_ahead()
         try:

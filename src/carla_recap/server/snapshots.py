@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.server.lights_ahead import NO_LIGHT, LightsAhead
 from carla_recap.server.protocol.releases import WORLD
 from carla_recap.sim.actors.lights import Sign, TrafficLight
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.episode import transforms
 from carla_recap.sim.signals import GREEN
-from carla_recap.sim.town.junctions import NO_LIGHT, Rules
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -40,7 +40,6 @@ _SIZE: Final = 119
 _BASE: Final = [("id", "<u4"), ("activity", "u1"), ("numbers", "<(15,)f4")]
 _KM_PER_H: Final = 3.6
 _FAR: Final = 3.0  # m: once a vehicle has moved as far, all are assigned to lanes anew before the next snapshot
-_NEAR: Final = 2.0  # m: the same, between two ticks
 
 
 def _dtype(*fields: tuple[str, str]) -> np.dtype[np.void]:
@@ -113,8 +112,8 @@ class SnapshotEncoder:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._rules = Rules(world.town.lanes, world.town.index, world.town.signals)
-        self._light_ids = np.array([*(light.id for light in world.traffic_lights), 0])  # row NO_LIGHT is the last
+        self._lights_ahead = LightsAhead(world.town)
+        self._light_ids = np.append(world.signals.id, 0)  # row NO_LIGHT is the last
         self._ids: object = None
         self._arrays: list[NDArray[np.void]] = []
         self._others: list[Actor] = []
@@ -134,11 +133,6 @@ class SnapshotEncoder:
         header = _EPISODE_HEADER.pack(episode, time.monotonic() - self._start, world.delta, 0, 0, 0, 0)
         begin = sensor_header(0, frame, world.elapsed, spectator)
         return b"".join((begin, header, *(array.tobytes() for array in self._rows())))
-
-    def look_ahead(self) -> None:
-        """Do some of the work of the next snapshot."""
-        if tuple(self._world.actors) == self._ids:
-            self._tracker.update(_NEAR)
 
     def _rows(self) -> Sequence[NDArray[np.void]]:
         world = self._world
@@ -179,11 +173,11 @@ class SnapshotEncoder:
         for name in _CONTROLS:
             rows[name] = getattr(vehicles, name)
         if self._tracker.moved():
-            rules = self._rules.at(*self._tracker.positions())
-            rows["speed_limit"] = rules.speed_limit * _KM_PER_H
-            rows["at_light"] = rules.light != NO_LIGHT
-            rows["light"] = self._light_ids[rules.light]
-            self._light = rules.light
+            lane, s = self._tracker.positions()
+            self._light = self._lights_ahead.at(lane, s)
+            rows["speed_limit"] = self._world.town.index.limit(lane, s) * _KM_PER_H
+            rows["at_light"] = self._light != NO_LIGHT
+            rows["light"] = self._light_ids[self._light]
         rows["shown"] = np.append(self._world.signals.state, GREEN)[self._light]
 
 
@@ -214,27 +208,22 @@ class LaneTracker:
         return True
 
     def positions(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the lanes of all vehicles, and how far along each vehicle is, in m."""
-        vehicles = self._vehicles
-        self.update(_FAR)
-        moved = (vehicles.position - self._reference)[:, :2]
-        return self._lane, self._s + (moved * self._forward).sum(axis=1)
+        """Return the lanes of all vehicles, and how far along each vehicle is, in m.
 
-    def update(self, distance: float) -> None:
-        """Look up all vehicles that have moved, once one has moved farther than a distance, in m.
-
-        A look-up of many takes little longer than one of few, so that those of all together are cheaper.
+        All vehicles that have moved are looked up once one has moved far: a look-up of many takes little longer than one of
+        few, so that those of all together are cheaper.
         """
         vehicles = self._vehicles
-        moved = np.abs(vehicles.position - self._reference).max(axis=1, initial=0)
-        if not (moved > distance).any():
-            return
-        rows = np.flatnonzero(moved > 0)
-        position, heading = vehicles.position[rows], np.radians(vehicles.rotation[rows, 1])
-        self._reference[rows] = position
-        self._forward[rows] = np.stack((np.cos(heading), np.sin(heading)), axis=1)
-        x, y, z = position.T
-        self._lane[rows], self._s[rows] = self._town.nearest_lane(x, y, z=z, heading=heading)
+        moved = vehicles.position - self._reference
+        if (np.abs(moved) > _FAR).any():
+            rows = np.flatnonzero(moved.any(axis=1))
+            position, heading = vehicles.position[rows], np.radians(vehicles.rotation[rows, 1])
+            self._reference[rows] = position
+            self._forward[rows] = np.stack((np.cos(heading), np.sin(heading)), axis=1)
+            x, y, z = position.T
+            self._lane[rows], self._s[rows] = self._town.nearest_lane(x, y, z=z, heading=heading)
+            moved[rows] = 0.0
+        return self._lane, self._s + (moved[:, :2] * self._forward).sum(axis=1)
 
 
 def _blank(dtype: np.dtype[np.void], actors: Iterable[Actor]) -> NDArray[np.void]:

@@ -162,10 +162,7 @@ def _across(away: Floats, along: Floats) -> int | None:
 def _is_road(town: Town, start: Floats, end: Floats) -> bool:
     """Return whether enough of the line between two points is on lanes for cars."""
     x, y, z = (start + np.linspace(0, 1, _SAMPLES)[:, None] * (end - start)).T
-    lanes, s = town.nearest_lane(x, y, z=z)
-    _, aside = town.project(lanes, x, y, s)
-    half = np.array([town.lanes[lane].width / 2 for lane in lanes.tolist()])
-    return float((np.abs(aside) < half).mean()) >= _LANES
+    return float(town.on_road(x, y, z).mean()) >= _LANES
 
 
 @dataclass(frozen=True, eq=False)

@@ -172,10 +172,10 @@ class Episode:
         expect_numbers("the weather", weather)
         self._weather = weather
 
-    @property
-    def tick_length(self) -> float:
-        """The expected length of the next tick, in s."""
-        return self.settings.fixed_delta_seconds or self.clock.delta
+    def impulse(self, force: Vector) -> Vector:
+        """Return the impulse of a force that acts during the next tick, from N to N s, or of a torque."""
+        seconds = self.settings.fixed_delta_seconds or self.clock.delta
+        return Vector(force.x * seconds, force.y * seconds, force.z * seconds)
 
     def add(self, actor: Actor) -> None:
         """Add a new actor."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from carla_recap.errors import RecapWarning
 from carla_recap.sim.actors import spawning
-from carla_recap.sim.actors.lights import TrafficLight, traffic_lights
+from carla_recap.sim.actors.lights import traffic_lights
 from carla_recap.sim.actors.stepping import ActorMotion
 from carla_recap.sim.blueprints import standard_library
 from carla_recap.sim.episode import ActorIds, Episode, transforms
@@ -28,13 +28,10 @@ if TYPE_CHECKING:
 
     from carla_recap.replay.follow import Follow
     from carla_recap.sim.blueprints import Blueprint
-    from carla_recap.sim.episode import Actor, Spectator, TickEvents
+    from carla_recap.sim.episode import Actor, TickEvents
     from carla_recap.sim.geometry import Transform
-    from carla_recap.sim.physics.vehicles import Vehicles
-    from carla_recap.sim.physics.walkers import Walkers
     from carla_recap.sim.recording.recorder import WorldRecorder
     from carla_recap.sim.replaying.replayer import OpenedRecording, Replay, Replayer
-    from carla_recap.sim.signals import Signals
 
 _DELTA: Final = 0.05  # s: the default length of a tick
 _ROUNDING: Final = 1e-6
@@ -62,8 +59,15 @@ class World:
     Attributes:
         blueprints: The blueprint library.
         settings: The settings of the simulation.
-        episode: The state of the world: `reload` begins the next one.
         random: The source of all randomness.
+        episode: The state of the world, of which the next attributes are parts: `reload` begins the next one.
+        town: The town.
+        actors: All actors by id, in the order of spawning.
+        vehicles: All vehicles, as arrays.
+        walkers: All walkers, as arrays.
+        signals: All traffic lights, as arrays.
+        traffic_lights: All traffic lights; light i is row i of `signals`.
+        spectator: The spectator.
         controllers: What acts at the beginning of each tick, after the traffic.
         listeners: What is called at the end of each tick.
         recordings: The folder of recordings, if one was given.
@@ -106,24 +110,22 @@ class World:
 
     def _begin(self, number: int, town: Town, delta: float) -> None:
         """Begin an episode."""
-        clock = Clock(delta=delta)
-        self.episode = Episode(number, town, clock, self.settings, self.random, self.blueprints, self._ids)
-        spawning.add_signs(self.episode)
-        self._traffic, self._motion = Traffic(self.episode), ActorMotion(self.episode)
+        episode = Episode(number, town, Clock(delta=delta), self.settings, self.random, self.blueprints, self._ids)
+        spawning.add_signs(episode)
+        self.episode, self.town, self.spectator = episode, town, episode.spectator
+        self.vehicles, self.walkers, self.signals = episode.vehicles, episode.walkers, episode.signals
+        self.actors: Mapping[int, Actor] = MappingProxyType(episode.actors)
+        self.traffic_lights = traffic_lights(episode)
+        self._traffic, self._motion = Traffic(episode), ActorMotion(episode)
         if self._recorder is not None:
-            self._recorder.episode = self.episode
+            self._recorder.episode = episode
         if self._replayer is not None:
-            self._replayer.enter(self.episode)
+            self._replayer.enter(episode)
 
     def _load(self, town: Town | str | Path) -> Town:
         return town if isinstance(town, Town) else load_town(town, self.maps)
 
     # --- the state of the episode -------------------------------------------------------------------------------------
-
-    @property
-    def town(self) -> Town:
-        """The town."""
-        return self.episode.town
 
     @property
     def frame(self) -> int:
@@ -148,36 +150,6 @@ class World:
     @weather.setter
     def weather(self, weather: Weather) -> None:
         self.episode.weather = weather
-
-    @property
-    def actors(self) -> Mapping[int, Actor]:
-        """All actors by id, in the order of spawning."""
-        return MappingProxyType(self.episode.actors)
-
-    @property
-    def vehicles(self) -> Vehicles:
-        """All vehicles, as arrays."""
-        return self.episode.vehicles
-
-    @property
-    def walkers(self) -> Walkers:
-        """All walkers, as arrays."""
-        return self.episode.walkers
-
-    @property
-    def signals(self) -> Signals:
-        """All traffic lights, as arrays."""
-        return self.episode.signals
-
-    @property
-    def traffic_lights(self) -> list[TrafficLight]:
-        """All traffic lights; light i is row i of `signals`."""
-        return traffic_lights(self.episode)
-
-    @property
-    def spectator(self) -> Spectator:
-        """The spectator."""
-        return self.episode.spectator
 
     @property
     def events(self) -> TickEvents:
@@ -368,7 +340,7 @@ class World:
         expect_seconds("a tick", delta)
         episode = self.episode
         delta = episode.clock.delta = float(delta)
-        for controller in (*self._traffic.controllers(), *self.controllers):
+        for controller in (self._traffic, *self.controllers):
             self._act(controller, controller.step, delta)
         episode.signals.step(delta)
         collisions = self._motion.advance(delta)

@@ -34,9 +34,8 @@ from carla_recap.sim.actors.moving import VehicleControl, WalkerControl
 from carla_recap.sim.episode import Collision
 from carla_recap.sim.errors import DestinationError, SimError
 from carla_recap.sim.geometry import Location, Transform, Vector
-from carla_recap.sim.recording import recorder
 from carla_recap.sim.recording.recorder import recording_path, recordings_folder
-from carla_recap.sim.recording.writer_process import WriterProcess, start_process
+from carla_recap.sim.recording.writer_process import WriterProcess
 from carla_recap.sim.settings import PRESETS
 from carla_recap.sim.world import World
 from tests.sim.flat import at, flat_town, flat_world, light, spawn_car, spawn_walker
@@ -865,40 +864,6 @@ def test_without_an_interpreter_nothing_is_recorded(tmp_path: Path, monkeypatch:
         with pytest.raises(RecapError, match=f"the process that writes recordings cannot be started: .*{end}"):
             flat_world().start_recorder(tmp_path / "a.mcap")
     assert not list(tmp_path.iterdir())
-
-
-def test_a_prepared_process_writes_the_next_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    world = flat_world()
-    world.recorder.prepare()
-    world.recorder.prepare()
-    with monkeypatch.context() as without:
-        without.setattr(sys, "executable", "/absent")
-        assert len(record(world, tmp_path / "a.mcap", 3, in_process=False)) == 3
-        with pytest.raises(RecapError, match="cannot be started"):
-            world.start_recorder(tmp_path / "b.mcap")
-        world.recorder.prepare()  # the failure is that of the next start
-    assert len(record(world, tmp_path / "b.mcap", 4, in_process=False)) == 4
-
-
-def test_a_prepared_process_that_was_killed_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    started: list[subprocess.Popen[bytes]] = []
-    monkeypatch.setattr(recorder, "start_process", lambda: started.append(start_process()) or started[-1])
-    world = flat_world()
-    world.recorder.prepare()
-    started[0].kill()
-    started[0].wait()
-    assert len(record(world, tmp_path / "a.mcap", 3, in_process=False)) == 3
-
-
-def test_a_prepared_process_ends_with_the_recorder(monkeypatch: pytest.MonkeyPatch) -> None:
-    started: list[subprocess.Popen[bytes]] = []
-    monkeypatch.setattr(recorder, "start_process", lambda: started.append(start_process()) or started[-1])
-    world = flat_world()
-    world.recorder.prepare()
-    assert started[0].poll() is None
-    del world
-    gc.collect()
-    assert started[0].poll() is not None
 
 
 def test_a_slow_disk_makes_no_tick_wait(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final
 from carla_recap.errors import RecapError
 from carla_recap.server.host import Host
 from carla_recap.server.protocol import release_named
-from carla_recap.server.quirks import busy_polling_loop
 from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.server.serving import serve
 
@@ -69,7 +68,7 @@ def run_script(script: str, world: World, run: CampaignRun, path: Path, *, addit
         RecapError: There is no such release, or the script ends with another exit code than 0, or the server ends.
     """
     host = _RunHost(world, path, additional_data=additional_data, carla=carla)
-    with asyncio.Runner(loop_factory=busy_polling_loop) as runner:
+    with asyncio.Runner() as runner:
         code = runner.run(_session(host, script, run))
     if code:
         raise RecapError(f"the script ends with exit code {code}")

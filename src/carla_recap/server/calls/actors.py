@@ -133,13 +133,13 @@ def add_actor_impulse_at_location(client: Client, id: int, impulse: Vector, loca
 @call
 def add_actor_force(client: Client, id: int, force: Vector) -> None:
     """Apply a force to a vehicle during the next tick, in N and the world's axes."""
-    _apply_impulse(expect(client, id, MovingActor), _during_tick(client, force))
+    _apply_impulse(expect(client, id, MovingActor), client.host.world.episode.impulse(force))
 
 
 @call
 def add_actor_force_at_location(client: Client, id: int, force: Vector, location: Location) -> None:
     """Apply a force to a vehicle at a location during the next tick, in N and m and the world's axes."""
-    add_actor_impulse_at_location(client, id, _during_tick(client, force), location)
+    add_actor_impulse_at_location(client, id, client.host.world.episode.impulse(force), location)
 
 
 @call
@@ -151,7 +151,7 @@ def add_actor_angular_impulse(client: Client, id: int, impulse: Vector) -> None:
 @call
 def add_actor_torque(client: Client, id: int, torque: Vector) -> None:
     """Apply a torque to a vehicle during the next tick, in kg m² degrees/s² about z."""
-    _apply_angular_impulse(expect(client, id, MovingActor), _during_tick(client, torque).z)
+    _apply_angular_impulse(expect(client, id, MovingActor), client.host.world.episode.impulse(torque).z)
 
 
 @call
@@ -295,10 +295,3 @@ def _angular_impulse(mover: MovingActor, location: Location, impulse: Vector) ->
     expect_place("the location of an impulse", location, of=mover)
     centre = mover.transform.location
     return degrees((location.x - centre.x) * impulse.y - (location.y - centre.y) * impulse.x)
-
-
-def _during_tick(client: Client, force: Vector) -> Vector:
-    """Return the impulse of a force that acts for a tick."""
-    world = client.host.world
-    seconds = world.settings.fixed_delta_seconds or world.delta
-    return Vector(force.x * seconds, force.y * seconds, force.z * seconds)

@@ -84,9 +84,7 @@ def tick_cue(client: Client) -> int | Awaitable[int]:
         return host.frame + 1
 
     def tick() -> int:
-        frame = host.tick()
-        asyncio.get_running_loop().call_soon(host.look_ahead)
-        return _signalled(client, frame)
+        return _signalled(client, host.tick())
 
     subscriptions, managers = host.streams.pending.of(client), host.traffic_managers.unsettled()
     return when_done(subscriptions + managers + host.sensors.pending(), tick)

@@ -11,21 +11,20 @@ from typing import Any, Final, get_type_hints
 import numpy as np
 
 from carla_recap.model.motion import GRAVITY
+from carla_recap.model.records import CM_PER_M
 from carla_recap.server.actor_records import DestroyedActor
 from carla_recap.server.calls.actors import expect
 from carla_recap.server.controllers import AckermannControl, AckermannSettings
 from carla_recap.server.host import Client
 from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import Telemetry, VehicleLightState, WheelTelemetry
-from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, WalkerControl
+from carla_recap.sim.actors.moving import LIGHT_BITS, Vehicle, VehicleControl, Walker, WalkerControl
 from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.physics.physics_control import PhysicsControl
 from carla_recap.sim.validation import expect_velocity
 
-_CM: Final = 100.0  # in a m
 _CONTROL: Final = list(get_type_hints(VehicleControl).values())
 _FRONT_WHEELS: Final = (0, 1)
-_LIGHT_BITS: Final = 0xFFFFFFFF
 
 
 @call
@@ -101,8 +100,8 @@ def get_physics_control(client: Client, id: int) -> PhysicsControl:
     control, transform = _physics(client, id)
     for wheel in control.wheels:
         local = wheel.position
-        position = transform.transform(Location(local.x / _CM, local.y / _CM, local.z / _CM))
-        wheel.position = Vector(position.x * _CM, position.y * _CM, position.z * _CM)
+        position = transform.transform(Location(local.x / CM_PER_M, local.y / CM_PER_M, local.z / CM_PER_M))
+        wheel.position = Vector(position.x * CM_PER_M, position.y * CM_PER_M, position.z * CM_PER_M)
     return control
 
 
@@ -135,7 +134,7 @@ def get_vehicle_light_states(client: Client) -> list[tuple[int, int]]:
 @call
 def set_vehicle_light_state(client: Client, id: int, state: VehicleLightState) -> None:
     """Set the lights of a vehicle."""
-    expect(client, id, Vehicle).light_state = state.bits & _LIGHT_BITS
+    expect(client, id, Vehicle).light_state = state.bits & LIGHT_BITS
 
 
 @call
@@ -167,7 +166,9 @@ def get_telemetry_data(client: Client, id: int) -> Telemetry:
     gear = built.forward_gears[min(max(abs(control.gear), 1), len(built.forward_gears)) - 1]
     load = built.mass * GRAVITY / max(len(built.wheels), 1)
     wheels = [
-        WheelTelemetry(wheel.tire_friction, omega=speed / (wheel.radius / _CM), tire_load=load, normalized_tire_load=1.0)
+        WheelTelemetry(
+            wheel.tire_friction, omega=speed / (wheel.radius / CM_PER_M), tire_load=load, normalized_tire_load=1.0
+        )
         for wheel in built.wheels
         if wheel.radius > 0
     ]

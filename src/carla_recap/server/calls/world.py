@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.model.motion import GRAVITY
+from carla_recap.scene.materials import Tag
 from carla_recap.server import actor_records
 from carla_recap.server.calls.actors import expect
 from carla_recap.server.host import Client
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 
 _ANY: Final = 255
 """The semantic class that stands for all."""
-_ROAD, _TERRAIN = 1, 10
 _LAMPS: Final = Vector(0.2, 0.2, 0.55)  # m: half the size of a light's head
 _PLATE: Final = Vector(0.4, 0.05, 0.4)  # m: half the size of a sign
 _LAMPS_HEIGHT: Final = 3.0  # m, from the foot of the pole to the middle of the head
@@ -192,16 +192,8 @@ def _ground_hits(world: World, origin: Floats, direction: Floats, reach: float) 
     if len(through):
         i = through[0]
         distance = samples[i] + (samples[i + 1] - samples[i]) * above[i] / (above[i] - beyond[i])
-        yield float(distance), _ground_label(world, origin + distance * direction)
-
-
-def _ground_label(world: World, point: Floats) -> int:
-    """Return the semantic class of the ground at a point."""
-    town = world.town
-    x, y = point[:1], point[1:2]
-    lane, s = town.nearest_lane(x, y, z=point[2:3])
-    lateral = abs(town.project(lane, x, y, s)[1][0])
-    return _ROAD if lateral <= town.lanes[lane[0]].width / 2 else _TERRAIN
+        x, y, z = (origin + distance * direction)[:, None]
+        yield float(distance), Tag.ROADS if world.town.on_road(x, y, z)[0] else Tag.TERRAIN
 
 
 def _point(point: Floats, label: int) -> LabelledPoint:

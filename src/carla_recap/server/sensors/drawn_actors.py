@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carla_recap.model.lives import ActorLife, BoundingBox
+from carla_recap.model.packets import pose
 from carla_recap.model.presence import RoadHeights
+from carla_recap.model.records import CM_PER_M
 from carla_recap.replay.pose import right_handed
 from carla_recap.scene.actor_instances import instances
 from carla_recap.scene.appearance import look_of
@@ -16,7 +18,7 @@ from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehi
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor
 from carla_recap.sim.episode import transforms
-from carla_recap.sim.recording.packets import CM_PER_M, pose, spawn
+from carla_recap.sim.recording.packets import spawn
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from carla_recap.scene.lamps import FOG, HIGH_BEAM, LEFT_BLINKER, LOW_BEAM, POSITION, REVERSE, RIGHT_BLINKER
 from carla_recap.sensors.noise import Noise, generator
 from carla_recap.sensors.position import UPWARDS
 from carla_recap.server.sensors.feeds import V2xMessage, axes, flag, number, numbers, receiver, row
@@ -111,7 +112,15 @@ _MOST_ACCELERATION: Final = 161  # 0.1 m/s², likewise
 _STATION_TYPES: Final = {"bicycle": 2, "motorcycle": 4, "car": 5, "van": 5, "bus": 6, "truck": 7}
 _EMERGENCY_TYPE, _PUBLIC_ROLE, _EMERGENCY_ROLE = 10, 1, 6
 # CARLA's light bits, and the bits of exterior lights: low beam, high beam, left and right blinker, reverse, fog, position
-_LIGHTS: Final = {0x2: 0x80, 0x4: 0x40, 0x20: 0x20, 0x10: 0x10, 0x40: 0x04, 0x80: 0x02, 0x1: 0x01}
+_LIGHTS: Final = {
+    LOW_BEAM: 0x80,
+    HIGH_BEAM: 0x40,
+    LEFT_BLINKER: 0x20,
+    RIGHT_BLINKER: 0x10,
+    REVERSE: 0x04,
+    FOG: 0x02,
+    POSITION: 0x01,
+}
 
 _TURNED, _MOVED, _SPED_UP = 4.0, 4.0, 0.5  # degrees, m and m/s: changes after which a CAM is due
 _LOW_FREQUENCY: Final = 0.5  # s, between two CAMs with the role and the lights

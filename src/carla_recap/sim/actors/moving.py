@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 ALL_DOORS = 6
 """The number that stands for doors 0 to 5 together."""
-_LIGHT_BITS: Final = 0xFFFFFFFF
+LIGHT_BITS: Final = 0xFFFFFFFF
 
 
 @dataclass(slots=True)
@@ -246,7 +246,7 @@ class Vehicle(MovingActor):
 
     @light_state.setter
     def light_state(self, bits: int) -> None:
-        expect_between("the lights", bits, 0, _LIGHT_BITS, of=self)
+        expect_between("the lights", bits, 0, LIGHT_BITS, of=self)
         self.rows.light_state[self.row] = bits
 
     @property
@@ -301,9 +301,7 @@ class Vehicle(MovingActor):
     def add_force(self, force: Vector) -> None:
         """Apply a force in N during the next tick, in the axes of the world."""
         rows, row = self.rows, self.row
-        seconds = self.episode.tick_length
-        impulse = Vector(force.x * seconds, force.y * seconds, force.z * seconds)
-        expect_push("the change of velocity", impulse, rows.mass[row].item(), of=self)
+        expect_push("the change of velocity", self.episode.impulse(force), rows.mass[row].item(), of=self)
         rows.force[row] += (force.x, force.y)
 
     def set_door(self, door: int, open: bool) -> None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.model.records import CM
 from carla_recap.sim.episode import Actor
 from carla_recap.sim.validation import LARGEST
 
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from carla_recap.sim.actors.moving import Vehicle
     from carla_recap.sim.geometry import Transform
 
-_CM: Final = 0.01  # m
 _DEFAULTS: Final = {"friction": 3.5, "extent_x": 1.0, "extent_y": 1.0, "extent_z": 1.0}
 
 
@@ -54,7 +54,7 @@ class FrictionTrigger(Actor):
         vehicles = self.episode.vehicles
         if not len(vehicles):
             return []
-        length, width, height = (self._number(f"extent_{axis}") * _CM for axis in "xyz")
+        length, width, height = (self._number(f"extent_{axis}") * CM for axis in "xyz")
         x, y, z = (vehicles.position - (place.location.x, place.location.y, place.location.z)).T
         own, their = np.radians(place.rotation.yaw), np.radians(vehicles.rotation[:, 1])
         cos, sin = np.abs(np.cos(their - own)), np.abs(np.sin(their - own))

@@ -1,15 +1,13 @@
-"""The records of single actors: blueprint, attributes, pose, box, physics and the times of lights, in CARLA's units.
-
-A pose is six numbers, as in `carla_recap.replay.pose`: x, y, z in cm, then roll, pitch, yaw in degrees, left-handed.
-"""
+"""The records of single actors: blueprint, attributes, box, physics and the times of lights, in CARLA's units."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.model.records import UE4, Attribute, Physics, RecordType, Spawn
+from carla_recap.model.packets import PHYSICS_NUMBERS, box_row, physics_record, pose, wheel_row
+from carla_recap.model.records import CM_PER_M, Attribute, Physics, Spawn
 from carla_recap.sim.attributes import attribute_type
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.physics.physics_control import Gear, PhysicsControl, WheelPhysics
@@ -17,27 +15,17 @@ from carla_recap.sim.physics.physics_control import Gear, PhysicsControl, WheelP
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from numpy.typing import NDArray
-
-    from carla_recap.model.layout import Layout
+    from carla_recap.model.packets import Pose, Row
     from carla_recap.sim.actors.lights import Sign, TrafficLight
     from carla_recap.sim.actors.moving import Vehicle
     from carla_recap.sim.episode import Actor
     from carla_recap.sim.town.loading import Town
 
-Row = tuple[float, ...]
-Pose = tuple[float, float, float, float, float, float]
-
-_PHYSICS: Final[RecordType] = UE4.named("physics")
 _OLD_TYRES: Final = {"lat_stiff_max_load": 2.0, "lat_stiff_value": 17.0, "long_stiff_value": 1000.0}
 """The tyres of UE4, which CARLA has recorded since 0.9.12."""
 _OLD_SWITCH_TIME: Final = 0.5  # s, of UE4
 _LONGEST: Final = 2000.0  # cm between a vehicle and its wheels
 _HALF_HEIGHT: Final = 1.0  # m, of trigger volumes, which stand on the road
-CM_PER_M: Final = 100.0
-_OTHERS: Final = ("id", "use_gear_auto_box", "center_of_mass_x", "center_of_mass_y", "center_of_mass_z")
-_SAME: Final = [name for name, kind in _PHYSICS.layout.fields.items() if isinstance(kind, str) and name not in _OTHERS]
-"""The numbers that a `PhysicsControl` has under the names that they have in a record."""
 
 
 def spawn(actor: Actor) -> Spawn:
@@ -50,11 +38,6 @@ def spawn(actor: Actor) -> Spawn:
 def bounding_box(actor: Actor) -> Row:
     """Return the box of an actor, in its own axes."""
     return box_row(actor.id, actor.box.location, actor.box.extent)
-
-
-def box_row(id: int, centre: Any, extent: Any) -> Row:
-    """Return the record of a box, of its centre and its extent in m."""
-    return (id, *(CM_PER_M * value for value in (centre.x, centre.y, centre.z, extent.x, extent.y, extent.z)))
 
 
 def trigger_volumes(sign: Sign, town: Town) -> list[Row]:
@@ -81,34 +64,6 @@ def physics(vehicle: Vehicle) -> Physics:
         place = transform.transform(Location(x, y, z))
         wheels.append(wheel_row(wheel, (CM_PER_M * place.x, CM_PER_M * place.y, CM_PER_M * place.z)))
     return physics_record(vehicle.id, control, control.torque_curve, control.steering_curve, wheels)
-
-
-def physics_record(
-    id: int, control: Any, torque_curve: Iterable[Row], steering_curve: Iterable[Row], wheels: Iterable[Row]
-) -> Physics:
-    """Return the record of the physics of a vehicle.
-
-    Args:
-        id: The id of the vehicle.
-        control: A `PhysicsControl`, or that of CARLA's client.
-        torque_curve: Its curve as pairs of numbers.
-        steering_curve: Its curve as pairs of numbers.
-        wheels: Its wheels as rows.
-    """
-    centre = control.center_of_mass
-    gears = ((gear.ratio, gear.down_ratio, gear.up_ratio) for gear in control.forward_gears)
-    return Physics(
-        id=id,
-        use_gear_auto_box=int(control.use_gear_autobox),
-        center_of_mass_x=centre.x,
-        center_of_mass_y=centre.y,
-        center_of_mass_z=centre.z,
-        torque_curve=_rows("torque_curve", torque_curve),
-        forward_gears=_rows("forward_gears", gears),
-        steering_curve=_rows("steering_curve", steering_curve),
-        wheels=_rows("wheels", wheels),
-        **{name: getattr(control, name) for name in _SAME},
-    )
 
 
 def physics_control(record: Physics, place: Pose, usual: PhysicsControl) -> PhysicsControl:
@@ -142,39 +97,7 @@ def physics_control(record: Physics, place: Pose, usual: PhysicsControl) -> Phys
         center_of_mass=Vector(record.center_of_mass_x, record.center_of_mass_y, record.center_of_mass_z),
         steering_curve=tuple((float(x), float(y)) for x, y in record.steering_curve),
         wheels=wheels,
-        **{name: getattr(record, name) for name in _SAME},
-    )
-
-
-def wheel_row(wheel: Any, position: Row) -> Row:
-    """Return a wheel as a row; its position is in cm."""
-    return (*(getattr(wheel, name) for name in _OF_WHEELS), *position)
-
-
-def _rows(field: str, rows: Iterable[Row]) -> NDArray[np.void]:
-    return np.array(list(rows), _layout(field).dtype(wide=False))
-
-
-def _layout(field: str) -> Layout:
-    many = _PHYSICS.layout.fields[field]
-    assert not isinstance(many, str)
-    layout: Layout = many.layouts[0]
-    return layout
-
-
-_OF_WHEELS: Final = [name for name in _layout("wheels").fields if not name.startswith("position_")]
-
-
-def pose(transform: Transform) -> Pose:
-    """Return the pose of a transform."""
-    location, rotation = transform.location, transform.rotation
-    return (
-        location.x * CM_PER_M,
-        location.y * CM_PER_M,
-        location.z * CM_PER_M,
-        rotation.roll,
-        rotation.pitch,
-        rotation.yaw,
+        **{name: getattr(record, name) for name in PHYSICS_NUMBERS},
     )
 
 

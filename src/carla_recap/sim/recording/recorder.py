@@ -7,7 +7,6 @@ import re
 import time
 import warnings
 import weakref
-from contextlib import suppress
 from pathlib import Path, PureWindowsPath
 from threading import RLock
 from typing import TYPE_CHECKING, Final
@@ -18,7 +17,7 @@ from carla_recap.formats import SUFFIXES
 from carla_recap.model.frame import Header
 from carla_recap.sim.errors import DestinationError
 from carla_recap.sim.recording.sampler import WorldSampler
-from carla_recap.sim.recording.writer_process import InProcessWriter, WriterProcess, discard_process, start_process
+from carla_recap.sim.recording.writer_process import InProcessWriter, WriterProcess
 from carla_recap.sim.settings import source_date
 
 if TYPE_CHECKING:
@@ -107,7 +106,6 @@ class WorldRecorder:
         self._sampler: WorldSampler | None = None
         self._writer: WriterProcess | InProcessWriter | None = None
         self._finish: weakref.finalize[[], WorldRecorder] | None = None
-        self._spare: weakref.finalize[[subprocess.Popen[bytes]], WorldRecorder] | None = None
         self._lock = RLock()  # a recording may be stopped by several threads
 
     @property
@@ -121,27 +119,6 @@ class WorldRecorder:
         """The date of a recording that begins now, in Unix seconds."""
         return source_date(time.time()) if self._date is None else self._date
 
-    def prepare(self) -> None:
-        """Start the process that writes the next recording, so that `start` does not wait for an interpreter.
-
-        It may run in a thread. The process ends with the recorder if no recording is started; a failure is left to `start`.
-        """
-        if self._spare is None:
-            with suppress(RecapError):
-                self._spare = weakref.finalize(self, discard_process, start_process())
-
-    def _take_spare(self) -> subprocess.Popen[bytes] | None:
-        """Return the prepared process, which is the caller's then; None if there is none, or if it has ended."""
-        taken = self._spare.detach() if self._spare is not None else None
-        self._spare = None
-        if taken is None:
-            return None
-        process: subprocess.Popen[bytes] = taken[2][0]
-        if process.poll() is not None:
-            discard_process(process)
-            return None
-        return process
-
     def start(
         self,
         name: Path | str,
@@ -151,6 +128,7 @@ class WorldRecorder:
         visible: bool = False,
         now: bool = False,
         in_process: bool = False,
+        process: subprocess.Popen[bytes] | None = None,
     ) -> Path:
         """Begin a recording; one that is running is completed first.
 
@@ -166,6 +144,7 @@ class WorldRecorder:
             now: Record the world as it is as the first frame; else the first frame is the end of the next tick.
             in_process: Write in this process, which saves the start of another one, for many short recordings; see
                 `InProcessWriter`.
+            process: The process that writes, of `start_process`, which takes a moment; by default, it is started here.
 
         Returns:
             The path of the complete recording.
@@ -185,8 +164,7 @@ class WorldRecorder:
             if in_process:
                 self._writer = InProcessWriter(path, header, force=force, format=format, visible=visible)
             else:
-                spare = self._take_spare()
-                self._writer = WriterProcess(path, header, force=force, format=format, visible=visible, spare=spare)
+                self._writer = WriterProcess(path, header, force=force, format=format, visible=visible, process=process)
             self._sampler = sampler
             # A recording that is never stopped is completed with the recorder or the interpreter.
             self._finish = weakref.finalize(self, self._writer.close)
@@ -246,12 +224,7 @@ class WorldRecorder:
         return named if named.suffix else named.with_name(named.name + _MCAP)
 
     def _destination(self, name: Path | str, *, force: bool) -> Path:
-        """Check the destination, and make its folder if that is the one of recordings, or lies below it.
-
-        Raises:
-            DestinationError: The folder cannot be made.
-            RecapError: No recording can be written there.
-        """
+        """Check the destination, and make its folder if that is the one of recordings, or lies below it."""
         path = self.destination(name)
         check_free(path, force=force)
         if (folder := recording_path(name, self._folder)).is_dir():

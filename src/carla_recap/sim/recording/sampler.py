@@ -18,13 +18,13 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from carla_recap.model.frame import Packet
+from carla_recap.model.packets import WITH_POSE, pose
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.sim.actors.lights import Sign, TrafficLight
 from carla_recap.sim.actors.moving import MovingActor, Vehicle
 from carla_recap.sim.episode import TickEvents, transforms
 from carla_recap.sim.recording import packets
-from carla_recap.sim.recording.packets import pose
-from carla_recap.sim.recording.snapshots import TYPES, WITH_POSE, ActorSet, SnapshotBatch, Timestamp
+from carla_recap.sim.recording.snapshots import TYPES, ActorSet, SnapshotBatch, Timestamp
 
 if TYPE_CHECKING:
     from collections.abc import Collection

@@ -15,9 +15,8 @@ import numpy as np
 from carla_recap.model.batch import Batch, ConstantColumn, PackedColumn
 from carla_recap.model.frame import LAST_FRAME_DURATION, Packet
 from carla_recap.model.layout import EMPTY_LIST, Framing, pack
-from carla_recap.model.records import FRAME_END, ORDER, UE4, ActorKind
+from carla_recap.model.records import CM_PER_M, FRAME_END, ORDER, UE4
 from carla_recap.replay.selection import numbers
-from carla_recap.sim.recording.packets import CM_PER_M
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
 
 TYPES: Final = {UE4[id].name: UE4[id] for id in ORDER}
 """The record types in the order in which CARLA writes their packets."""
-WITH_POSE: Final = (ActorKind.OTHER, ActorKind.VEHICLE, ActorKind.WALKER)
-"""The kinds of actors whose transforms are in each frame, as in CARLA 0.9.13 and later."""
 _SLOTS: Final = {name: slot for slot, name in enumerate(TYPES)}
 _END: Final = Packet(FRAME_END, UE4[FRAME_END], b"")
 _ROLL_PITCH_YAW: Final = [2, 0, 1]

@@ -62,7 +62,7 @@ class WriterProcess:
         format: The suffix of the format; None for that of the destination.
         visible: Put a recording without frames at the destination at once; it is removed again if the recording fails, and
             nothing of it can be put in its place.
-        spare: A process from `start_process` to use, which saves the start of an interpreter.
+        process: The process, of `start_process`; None to start it here.
 
     Attributes:
         path: The destination.
@@ -82,7 +82,7 @@ class WriterProcess:
         force: bool = True,
         format: str | None = None,
         visible: bool = False,
-        spare: subprocess.Popen[bytes] | None = None,
+        process: subprocess.Popen[bytes] | None = None,
     ) -> None:
         self.path = path
         self.error: RecapError | None = None
@@ -90,7 +90,7 @@ class WriterProcess:
         self._batch: SnapshotBatch | None = None
         self._queue: Queue[SnapshotBatch | None] = Queue(QUEUE)
         self._thread = Thread(target=self._run, name="carla-recap-recorder", daemon=True)
-        self._process = spare or start_process()
+        self._process = process or start_process()
         self.pid = self._process.pid
         try:
             self._command("begin", path, header, force, format, visible)
@@ -144,12 +144,7 @@ class WriterProcess:
                 self.path.unlink()
 
     def _command(self, name: str, *arguments: Any) -> None:
-        """Send a command, and wait for its answer.
-
-        Raises:
-            _CommandFailed: It has failed.
-            WriterEnded: The process has ended.
-        """
+        """Send a command, and wait for its answer; raise `_CommandFailed`, or `WriterEnded`."""
         command = pickle.dumps((name, arguments), pickle.HIGHEST_PROTOCOL)
         assert self._process.stdin is not None
         assert self._process.stdout is not None

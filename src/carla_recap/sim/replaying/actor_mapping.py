@@ -12,7 +12,7 @@ import numpy as np
 
 from carla_recap.errors import RecapWarning
 from carla_recap.model.blueprints import other_names
-from carla_recap.model.records import ActorKind
+from carla_recap.model.records import CM_PER_M, ActorKind
 from carla_recap.sim.actors.lights import Sign
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
 from carla_recap.sim.actors.props import Prop
@@ -22,7 +22,7 @@ from carla_recap.sim.episode import LARGEST_WANTED
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Box, Location, Vector
 from carla_recap.sim.physics.physics_control import expect_physics
-from carla_recap.sim.recording.packets import CM_PER_M, physics_control, transform
+from carla_recap.sim.recording.packets import physics_control, transform
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:

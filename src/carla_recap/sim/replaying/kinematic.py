@@ -13,6 +13,7 @@ import numpy as np
 
 from carla_recap.model.lives import is_object
 from carla_recap.model.motion import LONGEST_STEP, possible_step
+from carla_recap.model.records import CM_PER_M
 from carla_recap.replay.pose import wrap
 from carla_recap.replay.selection import find
 from carla_recap.sim.actors.lights import Sign
@@ -21,7 +22,7 @@ from carla_recap.sim.actors.stepping import is_watched
 from carla_recap.sim.episode import Collision
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.physics.physics_control import GEARS
-from carla_recap.sim.recording.packets import CM_PER_M, transform
+from carla_recap.sim.recording.packets import transform
 from carla_recap.sim.replaying.actor_mapping import TRAFFIC
 
 if TYPE_CHECKING:
@@ -274,13 +275,9 @@ class KinematicReplay:
 
 
 def _turning(rotation: Floats, turn: Floats) -> Floats:
-    """Return turns as vectors along the axes of the world, in degrees, (n, 3), as physics engines have angular velocities.
+    """Return turns of pitch, yaw and roll, in degrees, (n, 3), as vectors along the axes of the world: angular velocities.
 
-    In CARLA's recordings, too, a positive pitch or roll turns around the negative axis.
-
-    Args:
-        rotation: Pitch, yaw and roll after the turn, in degrees, (n, 3).
-        turn: The changes of pitch, yaw and roll, in degrees, (n, 3).
+    In CARLA's recordings, too, a positive pitch or roll turns around the negative axis. `rotation` is that after the turn.
     """
     vectors: Floats = np.zeros_like(turn)
     vectors[:, 2] = turn[:, 1]

@@ -12,6 +12,8 @@ import numpy as np
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.formats import SUFFIXES, open_reader
+from carla_recap.model.packets import pose
+from carla_recap.model.records import CM_PER_M
 from carla_recap.replay import Player, level
 from carla_recap.replay.camera import CHASE_BACK, CHASE_PITCH, CHASE_UP
 from carla_recap.replay.follow import find_followed
@@ -19,7 +21,7 @@ from carla_recap.roads.find import described_folder, plain_name
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, VehicleControl, Walker
 from carla_recap.sim.errors import MapMissing, SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
-from carla_recap.sim.recording.packets import CM_PER_M, pose, transform
+from carla_recap.sim.recording.packets import transform
 from carla_recap.sim.recording.recorder import recording_path
 from carla_recap.sim.replaying.actor_mapping import ActorMapping
 from carla_recap.sim.replaying.kinematic import CollisionReplay, KinematicReplay

@@ -1,7 +1,4 @@
-"""Traffic lights, signs and junctions: the lanes that they govern, the lights that change together, and the right of way.
-
-Also the rules at any place of a road: its speed limit, and the light ahead.
-"""
+"""Traffic lights, signs and junctions: the lanes that they govern, the lights that change together, and the right of way."""
 
 from __future__ import annotations
 
@@ -25,8 +22,7 @@ if TYPE_CHECKING:
     from carla_recap.roads.landmarks import Landmark
     from carla_recap.roads.lanes import LaneGeometry
     from carla_recap.roads.opendrive import OpenDrive
-    from carla_recap.sim.town.lanes import Lane, LaneIndex
-    from carla_recap.util.arrays import Floats, Integers
+    from carla_recap.sim.town.lanes import Lane
 
 
 class SignalKind(StrEnum):
@@ -327,72 +323,3 @@ def _yields(one: Lane, other: Lane, slowed: set[int], priorities: set[tuple[int,
         return bool(np.sin(between) < 0)  # traffic that heads to the left comes from the right
     ranks = _RANKS[one.keeps_left][one.turn], _RANKS[other.keeps_left][other.turn]
     return ranks[0] > ranks[1] if ranks[0] != ranks[1] else one.index > other.index
-
-
-_REACH: Final = 12.0  # m before the stop line: enough to stop comfortably at 40 km/h
-NO_LIGHT: Final = -1
-
-
-@dataclass(frozen=True, slots=True)
-class LaneRules:
-    """The rules at some locations on lanes, (n,) each.
-
-    Attributes:
-        speed_limit: The speed limit in m/s.
-        light: The row of the traffic light ahead; `NO_LIGHT` if there is none.
-    """
-
-    speed_limit: Floats
-    light: Integers
-
-
-class Rules:
-    """The rules of roads: speed limits, and the stretches before the stop lines of traffic lights.
-
-    Args:
-        lanes: The lanes.
-        index: The points of the lanes.
-        signals: The traffic lights and signs.
-    """
-
-    def __init__(self, lanes: Sequence[Lane], index: LaneIndex, signals: Sequence[Signal]) -> None:
-        self._index = index
-        zones = sorted(set(_zones(lanes, signals)))
-        self._begin = np.array([zone[1] for zone in zones])
-        self._end = np.array([zone[2] for zone in zones])
-        self._light = np.array([zone[3] for zone in zones], np.int64)
-        lane = np.array([zone[0] for zone in zones], np.int64)
-        self._first = np.searchsorted(lane, np.arange(len(lanes)))
-        self._count = np.searchsorted(lane, np.arange(len(lanes)), side="right") - self._first
-
-    def at(self, lane: Integers, s: Floats) -> LaneRules:
-        """Return the rules at some distances along lanes.
-
-        Args:
-            lane: The lanes, (n,).
-            s: The distances in m, (n,).
-        """
-        light = np.full(len(lane), NO_LIGHT)
-        for place in range(self._count.max(initial=0)):
-            some = np.flatnonzero(self._count[lane] > place)
-            zone = self._first[lane[some]] + place
-            inside = (self._begin[zone] <= s[some]) & (s[some] <= self._end[zone])
-            light[some[inside]] = self._light[zone[inside]]
-        return LaneRules(self._index.limit(lane, s), light)
-
-
-def _zones(lanes: Sequence[Lane], signals: Sequence[Signal]) -> Iterator[tuple[int, float, float, int]]:
-    """Yield the lane, begin, end and row of the light of each stretch before a light's stop line."""
-    lights = (signal for signal in signals if signal.kind is SignalKind.LIGHT)
-    for row, signal in enumerate(lights):
-        for lane, stop in signal.stops:
-            yield from _before(lanes, lane, stop, _REACH, row)
-
-
-def _before(lanes: Sequence[Lane], lane: int, end: float, reach: float, row: int) -> Iterator[tuple[int, float, float, int]]:
-    begin = end - reach
-    yield lane, max(0.0, begin), end, row
-    if begin < 0:
-        for previous in lanes[lane].predecessors:
-            if lanes[previous].junction is None:
-                yield from _before(lanes, previous, lanes[previous].length, -begin, row)

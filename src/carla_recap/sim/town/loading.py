@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from carla_recap.sim.town.junctions import Junction, Signal
     from carla_recap.sim.town.lanes import Lane
     from carla_recap.sim.town.sidewalks import WalkwayGraph
-    from carla_recap.util.arrays import Floats, Integers
+    from carla_recap.util.arrays import Booleans, Floats, Integers
 
 
 BUILT_IN: Final = "Brickfield"
@@ -97,12 +97,9 @@ class Town:
         places = [signal.transform.location for signal in self.signals]
         x, y, z = np.array([(place.x, place.y, place.z) for place in places]).T
         ground = self.height(x, y, z)
-        lane, s = self.nearest_lane(x, y, z=ground)
-        widths = np.array([self.lanes[number].width for number in lane.tolist()])
-        beside = np.abs(self.project(lane, x, y, s)[1]) >= widths / 2 + POLE_RADIUS
         lowest, highest = ground - _POLE_BELOW, np.maximum(ground, z) + _POLE_ABOVE
-        poles = zip(beside.tolist(), lowest.tolist(), highest.tolist(), strict=True)
-        return [(low, high) if has_one else None for has_one, low, high in poles]
+        poles = zip(self.on_road(x, y, ground, POLE_RADIUS).tolist(), lowest.tolist(), highest.tolist(), strict=True)
+        return [None if hangs else (low, high) for hangs, low, high in poles]
 
     def renamed(self, name: str) -> Town:
         """Return the same town under another name."""
@@ -146,6 +143,13 @@ class Town:
     def project(self, lane: ArrayLike, x: ArrayLike, y: ArrayLike, s_hint: ArrayLike) -> tuple[Floats, Floats]:
         """See `LaneIndex.project`."""
         return self.index.project(lane, x, y, s_hint)
+
+    def on_road(self, x: ArrayLike, y: ArrayLike, z: ArrayLike, margin: float = 0.0) -> Booleans:
+        """Return whether locations, (k,), are on lanes, or within a margin in m beside the nearest one."""
+        lanes, s = self.nearest_lane(x, y, z=z)
+        aside = self.project(lanes, x, y, s)[1]
+        halves = np.array([self.lanes[lane].width / 2 for lane in lanes.tolist()])
+        return np.abs(aside) < halves + margin
 
 
 def load_town(name_or_path: str | Path = "", maps: Path | None = None, *, called: str = "") -> Town:

@@ -144,11 +144,7 @@ def _around_corners(walks: Walks, road: Ground) -> None:
 
 
 def _near(places: Floats, reach: float) -> list[tuple[int, int]]:
-    """Return the pairs of places that are nearer than a distance, in ascending order.
-
-    Raises:
-        ValueError: There are too many.
-    """
+    """Return the pairs of places that are nearer than a distance, in ascending order; there may be too many."""
     cells: dict[tuple[int, ...], list[int]] = defaultdict(list)
     pairs: list[tuple[int, int]] = []
     for number, cell in enumerate(map(tuple, np.floor(places / reach).astype(np.int64).tolist())):

@@ -166,15 +166,8 @@ class PedestrianNavigation:
 def _avoid(positions: Floats, directions: Floats, sides: Integers, vehicles: Vehicles) -> Floats:
     """Return directions that do not lead into vehicles: walkers wait for moving ones, and go around standing ones.
 
-    Args:
-        positions: The positions of some walkers, (k, 3) in m.
-        directions: Their desired directions, of length 1, (k, 2).
-        sides: The side on which each goes around vehicles: 1 to the right, -1 to the left, 0 undecided, (k,). It is changed
-            where a walker decides, and should be kept until the walker is across the road.
-        vehicles: All vehicles.
-
-    Returns:
-        Directions of length 1, or 0 to wait, (k, 2).
+    Directions have length 1, or 0 to wait, (k, 2). A side is 1 to go around a vehicle to the right, -1 to the left, 0 where
+    a walker has not decided, (k,): it is changed where one decides, and kept until the walker is across the road.
     """
     if not len(vehicles):
         return directions

@@ -63,11 +63,7 @@ def _is_near(place: Location, around: Location | None) -> bool:
 
 
 def _random_sidewalk_place(episode: Episode, around: Location | None) -> Location:
-    """Return a random place on a sidewalk, near a location if one is given.
-
-    Raises:
-        SimError: There is no such place.
-    """
+    """Return a random place on a sidewalk, near a location if one is given."""
     nodes = episode.town.walks.nodes
     for _ in range(_DRAWS):
         place = Location(*nodes[int(episode.random.integers(len(nodes)))].tolist())

@@ -9,13 +9,11 @@ from carla_recap.sim.traffic.autopilot.autopilot import Autopilot
 from carla_recap.sim.traffic.pedestrians import PedestrianNavigation
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from carla_recap.sim.episode import Episode
 
 
 class Traffic:
-    """The controllers of an episode's traffic.
+    """Drives an episode's traffic; a controller of the world.
 
     Args:
         episode: The episode.
@@ -24,12 +22,12 @@ class Traffic:
     def __init__(self, episode: Episode) -> None:
         self._episode = episode
 
-    def controllers(self) -> Iterator[Autopilot | PedestrianNavigation]:
-        """Yield what has to act in a tick; each is made when it is first needed."""
+    def step(self, delta: float) -> None:
+        """Act at the beginning of a tick of a length in s; autopilot and navigation are made when they are first needed."""
         if "_autopilot" in vars(self) or self._episode.vehicles.autopilot.any():
-            yield self._autopilot
+            self._autopilot.step(delta)
         if "_pedestrians" in vars(self) or self._episode.walkers.has_destination.any():
-            yield self._pedestrians
+            self._pedestrians.step(delta)
 
     @cached_property
     def _autopilot(self) -> Autopilot:

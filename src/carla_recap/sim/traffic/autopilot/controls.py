@@ -81,13 +81,8 @@ def _steering_angle(cars: DrivenVehicles, offset: Floats, heading_error: Floats,
     """Return the angle of the front wheels in radians, positive to the right.
 
     This is the control law of Stanley (Hoffmann and others, 2007). In a curve, the middle of a car runs on the path. A long
-    vehicle takes as much room on one side of the path as on the other.
-
-    Args:
-        cars: The driven vehicles.
-        offset: The offset of the front axle to the right of the path, in m.
-        heading_error: The heading of the path less that of the vehicle, in radians.
-        curvature: The curvature of the path in 1/m, positive to the right.
+    vehicle takes as much room on one side of the path as on the other. The offset of the front axle in m, and the curvature
+    in 1/m are positive to the right; the error is the heading of the path less that of the vehicle, in radians.
     """
     # If the rear axle runs at a radius of r, a point at a distance of d ahead of it runs at about r + d² / 2r.
     speed, wheelbase = cars.speed, cars.wheelbase

@@ -246,14 +246,7 @@ class _Hits(NamedTuple):
 
 
 def _find_hits(paths: _Paths, own: Integers, obstacles: Obstacles, room: Floats) -> _Hits:
-    """Find the obstacles on paths.
-
-    Args:
-        paths: The paths.
-        own: The indices of the vehicles themselves among the obstacles, (vehicles,).
-        obstacles: All obstacles.
-        room: The free width that each vehicle needs to each side of its path, in m, (vehicles,).
-    """
+    """Find the obstacles on paths, but the vehicles' `own`; `room` is the free width in m that each needs to each side."""
     vehicle, obstacle = _near(paths, obstacles, room)
     other = obstacle != own[vehicle]
     vehicle, obstacle = vehicle[other], obstacle[other]
