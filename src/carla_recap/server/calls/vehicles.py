@@ -20,7 +20,7 @@ from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import Telemetry, VehicleLightState, WheelTelemetry
 from carla_recap.sim.actors.moving import LIGHT_BITS, Vehicle, VehicleControl, Walker, WalkerControl
 from carla_recap.sim.geometry import Location, Transform, Vector
-from carla_recap.sim.physics.physics_control import PhysicsControl
+from carla_recap.sim.physics.physics_control import Gear, PhysicsControl
 from carla_recap.sim.validation import expect_velocity
 
 _CONTROL: Final = list(get_type_hints(VehicleControl).values())
@@ -163,7 +163,8 @@ def get_telemetry_data(client: Client, id: int) -> Telemetry:
     rows, row, control, built = vehicle.rows, vehicle.row, vehicle.control, vehicle.physics_control
     speed = rows.speed[row].item()
     # a replayed vehicle has the gear that was recorded, which can be one that its blueprint lacks
-    gear = built.forward_gears[min(max(abs(control.gear), 1), len(built.forward_gears)) - 1]
+    gears = built.forward_gears or [Gear(0.0)]
+    gear = gears[min(max(abs(control.gear), 1), len(gears)) - 1]
     load = built.mass * GRAVITY / max(len(built.wheels), 1)
     wheels = [
         WheelTelemetry(
