@@ -12,6 +12,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from carla_recap.model.blueprints import blueprint_rows, other_names
 from carla_recap.model.motion import GRAVITY
 from carla_recap.model.records import ActorKind
@@ -171,7 +173,7 @@ _ELECTRIC: Final = ((0.0, 1.0), (0.3, 1.0), (0.45, 0.667), (0.6, 0.5), (0.75, 0.
 _COMBUSTION: Final = ((0.0, 0.8), (0.33, 1.0), (1.0, 0.8))
 """The same of UE4's usual engine."""
 _USUAL_ENGINE: Final = 500.0 / 628.0  # N m s, its peak torque by its most revolutions
-_SHIFT_UP: Final = 0.35  # of the most revolutions, as in CARLA's gearboxes of five gears
+_SHIFT_UP: Final = 0.46  # of the most revolutions, as of CARLA's Lincoln 2017, whose engine has its maker's power there
 _SHIFT_DOWN: Final = 0.8  # of the revolutions after a shift up, so that it is not undone; those gearboxes have about as much
 _SHIFT_TIME: Final = 0.1  # s, of CARLA's gearboxes since 0.9.12
 _BRAKING: Final = 1.0  # g, by all brakes together; tyres of dry asphalt give about as much
@@ -195,7 +197,9 @@ def _physics(model: _Model) -> PhysicsControl:
     turns = model.max_rpm * 2 * pi / 60
     one_gear = model.gears == 1
     curve = _ELECTRIC if one_gear else _COMBUSTION
-    torque = model.power * 1000 / (turns * max(share * part for share, part in curve))
+    used = 1.0 if one_gear else _SHIFT_UP
+    most = max(share * part for share, part in (*curve, (used, np.interp(used, *np.transpose(curve)))) if share <= used)
+    torque = model.power * 1000 / float(turns * most)
     scale = torque / turns / _USUAL_ENGINE
     usual = PhysicsControl()
     step = 1.0 if one_gear else _FIRST_GEAR ** (1 / (model.gears - 1))
