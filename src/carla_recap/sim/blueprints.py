@@ -176,6 +176,7 @@ _USUAL_ENGINE: Final = 500.0 / 628.0  # N m s, its peak torque by its most revol
 _SHIFT_UP: Final = 0.46  # of the most revolutions, as of CARLA's Lincoln 2017, whose engine has its maker's power there
 _SHIFT_DOWN: Final = 0.8  # of the revolutions after a shift up, so that it is not undone; those gearboxes have about as much
 _SHIFT_TIME: Final = 0.1  # s, of CARLA's gearboxes since 0.9.12
+_CAR: Final = 1500.0  # kg; wheels of lighter vehicles are damped less than a car's, so that bicycles get fast enough
 _BRAKING: Final = 1.0  # g, by all brakes together; tyres of dry asphalt give about as much
 _FIRST_GEAR: Final = 0.23  # the share of the top speed that the first of many gears reaches
 _FRONT_AREA: Final = 0.85  # of the rectangle around it (Hucho, Aerodynamics of Road Vehicles)
@@ -242,7 +243,8 @@ def _estimated_wheels(model: _Model) -> list[WheelPhysics]:
     axles = (half, -half) if model.number_of_wheels != "6" else (half, -half + _TANDEM / 2, -half - _TANDEM / 2)
     track = (_BIKE_TRACK if model.number_of_wheels == "2" else _TRACK) * model.width
     brake = _BRAKING * GRAVITY * model.mass * model.radius / (2 * len(axles))
-    return _wheels(axles, track, 100 * model.radius, brake, 2 * brake, model.steer)
+    wheels = _wheels(axles, track, 100 * model.radius, brake, 2 * brake, model.steer)
+    return [replace(wheel, damping_rate=wheel.damping_rate * min(model.mass / _CAR, 1.0)) for wheel in wheels]
 
 
 def _wheels(
