@@ -412,7 +412,8 @@ def test_less_friction_makes_every_vehicle_brake_later() -> None:
     ways = [car.transform.location.x - start for car, start in zip(cars, starts, strict=True)]
     for name, slippery, wet, dry in zip(VEHICLES, ways[::3], ways[1::3], ways[2::3], strict=True):
         assert wet < 0.75 * slippery, name
-        assert dry < 0.9 * wet, name
+        weak = f"vehicle.{name}" in known_physics()  # CARLA's own brakes give about as much as wet roads
+        assert dry < (1.0 if weak else 0.8) * wet, name
 
 
 def test_stiffer_tyres_take_every_vehicle_as_far_or_farther() -> None:
