@@ -182,7 +182,7 @@ def test_a_constant_velocity_is_kept_in_the_axes_of_the_vehicle(world: carla.Wor
     assert car.get_location().y == pytest.approx(510.0, abs=0.05)
     car.disable_constant_velocity()
     ticks(world, 20)
-    assert 5.0 < car.get_velocity().y < 9.8
+    assert 5.0 < car.get_velocity().y < 9.95
 
 
 def test_impulses_and_forces_push(world: carla.World) -> None:
@@ -190,10 +190,10 @@ def test_impulses_and_forces_push(world: carla.World) -> None:
     mass = car.get_physics_control().mass
     car.add_impulse(carla.Vector3D(5.0 * mass, 0.0, 0.0))
     world.tick()
-    assert car.get_velocity().x == pytest.approx(5.0, abs=0.1)
+    assert car.get_velocity().x == pytest.approx(5.0, abs=0.15)
     car.add_force(carla.Vector3D(40.0 * mass, 0.0, 0.0))
     world.tick()
-    assert car.get_velocity().x == pytest.approx(7.0, abs=0.2)
+    assert car.get_velocity().x == pytest.approx(6.8, abs=0.2)
 
 
 def test_pushes_at_a_place_and_torques_turn(inside: Inside) -> None:

@@ -221,7 +221,7 @@ def test_the_wheels_turn_no_faster_than_a_driver_can_steer() -> None:
     world.tick()
     assert 0 < world.vehicles.steer_angle[0] < world.vehicles.full_lock[0] / 4
     world.run(1)
-    assert world.vehicles.steer_angle[0] == pytest.approx(world.vehicles.steer_limit[0])
+    assert 0.7 * world.vehicles.steer_limit[0] < world.vehicles.steer_angle[0] < world.vehicles.steer_limit[0]
 
 
 def test_a_step_of_any_length_is_stable() -> None:

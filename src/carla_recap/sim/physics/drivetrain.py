@@ -162,7 +162,7 @@ class Drivetrains(MovingBodies):
     steer_angle: Floats = column(0.0)
     """The angle between those of the front wheels in radians, positive to the right."""
     steer_limit: Floats = column(1.0)
-    """The angle of the front wheels at full steering and the present speed, in radians."""
+    """The angle of the inner front wheel at full steering and the present speed, in radians."""
     wheelbase: Floats = column(1.0)
     """The distance between the axles in m."""
     front: Floats = column(0.5)
@@ -212,9 +212,9 @@ def steer(fleet: Drivetrains, seconds: float) -> None:
     limit = own.full_lock * fleet.tables.lock_share[fleet.table, column_of(np.abs(fleet.speed))]
     # The angle between those of the front wheels has a cotangent between theirs, which differ by track / wheelbase.
     by_track = own.track / (2 * fleet.wheelbase)
-    inner, most = np.tan(limit * np.abs(fleet.steer_input)), np.tan(limit)
+    inner = np.tan(limit * np.abs(fleet.steer_input))
     fleet.steer_angle[:] = np.copysign(np.arctan(inner / (1 + inner * by_track)), fleet.steer_input)
-    fleet.steer_limit[:] = np.maximum(np.arctan(most / (1 + most * by_track)), _TINY)
+    fleet.steer_limit[:] = np.maximum(limit, _TINY)
 
 
 def column_of(speed: Floats) -> Integers:
