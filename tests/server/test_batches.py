@@ -17,6 +17,7 @@ from carla_recap.server.controllers import AckermannControl
 from carla_recap.server.host import Client, Host
 from carla_recap.server.rpc.connection import ClientConnection
 from carla_recap.server.rpc.registry import CALLS
+from carla_recap.server.rpc.structs import EpisodeSettings
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from tests.server.client import FAR, spawn
 from tests.server.inside import Inside
@@ -45,6 +46,10 @@ def place_many(inside: Inside, count: int) -> list[Vehicle]:
     return [car for car in cars if isinstance(car, Vehicle)]
 
 
+def boxes(host: Host) -> list[Actor]:
+    return [actor for actor in host.world.actors.values() if actor.type_id == "static.prop.box01"]
+
+
 def test_batches_spawn_and_destroy_actors(client: carla.Client, world: carla.World) -> None:
     blueprint, places = world.get_blueprint_library().find("vehicle.audi.tt"), world.get_map().get_spawn_points()
     answers = client.apply_batch_sync([command.SpawnActor(blueprint, place) for place in (*places[:10], places[0])], True)
@@ -61,6 +66,9 @@ def test_batches_spawn_and_destroy_actors(client: carla.Client, world: carla.Wor
 async def test_a_long_batch_keeps_no_other_client_waiting(monkeypatch: pytest.MonkeyPatch, leaves: bool) -> None:
     monkeypatch.setattr(served, "_SLICE", 0.0)
     host = Host(flat_world())
+    host.apply_settings(EpisodeSettings(synchronous_mode=True))
+    present: list[int] = []
+    host.world.listeners.append(lambda: present.append(len(boxes(host))))
     one, other = (ClientConnection(CALLS, host.connections, partial(Client, host)) for _ in range(2))
     transports = Transport(), Transport()
     for connection, transport in zip((one, other), transports, strict=True):
@@ -68,16 +76,18 @@ async def test_a_long_batch_keeps_no_other_client_waiting(monkeypatch: pytest.Mo
     props = [
         [[0, [[0, "static.prop.box01", []], [[5.0 * n, 0.0, 0.0], [0.0, 0.0, 0.0]], [False], 0, "", []]]] for n in range(9)
     ]
-    calls = [0, 1, "apply_batch", [[False], props, False]], [0, 2, "version", [[False]]]
+    calls = [0, 1, "apply_batch", [[False], props, True]], [0, 2, "version", [[False]]]
     one.data_received(b"".join(map(msgpack.packb, calls)))
-    other.data_received(msgpack.packb([0, 1, "version", [[False]]]))
+    for number, name in enumerate(("version", "tick_cue"), 1):
+        other.data_received(msgpack.packb([0, number, name, [[False]]]))
     assert [len(transport.replies) for transport in transports] == [0, 1]
     if leaves:
         one.connection_lost(None)
     for _ in range(30):
         await asyncio.sleep(0)
-    assert sum(actor.type_id == "static.prop.box01" for actor in host.world.actors.values()) == len(props)
+    assert len(boxes(host)) == len(props)
     assert [reply[1] for reply in transports[0].replies] == ([] if leaves else [1, 2])
+    assert present == [len(props)] * 2  # its own tick and that of the other client come after it
 
 
 def test_commands_for_a_new_actor_are_executed(client: carla.Client, world: carla.World) -> None:

@@ -67,6 +67,7 @@ class Host:
         ackermann: The controller of vehicles with a desired speed and steering angle.
         constant_velocity: The controller of vehicles with a constant velocity.
         takeover: Ends the server's autopilot of vehicles that clients drive.
+        batches: The batches of commands that are being executed between calls of other clients.
         on_settings: Callbacks for a change of the settings.
         lookups: Where the releases of clients are looked up, one after the other: many at once would slow down ticks.
     """
@@ -102,6 +103,7 @@ class Host:
         world.on_error = self._log_error
         self._logged: set[tuple[str, str]] = set()
         self.on_settings: list[Callable[[], None]] = []
+        self.batches: set[asyncio.Future[None]] = set()
         self.lookups = ThreadPoolExecutor(1, "carla-recap-releases")
         self._frames_before = 0
         self._loads_ahead = False
@@ -127,6 +129,11 @@ class Host:
     def episode(self) -> int:
         """The number of the episode."""
         return self.world.episode.number
+
+    async def between_batches(self) -> None:
+        """Wait for the batches of commands that are being executed: no tick and no new episode falls within one."""
+        while self.batches:
+            await asyncio.wait(self.batches)
 
     def tick(self, delta: float | None = None) -> int:
         """Tick the world, send the data of sensors and the snapshot, and return the number of the frame."""

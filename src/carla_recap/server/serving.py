@@ -119,6 +119,7 @@ class Ticker:
         while not self._changed.is_set():
             due = max(due + (fixed or _TICK), time.monotonic() - _BEHIND)
             await asyncio.sleep(due - time.monotonic())
+            await self._host.between_batches()
             if self._changed.is_set():
                 return
             now = time.monotonic()

@@ -59,7 +59,7 @@ _UNREGISTERED: Final = {each.__name__: unregistered_call(each) for each in (vehi
 def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> list[Any] | Awaitable[list[Any]]:
     """Execute commands one after the other; an error of one does not keep the others from being executed.
 
-    Calls of other clients are served in between if it takes long.
+    Calls of other clients are served in between if it takes long, but for what ticks or begins an episode.
 
     Args:
         client: The client.
@@ -92,14 +92,16 @@ def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> l
             await asyncio.sleep(0)
         answers.extend(_answer(client, command) for command in remaining)
 
-    async def answer_later() -> list[Any]:
-        await asyncio.shield(rest)
+    async def complete() -> list[Any]:
+        await rest
         found = _tick_after(client, answers, do_tick)
         return found if isinstance(found, list) else await found
 
-    rest, later = asyncio.ensure_future(execute_rest()), asyncio.ensure_future(answer_later())
-    client.read_after(asyncio.wait([later]))  # its next calls come after these commands
-    return later
+    rest, whole = asyncio.ensure_future(execute_rest()), asyncio.ensure_future(complete())
+    client.host.batches.add(rest)
+    rest.add_done_callback(client.host.batches.discard)
+    client.read_after(asyncio.wait([whole]))  # its next calls come after these commands
+    return asyncio.shield(whole)  # if the client leaves, its commands and the tick are executed
 
 
 def _tick_after(client: Client, answers: list[Any], do_tick: bool) -> list[Any] | Awaitable[list[Any]]:
@@ -111,7 +113,7 @@ def _tick_after(client: Client, answers: list[Any], do_tick: bool) -> list[Any] 
         client.host.tick()
         return answers
 
-    return when_done(client.host.sensors.pending(), tick)
+    return when_done(client.host, client.host.sensors.pending(), tick)
 
 
 def _apply_controls(client: Client, commands: list[Any]) -> list[Any] | None:

@@ -111,6 +111,7 @@ async def replay_file(
     except BaseException:
         opened.player.reader.close()
         raise
+    await client.host.between_batches()
     client.host.recordings.stop()
     frames = world.frame
     try:

@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from carla_recap.server.actor_records import sensor_of
-from carla_recap.server.host import Client
+from carla_recap.server.host import Client, Host
 from carla_recap.server.navmesh import NAVIGATION, navigation_files, navigation_mesh
 from carla_recap.server.quirks import settled
 from carla_recap.server.rpc.registry import CallError, call
@@ -69,7 +69,7 @@ def set_episode_settings(client: Client, settings: EpisodeSettings) -> int | Awa
         host.apply_settings(settings)
         return _signalled(client, host.frame)
 
-    return when_done(host.traffic_managers.unsettled(), apply)
+    return when_done(host, host.traffic_managers.unsettled(), apply)
 
 
 @call
@@ -87,17 +87,19 @@ def tick_cue(client: Client) -> int | Awaitable[int]:
         return _signalled(client, host.tick())
 
     subscriptions, managers = host.streams.pending.of(client), host.traffic_managers.unsettled()
-    return when_done(subscriptions + managers + host.sensors.pending(), tick)
+    return when_done(host, subscriptions + managers + host.sensors.pending(), tick)
 
 
-def when_done(pending: list[asyncio.Future[Any]], work: Callable[[], T]) -> T | Awaitable[T]:
-    """Do something when pending futures are done; at once if there are none."""
+def when_done(host: Host, pending: list[asyncio.Future[Any]], work: Callable[[], T]) -> T | Awaitable[T]:
+    """Do something when pending futures and batches of commands are done; at once if there are none."""
 
     async def later() -> T:
-        await asyncio.wait(pending)
+        if pending:
+            await asyncio.wait(pending)
+        await host.between_batches()
         return work()
 
-    return later() if pending else work()
+    return later() if pending or host.batches else work()
 
 
 def _signalled(client: Client, frame: int) -> int:
@@ -224,6 +226,7 @@ async def load_new_episode(client: Client, name: str, reset_settings: bool = Tru
             client.pause = TrafficManagerPause(managers)
             await client.pause.begin(partial(host.publish_again, client))
             client.in_background(_end_pause(client.pause, client))
+        await host.between_batches()
         if reset_settings:
             host.apply_settings(EpisodeSettings())
         host.begin_episode(town, client)
