@@ -330,10 +330,12 @@ def test_a_server_that_ends_while_images_are_drawn_leaves_no_process() -> None:
     assert not psutil.wait_procs(children, PATIENCE)[1]
 
 
-def test_a_server_that_is_killed_while_its_town_is_loaded_leaves_no_process() -> None:
-    with serving(CARLA_RECAP_CACHE="") as (process, _):
-        server = psutil.Process(process.pid)
-        children = wait_until(lambda: server.children(recursive=True))
+def test_a_server_that_is_killed_while_a_camera_loads_its_town_leaves_no_process() -> None:
+    with serving(CARLA_RECAP_CACHE="") as (process, port):
+        world = connect(port).get_world()
+        sensor(world, "camera.rgb", vehicle(world), EYE)
+        children = psutil.Process(process.pid).children(recursive=True)
         process.kill()
         process.wait(PATIENCE)
+    assert children
     assert not psutil.wait_procs(children, PATIENCE)[1]
