@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import pytest
@@ -61,26 +62,29 @@ def test_a_server_that_does_not_start_says_why() -> None:
         pass
 
 
-def test_a_recording_begins_where_interpreters_start_slowly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The process that writes has been started before: here, none starts while the recording begins."""
-    may_start = tmp_path / "may start"
+def test_other_clients_are_served_while_the_process_that_writes_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    starts, may_start = tmp_path / "starts", tmp_path / "may start"
     slowly = f"""
 import os, sys, time
 if any("writer_process" in word for word in sys.orig_argv):
+    open({str(starts)!r}, "w").close()
     while not os.path.exists({str(may_start)!r}):
         time.sleep(0.02)
-    open(os.path.join({str(tmp_path)!r}, f"{{os.getpid()}}.started"), "w").close()
 """
     (tmp_path / "sitecustomize.py").write_text(slowly)
     monkeypatch.syspath_prepend(tmp_path)  # which started processes have, too
-    may_start.touch()
-    with running(recordings=tmp_path) as port:
-        client = connect(port)
-        for count, name in enumerate(("a.mcap", "b.mcap"), 1):
+    with running(recordings=tmp_path) as port, ThreadPoolExecutor(1) as pool:
+        client, other = connect(port), connect(port)
+        answer = pool.submit(client.start_recorder, "a.mcap")
+        try:
+            wait_until(starts.exists)
+            assert other.get_server_version()
+            assert not answer.done()
+        finally:
             may_start.touch()
-            wait_until(lambda count=count: len(list(tmp_path.glob("*.started"))) >= count)
-            may_start.unlink()
-            assert client.start_recorder(name) == str(tmp_path / name)
-            client.stop_recorder()
-            client.get_server_version()
-        may_start.touch()
+        assert answer.result(PATIENCE) == str(tmp_path / "a.mcap")
+        client.stop_recorder()
+    with open_recording(tmp_path / "a.mcap") as recording:
+        assert recording.info.frames
