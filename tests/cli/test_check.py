@@ -207,5 +207,5 @@ def test_all_faults_of_the_rules_are_lines(tmp_path):
     done = run("check", SAMPLES, "--rules", rules)
     assert (done.returncode, done.stdout) == (2, b"")
     first, second = done.stderr.decode().splitlines()
-    assert first.startswith(f"carla-recap: {rules}: rule 'a': frames.max: -1; ")
+    assert first == f"carla-recap: {rules}: rule 'a': frames.max: expected a whole number of 0 or more, found -1"
     assert second.startswith(f"carla-recap: {rules}: rule 'b': unknown condition 'maps'; ")

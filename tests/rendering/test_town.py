@@ -263,6 +263,7 @@ def test_a_traffic_light_has_its_foot_on_the_ground_and_faces_the_cars():
         [road(inside=crossing(1e9))],
     ],
 )
+@pytest.mark.filterwarnings("ignore:of a map of:carla_recap.RecapWarning")
 def test_hostile_maps_end_soon(roads: list[str]):
     start = time.process_time()
     with suppress(ValueError):  # numbers of no road
@@ -392,7 +393,8 @@ def test_many_copies_of_a_road_are_built_soon():
 
 
 def test_roads_far_apart_have_ground_around_them_alone():
-    town = built(*(road(number, x=4e3 * number, y=-4e3 * number) for number in range(1, 61)))
+    with pytest.warns(RecapWarning, match="the ground is known to"):
+        town = built(*(road(number, x=4e3 * number, y=-4e3 * number) for number in range(1, 61)))
     assert len(town.tiles) < 2000
     grass = faces(town, Material.GRASS)
     assert len(grass) < 20_000
@@ -400,7 +402,8 @@ def test_roads_far_apart_have_ground_around_them_alone():
 
 
 def test_a_small_town_has_ground_in_the_corners_of_its_square():
-    town = built(road(1), road(2, x=1500, y=1500))
+    with pytest.warns(RecapWarning, match="the ground is known to"):
+        town = built(road(1), road(2, x=1500, y=1500))
     assert np.isfinite(town.ground_height(np.array([(1500, 0), (0, 1500)]))).all()
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from carla_recap.errors import RecapWarning
 from carla_recap.roads.curves import Profile
 from carla_recap.roads.landmarks import find_landmarks
 from carla_recap.roads.lanes import TownRoads
@@ -147,7 +148,8 @@ def test_few_points_of_a_road_are_near_its_course() -> None:
 
 def test_many_roads_have_fewer_points_each() -> None:
     bent = road_of('<arc curvature="0.05"/>')
-    parts = sparse_sections([bent] * 20, 1.0, 1000, 100)
+    with pytest.warns(RecapWarning, match="the lanes have 100 straight parts"):
+        parts = sparse_sections([bent] * 20, 1.0, 1000, 100)
     assert sum(len(part.stations) - 1 for part in parts) <= 100
     assert all((part.stations[0], part.stations[-1]) == pytest.approx((0, 40), abs=0.1) for part in parts)
 

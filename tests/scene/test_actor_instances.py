@@ -288,10 +288,11 @@ def test_senseless_controls_steer_nothing(played):
 
 def accident(speed: float, yaw: float = 0.0, walking: float = 0.0):
     """Return frames in which a car drives along x into a walker, and passes over it."""
-    yield frame(0, SPAWNS, poses(pose(CAR, -100 * speed * 0.1), pose(WALKER, 200, 0, 93, yaw=yaw)))
+    yield frame(0, SPAWNS, poses(pose(CAR, -200 * speed * 0.1), pose(WALKER, 200, 0, 93, yaw=yaw)))
+    yield frame(1, poses(pose(CAR, -100 * speed * 0.1), pose(WALKER, 200, 0, 93, yaw=yaw)))
     hit = samples.packet(5, samples.listed(samples.collision(0, CAR, WALKER)))
-    yield frame(1, hit, poses(pose(CAR, 0), pose(WALKER, 200, 0, 93, yaw=yaw)))
-    for number in range(2, 80):
+    yield frame(2, hit, poses(pose(CAR, 0), pose(WALKER, 200, 0, 93, yaw=yaw)))
+    for number in range(3, 80):
         speeds = samples.packet(9, samples.listed(struct.pack("<If", WALKER, walking)))
         yield frame(number, poses(pose(CAR, 0), pose(WALKER, 200, 0, 93, yaw=yaw)), speeds)
 
@@ -335,10 +336,10 @@ def test_a_collision_is_marked_on_the_ground_for_some_seconds(played):
         marked[round(scene.time, 1)] = found.locations[found.models == mark]
         assert len(found.ids) == len(found.models)
         assert (found.ids[1:] > found.ids[:-1]).all()
-    assert not len(marked[0.0])
-    assert marked[0.1][0] == pytest.approx((2, 0, 0.03), abs=0.02)  # at the walker's feet
-    assert len(marked[round(0.1 + MARKED - 0.1, 1)]) == 1
-    assert not len(marked[round(0.1 + MARKED + 0.1, 1)])
+    assert not len(marked[0.1])
+    assert marked[0.2][0] == pytest.approx((2, 0, 0.03), abs=0.02)  # at the walker's feet
+    assert len(marked[round(0.2 + MARKED - 0.1, 1)]) == 1
+    assert not len(marked[round(0.2 + MARKED + 0.1, 1)])
 
 
 @pytest.mark.parametrize(("start", "marks"), [(3.0, 1), (4.9, 1), (7.5, 0)])

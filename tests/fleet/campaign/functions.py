@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from carla_recap.sim.traffic import populate
 
 
-def drive(world, vehicles=2, seconds=1.0):
+def drive(world, vehicles=2, seconds=2.0):
     populate(world, vehicles, 0, hero=True)
     world.run(seconds)
 

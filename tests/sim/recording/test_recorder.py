@@ -291,6 +291,7 @@ def test_collisions_are_numbered_from_0_in_each_recording(tmp_path: Path) -> Non
     collided = [tuple(row) for frame in found for row in frame["collisions"].tolist()]
     assert [number for number, *_ in collided] == list(range(len(collided)))
     assert {tuple(rest) for _, *rest in collided} == {(hero.id, other.id, 1, 0)}
+    other.destroy()
     hero.transform = at(50.0)
     hero.set_target_velocity(Vector(15.0))
     collided = [tuple(row) for frame in record(world, tmp_path / "b.mcap", 20) for row in frame["collisions"].tolist()]

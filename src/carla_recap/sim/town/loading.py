@@ -149,7 +149,7 @@ class Town:
         lanes, s = self.nearest_lane(x, y, z=z)
         aside = self.project(lanes, x, y, s)[1]
         halves = np.array([self.lanes[lane].width / 2 for lane in lanes.tolist()])
-        return np.abs(aside) < halves + margin
+        return np.abs(aside) <= halves + margin
 
 
 def load_town(name_or_path: str | Path = "", maps: Path | None = None, *, called: str = "") -> Town:
