@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from carla_recap import Recording
 
 ACTORS: Final = 60
-SHORT, LONG = 2000, 4500  # frames
+SHORT, LONG = 3500, 6000  # frames, both above those of a table of near misses
 PER_FRAME: Final = 1500  # bytes; the poses of all actors are 2,880
 
 

@@ -79,7 +79,9 @@ def test_a_closed_terminal_ends_the_viewer(served):
 @pytest.mark.skipif(os.name != "posix", reason="signals are POSIX's")
 def test_a_closed_stdout_ends_the_viewer(temporary):
     code = f"import signal; signal.signal(signal.SIGPIPE, signal.SIG_DFL)\n{SERVE}"
-    with subprocess.Popen([sys.executable, "-c", code, SAMPLE, "0"], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", code, SAMPLE, "0"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
         process.stdout.close()
         assert process.wait(PATIENCE) in (0, -signal.SIGPIPE)
         assert process.stderr.read() == b""
