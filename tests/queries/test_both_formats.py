@@ -132,9 +132,10 @@ def plain(value: Any) -> Any:
     """Return the rows, the columns and the texts of an answer, as what is equal if the answers are; NaN is equal to NaN."""
     if isinstance(value, tuple) and not hasattr(value, "_fields"):
         return [plain(each) for each in value]
+    if isinstance(value, Iterator):
+        return [repr(each) for each in value]
     found = []
-    name = type(value).__name__
-    if name == "Differences":
+    if type(value).__name__ == "Differences":
         found += [*differences.text(value), *differences.json(value)]
     elif hasattr(value, "header") and hasattr(value, "extent"):
         found += [*text.text(value), *json.json(value)]
@@ -143,7 +144,7 @@ def plain(value: Any) -> Any:
             found += [column, (values.dtype, values.tolist()) if isinstance(values, np.ndarray) else repr(values)]
     if isinstance(value, Mapping):
         found += [(key, repr(each)) for key, each in value.items()]
-    elif isinstance(value, Rows | Iterator) or hasattr(value, "row_type"):
+    elif isinstance(value, Rows) or hasattr(value, "row_type"):
         found += map(repr, value)
     return found or repr(value)
 

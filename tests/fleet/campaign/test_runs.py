@@ -59,7 +59,7 @@ def test_each_run_is_a_recording_of_its_name_with_its_parameters(folder):
             "campaign.additional_data": "false",
         }
         assert recording.header.date == 1767261600
-        assert (recording.info.frames, len(recording.heroes)) == (20, 1)
+        assert (recording.info.frames, len(recording.heroes)) == (40, 1)
         assert sum(actor.kind == "vehicle" for actor in recording.actors.values()) == 3
 
 
