@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 
 from carla_recap.errors import FormatError, RecapError, RecapWarning
-from carla_recap.roads import find_map
+from carla_recap.roads import find_map, load_map, surfaces
+from carla_recap.roads.drawing import draw
+from carla_recap.roads.lanes import TownRoads
 from carla_recap.roads.network import LIGHT, NONE, STOP, RoadNetwork
+from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.roads.surfaces import build_network, find_road_network, load_road_network, road_network_of
+from carla_recap.util import cache
 
 from .straight_road import STRAIGHT_ROAD
 from .towns import mirrored
@@ -24,6 +28,27 @@ _KMH = 3.6
 @pytest.fixture(scope="module")
 def roads() -> RoadNetwork:
     return build_network(STRAIGHT_ROAD, "Straight")
+
+
+@pytest.mark.parametrize("lane_types", [None, frozenset({"driving", "sidewalk"})])
+def test_a_network_and_lines_in_the_cache_are_those_that_were_made(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, lane_types: frozenset[str] | None
+) -> None:
+    monkeypatch.setenv(cache.FOLDER, str(tmp_path))
+    path = find_map("Brickfield")
+    assert path is not None
+    made = build_network(path.read_text(), "Brickfield", lane_types)
+    lines = draw(TownRoads(read_opendrive(path.read_text())))
+    for _ in range(2):
+        surfaces._network.cache_clear()
+        network, road_map = load_road_network(path, lane_types), load_map(path)
+        for name, values in vars(made).items():
+            found = getattr(network, name)
+            assert type(found) is type(values)
+            assert np.asarray(found).tobytes() == np.asarray(values).tobytes(), name  # limits are NaN where there are none
+        for name, parts in lines.items():
+            assert len(parts) == len(getattr(road_map, name))
+            assert all(map(np.array_equal, getattr(road_map, name), parts)), name
 
 
 def test_points_are_to_the_left_and_right_of_their_lane_in_driving_direction(roads: RoadNetwork) -> None:

@@ -996,3 +996,10 @@ def test_how_close_others_are_is_plotted(crossing) -> None:
     gaps = [value for _, value in crossing.rrd.rows("/ego/distances/gap", "Scalars:scalars")]
     assert np.nanmin(np.concatenate([np.ravel(value) for value in times])) < 0.5  # it crashes
     assert np.nanmin(np.concatenate([np.ravel(value) for value in gaps])) == 0
+
+
+def test_the_command_does_not_import_pandas(tmp_path):
+    watched = "import atexit, sys; atexit.register(lambda: print('pandas' in sys.modules))"
+    code = f"{watched}; from carla_recap.cli import main; main()"
+    command = [sys.executable, "-c", code, "export", CROSSING, tmp_path / "out.rrd", "--duration", "1"]
+    assert subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout.endswith("False\n")

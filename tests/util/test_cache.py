@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
+from carla_recap.errors import RecapWarning
 from carla_recap.util import cache
 
 if TYPE_CHECKING:
@@ -137,3 +140,31 @@ def test_the_folder_is_the_users(
     monkeypatch.setattr(sys, "platform", platform)
     monkeypatch.setenv(variable, str(tmp_path))
     assert cache.cache_folder() == tmp_path.joinpath(*parts, "carla-recap", "towns")
+
+
+def test_arrays_are_made_once_unless_making_them_warns(folder: Path) -> None:
+    parts = {"points": [np.arange(6.0).reshape(2, 3), np.ones((0, 3))], "none": [], "ids": [np.array(["a", "bc"])]}
+    made = []
+
+    def make() -> dict[str, list[np.ndarray]]:
+        made.append(len(made))
+        if len(made) > 1:
+            warnings.warn("of 3 lanes, 2 are drawn", RecapWarning, stacklevel=1)
+        return parts
+
+    for what in ("lines", "lines"):
+        found = cache.kept(b"map", what, ["roads"], make)
+        assert {name: [part.tolist() for part in values] for name, values in found.items()} == {
+            name: [part.tolist() for part in values] for name, values in parts.items()
+        }
+    assert made == [0]
+    for _ in range(2):
+        with pytest.warns(RecapWarning, match="of 3 lanes"):
+            cache.kept(b"map", "surfaces", ["roads"], make)
+    assert made == [0, 1, 2]
+    (entry,) = folder.iterdir()
+    key = entry.stem
+    cache.write_entry(key, b"no arrays")
+    with pytest.warns(RecapWarning, match="of 3 lanes"):
+        cache.kept(b"map", "lines", ["roads"], make)
+    assert cache.read_entry(key) is None

@@ -267,7 +267,8 @@ class Halos:
     """
 
     def __init__(self, models: Sequence[ModelShape]) -> None:
-        self._lamps = [_lamps_of(model.mesh) for model in models]
+        self._models = models
+        self._lamps: dict[int, tuple[NDArray[np.uint64], Floats, Floats, Floats, Floats]] = {}  # of those that were lit
 
     def around(self, seen: Instances, offsets: Floats, strength: float) -> NDArray[np.void]:
         """Return the halos.
@@ -279,13 +280,16 @@ class Halos:
         """
         lit = np.flatnonzero((seen.lamps & LAMP_BITS != 0) & ((offsets**2).sum(axis=1) < _HALO_REACH**2))
         parts = [
-            self._of_model(model, seen, offsets, lit[seen.models[lit] == model]) for model in np.unique(seen.models[lit])
+            self._of_model(model, seen, offsets, lit[seen.models[lit] == model])
+            for model in np.unique(seen.models[lit]).tolist()
         ]
         found = np.concatenate([np.zeros(0, HALO), *parts])
         found["light"] *= strength
         return found
 
     def _of_model(self, model: int, seen: Instances, offsets: Floats, rows: NDArray[np.intp]) -> NDArray[np.void]:
+        if model not in self._lamps:
+            self._lamps[model] = _lamps_of(self._models[model].mesh)
         materials, centers, normals, radii, colors = self._lamps[model]
         row, lamp = np.nonzero((seen.lamps[rows][:, None] >> materials[None]) & np.uint64(1))
         rows = rows[row]

@@ -28,7 +28,7 @@ from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering.buffers import image_format
 from carla_recap.rendering.camera import ImageKind, check_quality
 from carla_recap.rendering.renderer import LARGEST, Renderer
-from carla_recap.scene.models import MODELS, own_models
+from carla_recap.scene.models import MODELS, Models, own_models
 from carla_recap.util.processes import (
     close_pipes,
     is_readable,
@@ -451,14 +451,14 @@ def _layout(kinds: Sequence[ImageKind], width: int, height: int) -> tuple[dict[I
 # --- in the process ----------------------------------------------------------------------------------------------------
 
 
-def serve(commands: BinaryIO, answers: BinaryIO, descriptors: Sequence[int], models: Sequence[ModelShape] = ()) -> None:
+def serve(commands: BinaryIO, answers: BinaryIO, descriptors: Sequence[int], models: Models) -> None:
     """Draw until there are no more commands.
 
     Args:
         commands: Pickles: the arguments of the renderer, then of each picture the memory for it, and its arguments.
         answers: The destination of a pickle for each: None, or an error.
         descriptors: The shared memories.
-        models: Models whose indices come before those of the models of the first command.
+        models: Models whose indices come before those of the models of the first command; see `Renderer`.
     """
     memories = {descriptor: _SharedMemory(descriptor) for descriptor in descriptors}
     renderer: Renderer | None = None
@@ -466,7 +466,9 @@ def serve(commands: BinaryIO, answers: BinaryIO, descriptors: Sequence[int], mod
         try:
             if renderer is None:
                 town, further, quality, supersampling = command
-                renderer = Renderer(town, models=[*models, *further], quality=quality, supersampling=supersampling)
+                for model in further:
+                    models.append(model)
+                renderer = Renderer(town, models=models, quality=quality, supersampling=supersampling)
             else:
                 _draw(renderer, memories[command[0]], *command[1:])
             answer = None
@@ -512,9 +514,7 @@ def main() -> None:
     with suppress(OSError):  # the client may have gone by now
         answers.write(_READY)
         answers.flush()
-        models: list[ModelShape] = []
-        if _LOAD_MODELS in sys.argv:
-            models = list(MODELS)  # read now, while the client makes the town
+        models = MODELS if _LOAD_MODELS in sys.argv else Models()
         descriptors = [int(argument) for argument in sys.argv[1:] if argument != _LOAD_MODELS]
         serve(sys.stdin.buffer, answers, descriptors, models)
 

@@ -113,7 +113,8 @@ class Renderer:
         self._ground = GroundBuffers(self._context, town.tiles if town is not None else ())
         self._lamps = Halos(models)
         self._halos = make(reserve=64 * HALO.itemsize, dynamic=True)
-        self._models = [ModelBuffers(self._context, model) for model in models]
+        self._shapes = models
+        self._models: dict[int, ModelBuffers] = {}  # those that have been drawn
 
     def __enter__(self) -> Self:
         return self
@@ -143,7 +144,7 @@ class Renderer:
                 *self._ground.buffers,
             ):
                 buffer.release()
-            for model in self._models:
+            for model in self._models.values():
                 for buffer in model.buffers:
                     buffer.release()
         self._context.release()
@@ -357,7 +358,7 @@ class Renderer:
         with np.errstate(invalid="ignore", over="ignore"):
             half = instances.half_extents.astype(np.float64)
             radii = np.sqrt((half**2).sum(axis=1)) + 2 * shadow * half[:, 2]
-            keep = view.sees_spheres(offsets, radii) & (instances.models < len(self._models))
+            keep = view.sees_spheres(offsets, radii) & (instances.models < len(self._shapes))
         keep &= np.isfinite(instances.rotations).all(axis=(1, 2))
         if without:
             keep &= ~np.isin(instances.ids, list(without))
@@ -378,7 +379,7 @@ class Renderer:
         large = (seen.half_extents**2).sum(axis=1) * view.camera.focal_length**2 > _SHADOWED**2 * distances
         return [
             InstanceGroup(
-                self._models[seen.models[part[0]]],
+                self._model(int(seen.models[part[0]])),
                 table[part],
                 before[part],
                 is_solid=bool(solid[part[0]]),
@@ -388,6 +389,11 @@ class Renderer:
         ]
 
     # --- what is made once ---------------------------------------------------------------------------------------------
+
+    def _model(self, index: int) -> ModelBuffers:
+        if index not in self._models:
+            self._models[index] = ModelBuffers(self._context, self._shapes[index])
+        return self._models[index]
 
     def _targets_of(self, width: int, height: int) -> ImageBuffers:
         found = self._targets.pop((width, height), None)

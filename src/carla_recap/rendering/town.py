@@ -8,7 +8,6 @@ from collections import OrderedDict
 from dataclasses import dataclass, field
 from functools import cached_property
 from hashlib import sha256
-from io import BytesIO
 from itertools import chain
 from pathlib import Path
 from threading import Lock
@@ -29,10 +28,12 @@ from carla_recap.roads.lanes import TownRoads
 from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
-from carla_recap.util import cache
+from carla_recap.util.cache import kept
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+    from numpy.typing import NDArray
 
     from carla_recap.recording import Recording
     from carla_recap.roads import RoadMap
@@ -151,7 +152,15 @@ def _town_mesh(name: str, path: Path, digest: bytes, text: str | None = None) ->
         if key in _towns:
             _towns.move_to_end(key)
             return _towns[key]
-    town = _cached_mesh(name, digest) or _made_mesh(name, path, digest, text)
+    with expecting(path):
+        arrays = kept(digest, "town", _SOURCES, lambda: _arrays(*build_town(read_parts(path) if text is None else text)))
+    columns = [arrays[column] for column in _COLUMNS]
+    if not columns[0]:
+        raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane is in it")
+    lights = [
+        LightPost(id, row[:3], row[3].item()) for id, row in zip(arrays["ids"][0].tolist(), arrays["lights"][0], strict=True)
+    ]
+    town = TownMesh.of_tiles(name, [Mesh(*parts) for parts in zip(*columns, strict=True)], lights)
     with _lock:
         _towns[key] = town
         while len(_towns) > _KEPT:
@@ -159,26 +168,14 @@ def _town_mesh(name: str, path: Path, digest: bytes, text: str | None = None) ->
     return town
 
 
-def _cached_mesh(name: str, digest: bytes) -> TownMesh | None:
-    """Return the town out of the user's cache folder; None if it is not there."""
-    key = cache.content_key(digest, *_SOURCES)
-    data = cache.read_entry(key)
-    if data is None:
-        return None
-    try:
-        return _unpacked(name, data)
-    except Exception:  # whatever an invalid entry causes
-        cache.remove_entry(key)
-        return None
+_COLUMNS: Final = ("vertices", "normals", "materials", "triangles")
 
 
-def _made_mesh(name: str, path: Path, digest: bytes, text: str | None) -> TownMesh:
-    with expecting(path):
-        tiles, lights = build_town(read_parts(path) if text is None else text)
-    if not tiles:
-        raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane is in it")
-    cache.write_entry(cache.content_key(digest, *_SOURCES), _packed(tiles, lights))
-    return TownMesh.of_tiles(name, tiles, lights)
+def _arrays(tiles: list[Mesh], lights: list[LightPost]) -> dict[str, list[NDArray[Any]]]:
+    """Return tiles and lights as arrays."""
+    rows = np.array([(*light.location, light.heading) for light in lights]).reshape(-1, 4)
+    ids = np.array([light.id for light in lights], np.str_)
+    return {column: [getattr(tile, column) for tile in tiles] for column in _COLUMNS} | {"lights": [rows], "ids": [ids]}
 
 
 def build_town(text: str | Iterable[str]) -> tuple[list[Mesh], list[LightPost]]:
@@ -215,28 +212,3 @@ def build_town(text: str | Iterable[str]) -> tuple[list[Mesh], list[LightPost]]:
         ground = builder.grid(_GROUND)
         add_signs(builder, roads, ground, driving)
         return builder.tiles(), light_posts(roads, ground)
-
-
-_COLUMNS: Final = ("vertices", "normals", "materials", "triangles")
-_SIZES: Final = ".sizes"
-
-
-def _packed(tiles: list[Mesh], lights: list[LightPost]) -> bytes:
-    """Return tiles and lights as the bytes of an .npz."""
-    arrays: dict[str, Any] = {}
-    for column in _COLUMNS:
-        parts = [getattr(tile, column) for tile in tiles]
-        arrays[column], arrays[column + _SIZES] = np.concatenate(parts), np.array([len(part) for part in parts])
-    arrays["lights"] = np.array([(*light.location, light.heading) for light in lights]).reshape(-1, 4)
-    arrays["ids"] = np.array([light.id for light in lights], np.str_)
-    file = BytesIO()
-    np.savez(file, **arrays)
-    return file.getvalue()
-
-
-def _unpacked(name: str, data: bytes) -> TownMesh:
-    with np.load(BytesIO(data)) as arrays:
-        columns = [np.split(arrays[column], np.cumsum(arrays[column + _SIZES])[:-1]) for column in _COLUMNS]
-        rows = zip(arrays["ids"].tolist(), arrays["lights"], strict=True)
-        lights = [LightPost(id, row[:3], row[3].item()) for id, row in rows]
-    return TownMesh.of_tiles(name, [Mesh(*parts) for parts in zip(*columns, strict=True)], lights)

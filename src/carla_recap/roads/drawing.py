@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.errors import FormatError
-from carla_recap.roads.files import expecting, read_parts, read_text
+from carla_recap.roads.files import expecting, read_text
 from carla_recap.roads.lanes import NO_JUNCTION, TownRoads
 from carla_recap.roads.opendrive import read_opendrive
 from carla_recap.roads.polylines import Surface, join, simplify
 from carla_recap.roads.stop_lines import drawn_stop_lines
+from carla_recap.util.cache import kept
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -66,11 +67,12 @@ def load_map(path: Path | str) -> RoadMap:
         RecapError: The file cannot be read, or is no OpenDRIVE map with lanes for cars.
     """
     path = Path(path)
+    text = read_text(path)
     with expecting(path):
-        lines = draw(TownRoads(read_opendrive(read_parts(path))))
+        lines = kept(text.encode("utf-8", "replace"), "lines", ("roads",), lambda: draw(TownRoads(read_opendrive(text))))
     if not lines["centre_lines"]:
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")
-    return RoadMap(path.stem, **lines, opendrive=read_text(path))
+    return RoadMap(path.stem, **lines, opendrive=text)
 
 
 def draw(roads: TownRoads) -> dict[str, list[Floats]]:

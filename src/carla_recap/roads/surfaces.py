@@ -9,7 +9,7 @@ from functools import lru_cache
 from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from carla_recap.roads.network import LANE_KINDS, RoadNetwork
 from carla_recap.roads.opendrive import BEFORE_END, borders_at, read_opendrive, sparse_sections
 from carla_recap.roads.speed_limits import lane_limits, limit_signs
 from carla_recap.roads.stop_lines import signal_tables
+from carla_recap.util.cache import kept
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -114,11 +115,24 @@ class _Source:
     text: str | None = field(default=None, compare=False)
 
 
+_TABLES: Final = ("lanes", "pieces", "signals", "stop_lines")
+_IDS: Final = ("road_ids", "junction_ids", "signal_ids")
+
+
 @lru_cache(4)
 def _network(source: _Source) -> RoadNetwork:
     path = source.path
+    types = source.lane_types
+
+    def make() -> dict[str, list[NDArray[Any]]]:
+        made = vars(build_network(read_parts(path) if source.text is None else source.text, "", types))
+        return {name: [np.asarray(made[name])] for name in (*_TABLES, *_IDS)}
+
     with expecting(path):
-        network = build_network(read_parts(path) if source.text is None else source.text, source.name, source.lane_types)
+        arrays = kept(source.digest, f"network {'' if types is None else sorted(types)}", ("roads",), make)
+    tables: dict[str, Any] = {name: arrays[name][0] for name in _TABLES}
+    ids: dict[str, Any] = {name: tuple(arrays[name][0].astype(str).tolist()) for name in _IDS}
+    network = RoadNetwork(source.name, **tables, **ids)
     if source.lane_types is None and not np.isin(network.lanes["kind"], (roads.DRIVING, roads.BOTH_WAYS)).any():
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane for cars is in it")
     return network

@@ -53,10 +53,14 @@ class Model:
     center: tuple[float, float, float]
 
 
-class _Models(Sequence[Model]):
-    """Models, each of which is read when it is first asked for."""
+class Models(Sequence[Model]):
+    """Models, each of which is read when it is first asked for.
 
-    def __init__(self, files: Sequence[Path]) -> None:
+    Args:
+        files: Their files.
+    """
+
+    def __init__(self, files: Sequence[Path] = ()) -> None:
         self._models: list[Path | Model] = list(files)
 
     def __len__(self) -> int:
@@ -72,7 +76,7 @@ class _Models(Sequence[Model]):
         if isinstance(index, slice):
             return [self[number] for number in range(*index.indices(len(self)))]
         found = self._models[index]
-        if not isinstance(found, Model):
+        if isinstance(found, Path):
             found = self._models[index] = load_model(found)
         return found
 
@@ -84,7 +88,7 @@ class _Models(Sequence[Model]):
 
 _FILES: Final = sorted((viewer_folder() / "models").glob("*.glb"))
 
-MODELS: Final = _Models(_FILES)
+MODELS: Final = Models(_FILES)
 """All models of this package, then those of users; `Instances.models` are indices of them."""
 
 

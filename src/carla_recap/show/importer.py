@@ -88,7 +88,9 @@ def _import(arguments: Namespace) -> None:
     from carla_recap.recording import open_recording
     from carla_recap.replay import Player
     from carla_recap.show.rerun import APPLICATION, Rrd, blueprint, write
+    from carla_recap.tables.arrow import spare_pandas
 
+    spare_pandas()
     with open_recording(arguments.file) as recording:
         player = Player(recording)
         road_map = _road_map(recording.header)

@@ -5,7 +5,10 @@ The types of arrays are numpy's, those of lists come from type hints.
 
 from __future__ import annotations
 
+import sys
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
+from importlib.abc import MetaPathFinder
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Final, Literal, Self, Union, get_args, get_origin, get_type_hints
@@ -37,6 +40,32 @@ def require(feature: str) -> None:
         import pyarrow  # noqa: F401
     except ImportError:
         raise MissingExtra(feature, "arrow") from None
+
+
+def spare_pandas() -> None:
+    """Keep pyarrow from importing pandas, which takes half a second, to see whether a list is one of its columns.
+
+    It does so once. This is for a process of a command alone: after it, pyarrow takes a column of pandas for any sequence.
+    """
+    if "pandas" in sys.modules:
+        return
+    with suppress(ImportError):
+        import pyarrow as pa
+
+        sys.meta_path.insert(0, _WithoutPandas())
+        try:
+            pa.array([])
+        finally:
+            sys.meta_path.pop(0)
+
+
+class _WithoutPandas(MetaPathFinder):
+    """Refuses to import pandas, as if it were not installed."""
+
+    def find_spec(self, name: str, *_: object) -> None:
+        """Raise ImportError for pandas."""
+        if name == "pandas":
+            raise ModuleNotFoundError(name)
 
 
 def type_of(kind: Any) -> pa.DataType | None:

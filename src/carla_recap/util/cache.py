@@ -8,19 +8,31 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from contextlib import suppress
 from functools import cache
 from hashlib import sha256
+from io import BytesIO
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from carla_recap.util.log import log_info
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    Arrays = dict[str, list[NDArray[Any]]]
 
 FOLDER: Final = "CARLA_RECAP_CACHE"
 """The environment variable that names the cache folder; empty for no cache."""
 _MAGIC: Final = b"carla-recap town 1\n"
 _SUFFIX: Final = ".town"
 _MOST_BYTES: Final = 256 << 20  # of all entries
+_SIZES: Final = ".sizes"
 
 
 def cache_folder() -> Path | None:
@@ -45,6 +57,51 @@ def cache_size() -> tuple[int, int]:
     with suppress(OSError):
         sizes.extend(path.stat().st_size for path in ([] if folder is None else folder.glob(f"*{_SUFFIX}")))
     return len(sizes), sum(sizes)
+
+
+def kept(content: bytes, what: str, sources: Sequence[str], make: Callable[[], Arrays]) -> Arrays:
+    """Return arrays that are made of a map, in lists by name: from the cache, or else made and kept there.
+
+    What warns while it is made is not kept, so that it warns each time.
+
+    Args:
+        content: The content of the map, or a digest of it.
+        what: What is made of it.
+        sources: The folders of the modules by which it is made.
+        make: Makes it.
+    """
+    key = content_key(what.encode() + b"\n" + content, *sources)
+    data = read_entry(key)
+    if data is not None:
+        try:
+            return _unpacked(data)
+        except Exception:  # whatever an invalid entry causes
+            remove_entry(key)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        made = make()
+    for each in caught:
+        warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+    if not caught:
+        write_entry(key, _packed(made))
+    return made
+
+
+def _packed(arrays: Arrays) -> bytes:
+    """Return arrays as the bytes of an .npz: those of a list one after the other, and their sizes."""
+    file, columns = BytesIO(), dict[str, Any]()
+    for name, parts in arrays.items():
+        columns[name] = np.concatenate(parts) if parts else np.zeros(0)
+        columns[name + _SIZES] = np.array([len(part) for part in parts], np.int64)
+    np.savez(file, **columns)
+    return file.getvalue()
+
+
+def _unpacked(data: bytes) -> Arrays:
+    with np.load(BytesIO(data)) as columns:
+        names = [name for name in columns.files if not name.endswith(_SIZES)]
+        ends = {name: np.cumsum(columns[name + _SIZES]) for name in names}
+        return {name: np.split(columns[name], ends[name][:-1]) if len(ends[name]) else [] for name in names}
 
 
 def content_key(content: bytes, *sources: str) -> str:
