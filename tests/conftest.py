@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
+from collections import Counter
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
@@ -48,6 +50,27 @@ _SETTINGS = {
 settings.register_profile("suite", max_examples=60, derandomize=True, database=None, **_SETTINGS)
 settings.register_profile("search", max_examples=1500, **_SETTINGS)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "suite"))
+
+
+_NEEDS = {
+    "part of the repository|recordings of CARLA are not here": "CARLA's recordings or maps, which are not published here",
+    "chromium|selenium": "a browser: on Debian, install chromium and chromium-driver",
+    "libgl1-mesa-dri|graphics driver": "a driver for OpenGL: on Debian, install libegl1 and libgl1-mesa-dri",
+    "npm ci|node is not": "node and npm, then `npm ci --prefix tests/node`",
+    "make clients": "other releases of CARLA's client: `make clients`",
+    "make nuscenes": "nuscenes-devkit: `make nuscenes`",
+    "not installed|could not import": "packages of extras: `make test` installs them",
+}
+"""What skipped tests need, by a pattern of the reason."""
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Print in one line what skipped tests need, and how to have it."""
+    reasons = [report.longrepr[2] for report in terminalreporter.stats.get("skipped", ()) if report.longrepr]
+    found = Counter(next((need for reason, need in _NEEDS.items() if re.search(reason, said)), None) for said in reasons)
+    needs = [f"{count} need {need}" for need, count in found.most_common() if need is not None]
+    if needs:
+        terminalreporter.write_line(f"skipped tests: {'; '.join(needs)}")
 
 
 @pytest.fixture(scope="session")

@@ -35,7 +35,18 @@ def done(tmp_path_factory):
     """A campaign in which a run fails and one breaks a rule, and its folder."""
     folder = tmp_path_factory.mktemp("campaign")
     (folder / "rules.toml").write_text(RULES)
-    options = ("--seeds", "1,2", "--param", "how=raise,nothing", "--rules", folder / "rules.toml", "--pages", "1", "--csv")
+    options = (
+        "--seeds",
+        "1,2",
+        "--param",
+        "how=raise,nothing",
+        "--rules",
+        folder / "rules.toml",
+        "--pages",
+        "1",
+        "--csv",
+        "--keep-going",
+    )
     return run("campaign", f"{FILE}:misbehave", "--out", folder / "runs", *options, *ALONE), folder / "runs"
 
 
@@ -53,7 +64,18 @@ def test_all_runs_are_rows_with_their_parameters(done):
     assert rows[2]["recording"] == str(folder / "seed=1,how=nothing.mcap")
     lines = done.stderr.decode().splitlines()
     assert re.sub(r":\d+\)", ")", lines[0]) == f"carla-recap: {RAISED}"
+    assert re.sub(r":\d+\)", ")", lines[1]) == "carla-recap: 2 runs: KeyError: 'three' (functions.py)"
     assert lines[-1] == "runs: 2 done, 0 were there, 2 failed; 2 recordings of 2 break rules"
+
+
+def test_a_campaign_ends_when_runs_fail_one_after_the_other(tmp_path):
+    options = ("--seeds", "1:40", "--param", "how=raise", "--pages", "0", "--workers", "3")
+    done = run("campaign", f"{FILE}:misbehave", "--out", tmp_path, *options)
+    assert done.returncode == 2
+    lines = [re.sub(r":\d+\)", ")", line) for line in done.stderr.decode().splitlines()]
+    assert lines[:2] == [f"carla-recap: {RAISED}", "carla-recap: 3 runs: KeyError: 'three' (functions.py)"]
+    assert lines[2] == "ended after 3 failed runs in a row; --keep-going makes the others, too"
+    assert lines[-1] == "runs: 0 done, 0 were there, 3 failed"
 
 
 def test_the_page_the_index_and_the_runs_are_written(done):
@@ -68,7 +90,7 @@ def test_the_page_the_index_and_the_runs_are_written(done):
 
 def test_a_second_time_only_what_failed_is_run_again(done):
     _, folder = done
-    options = ("--seeds", "1,2", "--param", "how=raise,nothing", "--pages", "1", "--json")
+    options = ("--seeds", "1,2", "--param", "how=raise,nothing", "--pages", "1", "--json", "--keep-going")
     again = run("campaign", f"{FILE}:misbehave", "--out", folder, *options, *ALONE)
     assert again.stderr.decode().splitlines()[-1] == "runs: 0 done, 2 were there, 2 failed"
     runs = json.loads(again.stdout)["runs"]

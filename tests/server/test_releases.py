@@ -128,7 +128,8 @@ def test_a_client_captures_the_world_of_a_server(server: int, release: str, tmp_
     output_of(release, "-m", "carla_recap", "capture", tmp_path / "a.mcap", f"--port={server}", "--duration=1")
     assert car.destroy()
     with open_recording(tmp_path / "a.mcap") as recording:
-        (hero,) = (actor for actor in recording.actors.values() if actor.type_id == CAR)
+        hero = recording.actors[car.id]
+        assert hero.type_id == CAR
         types = {each.key: each.type for each in hero.spawn.attributes}
     assert (types["role_name"], types["number_of_wheels"]) == (3, 1)
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv as csv_files
 import io
+import math
 import os
 import sys
+from collections import Counter
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from pathlib import Path
@@ -51,6 +53,7 @@ _SHOWN: Final = 5  # of the worst runs, and of failed ones
 @click.option("--duration", type=NUMBER, default=0, metavar="S", help="Tick on until this time when FUNCTION returns.")
 @click.option("--additional-data", is_flag=True, help="Record velocities, boxes, physics and times, too.")
 @click.option("--again", is_flag=True, help="Make recordings anew that another function, code, town or duration has made.")
+@click.option("--keep-going", is_flag=True, help="Go on when as many runs in a row as there are workers have failed.")
 @click.option(
     "--limit", type=POSITIVE, metavar="S", help="End a run that takes more wall-clock seconds; else none is ended."
 )
@@ -104,6 +107,7 @@ def campaign(
     pages: int,
     road_map: str | None,
     form: str | None,
+    keep_going: bool,
     **how: Any,
 ) -> NoReturn:
     """Run a simulation with many seeds and parameters, each run a recording, and compare them.
@@ -148,7 +152,8 @@ def campaign(
         total, runs = _runs(made, seeds, values, (objective, maximize is not None, count) if objective else None)
         folder = _folder_of_report(report, out)
         try:
-            for finished in _watched(stack.enter_context(closing(runs)), total):
+            most = math.inf if keep_going else max(_workers(jobs, client), 2)
+            for finished in _watched(stack.enter_context(closing(runs)), total, most):
                 rows.append(row_of(finished))  # noqa: PERF401 - the rows so far are counted if it is interrupted
         except (KeyboardInterrupt, SystemExit):
             note(f"interrupted: {len(rows)} of {counted(total, 'run')} done; the same command makes the others")
@@ -248,19 +253,45 @@ def _runs(
     return len(runs), made.run(runs)
 
 
-def _watched(runs: Generator[FinishedRun], total: int) -> Generator[FinishedRun]:
-    """Yield runs; show the progress, errors and warnings."""
+def _workers(jobs: int | None, client: Client | None) -> int:
+    from carla_recap.fleet.engine import processors
+
+    return sum(client.nthreads().values()) if client is not None else jobs or processors()
+
+
+def _watched(runs: Generator[FinishedRun], total: int, most: float) -> Generator[FinishedRun]:
+    """Yield runs until too many have failed in a row; show the progress, the warnings, and each error once.
+
+    Args:
+        runs: The runs.
+        total: Their number.
+        most: The number of failed runs in a row that end it.
+    """
     from carla_recap.cli.progress import SourcesBar
 
+    errors: Counter[str] = Counter()
+    failed = done = 0  # failed ones in a row
     with SourcesBar("running", total) as bar:
         for finished in runs:
+            error = finished.report.error
+            failed = 0 if error is None else failed + 1
             with bar.aside():
                 for line in finished.warnings:
                     warn(f"{finished.run.name}: {line}")
-                if finished.report.error is not None:
-                    fail(f"{finished.run.name}: {finished.report.error}")
+                if error is not None:
+                    errors[error] += 1
+                    if errors[error] == 1:
+                        fail(f"{finished.run.name}: {error}")
             yield finished
             bar.advance()
+            done += 1
+            if failed >= most:
+                break
+    for error, count in errors.items():
+        if count > 1:
+            fail(f"{count} runs: {error}")
+    if done < total:
+        note(f"ended after {failed} failed runs in a row; --keep-going makes the others, too")
 
 
 def _judged(

@@ -14,6 +14,7 @@ from carla_recap.cli.writing import WriteRequest, writes
 from carla_recap.fleet.outcomes import WrittenFile
 
 _format = click.option(
+    "--to",
     "--format",
     "suffix",
     type=click.Choice(["mcap", "log"]),

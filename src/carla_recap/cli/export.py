@@ -46,7 +46,7 @@ _LIST = "\n".join(f"    {form.name:9} {form.suffix or 'folder':7} {form.text}" f
     """
 )
 @writes
-@click.option("--to", type=click.Choice(list(FORMATS)), help="The format; else the suffix of DST says it.")
+@click.option("--to", "--format", "to", type=click.Choice(list(FORMATS)), help="The format; else the suffix of DST says it.")
 @_window
 @options.camera
 @options.shown_kinds
@@ -134,7 +134,7 @@ def _export(name: str, shown: dict[str, Any], source: str, destination: str, for
 @options.before
 @options.after
 @click.option(
-    "--format", "suffix", type=click.Choice(["mcap", "log"]), default="mcap", show_default=True, help="Of the clips."
+    "--to", "--format", "suffix", type=click.Choice(["mcap", "log"]), default="mcap", show_default=True, help="Of the clips."
 )
 @click.option(
     "--rrd/--no-rrd", "rerun", default=None, help="Write an .rrd beside each clip; by default if Rerun is installed."
@@ -267,6 +267,7 @@ def snapshot(
 @click.command()
 @writes
 @click.option(
+    "--to",
     "--format",
     "suffix",
     type=click.Choice(["mp4", "gif"]),

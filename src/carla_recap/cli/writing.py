@@ -89,7 +89,7 @@ class WriteRequest(SourcesRequest):
         elif suffix is None:
             self.write_one(write)
         else:
-            raise click.UsageError("--format goes with a folder.", click.get_current_context())
+            raise click.UsageError("--to goes with a folder.", click.get_current_context())
 
     def write_one(self, write: Write) -> None:
         """Write the file, or the folder, of the only recording, and say so.

@@ -43,17 +43,20 @@ def straight_section(town: Town, length: float, *, single: bool = False) -> tupl
     Raises:
         SimError: There is no such lane.
     """
-    length += 2 * _MARGIN
+    longest = 0.0
     for lane in town.lanes:
         is_single = np.maximum(lane.left, lane.right).max() == NO_LANE
-        if lane.junction is not None or lane.length < length or (single and not is_single):
+        if lane.junction is not None or (single and not is_single):
             continue
         bends = np.flatnonzero(np.abs(np.diff(lane.heading)) > _STRAIGHT)
         ends = np.concatenate(([0.0], lane.s[bends], [lane.length]))
         widest = int(np.argmax(np.diff(ends)))
-        if ends[widest + 1] - ends[widest] >= length:
+        found = float(ends[widest + 1] - ends[widest]) - 2 * _MARGIN
+        if found >= length:
             return lane, float(ends[widest]) + _MARGIN
-    raise SimError(f"a straight lane of {length:g} m was expected to stage it on; {town.name} has none")
+        longest = max(longest, found)
+    kind = "straight section without a lane beside it" if single else "straight section"
+    raise SimError(f"expected a {kind} of {length:g} m; the longest of {town.name} is {math.floor(longest)} m long")
 
 
 def largest_junction(town: Town) -> Location:

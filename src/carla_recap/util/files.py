@@ -14,7 +14,7 @@ from carla_recap.errors import Closed, RecapError
 from carla_recap.util.log import log_debug
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from types import TracebackType
 
     BytesLike = bytes | bytearray | memoryview
@@ -310,34 +310,47 @@ def new_folder(folder: Path | str) -> Iterator[Path]:
     Raises:
         RecapError: The destination cannot be written to. Errors of the block name the destination, too.
     """
-    from shutil import rmtree
-
     folder = Path(folder)
     partial = _partial_path(folder.absolute())
-    lock = None
     try:
         partial.parent.mkdir(parents=True, exist_ok=True)
-        for other in partials(folder.absolute()):
-            if other.is_dir() and (abandoned := _locked(other)) is not None:
-                rmtree(other, ignore_errors=True)
-                os.close(abandoned)
-        unlocked = partial.with_suffix(".new")
-        unlocked.mkdir()
-        lock = _locked(unlocked)
-        unlocked.rename(partial)
-        yield partial
-        if folder.exists():
-            _merge(partial, folder)
-        else:
-            partial.rename(folder)
+        with scratch_folder(partial, partials(folder.absolute())):
+            yield partial
+            if folder.exists():
+                _merge(partial, folder)
+            else:
+                partial.rename(folder)
     except RecapError as error:
         if str(partial) in str(error):
             raise RecapError(str(error).replace(str(partial), str(folder))) from None
         raise
     except OSError as error:
         raise RecapError(f"{folder}: cannot be written: {reason_of(error)}") from None
+
+
+@contextmanager
+def scratch_folder(folder: Path, others: Iterable[Path]) -> Iterator[None]:
+    """Make a folder for a `with` block, which is removed at its end.
+
+    Args:
+        folder: The path of the folder.
+        others: Paths of such folders, which are removed, too, where the process that made them is gone.
+    """
+    from shutil import rmtree
+
+    for other in others:
+        if other.is_dir() and (abandoned := _locked(other)) is not None:
+            rmtree(other, ignore_errors=True)
+            os.close(abandoned)
+    lock = None
+    unlocked = folder.with_name(f"{folder.name}.new")
+    try:
+        unlocked.mkdir()
+        lock = _locked(unlocked)
+        unlocked.rename(folder)
+        yield
     finally:
-        rmtree(partial, ignore_errors=True)
+        rmtree(folder, ignore_errors=True)
         if lock is not None:
             os.close(lock)
 

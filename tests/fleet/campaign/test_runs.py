@@ -107,6 +107,13 @@ def test_a_world_ticks_on_up_to_a_duration(tmp_path):
     assert (ticked.report.error, ticked.report.frames) == (None, 10)
 
 
+def test_what_a_killed_campaign_has_left_is_removed(tmp_path):
+    (tmp_path / ".running-0a1b2c3d" / "run-x").mkdir(parents=True)
+    with time_limit():
+        list(campaign(functions.wait_here, seeds=[1], out=tmp_path, jobs=1, duration=0.1))
+    assert [path.name for path in tmp_path.iterdir()] == ["seed=1.mcap"]
+
+
 @pytest.mark.parametrize("name", ["file", "file/below", "x" * 300])
 def test_a_folder_that_cannot_be_written_is_an_error(tmp_path, name):
     (tmp_path / "file").touch()

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from tempfile import mkdtemp
 from typing import TYPE_CHECKING, TypedDict, Unpack
 
 from carla_recap.errors import RecapError
@@ -21,7 +19,7 @@ from carla_recap.fleet.destinations import DestinationFolder
 from carla_recap.fleet.engine import map_sources
 from carla_recap.formats.sources import is_remote
 from carla_recap.sim.settings import seeded_date
-from carla_recap.util.files import make_folder, reason_of
+from carla_recap.util.files import make_folder, scratch_folder, writing
 from carla_recap.util.functions import FileFunction, keywords_of
 from carla_recap.util.text import visible
 
@@ -228,12 +226,9 @@ def _staging(location: str) -> Iterator[str | None]:
     if is_remote(location):
         yield None
         return
+    folder = Path(location, f"{_STAGING}{os.urandom(4).hex()}")
     make_folder(location)
-    try:
-        staging = mkdtemp(prefix=_STAGING, dir=location)
-    except OSError as error:
-        raise RecapError(f"{location}: cannot be written: {reason_of(error)}") from None
-    try:
-        yield staging
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
+    with ExitStack() as stack:
+        with writing(location):
+            stack.enter_context(scratch_folder(folder, folder.parent.glob(f"{_STAGING}????????")))
+        yield str(folder)
