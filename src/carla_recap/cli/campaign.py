@@ -254,9 +254,10 @@ def _runs(
 
 
 def _workers(jobs: int | None, client: Client | None) -> int:
+    from carla_recap.fleet.cluster import workers_of
     from carla_recap.fleet.engine import processors
 
-    return sum(client.nthreads().values()) if client is not None else jobs or processors()
+    return jobs or processors() if client is None else workers_of(client)
 
 
 def _watched(runs: Generator[FinishedRun], total: int, most: float) -> Generator[FinishedRun]:

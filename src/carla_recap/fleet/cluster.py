@@ -85,7 +85,7 @@ def map_on_cluster(
                 raise _WorkerLacks(f"the Dask worker {worker}: carla-recap is not installed there")
         while True:
             if done % _EACH == 0:
-                room = max(_WINDOW * sum(client.nthreads().values()), _LEAST)
+                room = max(_WINDOW * workers_of(client), _LEAST)
             while len(window) < room and (group := [_absolute(source) for source in islice(left, each)]):
                 window.append(submit(group))
             if not window:
@@ -112,6 +112,11 @@ def map_on_cluster(
     finally:
         with suppress(Exception):  # of a client that is closed
             client.cancel([future for _, future in window])
+
+
+def workers_of(client: Client) -> int:
+    """Return how many recordings the workers of a cluster read at the same time."""
+    return sum(client.nthreads().values())
 
 
 def _alone(future: Future[list[Outcome[T]]], source: SourceFile) -> list[Outcome[T]]:
