@@ -412,6 +412,23 @@ def test_neither_blocks_nor_the_format_change_anything(drives: Drives, monkeypat
     assert as_mcap.extremes == extremes
 
 
+def test_a_run_between_frames_far_apart_is_one_in_whatever_blocks(drives: Drives, monkeypatch: pytest.MonkeyPatch) -> None:
+    cars = along([120.0] * 30, x=5), along([60.0] * 30, x=5, y=1.75), _swerve(1.0, 5.0)[30:60]
+    whole = drives(*cars, tick=0.7)
+    extremes = drives.extremes
+    monkeypatch.setattr("carla_recap.queries.measures.road._BLOCK", 7)
+    assert sorted(event.kind for event in whole) == ["off road", "wrong way"]
+    assert drives(*cars, tick=0.7) == whole
+    assert drives.extremes == extremes
+
+
+def test_a_car_that_creeps_off_the_road_has_left_it(drives: Drives) -> None:
+    y = np.append(np.full(40, -1.75), np.linspace(-4.4, -5.6, 160))  # 0.15 m/s
+    (event,) = drives(np.stack((np.full(200, 50.0), y, np.zeros(200)), axis=1))
+    assert event.text == "leaves the road by 1.1 m"
+    assert drives.extremes[CAR]["distance_off_road"].value == pytest.approx(1.1, abs=0.02)
+
+
 # --- staged in the built-in town -----------------------------------------------------------------------------------------
 
 

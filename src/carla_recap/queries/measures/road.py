@@ -55,7 +55,7 @@ SPEEDING_TIME: Final = 1.0
 
 _INTERVAL: Final = 0.1  # s between the samples of the motion of a vehicle
 _LONGEST: Final = 2.5  # s from one sample to the next
-_STILL: Final = 0.02  # m; after a shorter step, the position is the same
+_STILL: Final = 0.02  # m; within a shorter way, the position in relation to the lanes is the same
 _GAP: Final = 0.55  # s between runs that are one
 _BLOCK: Final = 200_000  # samples that are evaluated together
 _FACING: Final = math.cos(math.radians(120))  # between a vehicle that drives the wrong way and its lane
@@ -241,6 +241,7 @@ class RoadSearch:
                 float(np.nansum(part)) if summed else float(values[row]),
                 float(motion.time[last if summed else row]),
                 math.nan if limits is None else float(limits[row]),
+                float(motion.time[first - 1]) if motion.continues[first] else math.nan,
             )
             self._runs[kind].append(run)
 
@@ -384,12 +385,11 @@ class _Motion:
 
     def lanes(self, network: RoadNetwork) -> LanePositions:
         """Return the lanes of all samples."""
-        moved = ~(self.distance < _STILL)
-        index = np.maximum.accumulate(np.where(moved, np.arange(len(moved)), 0))
+        way = np.floor(np.cumsum(np.nan_to_num(self.distance)) / _STILL)
+        moved = ~self.continues | (np.diff(way, prepend=0.0) > 0)
         taken = self.samples[moved]
         found = network.lanes_at(np.stack([taken[axis] for axis in "xyz"], axis=1), taken["yaw"])
-        number = (np.cumsum(moved) - 1)[index]
-        return found.taken(number)
+        return found.taken(np.cumsum(moved) - 1)
 
     def spans(self) -> Iterator[tuple[int, int]]:
         """Yield the first sample of each vehicle, and the one after its last."""
@@ -416,6 +416,7 @@ class _Run(NamedTuple):
         value: The greatest value, or the sum.
         time: When it is reached.
         limit: The speed limit at the greatest value.
+        before: The time of the sample that it continues from; NaN without one.
     """
 
     id: int
@@ -425,6 +426,7 @@ class _Run(NamedTuple):
     value: float
     time: float
     limit: float
+    before: float
 
     def event(self, kind: str, measure: str, threshold: float, text: str) -> RoadEvent:
         """Return the event that this is."""
@@ -433,11 +435,11 @@ class _Run(NamedTuple):
 
 
 def _joined(runs: Iterable[_Run], *, summed: bool = False) -> list[_Run]:
-    """Return runs, those of a vehicle with a short time between them joined."""
+    """Return runs, those of a vehicle joined that have a short time between them, or are one that was evaluated in parts."""
     joined: list[_Run] = []
     for run in sorted(runs, key=lambda run: (run.id, run.start)):
         last = joined[-1] if joined else None
-        if last is not None and last.id == run.id and run.start - last.stop <= _GAP:
+        if last is not None and last.id == run.id and (run.start - last.stop <= _GAP or run.before == last.stop):
             greater = max(last, run, key=lambda part: part.value)
             value = last.value + run.value if summed else greater.value
             time = run.time if summed else greater.time
