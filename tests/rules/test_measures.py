@@ -99,6 +99,16 @@ def test_each_time_that_breaks_a_rule_is_an_offence_and_the_worst_is_first(judge
     assert (found.time, found.actors) == (pytest.approx(8.5, abs=0.5), (HERO,))
 
 
+def test_frames_without_a_value_end_an_interval(judge: Judge) -> None:
+    """The hero brakes twice for half a second, and accelerates in between, where it has no deceleration."""
+    down, up = [(10 - 0.4 * step, TICK) for step in range(6)], [(8 + 0.4 * step, TICK) for step in range(6)]
+    way = drive((10, 2), *down, *up, *down, (8, 2))
+    found = judge('deceleration = { of = "hero", max = "1 m/s²", tolerate = "0.8 s" }', way)
+    assert found.status == "pass"
+    assert judge('deceleration = { of = "hero", max = "1 m/s²", tolerate = "0.3 s" }', way).status == "fail"
+    assert judge('deceleration = { of = "hero", max = "10 m/s²", for = "1 s" }', way).status == "fail"
+
+
 def test_a_measure_in_relation_to_another_actor_names_it(judge: Judge) -> None:
     ways = straight(10, 8), straight(10, 8, x=30)
     found = judge('distance_headway = { of = "hero", max = "20 m", min = "5 m" }', *ways)
@@ -145,7 +155,7 @@ def test_the_extremes_of_values_over_time_are_those_of_the_recording(sample: str
     for row in rows:
         values = search.values[row.measure, row.actor]
         assert (np.diff(values.time) >= 0).all()
-        worst = values.value.min() if MEASURES[row.measure].extreme == "least" else values.value.max()
+        worst = np.nanmin(values.value) if MEASURES[row.measure].extreme == "least" else np.nanmax(values.value)
         assert worst == pytest.approx(row.value), row.measure
         at = values.time[values.value == worst]
         assert at.min() - 1e-6 <= row.time <= at.max() + 1e-6

@@ -95,7 +95,7 @@ moments = st.lists(steps, min_size=1, max_size=20).map(np.cumsum)
 @st.composite
 def drives(draw: Any) -> Drive:
     time, known = draw(moments), draw(moments)
-    values = np.array([float(draw(st.integers(-2, 2))) for _ in time])
+    values = np.array([draw(st.sampled_from([-2.0, -1.0, 0.0, 1.0, 2.0, np.nan])) for _ in time])
     inside = {place: [draw(st.booleans()) for _ in known] for place in PLACES}
     incidents = draw(st.lists(st.tuples(times | st.sampled_from(time.tolist()), st.booleans()), max_size=3))
     ends = [float(min(time[0], known[0])), float(max(time[-1], known[-1]))]
@@ -127,7 +127,8 @@ def test_measures_over_time_are_judged_as_by_a_loop(
         most = 0
     if scope.is_whole:  # of which extreme values are enough
         scope = Scope(during=(Quantity(0.0, "s"), Quantity(9e9, "s")))
-    time, counts = drive.time.tolist(), drive.counts(scope, drive.time)
+    time = drive.time.tolist()
+    counts = [counts and value == value for counts, value in zip(drive.counts(scope, drive.time), drive.values, strict=True)]
     bounds = Bounds(quantity(least, "m/s"), quantity(most, "m/s"))
     condition = MeasureBounds("speed", Selector("hero"), bounds, scope, quantity(tolerate, "s"), quantity(lasting, "s"))
     found = condition.judge(drive.facts)

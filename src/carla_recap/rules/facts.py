@@ -217,7 +217,8 @@ class Facts:
 
     def values(self, measure: str, life: ActorLife) -> MeasureValues:
         """Return the values over time of a measure of an actor."""
-        return self._measured[1].get((measure, life.id), MeasureValues.joined([])).during(life.spawned_at, life.end)
+        found = self._measured[1].get((measure, life.id), MeasureValues.joined([]))
+        return found.only((found.time >= life.spawned_at) & (found.time <= life.end))
 
     @property
     @_once

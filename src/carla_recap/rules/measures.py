@@ -129,11 +129,11 @@ class MeasureBounds(Condition):
         return Finding(True, f"no {self._name} was measured{absent}", applies=not absent)
 
     def _measured(self, facts: Facts) -> Iterator[tuple[ActorLife, MeasureValues, Booleans]]:
-        """Yield the values over time of each actor that has any within the scope, and which of these are within it."""
+        """Yield the values over time of each actor that has any within the scope, and in which frames it has one there."""
         for life in facts.actors:
             if life.kind in ROAD_USERS and self.of.matches(life):
                 found = facts.values(self.measure, life)
-                counts = self.scope.has(life, found.time, facts)
+                counts = self.scope.has(life, found.time, facts) & ~np.isnan(found.value)
                 if counts.any():
                     yield life, found, counts
 

@@ -94,6 +94,9 @@ class Drives:
         self.extremes = defaultdict(dict)
 
         def note(id: int, name: str, found: MeasureValues) -> None:
+            found = found.only(np.isfinite(found.value))
+            if not len(found.value):
+                return
             best, known = int(found.value.argmax()), self.extremes[id].get(name)
             if found.value[best] > (known.value if known else 0):
                 self.extremes[id][name] = Extreme(float(found.value[best]), float(found.time[best]))

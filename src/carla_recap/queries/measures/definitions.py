@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from carla_recap.model.lives import ActorLife
-    from carla_recap.util.arrays import Floats, Ids
+    from carla_recap.util.arrays import Booleans, Floats, Ids
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,11 +62,11 @@ class Extreme(NamedTuple):
 
 
 class MeasureValues(NamedTuple):
-    """The values of a measure of an actor that count for its extreme, over time; arrays of one length.
+    """The values of a measure of an actor that count for its extreme, in the frames that have it; arrays of one length.
 
     Attributes:
         time: Elapsed seconds, ascending.
-        value: The values, which are finite.
+        value: The values; NaN in a frame without one.
         other: The ids of the actors that they are in relation to; -1 where there is none.
     """
 
@@ -87,9 +87,8 @@ class MeasureValues(NamedTuple):
         order = np.argsort(time, kind="stable")
         return cls(time[order], value[order], other[order])
 
-    def during(self, start: float, stop: float) -> MeasureValues:
-        """Return the values between two times in elapsed seconds."""
-        rows = (self.time >= start) & (self.time <= stop)
+    def only(self, rows: Booleans) -> MeasureValues:
+        """Return the values in some of the frames."""
         return MeasureValues(self.time[rows], self.value[rows], self.other[rows])
 
 

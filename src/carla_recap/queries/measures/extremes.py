@@ -187,13 +187,14 @@ class MeasureSearch:
             for start, stop in self._contacts.affected(id, _BEFORE_CONTACT):
                 affected = (table.time >= start) & (table.time <= stop)
                 series.acceleration[number, affected] = series.jerk[number, affected] = np.nan
+        time, present = table.time[table.core], ~np.isnan(table.x[rows, table.core])
         for measure in MEASURES.values():
             if measure.values is not None:
                 values = measure.values(series)[:, table.core]
-                others = getattr(series, measure.other)[:, table.core] if measure.other else None
+                others = getattr(series, measure.other)[:, table.core] if measure.other else np.full(values.shape, NO_OTHER)
                 for number, id in enumerate(ids):
-                    of_other = np.full(values.shape[1], NO_OTHER) if others is None else others[number]
-                    self._note(id, measure.name, MeasureValues(table.time[table.core], values[number], of_other))
+                    found = MeasureValues(time, values[number], others[number])
+                    self._note(id, measure.name, found.only(present[number]))
         self._crossings.add(table, np.isin(table.ids, ids))
 
     def _note_driving(self) -> None:
@@ -217,11 +218,11 @@ class MeasureSearch:
     def _note(self, id: int, name: str, found: MeasureValues) -> None:
         """Note the extreme value of a measure of an actor in some frames, and keep all values if they are asked for."""
         measure, finite = MEASURES[name], np.isfinite(found.value)
-        found = MeasureValues(found.time[finite], found.value[finite], found.other[finite])
+        if id in self._over_time.get(name, ()):
+            self._parts[name, id].append(found._replace(value=np.where(finite, found.value, np.nan)))
+        found = found.only(finite)
         if not len(found.value) or id not in self._extremes:
             return
-        if id in self._over_time.get(name, ()):
-            self._parts[name, id].append(found)
         best = int(found.value.argmin() if measure.extreme == "least" else found.value.argmax())
         value, time, other = (column[best].item() for column in (found.value, found.time, found.other))
         known = self._extremes[id].get(name)

@@ -95,7 +95,7 @@ class RoadSearch:
         source: The recording. Its spawns are read at once.
         network: The roads of its map.
         actors: The actors of the recording.
-        note: Gets the values of measures of the road: the vehicle, the measure, and finite values.
+        note: Gets the values of measures of the road: the vehicle, the measure, and its values.
     """
 
     def __init__(
@@ -246,12 +246,10 @@ class RoadSearch:
             self._runs[kind].append(run)
 
     def _measure(self, measure: str, motion: _Motion, values: Floats) -> None:
-        """Note the known ones of values at samples, by vehicle."""
-        known = np.flatnonzero(motion.is_new & np.isfinite(values))
-        for rows in np.split(known, np.flatnonzero(np.diff(motion.vehicle[known])) + 1):
-            if len(rows):
-                id = int(self._vehicles[motion.vehicle[rows[0]]])
-                self._note(id, measure, MeasureValues.of(motion.time[rows], values[rows]))
+        """Note the values at samples, by vehicle."""
+        for first, last in motion.spans():
+            found = MeasureValues.of(motion.time[first:last], values[first:last])
+            self._note(int(self._vehicles[motion.vehicle[first]]), measure, found.only(motion.is_new[first:last]))
 
     def _cross(self, motion: _Motion) -> None:
         """Add the crossings of stop lines by the fronts and by the centres of vehicles."""
