@@ -15,13 +15,7 @@ T = TypeVar("T")
 
 
 class Answer(Rows[T]):
-    """The rows that answer a query, with the header and the extent of the recording.
-
-    Args:
-        rows: The rows.
-        source: The recording; it has been read to its end.
-        compat: Whether the answer has the mistakes of CARLA 0.9.16.
-    """
+    """The rows that answer a query, with the header and the extent of the recording, which has been read to its end."""
 
     def __init__(self, rows: Iterable[T], source: Reader, *, compat: bool) -> None:
         super().__init__(rows)

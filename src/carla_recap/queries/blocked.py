@@ -26,22 +26,12 @@ class Blocked(Answer[BlockedRow]):
 def blocked(
     source: Reader, min_time: float = MIN_TIME, min_distance: float = MIN_DISTANCE, *, compat: bool = False
 ) -> Blocked:
-    """Return the intervals in which actors did not move.
+    """Return the intervals in which actors did not move; see `Recording.blocked`. One of 0 s needs `compat`.
 
     An actor does not move while it stays within a distance of the position that it last moved to; at first, that of its
     first transform (with `compat`, the origin of the world). Every actor with recorded transforms counts: vehicles, walkers,
     props, the spectator; but no walker that was hit and lies on the ground (with `compat`, it does). On MCAP, the answer for
     the default distance is read from the events alone.
-
-    Args:
-        source: The recording.
-        min_time: The shortest interval to report, in seconds; one of 0 s is reported with `compat` alone.
-        min_distance: The distance at which an actor has moved, in cm.
-        compat: Whether to reproduce the mistakes of CARLA 0.9.16.
-
-    Raises:
-        RecapError: A limit is below 0 or NaN, which only `compat` accepts.
-        FormatError: The file contradicts its format.
     """
     if not compat:
         check_limits(min_time, min_distance)

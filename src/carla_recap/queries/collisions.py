@@ -80,7 +80,7 @@ class Collisions(Answer[CollisionRow]):
 def collisions(
     source: Reader, type1: str = "a", type2: str = "a", *, compat: bool = False, speeds: bool = True
 ) -> Collisions:
-    """Return the collisions between two kinds of actors.
+    """Return the collisions between two kinds of actors, letters of `LETTERS`; see `Recording.collisions`.
 
     As in CARLA, an ordered pair of actors gives a row in a frame if the frame before has no record of it. The first actor is
     the one with the collision sensor. So a contact gives several rows if both actors have a sensor, or if a frame in it has
@@ -88,18 +88,8 @@ def collisions(
 
     Speeds are those just before the contact, in the last frame without it: from the velocities that are recorded, else from
     the positions in the two frames before. They are unknown where the recording begins with the contact, where an actor has
-    just appeared or jumps, and with `compat`. An MCAP file lists them; elsewhere, the frames before each contact are read.
-
-    Args:
-        source: The recording.
-        type1: The kind of the first actor: a letter of `LETTERS`.
-        type2: The kind of the second actor.
-        compat: Whether to reproduce the mistakes of CARLA 0.9.16.
-        speeds: Whether to find the speeds out; without, they are NaN.
-
-    Raises:
-        RecapError: There is no such letter.
-        FormatError: The file contradicts its format.
+    just appeared or jumps, with `compat`, and without `speeds`. An MCAP file lists them; elsewhere, the frames before each
+    contact are read.
     """
     if not compat:
         check_letters(type1, type2)

@@ -26,15 +26,7 @@ _FRAMES: Final = 3  # the frame of a contact, and two before it
 
 
 def impacts(source: Reader, wanted: Mapping[Key, float]) -> dict[Key, Impact]:
-    """Return impacts.
-
-    Args:
-        source: The recording.
-        wanted: The elapsed seconds of each, by its key: the index of its frame and the ids of the actors.
-
-    Raises:
-        FormatError: The file contradicts its format.
-    """
+    """Return impacts by key: the index of its frame and the ids of the actors; `wanted` has the elapsed seconds of each."""
     if not wanted:
         return {}
     found = {impact.key: impact for impact in listed_impacts(source) or () if impact.key in wanted}
@@ -79,10 +71,7 @@ def read_spans(source: Reader, spans: list[tuple[float, float]]) -> Iterator[Ite
 
 
 class ImpactSearch:
-    """Finds impacts in frames.
-
-    Args:
-        keys: Their keys; see `Impact.key`.
+    """Finds the impacts with some keys in frames.
 
     Attributes:
         found: Those that were found, by key.
@@ -100,12 +89,7 @@ class ImpactSearch:
         self._frames: dict[int, Frame] = {}
 
     def add(self, batches: Iterable[Batch], *, is_whole: bool = False) -> None:
-        """Search consecutive frames, until all is found.
-
-        Args:
-            batches: The frames.
-            is_whole: Whether these are all frames of the recording; of others, the two before a contact must be among them.
-        """
+        """Search consecutive frames, all of a recording or some with the two before each contact, until all is found."""
         self._frames.clear()
         for batch in batches:
             self.batch(batch, is_whole=is_whole)

@@ -230,24 +230,12 @@ class Differences:
 def differences(
     a: Reader, b: Reader, *, tolerance: float = 0.0, time_tolerance: float | None = None, events: bool = True
 ) -> Differences:
-    """Return the differences of two recordings of a scenario, such as of two runs of a test.
+    """Return the differences of two recordings of a scenario, such as of two runs of a test; see `Recording.diff`.
 
     Actors are matched as in `carla_recap.queries.matching.match`; the spectator is left out, and sensors that are in
     one recording alone do not count. Positions are compared at the times of the frames of a, with b interpolated where it
-    has no frame at that time.
-
-    Args:
-        a: The recording to compare with, such as a baseline.
-        b: The other one.
-        tolerance: The distance in m that counts as equal. With 0, the times of frames, the headings and the numbers of
-            poses have to be equal, too.
-        time_tolerance: By how many seconds spawns, ends and events may differ, and the states of a traffic light; None: 0
-            if the tolerance is 0, else 1.
-        events: Whether to compare incidents.
-
-    Raises:
-        RecapError: A tolerance is negative or no number.
-        FormatError: A file contradicts its format.
+    has no frame at that time. With a tolerance of 0, the times of frames, the headings and the numbers of poses have to be
+    equal, too. The time tolerance is that of spawns, ends, events and states of traffic lights.
     """
     for name, value in (("tolerance", tolerance), ("time tolerance", time_tolerance)):
         if value is not None and not value >= 0:

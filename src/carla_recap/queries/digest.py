@@ -13,11 +13,7 @@ if TYPE_CHECKING:
 
 
 def listed_intervals(source: Reader, min_time: float, min_distance: float) -> list[BlockedRow] | None:
-    """Return the stationary intervals for some limits, see `blocked`, in no order; None if the file does not list them.
-
-    Raises:
-        FormatError: The file contradicts its format.
-    """
+    """Return the stationary intervals for some limits, see `blocked`, in no order; None if the file does not list them."""
     part = source.digest("stretches")
     if part is None or not min_time >= part.limits[0] or min_distance != part.limits[1]:
         return None
@@ -29,22 +25,14 @@ def listed_intervals(source: Reader, min_time: float, min_distance: float) -> li
 
 
 def listed_braking(source: Reader, deceleration: float) -> list[Braking] | None:
-    """Return the intervals of hard braking from a deceleration in m/s² on, in no order; None if the file does not list them.
-
-    Raises:
-        FormatError: The file contradicts its format.
-    """
+    """Return the hard braking from a deceleration in m/s² on, in no order; None if the file does not list it."""
     part = source.digest("braking")
     rows = part.read() if part is not None and part.limits == (deceleration,) else None
     return None if rows is None else [Braking(*row) for row in rows]
 
 
 def listed_impacts(source: Reader) -> list[Impact] | None:
-    """Return the impacts of all contacts; None if the file does not list them.
-
-    Raises:
-        FormatError: The file contradicts its format.
-    """
+    """Return the impacts of all contacts; None if the file does not list them."""
     part = source.digest("contacts")
     rows = part.read() if part is not None else None
     if rows is None:

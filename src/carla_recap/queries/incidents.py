@@ -30,21 +30,11 @@ class Incidents(Answer[Incident]):
 
 
 def incidents(source: Reader, options: IncidentOptions | None = None) -> Incidents:
-    """Return the incidents of a recording, sorted by start, then kind.
+    """Return the incidents of a recording, sorted by start, then kind; see `Recording.incidents`.
 
     A contact of two actors is one collision, in however many frames it is recorded. A deceleration that begins right after a
-    contact is part of it and no hard braking, and an encounter that ends in a collision is no near miss.
-
-    Args:
-        source: The recording. For collisions alone, only the events of an MCAP file and the frames of collisions are read.
-        options: Which incidents to find, and what counts as one.
-
-    Raises:
-        RecapError: There is no such kind or actor; all kinds need roads, and the map is unknown; or it is damaged.
-        FormatError: The file contradicts its format.
-
-    Warns:
-        RecapWarning: The map is unknown, and kinds that need roads are left out.
+    contact is part of it and no hard braking, and an encounter that ends in a collision is no near miss. For collisions
+    alone, only the events of an MCAP file and the frames of collisions are read.
     """
     search = IncidentSearch(source, options)
     search.read()
@@ -52,15 +42,7 @@ def incidents(source: Reader, options: IncidentOptions | None = None) -> Inciden
 
 
 def unrecorded_contacts(source: Reader, options: IncidentOptions | None = None) -> int:
-    """Return the number of contacts of two actors without a collision record: of near misses whose time to collision is 0.
-
-    Args:
-        source: The recording.
-        options: Of which actor and time.
-
-    Raises:
-        FormatError: The file contradicts its format.
-    """
+    """Return the number of contacts of two actors without a collision record: near misses with a time to collision of 0."""
     wanted = replace(options or IncidentOptions(), kinds=("near miss",), time_to_collision=0.0, post_encroachment_time=0.0)
     return sum(each.measure == "time_to_collision" for each in incidents(source, wanted))
 
@@ -68,11 +50,7 @@ def unrecorded_contacts(source: Reader, options: IncidentOptions | None = None) 
 def with_roads(source: Reader, options: IncidentOptions) -> IncidentOptions:
     """Return options with the roads that their kinds need, looked up by the map of a recording; else without these kinds.
 
-    Raises:
-        RecapError: There is no such kind; all kinds need roads, and the map is unknown; or it is damaged.
-
-    Warns:
-        RecapWarning: The map is unknown, and kinds that need roads are left out.
+    An unknown map is a warning, or an error if all kinds need roads.
     """
     kinds = kinds_named(options.kinds)
     others = kinds & kinds_without_roads()
@@ -87,7 +65,7 @@ def with_roads(source: Reader, options: IncidentOptions) -> IncidentOptions:
 class IncidentSearch:
     """Finds the incidents of a recording in its batches, which are read for something else, too.
 
-    The spawns, the ends and the collisions of all actors are read at once. Errors and warnings are those of `incidents`.
+    The spawns, the ends and the collisions of all actors are read at once.
 
     Args:
         source: The recording.
@@ -126,11 +104,7 @@ class IncidentSearch:
         return needed | {name for detector in self._detectors for name in detector.also} if needed else needed
 
     def read(self) -> None:
-        """Read the recording as far as it matters.
-
-        Raises:
-            FormatError: The file contradicts its format.
-        """
+        """Read the recording as far as it matters."""
         if types := self.types:
             for batch in self._source.batches(types, start=self._options.start, stop=self._options.stop):
                 self.add(batch)

@@ -38,13 +38,7 @@ class InfoRow:
 
 
 class Info:
-    """The records of a recording, read anew at each iteration, so that they never fill the memory.
-
-    Args:
-        source: The recording.
-        all: Whether to include all records, or only events.
-        compat: Whether the text reproduces the mistakes of CARLA 0.9.16.
-    """
+    """The events of a recording, or all records, read anew at each iteration, so that they never fill the memory."""
 
     row_type = InfoRow
 
@@ -79,12 +73,9 @@ class Info:
 
 
 def info(source: Reader, *, all: bool = False, compat: bool = False) -> Info:
-    """Return the events of a recording: spawns, destructions, parentings, collisions.
+    """Return the events of a recording: spawns, destructions, parentings, collisions; or all records.
 
-    Args:
-        source: The recording.
-        all: Whether to return all records instead.
-        compat: Whether the text reproduces the mistakes of CARLA 0.9.16.
+    With `compat`, the text of the answer reproduces the mistakes of CARLA 0.9.16.
     """
     return Info(source, all=all, compat=compat)
 

@@ -26,11 +26,7 @@ class RecordedActors(Answer[ActorLife]):
 
 
 def actors(source: Reader) -> RecordedActors:
-    """Return the actors of a recording; on MCAP, they are read from the events alone.
-
-    Raises:
-        FormatError: The file contradicts its format.
-    """
+    """Return the actors of a recording; on MCAP, they are read from the events alone."""
     lives = ActorLives()
     for frame in source.frames(TYPES, sparse=True):
         for packet in frame.packets:
@@ -39,16 +35,9 @@ def actors(source: Reader) -> RecordedActors:
 
 
 def never_there(source: Reader, lives: Collection[ActorLife]) -> set[int]:
-    """Return the ids of vehicles and walkers that are away from the roads in all frames that have them.
+    """Return the ids of vehicles and walkers, of all actors, that are away from the roads in all frames that have them.
 
     Frames are read until each vehicle and walker has been there.
-
-    Args:
-        source: The recording.
-        lives: All its actors.
-
-    Raises:
-        FormatError: The file contradicts its format.
     """
     heights, listed = RoadHeights(lives), set[int]()
     unseen = {actor.id for actor in lives if actor.kind in ROAD_USERS}
@@ -63,11 +52,7 @@ def never_there(source: Reader, lives: Collection[ActorLife]) -> set[int]:
 
 
 def lives_and_contacts(source: Reader, *, stop: float = math.inf) -> tuple[ActorLives, Contacts]:
-    """Return the actors of a recording and their contacts until a time in elapsed seconds, read in one pass.
-
-    Raises:
-        FormatError: The file contradicts its format.
-    """
+    """Return the actors of a recording and their contacts until a time in elapsed seconds, read in one pass."""
     lives, contacts = ActorLives(), Contacts()
     for frame in source.frames((*TYPES, "collisions"), sparse=True, stop=stop):
         contacts.add(frame)

@@ -21,48 +21,17 @@ WITHOUT_ROADS: Final = f"rules of the road are left out; {WHERE_MAPS}"
 def roads_of(
     source: Reader, road_map: str | None = None, *, needed: bool = False, lane_types: frozenset[str] | None = None
 ) -> RoadNetwork | None:
-    """Return the roads of a recording's map; None if its file is unknown.
-
-    Args:
-        source: The recording.
-        road_map: The map, or the folder to look in; None: the usual folders.
-        needed: Whether an unknown map is an error.
-        lane_types: The types of lanes; see `load_road_network`.
-
-    Raises:
-        RecapError: The map is needed and unknown, the given folder does not have it, or the map is damaged.
-    """
+    """Return the roads of a recording's map, with some types of lanes; None if its file is unknown; see `find_map_of`."""
     from carla_recap.roads import load_road_network
 
     found = find_map_of(source, road_map, needed=needed)
     return None if found is None else load_road_network(found, lane_types)
 
 
-def map_file_of(source: Reader, road_map: str | None = None) -> Path:
-    """Return the OpenDRIVE file of a recording's map.
-
-    Args:
-        source: The recording.
-        road_map: See `roads_of`.
-
-    Raises:
-        RecapError: The map is unknown, or the given folder does not have it.
-    """
-    found = find_map_of(source, road_map, needed=True)
-    assert found is not None
-    return found
-
-
 def find_map_of(source: Reader, road_map: Path | str | None = None, *, needed: bool = False) -> Path | None:
-    """Return the OpenDRIVE file of a recording's map; None if it is unknown.
+    """Return the OpenDRIVE file of a recording's map: a given one, or one of its name in a folder, or in the usual ones.
 
-    Args:
-        source: The recording, whose map name is looked for.
-        road_map: The map, or the folder to look in; None: the usual folders.
-        needed: Whether an unknown map is an error.
-
-    Raises:
-        RecapError: The map is needed and unknown, or the given folder does not have it.
+    Without any, it is None, or an error if a folder is given or the map is `needed`.
     """
     from carla_recap.roads import find_map
 

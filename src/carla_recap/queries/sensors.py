@@ -53,11 +53,7 @@ class RecordedSensors(Rows[RecordedSensor]):
 
 
 def sensors(source: Reader) -> RecordedSensors:
-    """Return the sensors of a recording: the topics `/sensors/ID/…` whose metadata have the specification of a sensor.
-
-    Raises:
-        FormatError: The file contradicts its format.
-    """
+    """Return the sensors of a recording: the topics `/sensors/ID/…` whose metadata have the specification of a sensor."""
     topics: dict[str, list[FurtherTopic]] = {}
     specs: dict[str, dict[str, Any]] = {}
     for name, topic in source.further_topics().items():

@@ -84,19 +84,7 @@ class Summaries(Answer[RecordingSummary]):
 
 
 def summary(source: Reader, options: IncidentOptions | None = None) -> Summaries:
-    """Return the summary of a recording.
-
-    Args:
-        source: The recording.
-        options: Which incidents to count; None: all kinds. Those of the road are left out if the map is unknown.
-
-    Raises:
-        RecapError: See `carla_recap.queries.incidents.incidents`.
-        FormatError: The file contradicts its format.
-
-    Warns:
-        RecapWarning: The map is unknown.
-    """
+    """Return the summary of a recording, with incidents of all kinds unless options say which; see `Recording.summary`."""
     search = SummarySearch(source, options or IncidentOptions(kinds="all"))
     search.read()
     return search.finish()
@@ -105,9 +93,7 @@ def summary(source: Reader, options: IncidentOptions | None = None) -> Summaries
 class SummarySearch:
     """Reads the motion of a recording once, for its summary, its incidents, and for what else asks for it.
 
-    Args:
-        source: The recording.
-        options: Which incidents to count. Of some of the recording, they are looked for in a read of their own.
+    If the options are about a part of the recording, incidents are looked for in a read of their own.
 
     Attributes:
         actors: All actors.
@@ -122,11 +108,7 @@ class SummarySearch:
         self._rows = RowCollector(MOTION, {hero.id for hero in self._heroes})
 
     def read(self, also: Callable[[Batch], object] | None = None) -> None:
-        """Read the recording as far as it matters; call a function with the transforms in each batch, too.
-
-        Raises:
-            FormatError: The file contradicts its format.
-        """
+        """Read the recording as far as it matters; call a function with the transforms in each batch, too."""
         types = {*(self._search.types if self._is_whole else ()), *(MOTION if self._heroes or also else ())}
         for batches in portions(self._source.batches(types)) if types else ():
             for batch in batches:

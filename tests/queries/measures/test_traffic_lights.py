@@ -30,14 +30,16 @@ def history_of(tmp_path, states, x=0.0):
 
 def test_a_light_is_red_from_its_change_to_the_next(tmp_path):
     history = history_of(tmp_path, [GREEN, GREEN, RED, RED, RED, GREEN, GREEN])
-    assert history.red_during(0, 2.0, 4.9) == 7
-    assert history.red_during(0, 1.9, 3.0) is None
-    assert history.red_during(0, 3.0, 5.0) is None
-    assert history.red_during(0, 5.0, 6.0) is None
+    assert history.red(0, 2.0, 4.9, always=True) == 7
+    assert history.red(0, 1.9, 3.0, always=True) is None
+    assert history.red(0, 3.0, 5.0, always=True) is None
+    assert history.red(0, 5.0, 6.0, always=True) is None
+    assert history.red(0, 1.9, 3.0, always=False) == 7
+    assert history.red(0, 5.0, 6.0, always=False) is None
 
 
 @pytest.mark.parametrize(("x", "signals"), [(3.0, (0,)), (-3.0, (0,)), (3.01, ())])
 def test_a_light_is_a_signal_within_three_metres(tmp_path, x, signals):
     history = history_of(tmp_path, [RED, RED], x)
     assert history.signals == signals
-    assert history.red_during(0, 0.0, 1.0) == (7 if signals else None)
+    assert history.red(0, 0.0, 1.0, always=True) == (7 if signals else None)

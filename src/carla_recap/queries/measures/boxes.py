@@ -113,12 +113,7 @@ def time_to_collision(a: Boxes, b: Boxes) -> Floats:
 def required_deceleration(gap: ArrayLike, speed: ArrayLike, leader_speed: ArrayLike) -> Floats:
     """Return the constant deceleration that a follower needs to avoid its leader, in m/s²; 0 if it is not faster.
 
-    It is the deceleration rate to avoid a crash (DRAC): the squared difference of speeds over twice the gap.
-
-    Args:
-        gap: The gap to the leader in m.
-        speed: The speed of the follower in m/s.
-        leader_speed: The speed of the leader in m/s.
+    It is the deceleration rate to avoid a crash (DRAC): the squared difference of speeds, in m/s, over twice the gap in m.
     """
     gap, speed, leader_speed = (np.asarray(values, np.float64) for values in (gap, speed, leader_speed))
     faster = np.maximum(speed - leader_speed, 0.0)
@@ -129,11 +124,6 @@ def required_deceleration(gap: ArrayLike, speed: ArrayLike, leader_speed: ArrayL
 
 
 def time_headway(gap: ArrayLike, speed: ArrayLike) -> Floats:
-    """Return the time in which a follower covers the gap to its leader, in s; inf at rest.
-
-    Args:
-        gap: The gap to the leader, from bumper to bumper, in m.
-        speed: The speed of the follower in m/s.
-    """
+    """Return the time in s in which a follower covers the gap to its leader, bumper to bumper, in m; inf at rest."""
     gap, speed = np.broadcast_arrays(np.asarray(gap, np.float64), np.asarray(speed, np.float64))
     return np.asarray(np.divide(gap, speed, out=np.full(gap.shape, math.inf), where=speed > 0))

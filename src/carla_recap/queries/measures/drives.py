@@ -146,11 +146,9 @@ class PlannedRoute:
         return rows
 
     def passed(self, ticks: Iterable[tuple[float, float, float]], window: int) -> Iterator[tuple[int, int]]:
-        """Yield the index of the tick and of the point for each point that an actor passes, in order.
+        """Yield the index of the tick and of the point for each point that an actor at positions passes, in order.
 
-        Args:
-            ticks: The positions of the actor.
-            window: How many of the points ahead it may pass in a tick.
+        It may pass as many of the points ahead in a tick as there are in the window.
         """
         rows, index = self._rows, 0
         for tick, (x, y, z) in enumerate(ticks):

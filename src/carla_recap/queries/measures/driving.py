@@ -60,14 +60,7 @@ class Comfort(NamedTuple):
 def efficiency(drive: Drive, travelled: Floats, length: float, others: Sequence[Trajectory]) -> float | None:
     """Return the mean speed of the hero in % of that of the background vehicles, the mean of twenty parts of the route.
 
-    Args:
-        drive: The drive of the hero.
-        travelled: How far it has come along the route in each frame, in m, (n,).
-        length: The length of the route, in m.
-        others: The trajectories of the background vehicles.
-
-    Returns:
-        The percentage; None without background vehicles, or if no part is completed.
+    It is None without background vehicles, or if no part is completed; see `traffic_shares`.
     """
     shares = [share for _, share in traffic_shares(drive, travelled, length, others, _CHECKPOINTS)] if others else []
     counted = [share for share in shares if share <= _MAX_EFFICIENCY]
@@ -83,7 +76,7 @@ def traffic_shares(
         drive: The drive of the hero.
         travelled: How far it has come along the route in each frame, in m, (n,).
         length: The length of the route, in m.
-        others: The background vehicles.
+        others: The trajectories of the background vehicles.
         parts: The number of equal parts.
     """
     sums, counts = np.zeros((2, len(drive)))
@@ -123,15 +116,10 @@ def _reported_speed(drive: Drive, path: Trajectory, frames: Integers) -> Floats:
 
 
 def comfort(time: Floats, velocity: Floats, yaw: Floats) -> Comfort | None:
-    """Return how smoothly a vehicle drives.
+    """Return how smoothly a vehicle drives; None for less than 0.2 s, or a motion with less than a frame in 10 s.
 
-    Args:
-        time: The times in s, ascending, (n,).
-        velocity: The velocities over the ground in m/s, (n, 2); rows whose time or velocity is no number do not count.
-        yaw: The headings in radians, (n,).
-
-    Returns:
-        The comfort; None for less than 0.2 s, or a motion with less than a frame in 10 s.
+    Times are in s, ascending, (n,), velocities over the ground in m/s, (n, 2), and headings in radians, (n,). Rows whose
+    time or velocity is no number do not count.
     """
     known = np.isfinite(velocity).all(axis=1) & np.isfinite(time)
     time, velocity, yaw = time[known], velocity[known], yaw[known]
@@ -156,10 +144,7 @@ def comfort(time: Floats, velocity: Floats, yaw: Floats) -> Comfort | None:
 def comfort_values(along: Floats, aside: Floats, turning: Floats) -> dict[str, Floats]:
     """Return the quantities of `COMFORT` in windows of 2 s, (windows, 20); samples after the last window do not count.
 
-    Args:
-        along: The longitudinal accelerations in m/s², a sample each 0.1 s, (n,); fewer than 20 are one window.
-        aside: The lateral accelerations in m/s².
-        turning: The yaw rates in rad/s.
+    Accelerations along and aside are in m/s², yaw rates in rad/s, each 0.1 s, (n,); fewer than 20 are one window.
     """
     count = min(len(along), _SAMPLES)
     smooth, slope = _parabolas(count)

@@ -55,20 +55,9 @@ def measures(
     start: float = -math.inf,
     stop: float = math.inf,
 ) -> Measures:
-    """Return the extreme values of the measures of actors: how close others came, how hard and how fast they drive.
+    """Return the extreme values of the measures of actors; see `Recording.measures`.
 
     A measure without a value has no row, such as the time to collision of an actor that was never on a collision course.
-
-    Args:
-        source: The recording.
-        actors: The ids of vehicles or walkers, "hero" or "all"; None: the heroes, or if there is none, all vehicles.
-        roads: The roads of the map, for the speed over the limit and other measures of the road; None: without these.
-        start: The elapsed seconds from which on to measure.
-        stop: The elapsed seconds until which to measure.
-
-    Raises:
-        RecapError: There is no such vehicle or walker, or no hero.
-        FormatError: The file contradicts its format.
     """
     search = MeasureSearch(source, actors, roads=roads, start=start, stop=stop)
     search.read()
@@ -76,19 +65,7 @@ def measures(
 
 
 def measures_on_roads(source: Reader, actors: Subjects = None, *, road_map: str | None = None) -> Measures:
-    """Return the measures of actors, with those of the road if the map is known; see `measures`.
-
-    Args:
-        source: The recording.
-        actors: The actors to measure.
-        road_map: The map, or the folder to look in; None: the usual folders.
-
-    Raises:
-        RecapError: See `measures`; or the folder does not have the map, or it is damaged.
-
-    Warns:
-        RecapWarning: The map is unknown.
-    """
+    """Return the measures of actors, with those of the road if the map is known, else with a warning; see `find_map_of`."""
     roads = roads_of(source, road_map)
     if roads is None:
         warn_without_roads(source)
@@ -96,20 +73,12 @@ def measures_on_roads(source: Reader, actors: Subjects = None, *, road_map: str 
 
 
 class MeasureSearch:
-    """Computes measures in the batches of a recording, which are read for something else, too.
+    """Computes measures in the batches of a recording, which are read for something else, too; see `measures`.
 
-    Args and errors are those of `measures`. The spawns, the ends and the collisions of all actors are read at once.
-
-    Args:
-        source: The recording.
-        actors: The actors to measure.
-        roads: The roads of the map; None: without measures of the road.
-        start: The elapsed seconds from which on to measure.
-        stop: The elapsed seconds until which to measure.
-        over_time: The ids of the actors of which values over time are kept, by measure.
+    The spawns, the ends and the collisions of all actors are read at once.
 
     Attributes:
-        values: These values after `finish`, by measure and actor.
+        values: The values over time after `finish`, by measure and actor, of those that `over_time` has by measure.
     """
 
     def __init__(
@@ -134,11 +103,7 @@ class MeasureSearch:
         self._extremes: dict[int, dict[str, Extreme]] = {id: {} for id in self._subjects}
 
     def read(self) -> None:
-        """Read the recording.
-
-        Raises:
-            FormatError: The file contradicts its format.
-        """
+        """Read the recording."""
         if self._subjects:
             types = TYPES if self._roads is None else (*TYPES, *ROAD_TYPES)
             for batch in self._source.batches(types, start=self._start, stop=self._stop):

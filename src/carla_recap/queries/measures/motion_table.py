@@ -213,11 +213,7 @@ class MotionCollector:
         self._due = 0  # the number of frames at which the next table may be complete
 
     def add(self, batch: Batch) -> Iterator[MotionTable]:
-        """Add frames that have at least their transforms and velocities, and yield the tables that are complete.
-
-        Raises:
-            FormatError: A packet contradicts its layout.
-        """
+        """Add frames that have at least their transforms and velocities, and yield the tables that are complete."""
         if batch.preamble:
             return
         for buffer, name in ((self._velocities, TYPES[1]), (self._poses, TYPES[0])):

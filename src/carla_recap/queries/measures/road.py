@@ -65,27 +65,16 @@ _CAR: Final = (0.0, 2.25)  # m: the centre of the box and half of the length of 
 
 
 class RoadEvent(NamedTuple):
-    """A vehicle breaks a rule of the road.
-
-    Attributes:
-        kind: Which one.
-        id: The vehicle.
-        span: From when until when, in elapsed seconds.
-        place: The position at the start, in m, right-handed.
-        measure: The measure of the road, or `speed`.
-        extreme: Its most critical value, and when.
-        threshold: See `Incident`.
-        text: What the vehicle does: a sentence without subject and full stop.
-    """
+    """A vehicle breaks a rule of the road; see `Incident`."""
 
     kind: str
-    id: int
-    span: tuple[float, float]
-    place: tuple[float, float, float]
+    id: int  # of the vehicle
+    span: tuple[float, float]  # from when until when, in elapsed seconds
+    place: tuple[float, float, float]  # at the start, in m, right-handed
     measure: str
-    extreme: tuple[float, float]
+    extreme: tuple[float, float]  # the most critical value, and when
     threshold: float
-    text: str
+    text: str  # a sentence without subject and full stop
 
 
 class RoadSearch:
@@ -105,15 +94,11 @@ class RoadSearch:
         actors: Iterable[ActorLife],
         note: Callable[[int, str, MeasureValues], None] = lambda *_: None,
     ) -> None:
-        self._network, self._note = network, note
-        self._actors: dict[int, ActorLife] = {}
-        actors = list(actors)
+        self._network, self._note, actors = network, note, list(actors)
         self._heights = RoadHeights(actors)
-        for actor in actors:
-            if actor.kind == "vehicle":
-                self._actors[actor.id] = actor
-        self._vehicles = np.array(sorted(self._actors), np.int64)
-        self._boxes = np.array([_box(self._actors[id]) for id in self._vehicles.tolist()]).reshape(-1, 2)
+        vehicles = {actor.id: actor for actor in actors if actor.kind == "vehicle"}
+        self._vehicles = np.array(sorted(vehicles), np.int64)
+        self._boxes = np.array([_box(vehicles[id]) for id in self._vehicles.tolist()]).reshape(-1, 2)
         self._lights = LightHistory(source, network)
         self._lines = StopLines(network)
         self._samples: list[NDArray[np.void]] = []
@@ -121,11 +106,11 @@ class RoadSearch:
         self._next = np.full(len(self._vehicles), -math.inf)  # when the next sample of each vehicle is due
         self._spawned: dict[int, list[float]] = defaultdict(list)  # when actors appear, by vehicle
         for actor in actors:
-            if actor.id in self._actors:
+            if actor.id in vehicles:
                 self._spawned[int(np.searchsorted(self._vehicles, actor.id))].append(actor.spawned_at)
         self._held = np.zeros(0, _SAMPLE)  # the last two samples of each vehicle, of which the last one is evaluated next
         self._first_on_road: dict[int, float] = {}
-        self._slow: dict[int, tuple[float, float, float]] = {}  # where the front of each vehicle was when it last stood
+        self._slow: dict[int, tuple[float, ...]] = {}  # where the front of each vehicle was when it last stood
         self._crossings: list[_Crossing] = []
         self._runs: dict[str, list[_Run]] = defaultdict(list)
 
@@ -194,14 +179,13 @@ class RoadSearch:
         self._samples, self._count = [], 0
         if not len(samples):
             return
-        motion = _Motion(samples[np.argsort(samples["vehicle"], kind="stable")], self._spawned)
-        motion.is_new = ~motion.samples["done"] & (ended | ~motion.is_last)
+        motion = _Motion(samples[np.argsort(samples["vehicle"], kind="stable")], self._spawned, ended=ended)
         motion.samples["done"] |= motion.is_new
         self._held = motion.samples[motion.is_last | np.append(motion.is_last[1:], False)]
         at = motion.lanes(self._network)
-        ids = self._vehicles
-        for row in motion.firsts(at.on_road):
-            self._first_on_road.setdefault(int(ids[motion.vehicle[row]]), float(motion.time[row]))
+        on_road = np.flatnonzero(at.on_road)
+        for row in on_road[np.unique(motion.vehicle[on_road], return_index=True)[1]].tolist():
+            self._first_on_road.setdefault(int(self._vehicles[motion.vehicle[row]]), float(motion.time[row]))
         self._cross(motion)
         outside = np.where(np.isfinite(at.outside), at.outside, roads.REACH)
         self._add_runs("off road", motion, outside > OFF_ROAD, outside)
@@ -229,7 +213,7 @@ class RoadSearch:
         summed: bool = False,
     ) -> None:
         """Add the runs of samples that are flagged."""
-        for first, last in motion.runs(flags):
+        for first, last in runs(flags & motion.is_new, motion.continues[1:]):
             part = values[first : last + 1]
             row = first + int(np.nanargmax(part)) if np.isfinite(part).any() else first
             start = motion.samples[first]
@@ -263,57 +247,47 @@ class RoadSearch:
             point[:, 1] += ahead * sin
             points.append(point)
         rows = np.flatnonzero(motion.is_new & motion.continues & (motion.distance > 0))
-        slow = (motion.speed < STOPPED) & motion.is_new
+        slow = np.flatnonzero((motion.speed < STOPPED) & motion.is_new)
+
+        def stood(row: int) -> tuple[float, ...] | None:
+            """Return where the front of a vehicle was when it last stood until a sample; None if it never did."""
+            last = slow[np.searchsorted(slow, row, side="right") - 1] if len(slow) else -1
+            if 0 <= last <= row and motion.vehicle[last] == motion.vehicle[row]:
+                return tuple(points[0][last].tolist())
+            return self._slow.get(int(motion.vehicle[row]))
+
         for by_front, point in zip((True, False), points, strict=True):
             found = self._lines.crossed(point[rows - 1], point[rows], motion.samples["yaw"][rows])
             for index, line, share in zip(*(values.tolist() for values in found), strict=True):
                 row = int(rows[index])
-                vehicle = int(motion.vehicle[row])
-                id = int(self._vehicles[vehicle])
-                stood = self._stood(motion, row, slow, points[0], id) if by_front and self._lines.is_stop(line) else None
-                self._crossings.append(
-                    _Crossing(
-                        float(motion.time[row] - (1 - share) * motion.seconds[row]),
-                        id,
-                        line,
-                        by_front,
-                        float(motion.speed[row]),
-                        tuple(position[row].tolist()),
-                        stood is not None and self._lines.is_before(line, stood, STOP_ZONE),
-                    )
+                id, time = (
+                    int(self._vehicles[motion.vehicle[row]]),
+                    float(motion.time[row] - (1 - share) * motion.seconds[row]),
                 )
+                place = stood(row - 1) if by_front and self._lines.is_stop[line] else None
+                has_stopped = place is not None and self._lines.is_before(line, place, STOP_ZONE)
+                speed, where = float(motion.speed[row]), tuple(position[row].tolist())
+                self._crossings.append(_Crossing(time, id, line, by_front, speed, where, has_stopped))
         for first, last in motion.spans():
-            standing = np.flatnonzero(slow[first:last])
-            if len(standing):
-                self._slow[int(self._vehicles[motion.vehicle[first]])] = tuple(points[0][first + standing[-1]].tolist())
-
-    def _stood(self, motion: _Motion, row: int, slow: Booleans, fronts: Floats, id: int) -> tuple[float, ...] | None:
-        """Return where the front of a vehicle was when it last stood before a sample; None if it never did."""
-        first = int(np.searchsorted(motion.vehicle, motion.vehicle[row]))
-        standing = np.flatnonzero(slow[first:row])
-        if len(standing):
-            return tuple(fronts[first + standing[-1]].tolist())
-        return self._slow.get(id)
+            if (place := stood(last - 1)) is not None:
+                self._slow[int(motion.vehicle[first])] = place
 
     def _at_lines(self) -> Iterator[RoadEvent]:
         """Yield where vehicles cross stop lines, with the front and the centre, although they should not."""
         fronts: dict[tuple[int, int], _Crossing] = {}
         for crossing in sorted(self._crossings, key=lambda crossing: (crossing.time, not crossing.by_front)):
-            signal = self._lines.signal(crossing.line)
-            key = crossing.id, signal
+            signal = int(self._lines.signal[crossing.line])
             if crossing.by_front:
-                fronts[key] = crossing
-                continue
-            front = fronts.pop(key, None)
+                fronts[crossing.id, signal] = crossing
+            front = None if crossing.by_front else fronts.pop((crossing.id, signal), None)
             if front is None:
                 continue
-            text, threshold = "", math.nan
-            kind = "red light"
-            light = self._lights.red_during(signal, front.time, crossing.time)
+            kind, text, threshold = "red light", "", math.nan
+            light = self._lights.red(signal, front.time, crossing.time, always=True)
             at = "" if math.isnan(front.speed) else f" at {front.speed * _KMH:.0f} km/h"
             if light is not None:
                 text = f"runs a red light{at} (light {light})"
-            elif self._lines.is_stop(front.line) and not front.has_stopped:
+            elif self._lines.is_stop[front.line] and not front.has_stopped:
                 kind, threshold = "stop sign", STOPPED
                 text = f"passes a stop sign{at} without stopping"
             if text:
@@ -357,17 +331,14 @@ this was evaluated."""
 class _Motion:
     """The motion of vehicles: samples, one vehicle after the other, each in order of time.
 
-    Attributes:
-        is_new: Whether each sample is evaluated now.
-        continues: Whether each sample follows the one before it, of the same life and without a jump.
-        seconds, dx, dy, distance: The time and the way from the one before; NaN where it does not continue.
-        speed: The speed in m/s; NaN where it is unknown.
+    Of each, there is whether it is evaluated now, is the last one of its vehicle, and continues from the one before, of the
+    same life and without a jump; the time and the way from there, else NaN; the speed in m/s, NaN where it is unknown.
     """
 
-    def __init__(self, samples: NDArray[np.void], spawned: Mapping[int, Sequence[float]]) -> None:
-        self.samples, self.is_new = samples, np.ones(len(samples), np.bool_)
-        self.vehicle, self.time = samples["vehicle"], samples["time"]
+    def __init__(self, samples: NDArray[np.void], spawned: Mapping[int, Sequence[float]], *, ended: bool) -> None:
+        self.samples, self.vehicle, self.time = samples, samples["vehicle"], samples["time"]
         self.is_last = np.append(np.diff(self.vehicle) != 0, True)
+        self.is_new = ~samples["done"] & (ended | ~self.is_last)
         life = 0 * self.vehicle
         for vehicle, times in spawned.items():
             rows = slice(*np.searchsorted(self.vehicle, (vehicle, vehicle + 1)).tolist())
@@ -394,37 +365,18 @@ class _Motion:
         ends = np.flatnonzero(self.is_last) + 1
         yield from zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True)
 
-    def firsts(self, flags: Booleans) -> Iterator[int]:
-        """Yield the first sample of each vehicle that is flagged."""
-        rows = np.flatnonzero(flags)
-        yield from rows[np.diff(self.vehicle[rows], prepend=-1) != 0].tolist()
-
-    def runs(self, flags: Booleans) -> Iterator[tuple[int, int]]:
-        """Return the first and the last of consecutive new samples of a vehicle that are flagged."""
-        return runs(flags & self.is_new, self.continues[1:])
-
 
 class _Run(NamedTuple):
-    """A vehicle does something for some time.
+    """A vehicle does something for some time."""
 
-    Attributes:
-        id: The vehicle.
-        start, stop: From when until when, in elapsed seconds.
-        position: Where it begins.
-        value: The greatest value, or the sum.
-        time: When it is reached.
-        limit: The speed limit at the greatest value.
-        before: The time of the sample that it continues from; NaN without one.
-    """
-
-    id: int
-    start: float
+    id: int  # of the vehicle
+    start: float  # in elapsed seconds
     stop: float
-    position: tuple[float, float, float]
-    value: float
-    time: float
-    limit: float
-    before: float
+    position: tuple[float, float, float]  # where it begins
+    value: float  # the greatest one, or the sum
+    time: float  # when it is reached
+    limit: float  # of the speed, at the greatest value
+    before: float  # the time of the sample that it continues from; NaN without one
 
     def event(self, kind: str, measure: str, threshold: float, text: str) -> RoadEvent:
         """Return the event that this is."""
@@ -448,22 +400,12 @@ def _joined(runs: Iterable[_Run], *, summed: bool = False) -> list[_Run]:
 
 
 class _Crossing(NamedTuple):
-    """A vehicle crosses a stop line.
+    """A vehicle crosses a stop line."""
 
-    Attributes:
-        time: When, in elapsed seconds.
-        id: The vehicle.
-        line: The index of the line.
-        by_front: Whether with its front, else with its centre.
-        speed: Its speed in m/s.
-        position: Its position.
-        has_stopped: Whether it stood before the line; for the fronts of vehicles at stop signs.
-    """
-
-    time: float
-    id: int
+    time: float  # in elapsed seconds
+    id: int  # of the vehicle
     line: int
-    by_front: bool
-    speed: float
+    by_front: bool  # else by its centre
+    speed: float  # m/s
     position: tuple[float, float, float]
-    has_stopped: bool
+    has_stopped: bool  # before the line; of fronts at stop signs

@@ -182,17 +182,7 @@ class MeasuresOverTime:
 def measures_over_time(
     source: Reader, actors: Subjects = None, *, pair: tuple[ActorName, ActorName] | None = None
 ) -> MeasuresOverTime:
-    """Return the measures of actors over time.
-
-    Args:
-        source: The recording.
-        actors: The actors to measure; see `measures`.
-        pair: Two actors instead, each measured as if the other were the only one.
-
-    Raises:
-        RecapError: There is no such vehicle or walker, or no hero, or both of a pair are one actor.
-        FormatError: The file contradicts its format.
-    """
+    """Return the measures of actors over time, or of a pair of them, each as if the other were the only one."""
     lives, contacts = lives_and_contacts(source)
     if pair is None:
         collectors = [SeriesCollector(*measured_actors(source, lives, actors))]
@@ -206,19 +196,7 @@ def measures_over_time(
 def time_series(
     source: Reader, actor: ActorName, other: ActorName | None = None, *, start: float = -math.inf, stop: float = math.inf
 ) -> MeasureSeries:
-    """Return the measures of an actor over time.
-
-    Args:
-        source: The recording.
-        actor: The id of the vehicle or walker, or "hero".
-        other: The same of the only other actor that counts; None for all.
-        start: The elapsed seconds from which on to measure.
-        stop: The elapsed seconds until which to measure.
-
-    Raises:
-        RecapError: There is no such vehicle or walker, or both are one actor.
-        FormatError: The file contradicts its format.
-    """
+    """Return the measures of an actor over time; see `Recording.time_series`."""
     lives, contacts = lives_and_contacts(source)
     if other is None:
         collector = SeriesCollector(id := _find(source, lives, actor))
@@ -230,11 +208,7 @@ def time_series(
 
 
 def measured_actors(source: Reader, recorded: ActorLives, wanted: Subjects) -> dict[int, ActorLife]:
-    """Return the actors to measure by id; of those that had one id, the first.
-
-    Raises:
-        RecapError: There is no such vehicle or walker, or no hero.
-    """
+    """Return the actors to measure by id; of those that had one id, the first."""
     movers: dict[int, ActorLife] = {}
     for actor in recorded:
         if actor.kind in ROAD_USERS:
@@ -278,12 +252,7 @@ def _collect(
 
 
 class SeriesCollector:
-    """Collects the measures of actors over time from tables of motion.
-
-    Args:
-        actors: The ids of the actors.
-        other: The id of the only other actor that counts; None for all.
-    """
+    """Collects the measures of actors over time from tables of motion, in relation to all others, or to one alone."""
 
     def __init__(self, *actors: int, other: int | None = None) -> None:
         self._other = other

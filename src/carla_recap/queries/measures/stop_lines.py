@@ -19,43 +19,30 @@ _BEHIND: Final = 0.5  # m behind a stop line at which a vehicle may still stop
 
 
 class StopLines:
-    """The stop lines of traffic lights and stop signs of a road network."""
+    """The stop lines of traffic lights and stop signs of a road network.
+
+    Attributes:
+        signal: The signal of each line, (lines,).
+        is_stop: Whether each is that of a stop sign, (lines,).
+        middle: The middle of each: x, y, z in m, (lines, 3).
+    """
 
     def __init__(self, network: RoadNetwork) -> None:
         lines = network.stop_lines
         self._kinds = network.signals["kind"][lines["signal"]]
-        self._signal_of_line, self._signals = lines["signal"], network.signals
-        self._middle = np.stack([(lines[f"{axis}0"] + lines[f"{axis}1"]) / 2 for axis in "xyz"], axis=1)
+        self.signal, self._signals, self.is_stop = lines["signal"], network.signals, self._kinds == roads.STOP
+        self.middle = np.stack([(lines[f"{axis}0"] + lines[f"{axis}1"]) / 2 for axis in "xyz"], axis=1)
         self._half = np.hypot(lines["x1"] - lines["x0"], lines["y1"] - lines["y0"]) / 2
         self._ahead = np.stack((np.cos(lines["heading"]), np.sin(lines["heading"])), axis=1)
-
-    def signal(self, line: int) -> int:
-        """Return the signal of a line."""
-        return int(self._signal_of_line[line])
-
-    def middle(self, line: int) -> Floats:
-        """Return the middle of a line: x, y, z in m, (3,)."""
-        middle: Floats = self._middle[line]
-        return middle
 
     def place(self, signal: int) -> tuple[float, float, float]:
         """Return the position of a signal: x, y, z in m."""
         row = self._signals[signal]
         return float(row["x"]), float(row["y"]), float(row["z"])
 
-    def is_stop(self, line: int) -> bool:
-        """Return whether a line is that of a stop sign."""
-        return bool(self._kinds[line] == roads.STOP)
-
     def is_before(self, line: int, point: tuple[float, ...], zone: float) -> bool:
-        """Return whether a point is in the zone before a line in which vehicles stop.
-
-        Args:
-            line: The line.
-            point: x and y in m, and maybe z.
-            zone: The length of the zone, in m.
-        """
-        away = np.array(point[:2]) - self._middle[line, :2]
+        """Return whether a point, in m, is in the zone of a length in m before a line, in which vehicles stop."""
+        away = np.array(point[:2]) - self.middle[line, :2]
         along = float(away @ self._ahead[line])
         return -zone <= along <= _BEHIND and float(np.hypot(*away)) <= zone + _BESIDE
 
@@ -64,12 +51,8 @@ class StopLines:
     ) -> tuple[Integers, Integers, Floats]:
         """Return which steps cross which line in its direction, and at which share of the step.
 
-        Args:
-            start: Where each step begins: x, y, z in m, (n, 3).
-            end: Where each step ends, (n, 3).
-            heading: The heading of the vehicle in radians, (n,).
-            wider: The factor by which a line is wider than its lane.
-            turned: The greatest angle between the heading and the direction of the lane, in degrees.
+        Steps have a start and an end, x, y, z in m, (n, 3), and a heading in radians, (n,). A line is `wider` than its lane
+        by a factor, and the heading is `turned` by an angle in degrees from the direction of the lane at most.
         """
         same_way = math.cos(math.radians(turned))
         finite = np.flatnonzero(np.isfinite(start).all(axis=1) & np.isfinite(end).all(axis=1))
@@ -77,7 +60,7 @@ class StopLines:
         longest = float(np.abs(end[finite] - start[finite]).max(initial=0.0))
         found = [(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))]
         for line in np.flatnonzero(self._kinds != roads.YIELD).tolist():
-            middle, ahead, half = self._middle[line], self._ahead[line], wider * float(self._half[line])
+            middle, ahead, half = self.middle[line], self._ahead[line], wider * float(self._half[line])
             first, last = np.searchsorted(end[order, 0], middle[0] + (half + longest) * np.array((-1, 1)))
             steps = order[first:last]
             steps = steps[np.abs(end[steps, 1] - middle[1]) <= half + longest]

@@ -27,11 +27,7 @@ _NEAR: Final = 3.0  # m from a recorded light to the signal of the map that it i
 class LightHistory:
     """The states of the recorded traffic lights, by the signals of the map that they stand for.
 
-    A recorded light is the nearest light of the map, at most 3 m away.
-
-    Args:
-        source: The recording. Its spawns are read at once.
-        network: The roads of its map.
+    A recorded light is the nearest light of the map, at most 3 m away. The spawns of the recording are read at once.
     """
 
     def __init__(self, source: Reader, network: RoadNetwork) -> None:
@@ -79,31 +75,15 @@ class LightHistory:
                     self._times[id].append(time)
         self._ids, self._current = ids[-1].copy(), states[-1].copy()
 
-    def red_within(self, signal: int, start: float, stop: float) -> int | None:
-        """Return the light of a signal if it is red at some time from one time to another; else None."""
-        light = self._light_of(signal, start)
+    def red(self, signal: int, start: float, stop: float, *, always: bool) -> int | None:
+        """Return the light of a signal if it is red from one time to another, in s, at some time or `always`; else None."""
+        light = next((id for since, id in reversed(self._lights.get(signal, ())) if since <= start + SAME_TIME), None)
         if light is None:
             return None
         times, states = self._times[light], self._states[light]
-        first = max(bisect_right(times, start + SAME_TIME) - 1, 0)
-        last = bisect_right(times, stop + SAME_TIME)
-        return light if RED in states[first:last] else None
-
-    def red_during(self, signal: int, start: float, stop: float) -> int | None:
-        """Return the light of a signal if it is red all the time from one time to another, in elapsed seconds; else None."""
-        light = self._light_of(signal, start)
-        if light is None:
-            return None
-        times = self._times[light]
-        index = bisect_right(times, start + SAME_TIME) - 1
-        is_red = index >= 0 and self._states[light][index] == RED
-        lasts = index + 1 >= len(times) or times[index + 1] > stop
-        return light if is_red and lasts else None
-
-    def _light_of(self, signal: int, time: float) -> int | None:
-        """Return the light that stands for a signal at a time; None without one."""
-        light = None
-        for since, id in self._lights.get(signal, ()):
-            if since <= time + SAME_TIME:
-                light = id
-        return light
+        first = bisect_right(times, start + SAME_TIME) - 1
+        if always:
+            is_red = first >= 0 and states[first] == RED and (first + 1 >= len(times) or times[first + 1] > stop)
+        else:
+            is_red = RED in states[max(first, 0) : bisect_right(times, stop + SAME_TIME)]
+        return light if is_red else None

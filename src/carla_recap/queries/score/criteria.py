@@ -208,7 +208,7 @@ def passages(drive: Drive, lines: StopLines) -> list[Passage]:
     return [
         Passage(start, min((stop for stop, other in left if other == line and stop >= start), default=end), line)
         for start, line in entered
-        if not lines.is_stop(line)
+        if not lines.is_stop[line]
     ]
 
 
@@ -216,8 +216,8 @@ def red_lights(drive: Drive, passed: Iterable[Passage], lines: StopLines, lights
     """Yield where the rear of the hero is above the stop line of a light that is red."""
     latest: int | None = None
     for start, stop, line in passed:
-        signal = lines.signal(line)
-        light = lights.red_within(signal, start, stop)
+        signal = int(lines.signal[line])
+        light = lights.red(signal, start, stop, always=False)
         if light is not None and light != latest:
             latest = light
             text = f"Agent ran a red light {light} at {_in_carla_axes(lines.place(signal))}"
@@ -228,10 +228,10 @@ def stop_signs(drive: Drive, lines: StopLines, actors: ActorLives) -> Iterator[I
     """Yield where the hero crosses the stop line of a stop sign without having stopped."""
     latest: int | None = None
     for time, line in _crossings(drive, lines, drive.position, 1.0, _NEAR_STOP):
-        signal, frame = lines.signal(line), _frame_at(drive, time)
-        if not lines.is_stop(line) or signal == latest:
+        signal, frame = int(lines.signal[line]), _frame_at(drive, time)
+        if not lines.is_stop[line] or signal == latest:
             continue
-        away = np.linalg.norm(drive.position[: frame + 1, :2] - lines.middle(line)[:2], axis=1)
+        away = np.linalg.norm(drive.position[: frame + 1, :2] - lines.middle[line, :2], axis=1)
         outside = np.flatnonzero(away > _STOP_ZONE)
         first = int(outside[-1]) + 1 if len(outside) else 0
         if not (drive.speed[first : frame + 1] < _STATIONARY).any():

@@ -16,7 +16,7 @@ from carla_recap.queries.measures.driving import BACKGROUND, comfort, efficiency
 from carla_recap.queries.measures.stop_lines import StopLines
 from carla_recap.queries.measures.traffic_lights import LightHistory
 from carla_recap.queries.recorded_actors import lives_and_contacts
-from carla_recap.queries.roads import map_file_of
+from carla_recap.queries.roads import find_map_of
 from carla_recap.queries.score import criteria
 from carla_recap.queries.score.infractions import FORMULAS, INFRACTIONS, Formula, Infraction, penalty_of
 from carla_recap.queries.score.route_files import repetition
@@ -166,7 +166,8 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
             actor is unknown in several frames, or frames last longer than 5 s.
     """
     options = options or ScoreOptions()
-    path = map_file_of(source, options.road_map)
+    path = find_map_of(source, options.road_map, needed=True)
+    assert path is not None
     town, network = load_lane_map(path), load_road_network(path)
     actors, contacts = lives_and_contacts(source)
     hero = find_actor(source.location, [life for life in actors if life.kind == "vehicle"], options.actor, "vehicle")
