@@ -159,29 +159,14 @@ class IncidentKeywords(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True)
 class Search:
-    """What detectors know of a recording before its frames are read.
-
-    Attributes:
-        source: The recording.
-        options: What to look for.
-        actors: All actors.
-        contacts: The contacts between them.
-        roads: The roads of the map, where a detector needs them.
-        near: The actors whose near misses count; None for all.
-        series: Gets the motion in which near misses are found, too.
-    """
+    """What detectors know of a recording before its frames are read."""
 
     source: Reader
     options: IncidentOptions
     actors: ActorLives
     contacts: Contacts
-    roads: RoadNetwork | None = None
-    near: Collection[int] | None = None
-    series: SeriesCollector | None = None
-
-    def name(self, id: int, time: float) -> str:
-        """Return what a text calls an actor."""
-        return self.actors.name(id, time)
+    near: Collection[int] | None = None  # the actors whose near misses count; None for all
+    series: SeriesCollector | None = None  # gets the motion in which near misses are found, too
 
     def incident(
         self,
@@ -292,7 +277,7 @@ class LongStopIncidents(Detector):
     def _incident(self, row: BlockedRow) -> Incident:
         stop, threshold = row.start + row.duration, self._search.options.min_time
         place, extreme = place_in_metres(row.x, row.y, row.z), (row.duration, stop)
-        text = f"{self._search.name(row.id, row.start)} stands still for {row.duration:.0f} s"
+        text = f"{self._search.actors.name(row.id, row.start)} stands still for {row.duration:.0f} s"
         return self._search.incident("blocked", (row.id,), (row.start, stop), place, DURATION, extreme, threshold, text)
 
 
@@ -321,7 +306,7 @@ class HardBrakingIncidents(Detector):
             if not detector.can_be_braking(row.id, row.start, stop):
                 continue
             span, place = (row.start, stop), place_in_metres(row.x, row.y, row.z)
-            text = f"{search.name(row.id, row.start)} brakes hard at {row.speed * _KMH:.0f} km/h"
+            text = f"{search.actors.name(row.id, row.start)} brakes hard at {row.speed * _KMH:.0f} km/h"
             extreme, threshold = detector.hardest(row.id, *span), search.options.deceleration
             yield search.incident("hard braking", (row.id,), span, place, deceleration, extreme, threshold, text)
 
@@ -385,9 +370,8 @@ class NearMissIncidents(Detector):
             if (other is not None and other.is_hero) or actors.kind(row.id1, row.start) == "walker":
                 ids = ids[::-1]
             measure = "time_to_collision" if row.time_to_collision < math.inf else "post_encroachment_time"
-            span, place, extreme = (row.start, row.stop), (row.x, row.y, row.z), (getattr(row, measure), row.time)
-            threshold = getattr(options, measure)
-            yield self._search.incident("near miss", ids, span, place, MEASURES[measure], extreme, threshold, text)
+            span, extreme, threshold = (row.start, row.stop), (getattr(row, measure), row.time), getattr(options, measure)
+            yield self._search.incident("near miss", ids, span, row.place, MEASURES[measure], extreme, threshold, text)
 
 
 class RoadIncidents(Detector):
@@ -397,8 +381,8 @@ class RoadIncidents(Detector):
 
     def __init__(self, search: Search) -> None:
         super().__init__(search)
-        assert search.roads is not None
-        self._roads = RoadSearch(search.source, search.roads, search.actors)
+        assert search.options.roads is not None
+        self._roads = RoadSearch(search.source, search.options.roads, search.actors)
 
     def add(self, batch: Batch) -> None:
         """See `Detector.add`."""

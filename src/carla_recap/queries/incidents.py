@@ -65,13 +65,7 @@ def with_roads(source: Reader, options: IncidentOptions) -> IncidentOptions:
 class IncidentSearch:
     """Finds the incidents of a recording in its batches, which are read for something else, too.
 
-    The spawns, the ends and the collisions of all actors are read at once.
-
-    Args:
-        source: The recording.
-        options: Which incidents to find, and what counts as one.
-        near: The actors whose near misses count; None for all.
-        series: Gets the motion in which near misses are found, too.
+    The spawns, the ends and the collisions of all actors are read at once; for `near` and `series`, see `Search`.
 
     Attributes:
         actors: The actors until the end of the part that is looked at.
@@ -91,9 +85,7 @@ class IncidentSearch:
         actors, contacts = lives_and_contacts(source, stop=options.stop)
         self.actors = actors
         self._actor = None if options.actor is None else find_actor(source.location, actors, options.actor).id
-        search = Search(
-            source=source, options=options, actors=actors, contacts=contacts, roads=options.roads, near=near, series=series
-        )
+        search = Search(source=source, options=options, actors=actors, contacts=contacts, near=near, series=series)
         makers = dict.fromkeys(kind.detector for name, kind in KINDS.items() if name in self._kinds)
         self._detectors = [make(search) for make in makers]
 

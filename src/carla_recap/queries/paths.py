@@ -112,19 +112,12 @@ class RecordedPaths:
 
 
 class FramePairs(NamedTuple):
-    """Which frames of recording b are around each frame of recording a, (frames of a,).
+    """Which frames of recording b are around each frame of recording a, (frames of a,)."""
 
-    Attributes:
-        before, after: The last one before and the first one after it; both the same, where it has the same time. Those of
-            frames that b has none around are no numbers of its frames.
-        weight: The share of the latter.
-        seconds: The time between the two.
-    """
-
-    before: Indices
-    after: Indices
-    weight: Floats
-    seconds: Floats
+    before: Indices  # the last one before it, or the one that has the same time; -1 if b has none around it
+    after: Indices  # the first one after it
+    weight: Floats  # the share of the latter
+    seconds: Floats  # the time between the two
 
     def of(self, rows: Indices, first: int) -> FramePairs:
         """Return those of some frames of a, with frames of b counted from one of them."""
@@ -179,13 +172,9 @@ class PathDifference:
     squares: float = 0.0
 
     def add(self, time: Floats, mine: Floats, theirs: Floats, tolerance: float) -> None:
-        """Add the poses of both in the next frames, (4, frames), the last one of which is known.
+        """Add the poses of both in the next frames, x, y and z in cm and yaw in degrees, (4, frames).
 
-        Args:
-            time: The elapsed seconds of the frames, (frames,).
-            mine: x, y and z in cm and yaw in degrees in the first recording.
-            theirs: The same in the second one.
-            tolerance: The distance in m beyond which paths differ.
+        Paths differ beyond the tolerance, in m.
         """
         same = (mine == theirs) | (np.isnan(mine) & np.isnan(theirs))
         steps = np.where(same, 0.0, mine - theirs)
@@ -221,13 +210,8 @@ def compare(
 ) -> tuple[dict[int, PathDifference], dict[int, StateDifference]]:
     """Return how far the paths of actors part, and how long the states of lights differ, by number in a.
 
-    Both are read to their ends. Actors whose spawn is in neither of them are compared if they have the same id.
-
-    Args:
-        a: The recording at whose frames they are compared.
-        b: The other one.
-        partners: The numbers in b of the actors of a.
-        tolerance: The distance in m beyond which paths differ.
+    Both are read to their ends, and compared at the frames of a. Partners are the numbers in b of the actors of a; actors
+    whose spawn is in neither of them are compared if they have the same id. Paths differ beyond the tolerance, in m.
     """
     pairs = pair_frames(a.elapsed, b.elapsed)
     paths: dict[int, PathDifference] = defaultdict(PathDifference)

@@ -303,7 +303,7 @@ def test_the_critical_time_is_all_frames_below_the_limit(drive: Drive, later: in
     (miss,) = near_misses(drive(approaching(frames, later=later), seconds=2 + later / 20), time_to_collision=1.51)
     assert (miss.start, miss.stop) == pytest.approx(((10 + later) / 20, (9 + later + frames) / 20))
     assert (miss.time, miss.time_to_collision) == pytest.approx((miss.stop, 1.55 - frames / 20), abs=1e-4)
-    assert (miss.x, miss.y, miss.speed) == pytest.approx((15 * miss.stop - 0.75 * later, 0, 15), abs=1e-3)
+    assert (*miss.place[:2], miss.speed) == pytest.approx((15 * miss.stop - 0.75 * later, 0, 15), abs=1e-3)
 
 
 @pytest.mark.parametrize("limit", [2.0, 3.0, 5.0, 20.0, 60.0])

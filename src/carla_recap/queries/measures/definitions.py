@@ -48,17 +48,11 @@ NO_OTHER: Final = -1
 
 
 class Extreme(NamedTuple):
-    """An extreme value of a measure of an actor.
-
-    Attributes:
-        value: The value.
-        time: When, in elapsed seconds.
-        other: The actor that it is in relation to, if any.
-    """
+    """An extreme value of a measure of an actor."""
 
     value: float
-    time: float
-    other: ActorLife | None = None
+    time: float  # in elapsed seconds
+    other: ActorLife | None = None  # the actor that it is in relation to
 
 
 class MeasureValues(NamedTuple):

@@ -31,23 +31,14 @@ _SPACING: Final = 1.0  # m between the points of a route
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """How an actor moves; arrays of (n,) and (n, 3) for its frames.
-
-    Attributes:
-        actor: The actor.
-        time: Elapsed seconds.
-        position: x, y and z in m, right-handed.
-        yaw: The heading in radians.
-        speed: The speed over the ground in m/s.
-        velocity: The velocity over the ground in m/s, (n, 2); it may be no number.
-    """
+    """How an actor moves; arrays for its n frames."""
 
     actor: ActorLife
-    time: Floats
-    position: Floats
-    yaw: Floats
-    speed: Floats
-    velocity: Floats
+    time: Floats  # elapsed seconds, (n,)
+    position: Floats  # x, y and z in m, right-handed, (n, 3)
+    yaw: Floats  # the heading in radians, (n,)
+    speed: Floats  # over the ground in m/s, (n,)
+    velocity: Floats  # over the ground in m/s, (n, 2); it may be no number
 
     @classmethod
     def of(cls, actor: ActorLife, path: Trajectory) -> Drive:
@@ -109,17 +100,13 @@ def ground_speed(path: Trajectory) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class PlannedRoute:
-    """A route as a row of points.
+    """A route as a row of points."""
 
-    Attributes:
-        points: The points, (n, 3), in m.
-        ahead: The driving direction at each, as vectors of length 1, (n, 3).
-        junction: The share of the points in %, counted to a bit behind the first one in a junction; None without one.
-    """
-
-    points: Floats
-    ahead: Floats
-    junction: float | None = None
+    points: Floats  # (n, 3), in m
+    ahead: Floats  # the driving direction at each, as vectors of length 1, (n, 3)
+    junction: float | None = (
+        None  # the share of the points in % to a bit behind the first one in a junction, if there is one
+    )
 
     @classmethod
     def of_drive(cls, drive: Drive) -> PlannedRoute:
@@ -140,17 +127,12 @@ class PlannedRoute:
         """The length in m."""
         return float(self.travelled[-1])
 
-    @cached_property
-    def _rows(self) -> list[tuple[float, ...]]:
-        rows: list[tuple[float, ...]] = np.hstack((self.points, self.ahead)).tolist()
-        return rows
-
     def passed(self, ticks: Iterable[tuple[float, float, float]], window: int) -> Iterator[tuple[int, int]]:
         """Yield the index of the tick and of the point for each point that an actor at positions passes, in order.
 
         It may pass as many of the points ahead in a tick as there are in the window.
         """
-        rows, index = self._rows, 0
+        rows, index = np.hstack((self.points, self.ahead)).tolist(), 0
         for tick, (x, y, z) in enumerate(ticks):
             for number, (px, py, pz, ax, ay, az) in enumerate(rows[index + 1 : index + window + 1], index + 1):
                 if (x - px) * ax + (y - py) * ay + (z - pz) * az > 0:

@@ -46,15 +46,10 @@ _MAX_SAMPLES: Final = 100  # per frame; a recording with fewer frames says nothi
 
 
 class Comfort(NamedTuple):
-    """How smoothly a vehicle drives.
+    """How smoothly a vehicle drives."""
 
-    Attributes:
-        smoothness: The windows of 2 s in which all quantities are within their bounds, in % of all.
-        within: Those in which each quantity is, by its name in `COMFORT`.
-    """
-
-    smoothness: float
-    within: dict[str, float]
+    smoothness: float  # the windows of 2 s in which all quantities are within their bounds, in % of all
+    within: dict[str, float]  # those in which each quantity is, by its name in `COMFORT`
 
 
 def efficiency(drive: Drive, travelled: Floats, length: float, others: Sequence[Trajectory]) -> float | None:

@@ -45,34 +45,18 @@ _ACROSS: Final = math.sin(math.radians(CROSSING))
 
 @dataclass(frozen=True, slots=True)
 class Encounter:
-    """Two actors nearly meet.
+    """Two actors nearly meet."""
 
-    Attributes:
-        id1: The actor that approaches, or that arrives second where paths cross.
-        id2: The other actor.
-        start: The beginning of the critical time, in elapsed seconds; where paths cross, the other actor is there then.
-        stop: Its end; where paths cross, the first actor is there then.
-        time: The most critical moment.
-        time_to_collision: The least time to collision in s; inf unless it is critical.
-        required_deceleration: The greatest deceleration that a collision takes to be avoided, in m/s²; 0 unless the time to
-            collision is critical.
-        post_encroachment_time: The time between leaving and arriving in s; inf unless it is critical.
-        speed: The speed of the first actor at the most critical moment, in m/s.
-        x, y, z: The location of the first actor at that moment, in m, right-handed.
-    """
-
-    id1: int
+    id1: int  # the actor that approaches, or that arrives second where paths cross
     id2: int
-    start: float
-    stop: float
-    time: float
-    time_to_collision: float
-    required_deceleration: float
-    post_encroachment_time: float
-    speed: float
-    x: float
-    y: float
-    z: float
+    start: float  # of the critical time, in elapsed seconds; where paths cross, the other actor is there then
+    stop: float  # where paths cross, the first actor is there then
+    time: float  # the most critical moment
+    time_to_collision: float  # s, the least; inf unless it is critical
+    required_deceleration: float  # m/s², the greatest that avoids a collision; 0 unless the time to collision is critical
+    post_encroachment_time: float  # s between leaving and arriving; inf unless it is critical
+    speed: float  # m/s, of the first actor at the most critical moment
+    place: tuple[float, float, float]  # the location of the first actor at that moment, in m, right-handed
 
 
 class _TableCrossing(NamedTuple):
@@ -85,12 +69,9 @@ class _TableCrossing(NamedTuple):
 
 
 class CrossingSearch:
-    """Finds the paths that cross in tables of motion, each with the least time between leaving and arriving.
+    """Finds the paths that cross in tables of motion, each with the least time in s between leaving and arriving.
 
-    Args:
-        longest: The longest such time, in s.
-        least_speed: The least speed with which an actor arrives, in m/s.
-        only_vehicles: Whether vehicles alone arrive.
+    It is the `longest` at most. Actors arrive with at least a speed, in m/s, and may have to be vehicles.
     """
 
     def __init__(self, longest: float, *, least_speed: float = SLOWEST, only_vehicles: bool = False) -> None:
@@ -119,7 +100,7 @@ class CrossingSearch:
             frame = int(np.clip(np.searchsorted(table.clock, arrived - SAME_TIME), 0, len(table.time) - 1))
             one, other = table.actors[second], table.actors[first]
             speed, place = float(grid.speed[second, hits.arrived[best]]), table.location(second, frame)
-            encounter = Encounter(one.id, other.id, left, arrived, arrived, math.inf, 0.0, time, speed, *place)
+            encounter = Encounter(one.id, other.id, left, arrived, arrived, math.inf, 0.0, time, speed, place)
             begin, end = grid.time[[hits.arrived[rows].min(), hits.arrived[rows].max()]].tolist()
             self._found[one.id, one.spawned_at, other.id, other.spawned_at].append(
                 _TableCrossing(begin, end, int(lag[best]), encounter)
@@ -150,16 +131,11 @@ def encounters(one: Indices, other: Indices, time: Floats) -> Iterator[Indices]:
 
 
 class _Arrivals(NamedTuple):
-    """Moments at which actors are where others were; arrays of one length.
+    """Moments at which actors are where others were; arrays of one length."""
 
-    Attributes:
-        first, second: The rows of the actor that was there first, and of the one that arrives.
-        left, arrived: The moments at which they are there.
-    """
-
-    first: Indices
-    second: Indices
-    left: Indices
+    first: Indices  # the row of the actor that was there first
+    second: Indices  # that of the one that arrives
+    left: Indices  # the moment at which the first one is there
     arrived: Indices
 
     def take(self, kept: Booleans | Indices | slice) -> _Arrivals:
@@ -169,18 +145,11 @@ class _Arrivals(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Motion at the multiples of 0.05 s, between frames along straight lines; arrays of the shape (actors, moments).
-
-    Attributes:
-        table: The motion.
-        step: The number of each moment from time 0, (moments,), ascending; there are none where frames are far apart.
-        core: The moments from the first frame that the table is for to the one after the last.
-        x, y, z, yaw, speed, thrown: As in the table.
-    """
+    """Motion of a table at the multiples of 0.05 s, along straight lines; arrays of the shape (actors, moments)."""
 
     table: MotionTable
-    step: Integers
-    core: slice
+    step: Integers  # the number of each moment from time 0, (moments,), ascending; there are none where frames are far apart
+    core: slice  # the moments from the first frame that the table is for to the one after the last
     x: Floats
     y: Floats
     z: Floats

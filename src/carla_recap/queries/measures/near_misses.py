@@ -44,16 +44,10 @@ _AFTER_CONTACT: Final = 5.0  # s after a contact in which the pair has no near m
 
 
 class NearMissDetector:
-    """Finds near misses in the frames of a recording.
+    """Finds near misses in the frames of a recording; for the thresholds, see `IncidentOptions`.
 
-    Args:
-        actors: The actors.
-        contacts: When they touch: near misses that end in a collision are none, and what was hit has none for some time.
-        ids: The actors of interest, one of which a near miss must have; None for all.
-        series: Gets the motion, too.
-        time_to_collision: The greatest time to collision of a near miss, in s.
-        post_encroachment_time: The greatest post-encroachment time of a near miss, in s.
-        required_deceleration: The least deceleration that one by its time to collision requires at some moment, in m/s².
+    Near misses that end in a collision are none, and what was hit has none for some time. One of `ids` takes part, unless it
+    is None. `series` gets the motion, too.
     """
 
     def __init__(
@@ -75,11 +69,7 @@ class NearMissDetector:
         self._approaches: dict[tuple[int, float, int, float], list[Encounter]] = defaultdict(list)
 
     def batch(self, batch: Batch) -> None:
-        """Process the frames of a batch, which have at least their transforms and velocities.
-
-        Raises:
-            FormatError: A packet contradicts its layout.
-        """
+        """Process the frames of a batch, which have at least their transforms and velocities."""
         for table in self._motion.add(batch):
             self._add(table)
 
@@ -144,7 +134,7 @@ class NearMissDetector:
                 float(braking.max()),
                 math.inf,
                 float(table.speed[one, frame]),
-                *table.location(one, frame),
+                table.location(one, frame),
             )
             pair = sorted((actor.id, actor.spawned_at) for actor in (table.actors[one], table.actors[other]))
             self._approaches[*pair[0], *pair[1]].append(miss)

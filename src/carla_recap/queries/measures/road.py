@@ -260,10 +260,8 @@ class RoadSearch:
             found = self._lines.crossed(point[rows - 1], point[rows], motion.samples["yaw"][rows])
             for index, line, share in zip(*(values.tolist() for values in found), strict=True):
                 row = int(rows[index])
-                id, time = (
-                    int(self._vehicles[motion.vehicle[row]]),
-                    float(motion.time[row] - (1 - share) * motion.seconds[row]),
-                )
+                id = int(self._vehicles[motion.vehicle[row]])
+                time = float(motion.time[row] - (1 - share) * motion.seconds[row])
                 place = stood(row - 1) if by_front and self._lines.is_stop[line] else None
                 has_stopped = place is not None and self._lines.is_before(line, place, STOP_ZONE)
                 speed, where = float(motion.speed[row]), tuple(position[row].tolist())

@@ -60,17 +60,11 @@ _HIDDEN: Final = 100.0  # m below the hero: an actor of a scenario that has not 
 
 
 class Ending(NamedTuple):
-    """How a route ends.
+    """How a route ends."""
 
-    Attributes:
-        frame: The last frame that counts.
-        completion: The completed part of the route in %.
-        infraction: The infraction that has ended it, if any.
-    """
-
-    frame: int
-    completion: float
-    infraction: Infraction | None
+    frame: int  # the last one that counts
+    completion: float  # the completed part of the route in %
+    infraction: Infraction | None  # the one that has ended it
 
 
 def ending(drive: Drive, route: PlannedRoute, network: RoadNetwork) -> Ending:
@@ -187,16 +181,10 @@ def _kind_of_collision(life: ActorLife | None, *, is_object: bool) -> str:
 
 
 class Passage(NamedTuple):
-    """The rear of the hero passes a stop line.
+    """The rear of the hero passes a stop line."""
 
-    Attributes:
-        start: The elapsed seconds at which the front end of the rear is above the line.
-        stop: The elapsed seconds at which its back end is.
-        line: The line.
-    """
-
-    start: float
-    stop: float
+    start: float  # the elapsed seconds at which the front end of the rear is above the line
+    stop: float  # those at which its back end is
     line: int
 
 
