@@ -20,16 +20,17 @@ if TYPE_CHECKING:
     from carla_recap.model.frame import Packet
 
 
-class _Template:
-    """Formats the records of a type.
+class PacketLines:
+    """Formats the records of a type by a line with fields in braces; `{index}` is the number of the record in its packet.
 
-    Args:
-        layout: The fields of the records.
-        line: The text of a record, with fields in braces; `{index}` is the number of the record in its packet.
-        words: For some fields, a function that returns the text of a value.
+    A packet has a heading with the number of records, unless it is None, and an end. For some fields, functions return the
+    words for a value.
     """
 
-    def __init__(self, layout: Layout, line: str, /, **words: Callable[[Any], Any]) -> None:
+    def __init__(
+        self, layout: Layout, line: str, heading: str | None = None, end: str = "", /, **words: Callable[[Any], Any]
+    ) -> None:
+        self._heading, self._end = heading, end
         self._fields = _FIELD.findall(line)
         kinds = {"index": "u4", **layout.fields}
         texts = {field: readable for field in self._fields if kinds[field] == TEXT}
@@ -37,6 +38,11 @@ class _Template:
         self._reals = [kinds[field] in (REAL, "f4", "f8") for field in self._fields]
         self._line = _FIELD.sub(lambda match: "%.6g" if self._reals[self._fields.index(match[1])] else "%s", line)
         self._line_of_texts = _FIELD.sub("%s", line)
+
+    def __call__(self, packet: Packet) -> str:
+        """Return the text of a packet."""
+        text = self.text(packet.records)
+        return text if self._heading is None else f" {self._heading}: {_count(packet)}\n{text}{self._end}"
 
     def text(self, records: Records) -> str:
         """Return the text of some records."""
@@ -62,22 +68,6 @@ class _Template:
 
 
 _FIELD: Final = re.compile(r"\{(\w+)\}")
-
-
-class PacketLines:
-    """Formats the packets of a type: a heading with the number of records, unless it is None, the records, and an end."""
-
-    def __init__(self, template: _Template, heading: str | None, end: str = "") -> None:
-        self._template = template
-        self._heading = heading
-        self._end = end
-
-    def __call__(self, packet: Packet) -> str:
-        """Return the text of a packet."""
-        text = self._template.text(packet.records)
-        if self._heading is None:
-            return text
-        return f" {self._heading}: {_count(packet)}\n{text}{self._end}"
 
 
 def _count(packet: Packet) -> int:
@@ -145,22 +135,22 @@ def _inside(type: str, field: str) -> Layout:
     return many.layouts[0]
 
 
-_ATTRIBUTE: Final = _Template(_inside("spawned", "attributes"), "  {key} = {value}\n")
-_BONE: Final = _Template(
+_ATTRIBUTE: Final = PacketLines(_inside("spawned", "attributes"), "  {key} = {value}\n")
+_BONE: Final = PacketLines(
     _inside("walker_bones", "bones"),
     '     Bone: "{name}" relative: Loc({x}, {y}, {z}) Rot({roll}, {pitch}, {yaw})\n',
 )
-_GEAR: Final = _Template(
+_GEAR: Final = PacketLines(
     _inside("physics", "forward_gears"),
     "    gear {index}: ratio {ratio} down_ratio {down_ratio} up_ratio {up_ratio}\n",
 )
-_WHEEL: Final = _Template(
+_WHEEL: Final = PacketLines(
     _inside("physics", "wheels"),
     "    wheel {index}: tire_friction {tire_friction} damping_rate {damping_rate} "
     "max_steer_angle {max_steer_angle} radius {radius} max_brake_torque {max_brake_torque} "
     "max_handbrake_torque {max_handbrake_torque} position ({position_x}, {position_y}, {position_z})\n",
 )
-_POINT: Final = _Template(_inside("physics", "torque_curve"), " ({x}, {y})")
+_POINT: Final = PacketLines(_inside("physics", "torque_curve"), " ({x}, {y})")
 
 
 def sorted_points(points: NDArray[np.void]) -> NDArray[np.void]:
@@ -177,7 +167,7 @@ def _curve(points: NDArray[np.void]) -> str:
 
 
 def _row(type: str, heading: str | None, line: str, end: str = "", **words: Callable[[Any], Any]) -> tuple[str, PacketLines]:
-    return type, PacketLines(_Template(UE4.named(type).layout, line, **words), heading, end)
+    return type, PacketLines(UE4.named(type).layout, line, heading, end, **words)
 
 
 _BOX: Final = "  Id: {id} origin: ({x}, {y}, {z}) extension: ({extent_x}, {extent_y}, {extent_z})\n"
@@ -213,10 +203,6 @@ _PHYSICS_WORDS: Final[dict[str, Callable[[Any], Any]]] = {
 _CENTER_OF_CARLA: Final[dict[str, Callable[[Any], Any]]] = dict.fromkeys(
     (f"center_of_mass_{axis}" for axis in "xyz"), _rounded_as_in_carla
 )
-
-
-def _physics_row(**words: Callable[[Any], Any]) -> tuple[str, PacketLines]:
-    return "physics", PacketLines(_Template(UE4.named("physics").layout, _PHYSICS, **words), "Physics Control events")
 
 
 _ROWS: Final = (
@@ -269,7 +255,7 @@ _ROWS: Final = (
     _row("bounding_boxes", "Actor bounding boxes", _BOX),
     _row("trigger_volumes", "Actor trigger volumes", _BOX),
     _row("platform_time", None, " Current platform time: {seconds}\n"),
-    _physics_row(**_PHYSICS_WORDS),
+    _row("physics", "Physics Control events", _PHYSICS, **_PHYSICS_WORDS),
     _row(
         "light_times",
         "Traffic Light time events",
@@ -280,7 +266,7 @@ _ROWS: Final = (
 _LINES: Final = dict(_ROWS)
 _ROWS_OF_CARLA: Final = (
     _row(*_DOORS_ROW, door=_door_of_carla),
-    _physics_row(**_PHYSICS_WORDS, **_CENTER_OF_CARLA),
+    _row("physics", "Physics Control events", _PHYSICS, **_PHYSICS_WORDS, **_CENTER_OF_CARLA),
 )
 _LINES_OF_CARLA: Final = dict((*_ROWS, *_ROWS_OF_CARLA))
 

@@ -26,27 +26,19 @@ _LEAST: Final = {"middle": 10, "words": 12, "end": 12}  # characters below which
 class TableColumn:
     """A column of a table.
 
-    Attributes:
-        heading: Its heading, with the unit.
-        cell: Returns the text of a row in it.
-        is_number: Whether its cells are numbers, which are at the right.
-        narrowed: What is done with cells that are too wide: "middle" is left out, as of paths and names, or their "end", or
-            they are continued in the next line ("words").
-        rank: How soon it is left out if there is not enough room: the highest first, 0 never; below 0 only if
-            there is not even enough room for the narrowest forms of the others.
-        least: The least width; for tables that are printed in pages.
-        brief: Returns a shorter form of a cell, for when there is not enough room.
-        style: Returns the style of a cell.
+    Of cells that are too wide, the "middle" is left out, as of paths and names, or the "end", or they are continued in the
+    next line ("words"). Columns of the highest rank are left out first if there is not enough room, those of 0 never, and
+    those below 0 only if there is not even enough room for the narrowest forms of the others.
     """
 
-    heading: str
-    cell: Callable[[Any], str] = str
-    is_number: bool = False
+    heading: str  # with the unit
+    cell: Callable[[Any], str] = str  # returns the text of a row
+    is_number: bool = False  # whether its cells are numbers, which are at the right
     narrowed: Literal["never", "middle", "words", "end"] = "never"
     rank: int = 0
-    least: int = 0
-    brief: Callable[[str], str] | None = None
-    style: Callable[[str], str] | None = None
+    least: int = 0  # the least width; for tables that are printed in pages
+    brief: Callable[[str], str] | None = None  # returns a shorter form of a cell, for when there is not enough room
+    style: Callable[[str], str] | None = None  # returns the style of a cell
 
     def width(self, cells: Sequence[str], enough: Mapping[str, int] | None = None) -> int:
         """Return the width that cells need, or at most what is enough for a column that is narrowed as it is."""

@@ -23,29 +23,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class IncidentKind:
-    """A row of the table.
+    """A row of the table."""
 
-    Attributes:
-        name: The name in data, such as `near miss`.
-        singular, plural: The noun in texts, such as `long stop` and `long stops`.
-        text: The definition, as in docs/incidents.md.
-        measures: What its incidents are measured by.
-        dark, light: Its colour on dark and on light ground, such as `#ff5f5f`.
-        detector: What finds it; one detector may find several kinds.
-        every_frame: Whether every frame is read to find it, so that it is looked for only if it is asked for.
-        needs_roads: Whether the roads of the map are needed.
-    """
-
-    name: str
-    singular: str
+    name: str  # in data, such as `near miss`
+    singular: str  # in texts, such as `long stop`
     plural: str
-    text: str
-    measures: tuple[Measure, ...]
-    dark: str
-    light: str
-    detector: Callable[[Search], Detector]
-    every_frame: bool = False
-    needs_roads: bool = False
+    text: str  # the definition, as in docs/incidents.md
+    measures: tuple[Measure, ...]  # that its incidents have
+    dark: str  # its colour on dark ground, such as `#ff5f5f`
+    light: str  # that on light ground
+    detector: Callable[[Search], Detector]  # what finds it; one detector may find several kinds
+    every_frame: bool = False  # whether every frame is read to find it, so that it is looked for only if it is asked for
+    needs_roads: bool = False  # of the map
 
     @property
     def option(self) -> str:

@@ -82,38 +82,23 @@ def bounded(message: str, value: float, bounds: Bounds, offences: Sequence[Offen
 
 
 class Positions(NamedTuple):
-    """The positions of an actor in each frame and in between, at most 0.5 m apart except where it jumps.
+    """The positions of an actor in each frame and in between, at most 0.5 m apart except where it jumps."""
 
-    Attributes:
-        time: Elapsed seconds, ascending, (n,).
-        points: x, y, z in m, right-handed, (n, 3).
-        distance: The distance driven so far, in m; jumps do not count, (n,).
-    """
-
-    time: Floats
-    points: Floats
-    distance: Floats
+    time: Floats  # elapsed seconds, ascending, (n,)
+    points: Floats  # x, y, z in m, right-handed, (n, 3)
+    distance: Floats  # driven so far, in m; jumps do not count, (n,)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Needs:
-    """What a condition needs to know of a recording, so that the answers for all conditions are found at once.
+    """What a condition needs to know of a recording, so that the answers for all conditions are found at once."""
 
-    Attributes:
-        incidents: The kinds of incidents.
-        stop_time: The duration in s above which stops are needed; None: none are.
-        extremes: Measures, and the actors of which the extreme value is needed.
-        values: Measures, and the actors of which the values over time are needed.
-        positions: The actors of which the positions are needed.
-        places: The places that these are compared with.
-    """
-
-    incidents: frozenset[str] = frozenset()
-    stop_time: float | None = None
-    extremes: tuple[tuple[str, Selector], ...] = ()
-    values: tuple[tuple[str, Selector], ...] = ()
-    positions: tuple[Selector, ...] = ()
-    places: tuple[Place, ...] = ()
+    incidents: frozenset[str] = frozenset()  # their kinds
+    stop_time: float | None = None  # the duration in s above which stops are needed; None: none are
+    extremes: tuple[tuple[str, Selector], ...] = ()  # measures, and the actors of which the extreme value is needed
+    values: tuple[tuple[str, Selector], ...] = ()  # measures, and the actors of which the values over time are needed
+    positions: tuple[Selector, ...] = ()  # the actors of which they are needed
+    places: tuple[Place, ...] = ()  # that these are compared with
 
     @property
     def roads(self) -> bool:
@@ -139,11 +124,7 @@ class Condition:
         raise NotImplementedError
 
     def judge(self, facts: Facts) -> Finding:
-        """Return the finding on a recording.
-
-        Raises:
-            RecapError: The recording is damaged.
-        """
+        """Return the finding on a recording."""
         raise NotImplementedError
 
 
@@ -168,17 +149,13 @@ def _once(ask: Callable[P, T]) -> Callable[P, T]:
 
 
 class Facts:
-    """Answers about a recording for the conditions of rules; each is computed once, when it is first needed.
-
-    Attributes:
-        answers: The answers that are known, and the errors, by question.
-    """
+    """Answers about a recording for the conditions of rules; each is computed once, when it is first needed."""
 
     def __init__(self, recording: Recording, needs: Iterable[Needs], road_map: str | None = None) -> None:
         self.recording = recording
         self._road_map = road_map
         self._needs = list(needs)
-        self.answers: dict[tuple[Hashable, ...], Any] = {}
+        self.answers: dict[tuple[Hashable, ...], Any] = {}  # that are known, and the errors, by question
 
     @property
     @_once
@@ -273,11 +250,7 @@ class Facts:
 
     @_once
     def roads_with(self, lane_types: frozenset[str] | None) -> RoadNetwork:
-        """Return the roads of the map with some types of lanes; None: all that are paved.
-
-        Raises:
-            RecapError: The map is not found, or is damaged.
-        """
+        """Return the roads of the map, which has to be there, with some types of lanes; None: all that are paved."""
         found = roads_of(self.recording.reader, self._road_map, needed=True, lane_types=lane_types)
         assert found is not None
         return found
@@ -318,15 +291,6 @@ class Facts:
         wanted = [of for each in self._needs for of in each.positions]
         ids = {life.id for life in self.actors if any(of.matches_user(life) for of in wanted)}
         return trajectories(self.recording.reader, ids)
-
-    def check_roads(self) -> None:
-        """Check that the map is found.
-
-        Raises:
-            RecapError: It is not, or is damaged.
-        """
-        if self._roads is None:
-            roads_of(self.recording.reader, self._road_map, needed=True)
 
     def absent(self, selector: Selector) -> str:
         """Return a remark if a recording has no such actors, else an empty text."""

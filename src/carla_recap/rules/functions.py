@@ -37,24 +37,14 @@ class FunctionCondition(Condition):
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
     def function(self) -> Callable[..., Any]:
-        """Return the function.
-
-        Raises:
-            NotSetUp: The module, or the function, is not there, or the module raises an error.
-        """
+        """Return the function; an error says that it or the module is not there, or that the module raises one."""
         found = getattr(_module(self.module, self.folder), self.name, None)
         if not callable(found):
             raise NotSetUp(f"the module {self.module} has no function {self.name}")
         return found  # type: ignore[no-any-return]
 
     def check(self) -> None:
-        """Check that the function is there and takes the parameters.
-
-        Raises:
-            NotSetUp: It is not there.
-            Unexpected: It does not take one of them.
-            TypeError: It needs others, or takes none.
-        """
+        """Check that the function is there, takes the parameters (`Unexpected`), and needs no others (`TypeError`)."""
         function = self.function()
         keywords = keywords_of(function)
         if keywords is None:  # of a function in C
@@ -71,12 +61,7 @@ class FunctionCondition(Condition):
         return words.rstrip(".") or f"{self.module}:{self.name}"
 
     def judge(self, facts: Facts) -> Finding:
-        """See `Condition.judge`.
-
-        Raises:
-            RecapError: The function raises an error, or returns something else than a finding; or it is not there, as on
-                another machine.
-        """
+        """See `Condition.judge`; what the function raises, or returns in place of a finding, is an error."""
         function = self.function()
         try:
             with modules_beside(self.folder):

@@ -256,11 +256,7 @@ PLACE_KEYS: Final = KeyGroup(
 
 
 def place_of(value: Any, reading: Reading) -> Place:
-    """Return the place that a name or a table is.
-
-    Raises:
-        Unexpected: It is none.
-    """
+    """Return the place that a name or a table is."""
     if not isinstance(value, dict):
         return _named_place(value, reading)
     if (found := reading.table((PLACE_KEYS,), value)) is None:

@@ -33,26 +33,13 @@ ANY_JUNCTION: Final = "any"
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """An area of the ground.
+    """An area of the ground."""
 
-    Attributes:
-        name: Its name in the file of rules; empty without one.
-        needs_roads: Whether it is an area of the roads of the map.
-    """
-
-    name: str = ""
-    needs_roads: ClassVar[bool] = False
+    name: str = ""  # in the file of rules; empty without one
+    needs_roads: ClassVar[bool] = False  # whether it is an area of the roads of the map
 
     def outside(self, points: Floats, roads: Roads) -> Floats:
-        """Return how far points are outside, in m; 0 within the place.
-
-        Args:
-            points: Rows of x, y, z, in m.
-            roads: Returns the roads of the map with some types of lanes; None: all that are paved.
-
-        Raises:
-            RecapError: The map is needed and unknown, or has no such road.
-        """
+        """Return how far points, rows of x, y, z in m, are outside, in m; 0 within the place; for roads, see `Facts`."""
         raise NotImplementedError
 
     def __str__(self) -> str:
@@ -65,20 +52,13 @@ class Place:
 
 @dataclass(frozen=True)
 class Circle(Place):
-    """What is within a distance of a point.
+    """What is within a distance of a point."""
 
-    Attributes:
-        x, y: The point, in m.
-        z: Its height, in m; None: whatever the height.
-        within: The distance.
-        written: The point as it is written in the file of rules.
-    """
-
-    x: float
+    x: float  # m
     y: float
-    z: float | None
+    z: float | None  # None: whatever the height
     within: Quantity
-    written: str
+    written: str  # the point in the file of rules
 
     def outside(self, points: Floats, roads: Roads) -> Floats:
         """See `Place.outside`."""
@@ -93,13 +73,9 @@ class Circle(Place):
 
 @dataclass(frozen=True)
 class Polygon(Place):
-    """What is within a polygon, whatever the height.
+    """What is within a polygon, whatever the height."""
 
-    Attributes:
-        corners: The corners as x and y, in m.
-    """
-
-    corners: tuple[tuple[float, float], ...]
+    corners: tuple[tuple[float, float], ...]  # x and y, in m
 
     def outside(self, points: Floats, roads: Roads) -> Floats:
         """See `Place.outside`."""
@@ -143,17 +119,11 @@ class Polygon(Place):
 
 @dataclass(frozen=True)
 class Lanes(Place):
-    """What is on some lanes of the map.
+    """What is on some lanes of the map."""
 
-    Attributes:
-        types: The OpenDRIVE types of the lanes; `driving` stands for all that are for cars; none: all that are paved.
-        roads: The ids of the roads that they are of; none: any.
-        junctions: The ids of the junctions that they are in, or `any`; none: anywhere.
-    """
-
-    types: tuple[str, ...] = ()
-    roads: tuple[str, ...] = ()
-    junctions: tuple[str, ...] = ()
+    types: tuple[str, ...] = ()  # OpenDRIVE's; `driving` stands for all that are for cars; none: all that are paved
+    roads: tuple[str, ...] = ()  # the ids of the roads that they are of; none: any
+    junctions: tuple[str, ...] = ()  # the ids of the junctions that they are in, or `any`; none: anywhere
 
     needs_roads: ClassVar[bool] = True
 

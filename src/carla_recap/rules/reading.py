@@ -23,11 +23,9 @@ SHOWN: Final = 60
 
 
 class Unexpected(Exception):
-    """Values are wrong.
+    """Values are wrong: what was expected, or of keys that do not go together, what is wrong; empty if it is known already.
 
-    Args:
-        fault: For a value, what was expected; for keys that do not go together, what is wrong; empty if it is known already.
-        key: The key that is wrong; empty if it is not one alone.
+    The key is that which is wrong; empty if it is not one alone.
     """
 
     def __init__(self, fault: str = "", key: str = "") -> None:
@@ -37,21 +35,13 @@ class Unexpected(Exception):
 
 @dataclass(frozen=True)
 class Reading:
-    """Reads values of a file of rules, and collects the faults.
+    """Reads values of a file of rules, and collects the faults."""
 
-    Attributes:
-        prefix: The file, and what is read in it, for faults.
-        faults: The faults.
-        folder: The folder that paths are relative to.
-        axes: The axes of places.
-        places: The places that have a name; None where one is wrong.
-    """
-
-    prefix: str
+    prefix: str  # the file, and what is read in it, for faults
     faults: list[str] = field(default_factory=list)
-    folder: str = ""
-    axes: Axes = "right-handed"
-    places: Mapping[str, Place | None] = field(default_factory=dict)
+    folder: str = ""  # that paths are relative to
+    axes: Axes = "right-handed"  # of places
+    places: Mapping[str, Place | None] = field(default_factory=dict)  # that have a name; None where one is wrong
 
     def of(self, prefix: str) -> Reading:
         """Return a reader of a part, whose prefix begins its faults."""
@@ -76,11 +66,8 @@ class Reading:
     def table(self, parts: Sequence[Key | KeyGroup], table: Mapping[str, Any], *, plain: str = "", others: str = "") -> Any:
         """Return the values of a table by the fields that they are for; None, and faults, if any is wrong.
 
-        Args:
-            parts: The keys, and groups of keys.
-            table: The table.
-            plain: The key whose value was given in place of a table, for faults.
-            others: The field that gets the keys that are in no part; empty: these are faults.
+        `plain` is the key whose value was given in place of a table, and `others` the field that gets the keys that are in
+        no part; without one, these are faults.
         """
         count = len(self.faults)
         keys = keys_of(parts)
@@ -107,37 +94,22 @@ class Reading:
 
 @dataclass(frozen=True)
 class ValueType:
-    """A type of values.
+    """A type of values."""
 
-    Attributes:
-        name: The name in docs/ci.md.
-        expected: The description in errors, with all that is needed to write such a value.
-        read: Converts a value of a file; None: it is not what is expected.
-    """
-
-    name: str
-    expected: str
-    read: Callable[[Any, Reading], Any]
+    name: str  # in docs/ci.md
+    expected: str  # in errors, with all that is needed to write such a value
+    read: Callable[[Any, Reading], Any]  # converts a value of a file; None: it is not what is expected
 
 
 @dataclass(frozen=True)
 class Key:
-    """A key of a condition or a place.
+    """A key of a condition or a place."""
 
-    Attributes:
-        name: The name in the file.
-        type: The type of its values.
-        text: The meaning, as in docs/ci.md.
-        field: The field that gets the value; by default that of the same name.
-        default: The value without it.
-        required: Whether it has to be given.
-    """
-
-    name: str
+    name: str  # in the file
     type: ValueType
-    text: str
-    field: str = ""
-    default: Any = None
+    text: str  # the meaning, as in docs/ci.md
+    field: str = ""  # that gets the value; by default that of the same name
+    default: Any = None  # the value without it
     required: bool = False
 
     def __post_init__(self) -> None:
@@ -146,19 +118,12 @@ class Key:
 
 @dataclass(frozen=True)
 class KeyGroup:
-    """Keys that make one value together, such as the bounds of a number.
+    """Keys that make one value together, such as the bounds of a number."""
 
-    Attributes:
-        field: The field that gets the value.
-        keys: The keys.
-        make: Returns the value, from those of the keys by field.
-        title: The name of the group in the tables of docs/ci.md; empty: the keys are listed.
-    """
-
-    field: str
+    field: str  # that gets the value
     keys: tuple[Key, ...]
-    make: Callable[..., Any]
-    title: str = ""
+    make: Callable[..., Any]  # returns the value, from those of the keys by field
+    title: str = ""  # the name of the group in the tables of docs/ci.md; empty: the keys are listed
 
     def read(self, reading: Reading, found: Mapping[str, Any]) -> Any:
         """Return the value of the group, from those of all keys by name."""

@@ -203,7 +203,7 @@ def _verdict(rule: Rule, facts: Facts) -> Verdict:
 def _judged(rule: Rule, facts: Facts) -> Verdict:
     try:
         if rule.condition.needs().roads:
-            facts.check_roads()
+            facts.roads_with(None)
         passes, message, offences, applies = rule.condition.judge(facts)
     except NotSetUp:
         raise

@@ -20,19 +20,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Scope:
-    """When and where a condition is judged; each attribute that is None does not limit it.
+    """When and where a condition is judged; each attribute that is None does not limit it."""
 
-    Attributes:
-        during: From when until when, in elapsed seconds.
-        after: The occasion from which on.
-        until: The occasion before which.
-        where: The place in which the actor has to be.
-    """
-
-    during: tuple[Quantity, Quantity] | None = None
-    after: Occasion | None = None
-    until: Occasion | None = None
-    where: Place | None = None
+    during: tuple[Quantity, Quantity] | None = None  # from when until when, in elapsed seconds
+    after: Occasion | None = None  # from which on
+    until: Occasion | None = None  # before which
+    where: Place | None = None  # in which the actor has to be
 
     @property
     def is_whole(self) -> bool:

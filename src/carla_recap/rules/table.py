@@ -46,23 +46,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ConditionKind:
-    """A row of the table.
+    """A row of the table."""
 
-    Attributes:
-        name: The name in a file of rules.
-        text: When the condition is met, as in docs/ci.md.
-        parts: The keys, and groups of keys.
-        make: Returns the condition, from the values of the parts by field, or raises `Unexpected`.
-        plain: The key whose value can be given in place of a table; empty: a table is needed.
-        others: The field that gets all other keys; empty: there are no others.
-    """
-
-    name: str
-    text: str
+    name: str  # in a file of rules
+    text: str  # when the condition is met, as in docs/ci.md
     parts: tuple[Key | KeyGroup, ...]
-    make: Callable[..., Condition]
-    plain: str = ""
-    others: str = ""
+    make: Callable[..., Condition]  # returns the condition, from the values of the parts by field, or raises `Unexpected`
+    plain: str = ""  # the key whose value can be given in place of a table; empty: a table is needed
+    others: str = ""  # the field that gets all other keys; empty: there are no others
 
     def read(self, value: Any, reading: Reading) -> Condition | None:
         """Return the condition that a value of a file is; None, and faults, if it is wrong."""

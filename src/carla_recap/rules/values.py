@@ -34,13 +34,9 @@ _MANY: Final = {HERO: "the hero", "vehicle": "vehicles", "walker": "walkers", OB
 
 @dataclass(frozen=True, slots=True)
 class Selector:
-    """Some of the actors of a recording.
+    """Some of the actors of a recording."""
 
-    Attributes:
-        text: `hero`, `vehicle`, `walker`, `any`, `object`, `role:NAME`, or a blueprint such as `vehicle.tesla.*`.
-    """
-
-    text: str = ANY
+    text: str = ANY  # `hero`, `vehicle`, `walker`, `any`, `object`, `role:NAME`, or a blueprint such as `vehicle.tesla.*`
 
     def matches(self, actor: ActorLife | None) -> bool:
         """Return whether an actor is one of them; None stands for an actor whose spawn is not recorded."""
@@ -71,19 +67,12 @@ class Selector:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A quantity of a rule, and how it is written there.
+    """A quantity of a rule, and how it is written there."""
 
-    Attributes:
-        value: The quantity, in the unit of what it bounds.
-        unit: The unit in which it is written, such as `g`; empty for a number of things.
-        size: That unit in the unit of the value, such as 9.80665.
-        text: The quantity as a text, such as `0.8 g`; empty: a number.
-    """
-
-    value: float
-    unit: str = ""
-    size: float = 1.0
-    text: str = ""
+    value: float  # in the unit of what it bounds
+    unit: str = ""  # in which it is written, such as `g`; empty for a number of things
+    size: float = 1.0  # that unit in the unit of the value, such as 9.80665
+    text: str = ""  # the quantity as a text, such as `0.8 g`; empty: a number
 
     def __str__(self) -> str:
         return self.text or f"{self.value:.5g} {self.unit}".rstrip()
@@ -97,12 +86,7 @@ class Quantity:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """The least and the greatest valid number; None for no limit.
-
-    Attributes:
-        least: The least valid number.
-        most: The greatest one.
-    """
+    """The least and the greatest valid number; None for no limit."""
 
     least: Quantity | None = None
     most: Quantity | None = None

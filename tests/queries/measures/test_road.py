@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from contextlib import closing
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 import pytest
@@ -14,7 +14,6 @@ from carla_recap.formats import open_reader
 from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn, attributes
 from carla_recap.queries.incidents import IncidentOptions, incidents
-from carla_recap.queries.measures.definitions import Extreme
 from carla_recap.queries.measures.road import TYPES, RoadEvent, RoadSearch
 from carla_recap.queries.measures.stop_lines import StopLines
 from carla_recap.queries.measures.traffic_lights import LightHistory
@@ -52,6 +51,11 @@ LENGTH: Final = 3.69  # m of a Mini
 @pytest.fixture(scope="module")
 def roads() -> RoadNetwork:
     return build_network(STRAIGHT_ROAD, "Straight")
+
+
+class Extreme(NamedTuple):
+    value: float
+    time: float
 
 
 class Drives:

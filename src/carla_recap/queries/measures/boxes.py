@@ -21,21 +21,14 @@ _CORNERS: Final = ((1, 1), (1, -1), (-1, -1), (-1, 1))
 
 
 class Boxes(NamedTuple):
-    """Rectangles that move without turning; each field is an array, or one number for all.
+    """Rectangles that move without turning; each field is an array, or one number for all."""
 
-    Attributes:
-        x, y: The centre, in m.
-        yaw: The heading in radians, counter-clockwise.
-        length, width: The size in m.
-        vx, vy: The velocity in m/s.
-    """
-
-    x: ArrayLike
+    x: ArrayLike  # of the centre, in m
     y: ArrayLike
-    yaw: ArrayLike
-    length: ArrayLike
+    yaw: ArrayLike  # the heading in radians, counter-clockwise
+    length: ArrayLike  # m
     width: ArrayLike
-    vx: ArrayLike = 0.0
+    vx: ArrayLike = 0.0  # m/s
     vy: ArrayLike = 0.0
 
 

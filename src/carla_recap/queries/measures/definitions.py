@@ -12,7 +12,6 @@ from carla_recap.tables import Columns
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from carla_recap.model.lives import ActorLife
     from carla_recap.util.arrays import Booleans, Floats, Ids
 
 
@@ -47,26 +46,12 @@ NO_OTHER: Final = -1
 """The id, and the row, of no actor."""
 
 
-class Extreme(NamedTuple):
-    """An extreme value of a measure of an actor."""
-
-    value: float
-    time: float  # in elapsed seconds
-    other: ActorLife | None = None  # the actor that it is in relation to
-
-
 class MeasureValues(NamedTuple):
-    """The values of a measure of an actor that count for its extreme, in the frames that have it; arrays of one length.
+    """The values of a measure of an actor that count for its extreme, in the frames that have it; arrays of one length."""
 
-    Attributes:
-        time: Elapsed seconds, ascending.
-        value: The values; NaN in a frame without one.
-        other: The ids of the actors that they are in relation to; -1 where there is none.
-    """
-
-    time: Floats
-    value: Floats
-    other: Ids
+    time: Floats  # elapsed seconds, ascending
+    value: Floats  # NaN in a frame without one
+    other: Ids  # of the actors that they are in relation to; -1 where there is none
 
     @classmethod
     def of(cls, time: Floats, value: Floats) -> MeasureValues:
@@ -128,32 +113,18 @@ class MeasureSeries(Columns):
 
 @dataclass(frozen=True, kw_only=True)
 class Measure:
-    """A row of the table.
-
-    Attributes:
-        name: The name, such as `time_to_collision`.
-        unit: The unit of its values.
-        extreme: Whether its least or its greatest value is critical.
-        text: The definition, as in docs/measures.md.
-        values: Returns the values over time that count for the extreme, from the columns of a `MeasureSeries`; None: they
-            are not found frame by frame.
-        other: The column with the ids of the actors that the values are in relation to; empty if there is none.
-        needs_roads: Whether the roads of the map are needed.
-        two_sided: Whether every value counts, so that a bound on the other side makes sense, too, such as a least speed.
-        of_events: Whether its values are those of events, such as crossing paths, not of all frames.
-        short: The short name, such as `ttc`, which files of rules and commands take, too.
-    """
+    """A row of the table."""
 
     name: str
     unit: str
-    extreme: Literal["least", "greatest"]
-    text: str
-    values: Callable[[MeasureSeries], Floats] | None = None
-    other: str = ""
-    needs_roads: bool = False
-    two_sided: bool = False
-    of_events: bool = False
-    short: str = ""
+    extreme: Literal["least", "greatest"]  # which value is critical
+    text: str  # the definition, as in docs/measures.md
+    values: Callable[[MeasureSeries], Floats] | None = None  # that count, unless they are not found frame by frame
+    other: str = ""  # the column with the ids of the actors that the values are in relation to
+    needs_roads: bool = False  # of the map
+    two_sided: bool = False  # whether every value counts, so that a bound on the other side makes sense, as a least speed
+    of_events: bool = False  # whether its values are those of events, such as crossing paths, not of all frames
+    short: str = ""  # the short name, such as `ttc`, which files of rules and commands take, too
 
     @property
     def title(self) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from carla_recap.queries import Answer
-from carla_recap.queries.measures.definitions import MEASURES, NO_OTHER, Extreme, MeasureRow, MeasureValues
+from carla_recap.queries.measures.definitions import MEASURES, NO_OTHER, MeasureRow, MeasureValues
 from carla_recap.queries.measures.drives import Drive
 from carla_recap.queries.measures.driving import BACKGROUND, comfort, efficiency
 from carla_recap.queries.measures.encroachment import CrossingSearch
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 POST_ENCROACHMENT_TIME: Final = 3.0
 """The longest post-encroachment time that is measured, in s."""
 
-_NONE: Final = Extreme(math.inf, math.nan)
 _BEFORE_CONTACT: Final = 0.4  # s before a contact in which its effect on the motion begins, since motions are means
 
 
@@ -100,7 +99,7 @@ class MeasureSearch:
         self._roads = None if roads is None else RoadSearch(source, roads, lives, self._note)
         self._parts: dict[tuple[str, int], list[MeasureValues]] = defaultdict(list)
         self.values: dict[tuple[str, int], MeasureValues] = {}
-        self._extremes: dict[int, dict[str, Extreme]] = {id: {} for id in self._subjects}
+        self._rows: dict[tuple[str, int], MeasureRow] = {}
 
     def read(self) -> None:
         """Read the recording."""
@@ -130,15 +129,8 @@ class MeasureSearch:
             self._roads.finish()
         for name, ids in self._over_time.items():
             self.values.update({(name, id): MeasureValues.joined(self._parts[name, id]) for id in ids})
-        rows = []
-        for id, actor in self._subjects.items():
-            for name, measure in MEASURES.items():
-                extreme = self._extremes[id].get(name)
-                if extreme is not None:
-                    other, other_type_id = (extreme.other.id, extreme.other.type_id) if extreme.other else (None, "")
-                    sides = (id, actor.type_id, actor.is_hero, other, other_type_id)
-                    rows.append(MeasureRow(name, *sides, extreme.value, measure.unit, extreme.time))
-        return Measures(rows, self._source, compat=False)
+        rows = (self._rows.get((name, id)) for id in self._subjects for name in MEASURES)
+        return Measures(filter(None, rows), self._source, compat=False)
 
     def _measure(self, table: MotionTable) -> None:
         rows = np.flatnonzero(np.isin(table.ids, list(self._subjects)))
@@ -146,8 +138,9 @@ class MeasureSearch:
             return
         ids = table.ids[rows].tolist()
         kept = self._over_time.get("time_to_collision", ())
-        known = [math.nan if id in kept else self._extremes[id].get("time_to_collision", _NONE).value for id in ids]
-        series = series_of(table, rows, shortest=np.array(known))
+        known = [self._rows.get(("time_to_collision", id)) for id in ids]
+        shortest = [math.nan if id in kept else row.value if row else math.inf for id, row in zip(ids, known, strict=True)]
+        series = series_of(table, rows, shortest=np.array(shortest))
         for number, id in enumerate(ids):
             for start, stop in self._contacts.affected(id, _BEFORE_CONTACT):
                 affected = (table.time >= start) & (table.time <= stop)
@@ -186,12 +179,13 @@ class MeasureSearch:
         if id in self._over_time.get(name, ()):
             self._parts[name, id].append(found._replace(value=np.where(finite, found.value, np.nan)))
         found = found.only(finite)
-        if not len(found.value) or id not in self._extremes:
+        if not len(found.value) or id not in self._subjects:
             return
         best = int(found.value.argmin() if measure.extreme == "least" else found.value.argmax())
         value, time, other = (column[best].item() for column in (found.value, found.time, found.other))
-        known = self._extremes[id].get(name)
+        known, actor = self._rows.get((name, id)), self._subjects[id]
         is_new = value > 0 or not measure.needs_roads if known is None else measure.key(value) < measure.key(known.value)
         if is_new:
-            actor = None if other == NO_OTHER else self._lives.at(other, time)
-            self._extremes[id][name] = Extreme(value, time, actor)
+            met = None if other == NO_OTHER else self._lives.at(other, time)
+            sides = (id, actor.type_id, actor.is_hero, *((met.id, met.type_id) if met else (None, "")))
+            self._rows[name, id] = MeasureRow(name, *sides, value, measure.unit, time)

@@ -42,33 +42,23 @@ _AROUND_JUMP: Final = 0.5  # s before and after a jump in which an actor does no
 class MotionTable:
     """The motion of some consecutive frames; arrays have the shape (actors, frames), in right-handed axes.
 
-    Attributes:
-        first, last: The frames that the table is for, `last` exclusive; those before and after are margins.
-        time: Elapsed seconds, (frames,).
-        actors: The actors, by ascending id; an id that is used again has several rows.
-        x, y, z: The centre of the box in m; NaN where the actor is absent, jumps, or is at no sensible place,
-            such as far below the roads.
-        yaw: The heading in radians, counter-clockwise.
-        vx, vy: The velocity in m/s: as recorded, else derived from the positions.
-        length, width, height: The size of the box in m, (actors,).
-        offset: The centre of the box in the axes of the actor in m, (actors, 3).
-        contacts: The recorded contacts.
+    Places are NaN where an actor is absent, jumps, or is at no sensible place, such as far below the roads.
     """
 
-    first: int
-    last: int
-    time: Floats
-    actors: tuple[ActorLife, ...]
-    x: Floats
+    first: int  # of the frames that the table is for; those before are a margin
+    last: int  # exclusive
+    time: Floats  # elapsed seconds, (frames,)
+    actors: tuple[ActorLife, ...]  # by ascending id; an id that is used again has several rows
+    x: Floats  # the centre of the box in m
     y: Floats
     z: Floats
-    yaw: Floats
-    vx: Floats
+    yaw: Floats  # the heading in radians, counter-clockwise
+    vx: Floats  # the velocity in m/s: as recorded, else derived from the positions
     vy: Floats
-    length: Floats
+    length: Floats  # of the box in m, (actors,)
     width: Floats
     height: Floats
-    offset: Floats
+    offset: Floats  # the centre of the box in the axes of the actor in m, (actors, 3)
     contacts: tuple[Contact, ...] = ()
 
     @property
@@ -182,12 +172,8 @@ class MotionTable:
 class MotionCollector:
     """Collects the frames of a recording into tables of motion, which follow each other.
 
-    Memory is bounded: a table has 2,048 frames, or fewer if there are very many actors, and its margins.
-
-    Args:
-        actors: The actors of the recording.
-        contacts: The contacts between them.
-        before, after: The times before and after the frames of a table that it has, too, in s.
+    Memory is bounded: a table has 2,048 frames, or fewer if there are very many actors, and the margins `before` and `after`
+    them, in s.
     """
 
     def __init__(

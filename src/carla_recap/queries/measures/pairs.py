@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.queries.measures.boxes import Boxes, gap, time_to_collision
+from carla_recap.queries.measures.boxes import Boxes, time_to_collision
 from carla_recap.util.arrays import Floats
 
 if TYPE_CHECKING:
@@ -53,27 +53,17 @@ def meeting(bounds: Bounds, apart: int = 0) -> Iterator[tuple[Indices, Indices, 
 
 @dataclass(frozen=True, eq=False)
 class PairFrames:
-    """Pairs of actors in frames in which both are present, on one level; arrays of one length.
-
-    Attributes:
-        table: The motion.
-        one: The first actor of each pair.
-        other: The second actor.
-        frame: The frame.
-        dx, dy: The centre of the second minus that of the first, in m.
-        vx, vy: The velocity of the second minus that of the first, in m/s.
-        distance: The distance of the centres in m.
-    """
+    """Pairs of actors in frames in which both are present, on one level; arrays of one length."""
 
     table: MotionTable
-    one: Indices
+    one: Indices  # the row of the first actor of each pair
     other: Indices
     frame: Indices
-    dx: Floats
+    dx: Floats  # the centre of the second minus that of the first, in m
     dy: Floats
-    vx: Floats
+    vx: Floats  # the velocity of the second minus that of the first, in m/s
     vy: Floats
-    distance: Floats
+    distance: Floats  # of the centres in m
 
     @staticmethod
     def of(table: MotionTable, one: Indices, other: Indices, frame: Indices) -> PairFrames:
@@ -116,11 +106,6 @@ class PairFrames:
         """Return the sum of the radii of circles around both boxes in m."""
         return np.asarray(self.table.radius[self.one] + self.table.radius[self.other])
 
-    def within(self) -> Floats:
-        """Return the sum of the radii of circles within both boxes in m."""
-        radius = np.minimum(self.table.length, self.table.width) / 2
-        return np.asarray(radius[self.one] + radius[self.other])
-
     def approach(self) -> Floats:
         """Return the magnitude of the difference of both velocities in m/s."""
         return np.hypot(self.vx, self.vy)
@@ -133,10 +118,6 @@ class PairFrames:
             Boxes(0.0, 0.0, yaw[one, self.frame], table.length[one], table.width[one]),
             Boxes(self.dx, self.dy, yaw[other, self.frame], table.length[other], table.width[other], self.vx, self.vy),
         )
-
-    def gap(self) -> Floats:
-        """Return the gaps in m."""
-        return gap(*self.boxes())
 
     def colliding(self, horizon: float) -> tuple[PairFrames, Floats]:
         """Return those that collide within a time in s if they keep their velocity, and their times to collision in s."""

@@ -80,11 +80,7 @@ class RoadEvent(NamedTuple):
 class RoadSearch:
     """Finds what vehicles do in relation to the road, in the batches of a recording, which are read for something else, too.
 
-    Args:
-        source: The recording. Its spawns are read at once.
-        network: The roads of its map.
-        actors: The actors of the recording.
-        note: Gets the values of measures of the road: the vehicle, the measure, and its values.
+    Its spawns are read at once. `note` gets the vehicles, the measures of the road, and their values.
     """
 
     def __init__(

@@ -13,7 +13,7 @@ import numpy as np
 from carla_recap.errors import RecapError
 from carla_recap.model.lives import HERO, ROAD_USERS, ActorName, find_actor
 from carla_recap.model.motion import slope
-from carla_recap.queries.measures.boxes import required_deceleration, time_headway
+from carla_recap.queries.measures.boxes import gap, required_deceleration, time_headway
 from carla_recap.queries.measures.definitions import NO_OTHER, MeasureSeries
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
 from carla_recap.queries.measures.pairs import PairFrames, ahead, near_pairs
@@ -128,10 +128,11 @@ def _add_gaps(gaps: _Least, row: Indices, pairs: PairFrames) -> None:
     """Add the gaps of the pairs that may have the least one of a subject in a frame."""
     most = np.full(gaps.value.size, np.inf)
     key = row * gaps.value.shape[1] + pairs.frame
-    np.minimum.at(most, key, pairs.distance - pairs.within())
+    radius = np.minimum(pairs.table.length, pairs.table.width) / 2  # of a circle within each box
+    np.minimum.at(most, key, pairs.distance - radius[pairs.one] - radius[pairs.other])
     kept = pairs.distance - pairs.around() <= np.minimum(most, gaps.value.ravel())[key]
     pairs = pairs.take(kept)
-    gaps.add(row[kept], pairs, pairs.gap())
+    gaps.add(row[kept], pairs, gap(*pairs.boxes()))
 
 
 Subjects = Collection[int] | Literal["hero", "all"] | None

@@ -38,16 +38,10 @@ _SIGN_INFRACTIONS: Final = ("stop_infraction", "red_light")
 
 
 class Ability(NamedTuple):
-    """What routes with scenarios of an ability show.
+    """What routes with scenarios of an ability show."""
 
-    Attributes:
-        name: The ability, a key of `ABILITIES`.
-        passed: The number of routes that are a success.
-        routes: The number of routes.
-    """
-
-    name: str
-    passed: int
+    name: str  # of the ability, a key of `ABILITIES`
+    passed: int  # the number of routes that are a success
     routes: int
 
 
