@@ -166,7 +166,9 @@ def _curve(points: NDArray[np.void]) -> str:
 # --- the table -------------------------------------------------------------------------------------------
 
 
-def _row(type: str, heading: str | None, line: str, end: str = "", **words: Callable[[Any], Any]) -> tuple[str, PacketLines]:
+def _row(
+    type: str, heading: str | None, line: str, end: str = "", /, **words: Callable[[Any], Any]
+) -> tuple[str, PacketLines]:
     return type, PacketLines(UE4.named(type).layout, line, heading, end, **words)
 
 
@@ -261,7 +263,7 @@ _ROWS: Final = (
         "Traffic Light time events",
         "  Id: {id} green_time: {green} yellow_time: {yellow} red_time: {red}\n",
     ),
-    _row("walker_bones", "Walkers Bones", "  Id: {id}\n{bones}", end="\n", bones=_BONE.text),
+    _row("walker_bones", "Walkers Bones", "  Id: {id}\n{bones}", "\n", bones=_BONE.text),
 )
 _LINES: Final = dict(_ROWS)
 _ROWS_OF_CARLA: Final = (

@@ -187,5 +187,5 @@ class MeasureSearch:
         is_new = value > 0 or not measure.needs_roads if known is None else measure.key(value) < measure.key(known.value)
         if is_new:
             met = None if other == NO_OTHER else self._lives.at(other, time)
-            sides = (id, actor.type_id, actor.is_hero, *((met.id, met.type_id) if met else (None, "")))
+            sides = (id, actor.type_id, actor.is_hero, met.id if met else None, met.type_id if met else "")
             self._rows[name, id] = MeasureRow(name, *sides, value, measure.unit, time)
