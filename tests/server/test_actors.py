@@ -211,6 +211,46 @@ def test_pushes_at_a_place_and_torques_turn(inside: Inside) -> None:
     car.destroy()
 
 
+PUSHES: dict[str, Any] = {
+    "set_actor_target_velocity": [[3e6, 0.0, 0.0]],
+    "set_actor_target_angular_velocity": [[0.0, 0.0, 3e6]],
+    "add_actor_impulse": [[3e6, 0.0, 0.0]],
+    "add_actor_force": [[3e8, 0.0, 0.0]],
+    "add_actor_impulse_at_location": [[3e6, 0.0, 0.0], [0.0, 0.0, 0.0]],
+    "add_actor_torque": [[0.0, 0.0, 3e9]],
+}
+
+
+@pytest.mark.parametrize("name", PUSHES)
+def test_a_walker_has_no_body_to_be_pushed(inside: Inside, name: str) -> None:
+    walker = inside.world.place("walker.pedestrian.0001", inside.world.town.spawn_points[5])
+    inside.call(name, walker.id, *PUSHES[name])
+    inside.host.tick()
+    assert walker.velocity.length() == 0.0
+    walker.destroy()
+
+
+@pytest.mark.parametrize("name", ["add_actor_impulse", "add_actor_impulse_at_location", "add_actor_torque"])
+def test_pushes_on_a_vehicle_without_physics_do_not_pile_up(inside: Inside, name: str) -> None:
+    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[5])
+    rows = inside.world.vehicles
+    inside.call("set_actor_simulate_physics", car.id, False)
+    inside.call(name, car.id, [9e3, 9e3, 9e5], *([[0.0, 0.0, 0.0]] if "location" in name else []))
+    inside.call("set_actor_simulate_physics", car.id, True)
+    row = rows.row(car.id)
+    assert (rows.turning[row], rows.speed[row], rows.sideways[row]) == (0.0, 0.0, 0.0)
+    car.destroy()
+
+
+def test_a_push_that_is_refused_leaves_nothing(inside: Inside) -> None:
+    car = inside.world.place("vehicle.tesla.model3", inside.world.town.spawn_points[5])
+    at = car.transform.location
+    with pytest.raises(RecapError, match="at most"):
+        inside.call("add_actor_impulse_at_location", car.id, [0.0, 5e7, 0.0], [at.x + 0.001, at.y, at.z])
+    assert inside.world.vehicles.turning[inside.world.vehicles.row(car.id)] == 0.0
+    car.destroy()
+
+
 def test_an_actor_without_physics_stays(world: carla.World) -> None:
     car = spawn(world, at=FAR)
     car.set_simulate_physics(False)

@@ -580,6 +580,14 @@ def test_a_newer_client_can_name_the_map_of_a_replay(recordings: Path) -> None:
     assert "Total time recorded: 0\n" in answer
 
 
+def test_the_layered_variant_of_the_present_map_is_the_present_map(recordings: Path) -> None:
+    host = Host(World(load_town(called="Town05")), stand_in=True)
+    replay = [str(recordings / "drive.mcap"), 0.0, 0.0, 0, False, True, OFFSET, "Town05_Opt"]
+    assert "Loading map" not in asyncio.run(CALLS["replay_file"](client_inside(host), replay))
+    assert host.world.episode.number == 1
+    host.close()
+
+
 def test_options_of_other_types_are_errors(recordings: Path) -> None:
     for options in ((1,), ("Brickfield", "Brickfield"), (True, True, True), ({},), (OFFSET, OFFSET)):
         with pytest.raises(RecapError, match="replay_file: expected two booleans, a transform and the name of a map"):
@@ -687,8 +695,9 @@ def test_a_recording_that_cannot_be_completed_is_logged_and_others_can_be_asked_
     host.close()
 
 
-def test_a_replay_whose_map_cannot_be_prepared_leaves_no_file_open(
-    recordings: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("step", ["maps.preload", "between_batches"])
+def test_a_replay_that_cannot_begin_leaves_no_file_open(
+    recordings: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
     host, opened = Host(World(load_town())), []
 
@@ -700,7 +709,8 @@ def test_a_replay_whose_map_cannot_be_prepared_leaves_no_file_open(
         raise RecapError("no memory")
 
     monkeypatch.setattr(replayer, "open_reader", note)
-    monkeypatch.setattr(host.maps, "preload", fail)
+    *owner, name = step.split(".")
+    monkeypatch.setattr(host.maps if owner else host, name, fail)
 
     async def run() -> None:
         await CALLS["replay_file"](client_inside(host), [str(recordings / "drive.mcap"), 0.0, 0.0, 0])

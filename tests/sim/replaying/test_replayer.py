@@ -410,6 +410,31 @@ def test_a_replay_goes_on_without_actors_that_are_destroyed(drive: Path) -> None
     assert play_out(world) > 100
 
 
+def test_a_replay_goes_on_when_a_parent_is_destroyed_whose_child_is_still_recorded(tmp_path: Path) -> None:
+    parent, child = (Spawn(id, 1, x=1000, type_id=AUDI) for id in (9, 10))
+    prop = Spawn(11, 0, type_id="static.prop.barrel")
+    with carla_recap.create_recording(tmp_path / "a.log", map_name="Flat", date=0) as recording:
+        for number in range(20):
+            at_10 = number == 10
+            spawned = [parent, child] if not number else [prop] if at_10 else []
+            recording.add_frame(
+                number * DELTA,
+                spawned=spawned,
+                parented=[(10, 9)] if not number else [(11, 10)] if at_10 else [],
+                destroyed=[9] if at_10 else [],
+                doors=[(10, 0, True)] if at_10 else [],
+                transforms={"id": [9, 10, 11], "x": [1000.0, 1000.0, 1000.0]},
+            )
+    world = new_world()
+    world.replay_file(tmp_path / "a.log")
+    attached = played(world, 10)
+    world.run(0.5)
+    assert not attached.is_alive
+    assert world.replayer.mapping.keys() == {11}
+    assert play_out(world) >= 9
+    assert world.replayer.error is None
+
+
 def test_actors_that_come_and_go_between_two_ticks_leave_nothing_behind(drive: Path) -> None:
     world = new_world()
     world.set_replayer_time_factor(100.0)
@@ -536,6 +561,19 @@ def test_bodies_stay_with_their_actors_whatever_a_client_does_to_these(drive: Pa
     hero.transform = at(300.0)
     world.tick()
     assert body.position == pytest.approx((hero.transform.location.x, hero.transform.location.y), abs=1e-6)
+
+
+@pytest.mark.parametrize("id", [4, 6])
+def test_physics_that_is_switched_on_moves_no_replayed_actor(drive: Path, id: int) -> None:
+    world, alone = new_world(), new_world()
+    for each in (world, alone):
+        play(each, drive, 20)
+    for _ in range(20):
+        played(world, id).set_simulate_physics(True)
+        for each in (world, alone):
+            each.tick()
+        assert played(world, id).transform == played(alone, id).transform
+        assert played(world, id).velocity == played(alone, id).velocity
 
 
 def test_at_the_end_vehicles_go_on_by_autopilot_and_walkers_stop(drive: Path) -> None:

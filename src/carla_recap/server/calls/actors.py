@@ -18,7 +18,7 @@ from carla_recap.sim.actors.moving import MovingActor, Vehicle, VehicleControl, 
 from carla_recap.sim.actors.props import Prop
 from carla_recap.sim.episode import Actor
 from carla_recap.sim.geometry import Location, Transform, Vector
-from carla_recap.sim.validation import expect_place, expect_push, expect_turning, expect_velocity
+from carla_recap.sim.validation import expect_place, expect_turning, expect_velocity
 
 A = TypeVar("A", bound=Actor)
 
@@ -86,7 +86,6 @@ def set_actor_location(client: Client, id: int, location: Location) -> None:
 def set_actor_target_velocity(client: Client, id: int, velocity: Vector) -> None:
     """Set the velocity of a vehicle, in m/s; it has no effect on a walker, which has no physical body in CARLA."""
     mover = expect(client, id, MovingActor)
-    expect_velocity("the velocity", velocity, of=mover)
     if isinstance(mover, Vehicle):
         mover.set_target_velocity(velocity)
 
@@ -95,8 +94,8 @@ def set_actor_target_velocity(client: Client, id: int, velocity: Vector) -> None
 def set_actor_target_angular_velocity(client: Client, id: int, velocity: Vector) -> None:
     """Set the angular velocity of a vehicle, in degrees/s about z; a walker turns as it walks."""
     mover = expect(client, id, MovingActor)
-    expect_turning("the angular velocity", velocity, of=mover)
     if isinstance(mover, Vehicle):
+        expect_turning("the angular velocity", velocity, of=mover)
         rows, row = mover.rows, mover.row
         rows.turning[row] = radians(velocity.z)
         rows.angular_velocity[row, 2] = velocity.z
@@ -119,21 +118,21 @@ def disable_actor_constant_velocity(client: Client, id: int) -> None:
 @call
 def add_actor_impulse(client: Client, id: int, impulse: Vector) -> None:
     """Apply an impulse to a vehicle, in N s and the world's axes; see `set_actor_target_velocity` about walkers."""
-    _apply_impulse(expect(client, id, MovingActor), impulse)
+    _push(client, id, impulse)
 
 
 @call
 def add_actor_impulse_at_location(client: Client, id: int, impulse: Vector, location: Location) -> None:
     """Apply an impulse to a vehicle at a location, in N s and m and the world's axes."""
-    mover = expect(client, id, MovingActor)
-    _apply_angular_impulse(mover, _angular_impulse(mover, location, impulse))
-    _apply_impulse(mover, impulse)
+    expect_place("the location of an impulse", location)
+    centre = expect(client, id, MovingActor).transform.location
+    _push(client, id, impulse, degrees((location.x - centre.x) * impulse.y - (location.y - centre.y) * impulse.x))
 
 
 @call
 def add_actor_force(client: Client, id: int, force: Vector) -> None:
     """Apply a force to a vehicle during the next tick, in N and the world's axes."""
-    _apply_impulse(expect(client, id, MovingActor), client.host.world.episode.impulse(force))
+    _push(client, id, client.host.world.episode.impulse(force))
 
 
 @call
@@ -145,13 +144,13 @@ def add_actor_force_at_location(client: Client, id: int, force: Vector, location
 @call
 def add_actor_angular_impulse(client: Client, id: int, impulse: Vector) -> None:
     """Apply an angular impulse to a vehicle, in kg m² degrees/s about z."""
-    _apply_angular_impulse(expect(client, id, MovingActor), impulse.z)
+    _push(client, id, Vector(), impulse.z)
 
 
 @call
 def add_actor_torque(client: Client, id: int, torque: Vector) -> None:
     """Apply a torque to a vehicle during the next tick, in kg m² degrees/s² about z."""
-    _apply_angular_impulse(expect(client, id, MovingActor), client.host.world.episode.impulse(torque).z)
+    _push(client, id, Vector(), client.host.world.episode.impulse(torque).z)
 
 
 @call
@@ -275,23 +274,12 @@ def _movable(client: Client, id: int) -> Actor:
     return actor
 
 
-def _apply_impulse(mover: MovingActor, impulse: Vector) -> None:
-    """Change the velocity of a vehicle by an impulse, in N s."""
-    expect_push("the change of velocity", impulse, mover.rows.mass[mover.row].item(), of=mover)
+def _push(client: Client, id: int, impulse: Vector, turning: float = 0.0) -> None:
+    """Apply an impulse in N s, and an angular one in kg m² degrees/s, to a vehicle whose physics is on."""
+    mover = expect(client, id, MovingActor)
     if isinstance(mover, Vehicle):
-        mover.add_impulse(impulse)
-
-
-def _apply_angular_impulse(mover: MovingActor, impulse: float) -> None:
-    """Change the angular velocity of a vehicle by an angular impulse, in kg m² degrees/s."""
-    if isinstance(mover, Vehicle):
-        change = impulse / mover.rows.moment[mover.row].item()
+        rows, row = mover.rows, mover.row
+        change = turning / rows.moment[row].item()
         expect_turning("the angular velocity", Vector(z=change), of=mover)
-        mover.rows.turning[mover.row] += radians(change)
-
-
-def _angular_impulse(mover: MovingActor, location: Location, impulse: Vector) -> float:
-    """Return the angular impulse about z of an impulse at a location, in kg m² degrees/s."""
-    expect_place("the location of an impulse", location, of=mover)
-    centre = mover.transform.location
-    return degrees((location.x - centre.x) * impulse.y - (location.y - centre.y) * impulse.x)
+        mover.add_impulse(impulse)
+        rows.turning[row] += radians(change) * rows.simulated[row]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from typing import Any, Final
@@ -16,14 +17,13 @@ from carla_recap.errors import NotARecording
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.collisions import collisions
 from carla_recap.queries.info import info
-from carla_recap.roads.find import plain_name
 from carla_recap.server import recordings
 from carla_recap.server.host import Client
 from carla_recap.server.rpc.codec import DecodeError, decoder
 from carla_recap.server.rpc.registry import call
 from carla_recap.sim.errors import MapMissing
 from carla_recap.sim.geometry import Transform
-from carla_recap.sim.replaying.replayer import CHASE
+from carla_recap.sim.replaying.replayer import CHASE, is_of
 
 _NEWS: Final = 0.1
 """Seconds until a client that has just been sent a new episode assigns its calls to that one."""
@@ -101,28 +101,26 @@ async def replay_file(
         opened = await asyncio.to_thread(replayer.open, path, start, max(duration, 0.0), follow_id, lenient=True)
     except NotARecording:
         return recordings.replaying(path) + recordings.NOT_A_RECORDING
-    maps, recorded = client.host.maps, map_name or opened.player.reader.header.map_name
-    is_present = plain_name(recorded) == world.town.name
-    try:
+    with ExitStack() as failing:
+        failing.callback(opened.player.reader.close)
+        maps, recorded = client.host.maps, map_name or opened.player.reader.header.map_name
         is_only_here = maps.is_only_here(recorded, stand_in=bool(map_name))  # corridors stand in for a recording's map
-        town = await maps.load(recorded) if is_only_here and not is_present else None
+        town = await maps.load(recorded) if is_only_here and not is_of(world.town, recorded) else None
         if town is None:
             await maps.preload(recorded, None if map_name else path)
-    except BaseException:
-        opened.player.reader.close()
-        raise
-    await client.host.between_batches()
-    client.host.recordings.stop()
-    frames = world.frame
-    try:
-        if town is not None:
-            world.reload(town)
-        replay = world.begin_replay(opened, sensors, offset, replay_weather=weather, map_name=map_name)
-    except MapMissing as error:
-        return recordings.replaying(path) + recordings.map_missing(error)
-    finally:
-        if client.host.check_episode(frames):
-            client.host.publish()
+        await client.host.between_batches()
+        client.host.recordings.stop()
+        frames = world.frame
+        try:
+            if town is not None:
+                world.reload(town)
+            replay = world.begin_replay(opened, sensors, offset, replay_weather=weather, map_name=map_name)
+        except MapMissing as error:
+            return recordings.replaying(path) + recordings.map_missing(error)
+        finally:
+            if client.host.check_episode(frames):
+                client.host.publish()
+        failing.pop_all()
     client.host.takeover.begin_replay()
     replay = replace(replay, loaded=replay.loaded or town is not None)
     if replay.loaded:

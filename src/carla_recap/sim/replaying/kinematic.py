@@ -123,6 +123,8 @@ class KinematicReplay:
         """
         for name, movers in (("vehicles", self._episode.vehicles), ("walkers", self._episode.walkers)):
             rows, indices = self._linked(name, scene.ids, movers.id)
+            for row in rows[movers.simulated[rows]].tolist():  # its physics has been switched on meanwhile
+                movers.set_simulated(row, False)
             poses = scene.poses[indices]
             finite = np.isfinite(poses).all(axis=1)
             rows, poses = rows[finite], poses[finite]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 import weakref
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from carla_recap.model.records import CM_PER_M
 from carla_recap.replay import Player, level
 from carla_recap.replay.camera import CHASE_BACK, CHASE_PITCH, CHASE_UP
 from carla_recap.replay.follow import find_followed
-from carla_recap.roads.find import described_folder, plain_name
+from carla_recap.roads.find import described_folder, map_key, plain_name
 from carla_recap.sim.actors.moving import MovingActor, Vehicle, VehicleControl, Walker
 from carla_recap.sim.errors import MapMissing, SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
@@ -364,6 +363,8 @@ class Replayer:
         self._collisions.prepare(scene)
         for gone in scene.destroyed:
             self._mapping.remove(gone.id)
+        if scene.destroyed:  # and with them what was attached to them
+            self._mapping.forget_dead()
         if scene.spawned:
             self._mapping.add({came.actor.id: came.actor for came in scene.spawned}.values(), scene)
         self._kinematic.move(scene, delta, seconds)
@@ -438,11 +439,11 @@ def town_to_load(opened: OpenedRecording, town: Town, maps: Path | None, map_nam
         MapMissing: The map cannot be loaded.
     """
     path, name = opened.player.reader.path, map_name or opened.player.reader.header.map_name
-    if _plain(name) == _plain(town.name) and not town.is_of_corridors:
+    if is_of(town, name):
         return None
     if keep:
-        if _plain(name) != _plain(town.name):
-            reason = f"is a recording of the map {_plain(name)!r}, and replayed in {_plain(town.name)!r}"
+        if map_key(name) != map_key(town.name):
+            reason = f"is a recording of the map {plain_name(name)!r}, and replayed in {town.name!r}"
             warnings.warn(f"{path}: {reason}", RecapWarning, stacklevel=4)
         return None
     try:
@@ -462,6 +463,6 @@ def town_to_load(opened: OpenedRecording, town: Town, maps: Path | None, map_nam
     return corridors
 
 
-def _plain(map_name: str) -> str:
-    """Return the name of a map without folders, and without the suffix of its layers."""
-    return re.split(r"[/\\]", map_name)[-1].removesuffix("_Opt")
+def is_of(town: Town, map_name: str) -> bool:
+    """Return whether a town is made of a map, and not of the corridors of a recording of it."""
+    return map_key(map_name) == map_key(town.name) and not town.is_of_corridors
