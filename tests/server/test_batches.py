@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from carla_recap.server.calls import batches as served
+from carla_recap.server import host as served
 from carla_recap.server.controllers import AckermannControl
 from carla_recap.server.host import Client, Host
 from carla_recap.server.rpc.connection import ClientConnection

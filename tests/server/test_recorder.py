@@ -18,6 +18,7 @@ from carla_recap.errors import Closed, RecapError, RecapWarning
 from carla_recap.formats import open_reader
 from carla_recap.model.records import Attribute, Spawn
 from carla_recap.queries.info import info
+from carla_recap.server import host as serving_host
 from carla_recap.server import recordings as served
 from carla_recap.server import running
 from carla_recap.server.host import Host
@@ -640,6 +641,32 @@ def test_clients_are_served_while_a_replay_is_opened(recordings: Path, monkeypat
 
     assert "Total time recorded: 3.95\n" in asyncio.run(run())
     assert host.world.replayer.is_playing
+    host.close()
+
+
+@pytest.mark.parametrize("stops", [False, True])
+async def test_clients_are_served_while_the_actors_of_a_replay_are_spawned(
+    recordings: Path, monkeypatch: pytest.MonkeyPatch, stops: bool
+) -> None:
+    monkeypatch.setattr(serving_host, "_SLICE", 0.0)
+    host = Host(World(load_town()))
+    client, other = client_inside(host), client_inside(host)
+    present: list[int] = []
+    replay = asyncio.ensure_future(CALLS["replay_file"](client, [str(recordings / "drive.mcap"), 0.0, 0.0, 0]))
+    while not host.batches:
+        await asyncio.sleep(0)
+    while host.batches:
+        present.append(len(host.world.vehicles) + len(host.world.walkers))
+        if stops and present[-1] == 1:
+            CALLS["stop_replayer"](other, [False])
+        await asyncio.sleep(0)
+    if stops:
+        with pytest.raises(RecapError, match="was stopped before it had begun"):
+            await replay
+        assert not len(host.world.vehicles) + len(host.world.walkers)
+    else:
+        assert "Total time recorded: 3.95\n" in await replay
+        assert {1, 2} <= set(present)
     host.close()
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Final
+from math import inf
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from carla_recap.server.actor_records import ActorCache, encoded_definitions
 from carla_recap.server.controllers import AckermannController, ConstantVelocity, Takeover
@@ -25,7 +27,7 @@ from carla_recap.server.traffic_manager import TrafficManagerCycle, TrafficManag
 from carla_recap.sim.errors import DeadActor
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable
+    from collections.abc import Awaitable, Callable, Generator
 
     from carla_recap.rendering.camera import Quality
     from carla_recap.server.actor_records import DestroyedActor
@@ -38,7 +40,10 @@ if TYPE_CHECKING:
     from carla_recap.sim.world import World
 
 
+T = TypeVar("T")
+
 _LOG: Final = logging.getLogger(__name__)
+_SLICE: Final = 0.02  # s for which steps keep other clients waiting
 _MAX_LOGGED: Final = 100  # errors that are not logged again
 
 
@@ -67,7 +72,7 @@ class Host:
         ackermann: The controller of vehicles with a desired speed and steering angle.
         constant_velocity: The controller of vehicles with a constant velocity.
         takeover: Ends the server's autopilot of vehicles that clients drive.
-        batches: The batches of commands that are being executed between calls of other clients.
+        batches: What is being done in steps, between calls of other clients.
         on_settings: Callbacks for a change of the settings.
         lookups: Where the releases of clients are looked up, one after the other: many at once would slow down ticks.
     """
@@ -103,7 +108,7 @@ class Host:
         world.on_error = self._log_error
         self._logged: set[tuple[str, str]] = set()
         self.on_settings: list[Callable[[], None]] = []
-        self.batches: set[asyncio.Future[None]] = set()
+        self.batches: set[asyncio.Future[Any]] = set()
         self.lookups = ThreadPoolExecutor(1, "carla-recap-releases")
         self._frames_before = 0
         self._loads_ahead = False
@@ -130,8 +135,33 @@ class Host:
         """The number of the episode."""
         return self.world.episode.number
 
+    def take(self, steps: Generator[None, None, T], *, at_once: bool = False) -> T | asyncio.Future[T]:
+        """Take steps, and return their result; if they take long, calls of other clients are served in between.
+
+        Then what is returned is a future of the result: see `between_batches`.
+        """
+        try:
+            _take(steps, inf if at_once else _SLICE)
+        except StopIteration as end:
+            result: T = end.value
+            return result
+
+        async def take_rest() -> T:
+            while True:
+                await asyncio.sleep(0)
+                try:
+                    _take(steps, _SLICE)
+                except StopIteration as end:
+                    result: T = end.value
+                    return result
+
+        rest = asyncio.ensure_future(take_rest())
+        self.batches.add(rest)
+        rest.add_done_callback(self.batches.discard)
+        return rest
+
     async def between_batches(self) -> None:
-        """Wait for the batches of commands that are being executed: no tick and no new episode falls within one."""
+        """Wait for what is being done in steps, such as batches of commands: no tick and no new episode falls within."""
         while self.batches:
             await asyncio.wait(self.batches)
 
@@ -248,6 +278,15 @@ class Host:
         self._is_new = True
         self._actors.evict_destroyed()
         self._encoder = SnapshotEncoder(self.world)
+
+
+def _take(steps: Generator[None, None, object], seconds: float) -> None:
+    """Take steps for some time, one at least; StopIteration is raised at their end."""
+    end = time.monotonic() + seconds
+    while True:
+        next(steps)
+        if time.monotonic() >= end:
+            return
 
 
 class Client:

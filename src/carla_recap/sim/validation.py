@@ -155,7 +155,9 @@ def _expect_at_most(what: str, of: object, unit: str, most: float, *values: floa
 
 def _numbers(value: Any) -> Iterator[float]:
     """Yield all numbers in nested records and sequences."""
-    if is_dataclass(value):
+    if isinstance(value, float):  # as most are
+        yield value
+    elif is_dataclass(value):
         for field in fields(value):
             yield from _numbers(getattr(value, field.name))
     elif isinstance(value, Sequence):

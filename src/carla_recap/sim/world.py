@@ -24,7 +24,7 @@ from carla_recap.sim.traffic.traffic import Traffic
 from carla_recap.sim.validation import expect_seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Generator, Mapping
 
     from carla_recap.replay.follow import Follow
     from carla_recap.sim.blueprints import Blueprint
@@ -249,7 +249,7 @@ class World:
         Warns:
             RecapWarning: A recorder was running; see `begin_replay` for others.
         """
-        from carla_recap.sim.replaying.replayer import find_recording
+        from carla_recap.sim.replaying.replayer import find_recording, finished
 
         recorded = None if self._recorder is None else self._recorder.path
         if recorded is not None:
@@ -258,7 +258,7 @@ class World:
         self.stop_replayer()
         self.stop_recorder()
         opened = self.replayer.open(find_recording(name, self.recordings), start, duration, follow)
-        return self.begin_replay(opened, replay_sensors, offset, keep_town=keep_town)
+        return finished(self.begin_replay(opened, replay_sensors, offset, keep_town=keep_town))
 
     def begin_replay(
         self,
@@ -269,8 +269,8 @@ class World:
         keep_town: bool = False,
         replay_weather: bool = True,
         map_name: str = "",
-    ) -> Replay:
-        """Replay an opened recording; see `Replayer.begin`. Its map is loaded unless it is the town's.
+    ) -> Generator[None, None, Replay]:
+        """Replay an opened recording in steps; see `Replayer.begin`. Its map is loaded first unless it is the town's.
 
         Warns:
             RecapWarning: See `town_to_load`.
@@ -290,8 +290,9 @@ class World:
         except BaseException:
             reader.close()
             raise
-        name, loaded = map_name or reader.header.map_name, town is not None
-        return self.replayer.begin(opened, name, replay_sensors, offset, replay_weather=replay_weather, loaded=loaded)
+        name, is_new = map_name or reader.header.map_name, town is not None
+        begin = self.replayer.begin(opened, name, replay_sensors, offset, replay_weather=replay_weather, loaded=is_new)
+        return (yield from begin)
 
     def stop_replayer(self, keep_actors: bool = False) -> None:
         """End the replay, if there is one; see `Replayer.stop`."""

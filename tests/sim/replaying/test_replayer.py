@@ -800,7 +800,7 @@ def test_a_map_that_the_caller_names_must_be_there(tmp_path: Path, drive: Path) 
     world = new_world()
     mine = spawn_car(world, at(500.0), AUDI)
     with pytest.raises(SimError, match=r"is a recording of the map 'Town42', which cannot be loaded: .*Town42"):
-        world.begin_replay(world.replayer.open(drive), map_name="Town42")
+        next(world.begin_replay(world.replayer.open(drive), map_name="Town42"))
     assert mine.is_alive
     assert not world.replayer.is_playing
 

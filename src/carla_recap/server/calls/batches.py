@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import time
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Generator
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -46,7 +45,6 @@ def set_light_state(client: Client, id: int, bits: int) -> None:
     vehicles.set_vehicle_light_state(client, id, VehicleLightState(bits))
 
 
-_SLICE: Final = 0.05  # s for which a batch keeps other clients waiting
 _CONSOLE: Final = "console_command"
 """The command for the console of Unreal Engine, which has no effect."""
 _SPAWN: Final = "spawn_actor"
@@ -71,37 +69,26 @@ def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> l
     """
     if (controlled := _apply_controls(client, commands)) is not None:
         return _tick_after(client, controlled, do_tick)
-    answers: list[Any] = []
-    remaining = iter(commands)
-
-    def execute() -> bool:
-        """Execute commands for a while; return whether there may be more."""
-        end = time.monotonic() + _SLICE
-        for command in remaining:
-            answers.append(_answer(client, command))
-            if time.monotonic() >= end:
-                return client.is_connected
-        return False
-
-    if not execute():
-        answers += [_answer(client, command) for command in remaining]  # of a client that has left
+    answers = client.host.take(_execute_all(client, commands), at_once=not client.is_connected)
+    if isinstance(answers, list):
         return _tick_after(client, answers, do_tick)
 
-    async def execute_rest() -> None:
-        while execute():
-            await asyncio.sleep(0)
-        answers.extend(_answer(client, command) for command in remaining)
-
     async def complete() -> list[Any]:
-        await rest
-        found = _tick_after(client, answers, do_tick)
+        found = _tick_after(client, await answers, do_tick)
         return found if isinstance(found, list) else await found
 
-    rest, whole = asyncio.ensure_future(execute_rest()), asyncio.ensure_future(complete())
-    client.host.batches.add(rest)
-    rest.add_done_callback(client.host.batches.discard)
+    whole = asyncio.ensure_future(complete())
     client.read_after(asyncio.wait([whole]))  # its next calls come after these commands
     return asyncio.shield(whole)  # if the client leaves, its commands and the tick are executed
+
+
+def _execute_all(client: Client, commands: list[Any]) -> Generator[None, None, list[Any]]:
+    """Execute commands, one in each step, and return CARLA's `Response` to each."""
+    answers = []
+    for command in commands:
+        answers.append(_answer(client, command))
+        yield
+    return answers
 
 
 def _tick_after(client: Client, answers: list[Any], do_tick: bool) -> list[Any] | Awaitable[list[Any]]:

@@ -114,13 +114,15 @@ async def replay_file(
         try:
             if town is not None:
                 world.reload(town)
-            replay = world.begin_replay(opened, sensors, offset, replay_weather=weather, map_name=map_name)
+            steps = world.begin_replay(opened, sensors, offset, replay_weather=weather, map_name=map_name)
+            begun = client.host.take(steps)
         except MapMissing as error:
             return recordings.replaying(path) + recordings.map_missing(error)
         finally:
             if client.host.check_episode(frames):
                 client.host.publish()
         failing.pop_all()
+    replay = await asyncio.shield(begun) if isinstance(begun, asyncio.Future) else begun
     client.host.takeover.begin_replay()
     replay = replace(replay, loaded=replay.loaded or town is not None)
     if replay.loaded:

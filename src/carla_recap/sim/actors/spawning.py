@@ -166,7 +166,8 @@ def _add_row(mover: MovingActor, transform: Transform) -> None:
     """Add a vehicle or walker to the arrays of its episode."""
     columns, plane = _columns(mover, transform), mover.episode.plane
     if isinstance(mover, Vehicle):
-        physics = mover.physics_control
+        physics = mover.blueprint.physics
+        assert physics is not None
         body = _own(mover, plane.add_box(VEHICLE, _corners(mover.blueprint), physics.mass))
         sticky = mover.attributes.get("sticky_control", "true").lower() not in _FALSE
         row = mover.rows.add(mover, body, **columns, sticky=sticky)

@@ -26,7 +26,7 @@ from carla_recap.sim.recording.packets import physics_control, transform
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from carla_recap.model.lives import ActorLife, BoundingBox
     from carla_recap.replay import Scene
@@ -80,16 +80,12 @@ class ActorMapping:
         """The ids of replayed and released actors by the ids of the recording."""
         return MappingProxyType({id: actor.id for id, actor in (self.replayed | self.released).items()})
 
-    def add(self, actors: Iterable[ActorLife], scene: Scene) -> None:
-        """Map recorded actors that appear.
-
-        Args:
-            actors: The recorded actors; those that are not in the scene are left out.
-            scene: Their poses.
-        """
+    def add(self, actors: Iterable[ActorLife], scene: Scene) -> Iterator[None]:
+        """Map recorded actors that appear, one in each step; those that are not in the scene are left out."""
         actors = [actor for actor in actors if actor.id in scene.actors]
         signs = [actor for actor in actors if actor.type_id.startswith(TRAFFIC)]
         self.replayed |= self._nearest(signs)
+        self.changes += 1
         # an actor whose recorded id is taken shall not get the one of another
         self._episode.ids.reserve(max((actor.id for actor in actors if actor.id <= LARGEST_WANTED), default=0))
         taken = set(self.replayed.values())
@@ -98,7 +94,8 @@ class ActorMapping:
                 self.replayed[actor.id] = replayed
                 taken.add(replayed)
                 _make_kinematic(replayed)
-        self.changes += 1
+                self.changes += 1
+                yield
 
     def remove(self, id: int) -> None:
         """Destroy the counterpart of a recorded actor that disappears; lights, signs and the spectator stay."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 import weakref
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from carla_recap.sim.settings import Weather
 from carla_recap.sim.town.loading import is_unknown, load_corridors, load_town
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Generator, Iterator, Mapping
     from pathlib import Path
 
     from carla_recap.formats.base import Reader
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from carla_recap.sim.episode import Actor, Episode
     from carla_recap.sim.town.loading import Town
 
+
+T = TypeVar("T")
 
 CHASE: Final = Transform(Location(-CHASE_BACK / CM_PER_M, 0.0, CHASE_UP / CM_PER_M), Rotation(pitch=CHASE_PITCH))
 """The default offset of a spectator that follows an actor: behind and above it, looking down, as in CARLA."""
@@ -222,8 +224,10 @@ class Replayer:
         *,
         replay_weather: bool = True,
         loaded: bool = False,
-    ) -> Replay:
+    ) -> Generator[None, None, Replay]:
         """Begin to replay an opened recording: the replayed actors have their first poses, and move with the next tick.
+
+        It takes a step for each actor that is spawned; no tick may fall between two.
 
         Args:
             opened: The recording, which is closed when the replay ends.
@@ -246,7 +250,10 @@ class Replayer:
             earlier = self._mapping.replayed if path == self._path else {}
             self._path = path
             self._mapping = ActorMapping(self._episode, replay_sensors=replay_sensors, earlier=earlier)
-            self._begin(player, opened.scene)
+            for _ in self._begin(player, opened.scene):
+                yield
+                if self._player is not player:
+                    raise SimError(f"{path}: its replay was stopped before it had begun")
         except BaseException:
             self.stop()
             self._close()
@@ -314,7 +321,7 @@ class Replayer:
             if scene is None:
                 self.stop(keep_actors=True)
             else:
-                self._show(scene, delta, player.time - before)
+                finished(self._show(scene, delta, player.time - before))
         except RecapError as error:
             self.error = error
             self.stop(keep_actors=True)
@@ -336,7 +343,7 @@ class Replayer:
             warnings.warn(f"the spectator follows no actor: {error}", RecapWarning, stacklevel=4)
             return start, None
 
-    def _begin(self, player: Player, scene: Scene) -> None:
+    def _begin(self, player: Player, scene: Scene) -> Iterator[None]:
         episode = self._episode
         self._player, episode.replayed = player, self._path
         self._kinematic = KinematicReplay(episode, self._mapping)
@@ -345,7 +352,7 @@ class Replayer:
         self._frozen = episode.signals.frozen.copy()
         episode.signals.held = True
         self._shows_start = True
-        self._show(scene, 0.0, 0.0)
+        return self._show(scene, 0.0, 0.0)
 
     def _release_to_autopilot(self) -> None:
         """Release the vehicles that have been given to the autopilot, once their speed is known."""
@@ -357,7 +364,8 @@ class Replayer:
                 self._mapping.release(recorded)
                 self._return_to_traffic(vehicle, autopilot=True)
 
-    def _show(self, scene: Scene, delta: float, seconds: float) -> None:
+    def _show(self, scene: Scene, delta: float, seconds: float) -> Generator[None, None, None]:
+        """Show a scene, with a step for each actor that is spawned."""
         if self._episode.events.destroyed or self._episode.pending.destroyed:
             self._mapping.forget_dead()
         self._collisions.prepare(scene)
@@ -366,7 +374,7 @@ class Replayer:
         if scene.destroyed:  # and with them what was attached to them
             self._mapping.forget_dead()
         if scene.spawned:
-            self._mapping.add({came.actor.id: came.actor for came in scene.spawned}.values(), scene)
+            yield from self._mapping.add({came.actor.id: came.actor for came in scene.spawned}.values(), scene)
         self._kinematic.move(scene, delta, seconds)
         self._collisions.report()
         self._move_doors(scene)
@@ -408,6 +416,16 @@ class Replayer:
         if isinstance(actor, Walker):
             self._episode.walkers.speed[actor.row] = 0.0
             actor.set_target_velocity(Vector())
+
+
+def finished(steps: Generator[None, None, T]) -> T:
+    """Take all steps at once, and return their result."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            result: T = end.value
+            return result
 
 
 def find_recording(name: Path | str, folder: Path | str | None = None) -> Path:
