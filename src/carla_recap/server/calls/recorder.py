@@ -110,19 +110,20 @@ async def replay_file(
             await maps.preload(recorded, None if map_name else path)
         await client.host.between_batches()
         client.host.recordings.stop()
-        frames = world.frame
+        frames, is_new = world.frame, False
         try:
             if town is not None:
                 world.reload(town)
             steps = world.begin_replay(opened, sensors, offset, replay_weather=weather, map_name=map_name)
             begun = client.host.take(steps)
+            failing.pop_all()
+            is_new = client.host.check_episode(frames)
+            replay = await asyncio.shield(begun) if isinstance(begun, asyncio.Future) else begun
         except MapMissing as error:
             return recordings.replaying(path) + recordings.map_missing(error)
         finally:
-            if client.host.check_episode(frames):
+            if client.host.check_episode(frames) or is_new:
                 client.host.publish()
-        failing.pop_all()
-    replay = await asyncio.shield(begun) if isinstance(begun, asyncio.Future) else begun
     client.host.takeover.begin_replay()
     replay = replace(replay, loaded=replay.loaded or town is not None)
     if replay.loaded:
