@@ -48,10 +48,6 @@ _EACH_FRAME: Final = (ActorKind.VEHICLE, ActorKind.WALKER, ActorKind.TRAFFIC_LIG
 class ActorTracker:
     """Tracks the actors of a world. Its attributes are replaced, never changed: another thread may be reading them.
 
-    Args:
-        world: The world.
-        additional_data: Record velocities, too.
-
     Attributes:
         actors: The present actors, by id, in the order in which they came.
         heroes: The ids of all actors that are or were heroes.

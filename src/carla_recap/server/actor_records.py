@@ -232,10 +232,6 @@ def _destroyed(actor: Actor) -> DestroyedActor:
 def check_attributes(blueprint: Blueprint, attributes: Mapping[str, str]) -> None:
     """Make sure that clients can read the attributes of an actor.
 
-    Args:
-        blueprint: The blueprint of the actor.
-        attributes: The attributes that are set.
-
     Raises:
         CallError: An attribute has a value that is not of its type, or images would have no pixels, or too many.
     """

@@ -161,9 +161,6 @@ class Takeover:
     """Ends the server's autopilot of vehicles that clients drive.
 
     The server's autopilot drives the vehicles of a replay that has ended. As in CARLA, the control of a client counts more.
-
-    Args:
-        world: The world.
     """
 
     def __init__(self, world: World) -> None:

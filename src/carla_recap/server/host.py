@@ -292,10 +292,6 @@ def _take(steps: Generator[None, None, object], seconds: float) -> None:
 class Client:
     """A client, and what the server knows of it.
 
-    Args:
-        host: The served world.
-        connection: The connection of the client.
-
     Attributes:
         host: The served world.
         release: The release that it is of.

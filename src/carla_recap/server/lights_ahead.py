@@ -18,11 +18,7 @@ NO_LIGHT: Final = -1
 
 
 class LightsAhead:
-    """The stretches before the stop lines of traffic lights.
-
-    Args:
-        town: The town.
-    """
+    """The stretches before the stop lines of traffic lights."""
 
     def __init__(self, town: Town) -> None:
         stretches: set[tuple[int, float, float, int]] = set()

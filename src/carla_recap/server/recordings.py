@@ -164,10 +164,6 @@ def not_found(path: Path) -> str:
 async def answer(path: Path, query: Query) -> str:
     """Return the answer to a query; it runs in a thread, so that the world goes on meanwhile.
 
-    Args:
-        path: The recording.
-        query: The query.
-
     Raises:
         RecapError: The recording is damaged, or the answer is too long.
     """

@@ -92,11 +92,7 @@ async def serve(
 
 
 class Ticker:
-    """Ticks a world in asynchronous mode, at the pace of the clock.
-
-    Args:
-        host: The served world.
-    """
+    """Ticks a world in asynchronous mode, at the pace of the clock."""
 
     def __init__(self, host: Host) -> None:
         self._host = host

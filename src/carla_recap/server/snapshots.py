@@ -104,11 +104,7 @@ def for_release(snapshot: bytes, release: Release) -> bytes:
 
 
 class SnapshotEncoder:
-    """Encodes the snapshots of an episode; see `for_release`.
-
-    Args:
-        world: The world.
-    """
+    """Encodes the snapshots of an episode; see `for_release`."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -122,12 +118,7 @@ class SnapshotEncoder:
         self._start = time.monotonic()
 
     def encode(self, episode: int, frame: int) -> bytes:
-        """Return a snapshot of the world.
-
-        Args:
-            episode: The number of the episode.
-            frame: The number of the frame.
-        """
+        """Return a snapshot of the world."""
         world = self._world
         spectator = world.spectator.transform
         header = _EPISODE_HEADER.pack(episode, time.monotonic() - self._start, world.delta, 0, 0, 0, 0)

@@ -166,11 +166,7 @@ class SnapshotStreams:
 
 
 class Subscriber(asyncio.Protocol):
-    """A connection that gets the frames of a stream.
-
-    Args:
-        streams: All streams.
-    """
+    """A connection that gets the frames of a stream."""
 
     def __init__(self, streams: Streams) -> None:
         self._streams = streams

@@ -164,9 +164,6 @@ class TrafficManagerPause:
     Between the end of `load_new_episode` and the first snapshot that it gets, the client has no episode. A traffic manager
     runs in a thread of the client's process and aborts that process if it looks at the episode then. It cannot look while it
     waits for the answer to a call: so the server holds that answer back.
-
-    Args:
-        managers: How many managers the client runs.
     """
 
     def __init__(self, managers: int) -> None:

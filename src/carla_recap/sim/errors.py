@@ -34,13 +34,7 @@ class DestinationError(SimError):
 
 
 class MapMissing(SimError):
-    """The map of a recording is unavailable.
-
-    Args:
-        path: The recording.
-        map_name: The name of the map in the recording.
-        reason: Why the map is unavailable.
-    """
+    """The map of a recording is unavailable."""
 
     def __init__(self, path: Path, map_name: str, reason: str) -> None:
         super().__init__(path, map_name, reason)

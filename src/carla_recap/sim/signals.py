@@ -27,9 +27,6 @@ class Signals:
     A group is the lights of a junction; a phase is those of them that are green together. Its times are those of its first
     light.
 
-    Args:
-        town: The town.
-
     Attributes:
         id: The ids of the actors that stand for the lights, (n,).
         signal: The index of each light among the town's signals, (n,).

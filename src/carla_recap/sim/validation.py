@@ -29,11 +29,6 @@ MAX_TEXT: Final = 1000  # bytes of the value of an attribute
 def expect_finite(what: str, *values: float, of: object = None) -> None:
     """Make sure that numbers are finite.
 
-    Args:
-        what: The name of the numbers in the error text.
-        *values: The numbers.
-        of: Their owner, for the error text.
-
     Raises:
         SimError: One of them is infinite or NaN.
     """

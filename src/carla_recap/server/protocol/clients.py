@@ -25,10 +25,6 @@ _known: Final[dict[tuple[int, int, int], Release | None]] = {}
 def release_of(client: Address, server: Address) -> Release | None:
     """Return the release of the client at the other end of a connection.
 
-    Args:
-        client: The address of the client.
-        server: The address that it is connected to.
-
     Returns:
         None if it is on another machine, or in a container or a process of another user, or has no library of CARLA's.
     """

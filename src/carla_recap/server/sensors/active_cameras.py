@@ -55,14 +55,7 @@ _NS: Final = 1e9  # in a second
 
 
 class _ActiveCamera:
-    """A camera with subscribers.
-
-    Args:
-        sensor: The camera.
-        kind: The kind of its images.
-        has_events: Whether it sends events instead of images.
-        release: The release of the clients that listen.
-    """
+    """A camera with subscribers."""
 
     def __init__(self, sensor: Actor, kind: ImageKind, *, has_events: bool, release: Release) -> None:
         self.sensor = sensor
@@ -113,16 +106,7 @@ class Cameras:
                 self._thread.release()
 
     def take(self, stream: int, sensor: Actor, kind: ImageKind, header: bytes, *, is_due: bool, has_events: bool) -> None:
-        """Let a camera take an image, if it is due or one could not be drawn in time.
-
-        Args:
-            stream: The stream of the camera.
-            sensor: The camera.
-            kind: The kind of image.
-            header: The header of its frame.
-            is_due: Whether the camera ticks.
-            has_events: Whether it sends events instead of images.
-        """
+        """Let a camera take an image, if it is due or one could not be drawn in time."""
         active = self._active.get(stream)
         if active is None:
             release = release_of(stream)
@@ -229,9 +213,6 @@ class EventDetector:
 
     The brightness is supposed to change evenly between two images. A pixel has an event whenever its brightness has changed
     by a threshold since its last event.
-
-    Args:
-        sensor: The camera.
     """
 
     def __init__(self, sensor: Actor) -> None:

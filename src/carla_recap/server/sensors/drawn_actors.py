@@ -38,9 +38,6 @@ class WorldActors:
     """What is drawn of the actors of a world.
 
     The columns that do not change are made anew when actors are spawned or destroyed.
-
-    Args:
-        world: The world.
     """
 
     def __init__(self, world: World) -> None:

@@ -112,12 +112,7 @@ class ActorBoxes(OrientedBoxes):
 
 
 class Lidar:
-    """A lidar in the world.
-
-    Args:
-        sensor: The lidar.
-        context: What is around it.
-    """
+    """A lidar in the world."""
 
     def __init__(self, sensor: Actor, context: FeedContext) -> None:
         self._sensor = sensor

@@ -79,11 +79,6 @@ class TownSurfaces:
 class DrawnImages:
     """Draws the images of a town in a process of its own.
 
-    Args:
-        surfaces: The surfaces of towns.
-        quality: The quality of images.
-        town: The town.
-
     Raises:
         RecapError: An optional package or a driver is missing.
     """

@@ -236,11 +236,7 @@ class CamStation:
 
 
 class CustomStation:
-    """Sends the messages of clients, the latest one if there are several in a tick.
-
-    Args:
-        sensor: The sensor, which is attached to an actor.
-    """
+    """Sends the messages of clients, the latest one if there are several in a tick."""
 
     def __init__(self, sensor: Actor) -> None:
         self._sensor = sensor

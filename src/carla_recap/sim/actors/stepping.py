@@ -27,11 +27,7 @@ _BUMPER_HEIGHT: Final = 0.5  # m above the road
 
 
 class ActorMotion:
-    """Moves the vehicles and walkers of an episode.
-
-    Args:
-        episode: The episode.
-    """
+    """Moves the vehicles and walkers of an episode."""
 
     def __init__(self, episode: Episode) -> None:
         self._episode = episode
@@ -79,9 +75,6 @@ class CollisionDetector:
     """Makes collisions out of the contacts of an episode.
 
     A collision is reported for an actor that is watched; if both are, once for each, as by two collision sensors.
-
-    Args:
-        episode: The episode.
     """
 
     def __init__(self, episode: Episode) -> None:

@@ -282,13 +282,6 @@ class InProcessWriter:
 
     If this process is killed, the unfinished file stays beside the destination, for `recover`.
 
-    Args:
-        path: The destination.
-        header: The header of the recording.
-        force: See `WriterProcess`.
-        format: See `WriterProcess`.
-        visible: See `WriterProcess`.
-
     Attributes:
         path: The destination.
         error: The error that ended the recording; None as long as there is none.

@@ -97,10 +97,6 @@ class KinematicReplay:
     Their velocities are the ways between two ticks through the time. Their accelerations are the differences of two such
     velocities, of ticks that are at least as far apart as the frames of the recording: between two frames, poses are
     interpolated, and velocities constant.
-
-    Args:
-        episode: The episode.
-        mapping: The replayed actors.
     """
 
     def __init__(self, episode: Episode, mapping: ActorMapping) -> None:
@@ -303,11 +299,6 @@ class CollisionReplay:
     Recordings contain no impulses. That between two actors is the impulse of an inelastic impact along the line between
     their centres, from their masses and their recorded velocities before it, and 0 while the contact lasts. That with a
     barrier is the mass times the recorded change of velocity in the tick.
-
-    Args:
-        episode: The episode.
-        mapping: The replayed actors.
-        kinematic: What moves them.
     """
 
     def __init__(self, episode: Episode, mapping: ActorMapping, kinematic: KinematicReplay) -> None:

@@ -98,9 +98,6 @@ class Replayer:
     Replayed actors have the poses, the controls, the lights and the collisions of the recording, until they are released.
     All others go on as before, and collide with replayed actors without moving them.
 
-    Args:
-        episode: The episode.
-
     Attributes:
         ignore_hero: Whether later replays leave out the actors with the role name hero.
         ignore_spectator: Whether later replays leave out the spectator.
@@ -296,9 +293,6 @@ class Replayer:
         It is left to its control, and stays when the replay ends; `stop` does not destroy it. All others follow the
         recording. To release a vehicle to the autopilot, call its `set_autopilot` instead.
 
-        Args:
-            actor: The actor of the world.
-
         Raises:
             SimError: It does not follow a recording.
         """
@@ -429,12 +423,7 @@ def finished(steps: Generator[None, None, T]) -> T:
 
 
 def find_recording(name: Path | str, folder: Path | str | None = None) -> Path:
-    """Return the path of a recording whose suffix may be missing, whether or not it exists.
-
-    Args:
-        name: See `recording_path`.
-        folder: See `recorder.recordings_folder`.
-    """
+    """Return the path of a recording whose suffix may be missing, whether or not it exists."""
     path = recording_path(name, folder)
     candidates = [path, *(path.with_name(path.name + suffix) for suffix in reversed(SUFFIXES))]
     return next((candidate for candidate in candidates if candidate.is_file()), path)

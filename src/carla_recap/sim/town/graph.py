@@ -17,13 +17,7 @@ if TYPE_CHECKING:
 
 
 def reached(neighbours: Sequence[Sequence[int]], start: int, seen: set[int]) -> list[int]:
-    """Return the nodes that can be reached from a node, itself first, and add them to those that were seen before.
-
-    Args:
-        neighbours: The nodes to which each node leads.
-        start: The node.
-        seen: Nodes that are left out.
-    """
+    """Return the nodes that can be reached from a node, itself first, and add them to those that were seen before."""
     seen.add(start)
     nodes = [start]
     for node in nodes:  # grows

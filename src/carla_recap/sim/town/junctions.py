@@ -116,14 +116,7 @@ def make_signals(
     courses: Sequence[LaneGeometry],
     controllers: Mapping[str, list[str]],
 ) -> list[Signal]:
-    """Return the lights and signs in the order of their ids, each once.
-
-    Args:
-        landmarks: The places where they apply.
-        lanes: The lanes.
-        courses: The courses of the lanes.
-        controllers: The ids of the signals of each controller.
-    """
+    """Return the lights and signs in the order of their ids, each once."""
     by_road = defaultdict(list)
     for lane in lanes:
         by_road[lane.road_id].append(lane)

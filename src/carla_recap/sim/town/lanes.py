@@ -181,9 +181,6 @@ def _complete_limits(lanes: Sequence[Lane]) -> None:
 class LaneIndex:
     """Finds the lanes at locations, and the locations of lanes.
 
-    Args:
-        lanes: At least one.
-
     Attributes:
         points: The points of all lanes, one after another, (n, 3).
         heading: The directions of travel at them, (n,).

@@ -230,21 +230,12 @@ def find_town(name: str, maps: Path | None = None) -> tuple[str, Path]:
 
 
 def is_unknown(map_name: str, maps: Path | None) -> bool:
-    """Return whether there is no file of a map.
-
-    Args:
-        map_name: The name in a recording.
-        maps: The folder of maps.
-    """
+    """Return whether there is no file of a map."""
     return not plain_name(map_name) or find_map(plain_name(map_name), maps) is None
 
 
 def load_corridors(path: Path, map_name: str) -> Town:
     """Return a town of the corridors that the vehicles of a recording have driven; the latest one is kept in memory.
-
-    Args:
-        path: The recording.
-        map_name: The name of its map, which the town gets.
 
     Raises:
         RecapError: The recording cannot be read.

@@ -13,11 +13,7 @@ if TYPE_CHECKING:
 
 
 class Traffic:
-    """Drives an episode's traffic; a controller of the world.
-
-    Args:
-        episode: The episode.
-    """
+    """Drives an episode's traffic; a controller of the world."""
 
     def __init__(self, episode: Episode) -> None:
         self._episode = episode

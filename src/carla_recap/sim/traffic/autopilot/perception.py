@@ -89,11 +89,7 @@ class Obstacles:
 
 
 class ObstacleTracker:
-    """Collects the obstacles of an episode.
-
-    Args:
-        episode: The episode.
-    """
+    """Collects the obstacles of an episode."""
 
     def __init__(self, episode: Episode) -> None:
         self._episode = episode
@@ -173,12 +169,7 @@ class Perception(NamedTuple):
 
 
 def perceive(state: AutopilotState, obstacles: Obstacles) -> Perception:
-    """Find the obstacles on the paths of the driven vehicles, and what they mean for their drivers.
-
-    Args:
-        state: The driven vehicles.
-        obstacles: All obstacles, the vehicles first.
-    """
+    """Find the obstacles on the paths of the driven vehicles, and what they mean for their drivers."""
     cars, drivers, routes, network, _ = state
     horizon = np.minimum(_NEAREST + _FORESIGHT * drivers.desired_gap(cars.speed, cars.speed), _FARTHEST)
     distance = (cars.half_length - _BUMPER)[:, None] + horizon[:, None] * np.linspace(0, 1, _SAMPLES) ** _DENSER_NEARBY

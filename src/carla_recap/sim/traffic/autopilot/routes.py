@@ -58,9 +58,6 @@ class LaneNetwork:
     A position on a lane is given by two values: the index of the lane point at or before it, and the share of the distance
     to the next point; `points` finds them.
 
-    Args:
-        town: The town.
-
     Attributes:
         length: The length of each lane in m.
         entry_limit: The speed limit at the beginning of each lane in m/s.
@@ -158,10 +155,6 @@ def _successors(lanes: list[Lane]) -> list[tuple[int, ...]]:
 
 class Routes:
     """The routes of the driven vehicles; positions along a route count on from where it began, in m.
-
-    Args:
-        network: The lanes.
-        random: What chooses the lanes.
 
     Attributes:
         lanes: The lanes of the routes, the current one first, then `NONE`, (vehicles, most lanes).
