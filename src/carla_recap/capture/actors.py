@@ -97,10 +97,7 @@ class ActorTracker:
     def introduction(self, came: list[carla.Actor], snapshots: Snapshots, *, attached: bool) -> dict[str, Any]:
         """Return the spawns and the parents of actors that come.
 
-        Args:
-            came: The actors.
-            snapshots: Their poses.
-            attached: Whether those with parents have poses relative to these, as recorders write them after the beginning.
+        If they are `attached`, those with parents have poses relative to these, as recorders write them after the beginning.
         """
         poses = {actor.id: pose(snapshots[actor.id].get_transform()) for actor in came}
         parents = {actor.id: parent.id for actor in came if (parent := parent_of(actor)) is not None}
@@ -116,12 +113,7 @@ class ActorTracker:
         }
 
     def records(self, snapshots: Snapshots, vehicle_lights: Mapping[int, int]) -> dict[str, Any]:
-        """Return the records of a frame.
-
-        Args:
-            snapshots: A snapshot of just these actors, the client's latest one.
-            vehicle_lights: The lights of vehicles, as last known.
-        """
+        """Return the records of a frame out of a snapshot of just these actors; lights of vehicles are those last known."""
         vehicles, walkers, lights = (self._of[kind] for kind in _EACH_FRAME)
         with_pose = [id for kind in WITH_POSE for id in self._of[kind]]
         rows: dict[str, Rows] = {
@@ -189,13 +181,7 @@ def attribute_types(library: carla.BlueprintLibrary) -> Types:
 
 
 def spawn(actor: carla.Actor, pose: Pose, types: Types) -> Spawn:
-    """Return the spawn of an actor, without the number of its blueprint, which clients do not get.
-
-    Args:
-        actor: The actor.
-        pose: Its pose, in cm and degrees.
-        types: The types of attributes.
-    """
+    """Return the spawn of an actor, at a pose in cm and degrees; clients do not get the number of its blueprint."""
     known, given = types.get(actor.type_id, {}), actor.attributes.items()
     attributes = [Attribute(known.get(key, attribute_type(key)), key, value) for key, value in given if key]
     return Spawn(actor.id, kind_of(actor.type_id), *pose, type_id=actor.type_id, attributes=attributes)

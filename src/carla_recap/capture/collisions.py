@@ -23,10 +23,8 @@ _SENSOR: Final = "sensor.other.collision"
 class CollisionListener:
     """Listens to collision sensors. CARLA's recorder, too, knows collisions from these alone.
 
-    Args:
-        world: The world.
-        callback: Is called with the frame and the ids of both actors of each collision, in a thread of CARLA's client.
-        attach: Whether heroes without a collision sensor get one until the end.
+    The callback gets the frame and the ids of both actors of each collision, in a thread of CARLA's client. With `attach`,
+    heroes without a collision sensor get one until the end.
     """
 
     def __init__(self, world: carla.World, callback: OnCollision, *, attach: bool) -> None:
@@ -49,11 +47,7 @@ class CollisionListener:
             self._attach_own(tracker)
 
     def close(self, *, is_gone: bool = False) -> None:
-        """Stop listening, and destroy own sensors.
-
-        Args:
-            is_gone: Whether the server is gone, and with it all sensors.
-        """
+        """Stop listening, and destroy own sensors, unless the server is gone, and with it all sensors."""
         if is_gone:
             return
         with suppress(*UNANSWERED):

@@ -140,11 +140,9 @@ class Observer:
         sleep(_DRAIN)  # a client's thread that waits for Python's lock when the interpreter ends aborts the process
 
     def end(self, why: str, *, is_cut_short: bool = False) -> None:
-        """End `observations`; of several reasons, the first one counts.
+        """End `observations` for a reason, in words; of several, the first one counts.
 
-        Args:
-            why: The reason, in words.
-            is_cut_short: Whether it is that something is gone that was to be recorded.
+        They are cut short if the reason is that something is gone that was to be recorded.
         """
         if not self.why:
             self.why, self.is_cut_short = why, is_cut_short
@@ -154,10 +152,7 @@ class Observer:
         return call_on_termination(lambda name: self.end(f"stopped by {name}"))
 
     def observations(self, idle: Callable[[], None] = lambda: None) -> Iterator[Observation]:
-        """Yield the observed ticks until the end.
-
-        Args:
-            idle: Is called whenever no tick has come for a moment.
+        """Yield the observed ticks until the end; `idle` is called whenever no tick has come for a moment.
 
         Raises:
             RecapError: The data of the server cannot be read.

@@ -155,12 +155,7 @@ def header_of(observer: Observer) -> Header:
 
 
 def frames(observations: Iterable[Observation], *, additional_data: bool) -> Iterator[Frame]:
-    """Yield the frames of a recording of observations, each when its duration is known.
-
-    Args:
-        observations: The observed ticks.
-        additional_data: Whether the frames have what CARLA calls additional data.
-    """
+    """Yield the frames of a recording of observations, each when its duration is known."""
     latest: Frame | None = None
     for frame in live_frames(observations, additional_data=additional_data):
         if latest is not None:

@@ -44,10 +44,8 @@ _LONGEST_NAME: Final = 64  # characters of an id
 class RigSensors:
     """The sensors of a server that are recorded, while a `with` block runs.
 
-    Args:
-        observer: Observes the server; it ends when a sensor or the carrier is gone.
-        sensors: The rig, whose sensors are spawned, and destroyed at the end; or `EXISTING`.
-        actor: The actor that carries the rig: an id, or "hero".
+    They are those of a rig, which an actor carries (an id, or "hero") and which are destroyed at the end, or `EXISTING`
+    ones. The observer ends when a sensor of the rig or the carrier is gone.
 
     Attributes:
         rig: The sensors that are listened to.

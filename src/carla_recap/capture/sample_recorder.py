@@ -60,13 +60,9 @@ class _TickSamples:
 class SampleRecorder:
     """Records what sensors send, while a `with` block runs.
 
-    In synchronous mode, a sensor's thread waits while too many bytes wait to be written; else its data are dropped.
+    The calls of `advance` and `finish` write to the writer of the recording.
 
-    Args:
-        observer: Observes the server.
-        sensors: The sensors.
-        writer: Writes the recording; the calls of `advance` and `finish` write to it.
-        header: The header of the recording.
+    In synchronous mode, a sensor's thread waits while too many bytes wait to be written; else its data are dropped.
 
     Attributes:
         counts: The number of written samples of each sensor, by id.
@@ -106,10 +102,7 @@ class SampleRecorder:
         self._pool.shutdown(cancel_futures=True)
 
     def advance(self, frame: int | None = None) -> None:
-        """Write what has come of ticks whose frames are written.
-
-        Args:
-            frame: The number of the latest tick whose frame is written; None: as before.
+        """Write what has come of ticks whose frames are written; that with a number is the latest, or None: as before.
 
         Raises:
             RecapError: The disk is full or broken, or the data of a sensor cannot be read.

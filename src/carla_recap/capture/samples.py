@@ -56,11 +56,7 @@ class SensorFrame(NamedTuple):
         return cls(spec, snapshot.frame, snapshot.timestamp.elapsed_seconds, transform, speed, _SMALL)
 
     def sample(self, elapsed: float, ids: NDArray[np.uint32]) -> Sample:
-        """Return the data as a sample.
-
-        Args:
-            elapsed: Its elapsed seconds in the recording.
-            ids: The ids of the actors that can be in an image, in ascending order.
+        """Return the data as a sample at some elapsed s; the ids are those of actors that can be in an image, ascending.
 
         Raises:
             RecapError: The data are none of such a sensor.

@@ -249,10 +249,7 @@ def check_attributes(blueprint: Blueprint, attributes: Mapping[str, str]) -> Non
 def readable_attributes(blueprint: Blueprint, attributes: Mapping[str, str], library: BlueprintLibrary) -> dict[str, str]:
     """Return the attributes of an actor, with the defaults instead of values that clients could not read.
 
-    Args:
-        blueprint: The blueprint of the actor; that of an actor of a recording has the recording's values.
-        attributes: The attributes of the actor.
-        library: The blueprints with the defaults.
+    The defaults are those of the library: the blueprint of an actor of a recording has the recording's values.
     """
     readable = dict(attributes)
     for key, value in attributes.items():

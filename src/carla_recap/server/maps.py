@@ -27,10 +27,8 @@ _SHOWN: Final = 100  # characters of a name in an error
 class Maps:
     """The maps of a server.
 
-    Args:
-        first: The town that is served at first; it can be loaded again by its name.
-        folder: The folder of maps.
-        stand_in: Serve the built-in town under the name of a map that is missing.
+    The first town can be loaded again by its name. With `stand_in`, the built-in town is served under the name of a map that
+    is missing.
 
     Attributes:
         loading: A lock that is held while a map is loaded.
@@ -58,10 +56,7 @@ class Maps:
         self._sent = await asyncio.to_thread(_parse, text)
 
     async def load(self, name: str) -> Town:
-        """Load a map, with what the first calls of a client need of it.
-
-        Args:
-            name: The name of the map in any case, with or without its folder.
+        """Load a map by its name in any case, with or without its folder, with what the first calls of a client need of it.
 
         Raises:
             CallError: There is no such map.
@@ -86,9 +81,7 @@ class Maps:
     def is_only_here(self, name: str, *, stand_in: bool = True) -> bool:
         """Return whether only `load` knows a map: the first one, one that was sent, or one that is stood in for.
 
-        Args:
-            name: The name of the map.
-            stand_in: Whether a map counts that would be stood in for, but has not been so far.
+        With `stand_in`, a map counts, too, that would be stood in for, but has not been so far.
         """
         asked = plain_name(name)
         if asked.casefold() in map(str.casefold, loadable_maps(self._folder)):
@@ -99,9 +92,7 @@ class Maps:
     async def preload(self, name: str, recording: Path | None = None) -> None:
         """Parse a map for what loads it next on the event loop, such as a replay; errors are left to that.
 
-        Args:
-            name: The name of the map.
-            recording: A recording, whose corridors are parsed if there is no such map.
+        If there is no such map, the corridors of a recording are parsed, if one is given.
         """
         with suppress(RecapError, OSError):
             if recording is not None and is_unknown(name, self._folder) and plain_name(name) != self._first.name:

@@ -42,12 +42,7 @@ _LOG: Final = logging.getLogger(__name__)
 
 
 class Recordings:
-    """Finds recordings by the names that clients give them.
-
-    Args:
-        world: The world that records and replays.
-        confined: Refuse paths outside the folder of recordings.
-    """
+    """Finds recordings by the names that clients give them; if it is confined, in the folder of recordings alone."""
 
     def __init__(self, world: World, *, confined: bool = False) -> None:
         self._world = world
@@ -208,11 +203,8 @@ def map_missing(error: MapMissing) -> str:
 def replay_begins(replay: Replay, replayer: Replayer, begin: float, duration: float) -> str:
     """Return the answer about a replay that has begun.
 
-    Args:
-        replay: The replay.
-        replayer: The replayer.
-        begin: The start in elapsed s; CARLA reports it even where it is after the end.
-        duration: The length that was asked for, in s; CARLA reports its end even where the recording is shorter.
+    CARLA reports the start that was asked for, even where it is after the end, and the end by the duration that was asked
+    for, even where the recording is shorter; both in s.
     """
     total, start = number(replay.total), number(begin)
     stop = number(begin + duration) if duration > 0 else total

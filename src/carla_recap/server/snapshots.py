@@ -81,14 +81,7 @@ _TIMES: Final = ("green_time", "yellow_time", "red_time", "elapsed", "frozen")
 
 
 def sensor_header(kind: int, frame: int, seconds: float, transform: Transform) -> bytes:
-    """Return the header of a sensor's frame.
-
-    Args:
-        kind: The number of its data in a release; see `Release.data`.
-        frame: The number of the frame.
-        seconds: The time since the episode began.
-        transform: The transform of the sensor.
-    """
+    """Return the header of a sensor's frame at some s of the episode; `Release.data` has the number of its kind of data."""
     return _SENSOR_HEADER.pack(kind, frame, seconds, *_pose(transform))
 
 
@@ -175,9 +168,7 @@ class SnapshotEncoder:
 class LaneTracker:
     """The positions of vehicles on their lanes: looked up now and then, and extrapolated in between.
 
-    Args:
-        town: The town.
-        vehicles: The vehicles; a tracker is valid until an actor is spawned or destroyed.
+    It is valid until an actor is spawned or destroyed.
     """
 
     def __init__(self, town: Town, vehicles: Vehicles) -> None:

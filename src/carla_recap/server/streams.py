@@ -36,11 +36,7 @@ def framed(*parts: bytes | memoryview) -> bytes:
 
 
 class Streams:
-    """All streams and their subscribers.
-
-    Args:
-        connections: All connections of the server.
-        mark_first: Turns the latest frame into the first frame of a subscriber.
+    """All streams and their subscribers; `mark_first` turns the latest frame into the first frame of a subscriber.
 
     Attributes:
         connections: All connections of the server.
@@ -119,12 +115,7 @@ class Streams:
 
 
 class SnapshotStreams:
-    """The streams of snapshots: one for each connection; see `quirks`.
-
-    Args:
-        streams: All streams of the server.
-        for_release: Returns a snapshot as clients of a release get it.
-    """
+    """The streams of snapshots: one for each connection; see `quirks`."""
 
     def __init__(self, streams: Streams, for_release: Callable[[bytes, Release], bytes]) -> None:
         self._streams = streams

@@ -124,8 +124,7 @@ class TrafficManagerCycle:
     def expect(self, managers: list[tuple[str, int]]) -> None:
         """Wake managers that do not begin a cycle in time, unless none has ever completed one.
 
-        Args:
-            managers: Their addresses, in the order in which the client signals to them: each after the one before is done.
+        Their addresses are in the order in which the client signals to them: each after the one before is done.
         """
         self._expected = []
         if self._alarm is not None:
@@ -179,8 +178,7 @@ class TrafficManagerPause:
     async def begin(self, new_frame: Callable[[], None]) -> None:
         """Wait for a call of each manager; there is none of one that waits for a tick of its client.
 
-        Args:
-            new_frame: Sends the client a snapshot, which makes a manager that does not wait begin a cycle.
+        A new frame makes a manager that does not wait begin a cycle.
         """
         for name in (LAST_CALL, FIRST_CALL):
             self._held.add(name)

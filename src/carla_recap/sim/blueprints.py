@@ -72,12 +72,7 @@ _FAMILIES: Final = "there are vehicle.*, walker.*, static.prop.*, sensor.*, stat
 
 
 class BlueprintLibrary:
-    """All blueprints, in the order of their names; those of other releases can be got, but are not listed.
-
-    Args:
-        blueprints: The blueprints.
-        others: Those of other releases.
-    """
+    """All blueprints, in the order of their names; those of other releases can be got, but are not listed."""
 
     def __init__(self, blueprints: list[Blueprint], others: Iterable[Blueprint] = ()) -> None:
         self._blueprints = {blueprint.id: blueprint for blueprint in blueprints}

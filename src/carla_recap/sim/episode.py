@@ -88,15 +88,6 @@ class TickEvents:
 class Episode:
     """The state of a world.
 
-    Args:
-        number: The number of the episode, from 1.
-        town: The town.
-        clock: The simulated time.
-        settings: The settings of the simulation.
-        random: The source of all randomness.
-        library: The blueprint library.
-        ids: The ids of the world's actors, also of those of earlier episodes.
-
     Attributes:
         number: The number of the episode, from 1.
         town: The town.
@@ -389,10 +380,7 @@ class ActorIds:
         self._gaps: list[range] = []  # the ids below the next one that no actor ever had, ascending
 
     def new(self, wanted: int | None = None) -> int:
-        """Return an id that no actor ever had.
-
-        Args:
-            wanted: The id to return if it is free, from 1 to `LARGEST_WANTED`; else, and for None, it is the next one.
+        """Return an id that no actor ever had: the wanted one if it is free, from 1 to `LARGEST_WANTED`; else the next one.
 
         Raises:
             SimError: A world has had as many actors as it can have.

@@ -80,11 +80,7 @@ class Signals:
                 self._enter(number, phase, YELLOW if stage == GREEN else RED)
 
     def state_of_lane(self, lane: ArrayLike) -> Integers:
-        """Return the states for lanes: of several lights that govern one, the strictest; off if none does.
-
-        Args:
-            lane: Indices of lanes, (k,).
-        """
+        """Return the states for lanes, (k,): of several lights that govern one, the strictest; off if none does."""
         states = np.append(self.state, OFF)[self._governing[np.asarray(lane)]]
         strictest: Integers = np.where(states == UNKNOWN, OFF, states).min(axis=-1)
         return strictest

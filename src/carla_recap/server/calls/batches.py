@@ -57,12 +57,9 @@ _UNREGISTERED: Final = {each.__name__: unregistered_call(each) for each in (vehi
 def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> list[Any] | Awaitable[list[Any]]:
     """Execute commands one after the other; an error of one does not keep the others from being executed.
 
-    Calls of other clients are served in between if it takes long, but for what ticks or begins an episode.
+    Commands are `[[number, fields]]` each. If a tick is asked for, it follows in synchronous mode.
 
-    Args:
-        client: The client.
-        commands: The commands, each `[[number, fields]]`.
-        do_tick: Whether to tick afterwards, in synchronous mode.
+    Calls of other clients are served in between if it takes long, but for what ticks or begins an episode.
 
     Returns:
         For each command the id of its actor, or an error, as CARLA's `Response`.

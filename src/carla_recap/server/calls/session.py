@@ -208,13 +208,10 @@ async def copy_opendrive_to_file(client: Client, text: str, parameters: Any = No
 async def load_new_episode(client: Client, name: str, reset_settings: bool = True, layers: int = 0) -> None:
     """Begin a new episode, which destroys all actors and completes a recording.
 
-    Other clients go on in the old episode while a map is loaded.
+    The map is named with or without its folder; without a name, it is the current one. If the settings are reset, the world
+    is in asynchronous mode. Layers of the map have no effect.
 
-    Args:
-        client: The client.
-        name: The name of a map, with or without its folder; empty for the current map.
-        reset_settings: Whether to reset all settings, so that the world is in asynchronous mode.
-        layers: The layers of the map, which have no effect.
+    Other clients go on in the old episode while a map is loaded.
     """
     host = client.host
     async with host.maps.loading:

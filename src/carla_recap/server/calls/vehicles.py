@@ -40,9 +40,7 @@ def apply_control_to_vehicle(client: Client, id: int, control: VehicleControl) -
 def apply_controls_to_vehicles(client: Client, controls: list[tuple[Any, Any]]) -> bool:
     """Apply controls to many vehicles, like `apply_control_to_vehicle` but faster.
 
-    Args:
-        client: The client.
-        controls: Ids of vehicles, and the fields of their controls, not yet decoded.
+    Controls are pairs of the id of a vehicle and the fields of its control, not yet decoded.
 
     Returns:
         Whether it is done. If a control is invalid or has a manual gear, or an actor is no vehicle, nothing is done.

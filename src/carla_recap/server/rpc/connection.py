@@ -133,11 +133,6 @@ class ClientConnection(asyncio.Protocol):
     Reading pauses while the client does not read its replies or has many calls pending. The calls that arrived before a
     client left are served: the last call of a script is often to stop the recorder, and no script waits for its reply.
 
-    Args:
-        calls: The calls by name.
-        pool: All connections of the server.
-        open_context: Returns the context of the calls of a new connection.
-
     Attributes:
         has_spoken: Whether it has made a call.
     """

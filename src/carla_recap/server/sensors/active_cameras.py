@@ -83,13 +83,7 @@ class _ActiveCamera:
 
 
 class Cameras:
-    """The cameras that clients listen to.
-
-    Args:
-        world: The world.
-        thread: What draws and sends their images.
-        instances: Returns what is drawn of the actors of the world.
-    """
+    """The cameras that clients listen to."""
 
     def __init__(self, world: World, thread: ImageThread, instances: Callable[[], Instances]) -> None:
         self._world = world
@@ -152,14 +146,7 @@ class Cameras:
 
 
 def camera_at(transform: Transform, width: int, height: int, fov: float) -> Camera:
-    """Return the camera of a sensor's transform.
-
-    Args:
-        transform: The transform.
-        width: The width of its images, in pixels.
-        height: The height, in pixels.
-        fov: The horizontal field of view, in degrees.
-    """
+    """Return the camera of a sensor's transform: width and height are in pixels, the horizontal field of view in degrees."""
     rotation = axes(transform) * MIRROR[:, None] * MIRROR  # the second axis is mirrored, too
     return Camera(width, height, fov, row(transform.location) * MIRROR, rotation)
 

@@ -145,14 +145,7 @@ class _Context:
 
 
 class Sensors:
-    """The sensors of a world.
-
-    Args:
-        world: The world.
-        streams: The streams that their data goes to.
-        find: Returns an actor by its id, even one that has been destroyed.
-        quality: The quality of images.
-    """
+    """The sensors of a world; `find` returns an actor by its id, even one that has been destroyed."""
 
     def __init__(
         self, world: World, streams: Streams, find: Callable[[int], Actor | DestroyedActor], quality: Quality = "epic"

@@ -122,10 +122,7 @@ class _Tick:
 class ImageThread:
     """Draws images and sends them, while the world goes on.
 
-    Args:
-        streams: The streams that they go to.
-        open_source: Returns the source of the images of a town; one that fails is replaced by `blank`.
-        blank: The source of images without content.
+    A source of the images of a town that cannot be opened is replaced by the blank one.
     """
 
     def __init__(self, streams: Streams, open_source: Callable[[Town], ImageSource], blank: ImageSource) -> None:
@@ -173,11 +170,7 @@ class ImageThread:
     def submit(self, town: Town, views: Sequence[View], loop: asyncio.AbstractEventLoop, *, keeps_all: bool) -> None:
         """Draw the views of a tick and send their images, after those of earlier ticks.
 
-        Args:
-            town: The town.
-            views: The views.
-            loop: The event loop of the streams.
-            keeps_all: Wait for subscribers that are behind, so that they miss no image.
+        If all are kept, subscribers that are behind are waited for, so that they miss no image.
         """
         if self._put(partial(self._draw_tick, _Tick(town, views, loop, keeps_all))):
             self._pending += 1

@@ -46,13 +46,8 @@ def rows(values: Iterable[Location | Vector]) -> Floats:
 def cast(sensor: Actor, context: FeedContext, rays: Floats, reach: float) -> SurfaceHits:
     """Return what rays from a sensor meet first, but for its carrier: the town and the models of actors.
 
-    Without Embree, and while the town is being loaded, these are the boxes of actors alone.
-
-    Args:
-        sensor: The sensor.
-        context: What is around it.
-        rays: The directions in the axes of the sensor, (n, 3), of length 1.
-        reach: The length of the rays in m.
+    Rays are directions in the axes of the sensor, (n, 3), of length 1, and reach some m. Without Embree, and while the town
+    is being loaded, they meet the boxes of actors alone.
     """
     transform, scene = sensor.transform, context.ray_scene()
     origin, directions = row(transform.location), rays @ axes(transform).T
@@ -93,11 +88,7 @@ def _own_actors(sensor: Actor) -> set[Actor]:
 
 
 class ActorBoxes(OrientedBoxes):
-    """The boxes of actors in the world, in three dimensions.
-
-    Args:
-        actors: The actors.
-        margin: The width in m by which each box is enlarged on each side.
+    """The boxes of actors in the world, in three dimensions, enlarged by a margin in m on each side.
 
     Attributes:
         actors: The actors.

@@ -134,11 +134,7 @@ _FADING_BEHIND_OTHERS: Final = 6.8
 
 
 class CamStation:
-    """Generates cooperative awareness messages of a sensor's parent.
-
-    Args:
-        sensor: The sensor, which is attached to a vehicle.
-    """
+    """Generates cooperative awareness messages of a sensor's parent, a vehicle."""
 
     def __init__(self, sensor: Actor) -> None:
         self._sensor = sensor
@@ -314,11 +310,7 @@ def v2x(sensor: Actor, context: FeedContext) -> Feed:
 
 
 class PathLoss:
-    """The loss of power between antennas on the roofs of two actors, in dB.
-
-    Args:
-        sensor: The receiving sensor, whose attributes describe the model.
-    """
+    """The loss of power between antennas on the roofs of two actors, in dB, by the model of the receiving sensor."""
 
     def __init__(self, sensor: Actor) -> None:
         self._sensor = sensor

@@ -69,11 +69,9 @@ def physics(vehicle: Vehicle) -> Physics:
 def physics_control(record: Physics, place: Pose, usual: PhysicsControl) -> PhysicsControl:
     """Return the physics of a vehicle as a record has it.
 
-    Args:
-        record: The record; its wheels have places in the world.
-        place: The pose of the vehicle at that time; far from the wheels, they get their usual places.
-        usual: The usual physics of such a vehicle: a record does not tell how long it takes to shift, nor do those of
-            CARLA up to 0.9.11 have the stiffness of tyres, which was UE4's then, as was the time to shift.
+    Its wheels have places in the world: those far from the pose of the vehicle get their usual places. A record does not
+    tell how long it takes to shift, nor do those of CARLA up to 0.9.11 have the stiffness of tyres, which was UE4's then, as
+    was the time to shift.
     """
     names = [name for name in record.wheels.dtype.names or () if not name.startswith("position_")]
     is_old = "long_stiff_value" not in names

@@ -80,12 +80,6 @@ class WorldRecorder:
 
     A disk error ends the recording, and not the simulation: a warning contains the reason.
 
-    Args:
-        episode: The episode.
-        folder: The folder of recordings whose names are no paths; see `recordings_folder`.
-        date: The date of recordings in Unix seconds; None for SOURCE_DATE_EPOCH, else the current time.
-        parameters: What recordings as MCAP say that the world is run with.
-
     Attributes:
         episode: The episode; a world replaces it between recordings.
         error: The error that ended the latest recording early; None without one.

@@ -45,9 +45,7 @@ SECONDS: Final = 5.0
 class WorldSampler:
     """Samples an episode at the end of each tick.
 
-    Args:
-        episode: The episode; the actors that it contains are spawned in the first frame.
-        additional_data: Record velocities, boxes, physics, and the times of lights, too.
+    The actors that it contains at first are spawned in the first frame.
 
     Attributes:
         count: The number of snapshots.
@@ -84,10 +82,7 @@ class WorldSampler:
         return self._add(TickEvents(collisions=self._episode.pending.collisions), 0.0)
 
     def sample(self, delta: float) -> SnapshotBatch:
-        """Take a snapshot of the world at the end of a tick.
-
-        Args:
-            delta: The length of the tick, in s. The first snapshot is at 0 s, however long its tick was.
+        """Take a snapshot of the world at the end of a tick of some s; the first one is at 0 s, however long its tick was.
 
         Returns:
             The batch that contains the snapshot, and that later ones may be added to; the one before is complete.

@@ -74,12 +74,7 @@ class Timestamp:
 
 
 class SnapshotBatch:
-    """Consecutive snapshots of the same actors.
-
-    Args:
-        actors: The actors.
-        columns: Columns like those that will be added; see `ActorSet.columns`.
-        length: The most snapshots.
+    """Consecutive snapshots of the same actors, up to some number; their columns are those of `ActorSet.columns`.
 
     Attributes:
         timestamps: The times of the snapshots.
@@ -129,13 +124,8 @@ class SnapshotBatch:
 class ActorSet:
     """The actors of a world as long as none comes or goes, as ids.
 
-    Args:
-        with_pose: The actors whose poses are recorded, in the order in which they were spawned.
-        vehicles: The vehicles.
-        walkers: The walkers.
-        others: Those with poses that are neither.
-        lights: The traffic lights.
-        additional_data: Record velocities and the platform's clock, too.
+    Those with poses are in the order in which they were spawned; the others are those among them that are neither vehicles
+    nor walkers.
 
     Attributes:
         columns: The columns of the world that are recorded; see `COLUMNS`.
@@ -165,12 +155,7 @@ class ActorSet:
         self._additional = additional_data
 
     def batches(self, timestamps: list[Timestamp], columns: Columns) -> Iterator[Batch]:
-        """Yield the frames of snapshots of these actors; a frame with events is a batch of its own.
-
-        Args:
-            timestamps: The times of the snapshots.
-            columns: Their data, a row for each; see `COLUMNS`.
-        """
+        """Yield the frames of snapshots of these actors; a frame with events is a batch of its own."""
         packets = self._packets(timestamps, columns)
         for has_events, group in groupby(range(len(timestamps)), key=lambda index: bool(timestamps[index].events)):
             indices = list(group)

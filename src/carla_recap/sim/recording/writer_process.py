@@ -327,12 +327,7 @@ class InProcessWriter:
 
 
 def serve(commands: BinaryIO, answers: BinaryIO) -> None:
-    """Carry out commands until there are no more; then complete the recording.
-
-    Args:
-        commands: Pickles of the name of a command and its arguments; None is the last one.
-        answers: The destination of a pickle for each: None, or an error text.
-    """
+    """Carry out commands (pickles of names and arguments, at last None) until there are no more; complete the recording."""
     recording = Commands()
     for name, arguments in read_commands(commands):
         try:

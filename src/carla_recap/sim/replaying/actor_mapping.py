@@ -51,11 +51,6 @@ class ActorMapping:
     had, it. Lights and signs are mapped to the nearest ones of the town,
     and the spectator to the spectator.
 
-    Args:
-        episode: The episode.
-        replay_sensors: Spawn sensors, too.
-        earlier: The actors of an earlier replay of the same recording, by the ids of the recording.
-
     Attributes:
         replayed: The actors of the world that follow the recording, by the ids of the recording.
         released: Those that have followed it, and go on by themselves, by the same ids.

@@ -110,12 +110,9 @@ class KinematicReplay:
         self._latest: defaultdict[str, deque[_Velocities]] = defaultdict(lambda: deque(maxlen=_MOST_TICKS))
 
     def move(self, scene: Scene, delta: float, seconds: float) -> None:
-        """Move all replayed actors to their recorded poses in the tick that begins.
+        """Move all replayed actors to their poses in a scene, the end of a tick of delta s; 0 moves them at once.
 
-        Args:
-            scene: The recording at the end of the tick.
-            delta: The length of the tick, in s; 0 moves them at once.
-            seconds: The time of the recording that passes in it, in s.
+        In the tick, some seconds of the recording pass.
         """
         for name, movers in (("vehicles", self._episode.vehicles), ("walkers", self._episode.walkers)):
             rows, indices = self._linked(name, scene.ids, movers.id)

@@ -268,12 +268,9 @@ class Replayer:
         )
 
     def stop(self, keep_actors: bool = False) -> None:
-        """End the replay, if there is one.
+        """End the replay, if there is one, and destroy the actors that were spawned for it, unless they are kept.
 
         Vehicles go on by autopilot at their speed, pedestrians stop, and the lights change by themselves.
-
-        Args:
-            keep_actors: Keep the actors that were spawned for the replay; else they are destroyed.
         """
         if self._player is None:
             return

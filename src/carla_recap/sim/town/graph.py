@@ -60,12 +60,7 @@ def _postorder(successors: Sequence[Sequence[int]]) -> list[int]:
 
 
 class Paths:
-    """Finds shortest paths along a graph.
-
-    Args:
-        nodes: The locations of the nodes, (n, 3) in m.
-        edges: The pairs of nodes that are connected, (k, 2).
-    """
+    """Finds shortest paths along a graph of nodes, (n, 3) in m, and pairs of them that are connected, (k, 2)."""
 
     def __init__(self, nodes: Floats, edges: Integers) -> None:
         self._nodes = nodes

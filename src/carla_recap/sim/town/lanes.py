@@ -217,15 +217,7 @@ class LaneIndex:
         self._level = float(heights[0]) if np.ptp(heights) == 0 else None
 
     def at(self, lane: ArrayLike, s: ArrayLike) -> tuple[Floats, Floats]:
-        """Return the locations and directions of travel at some distances along lanes; beyond the ends, those of the ends.
-
-        Args:
-            lane: Indices of lanes, (k,).
-            s: Distances, (k,).
-
-        Returns:
-            Locations, (k, 3), and headings, (k,).
-        """
+        """Return locations, (k, 3), and directions of travel, (k,), at distances along lanes; beyond the ends, those there."""
         point, share = self.steps(np.asarray(lane), np.asarray(s, np.float64))
         place = self.points[point] + share[:, None] * (self.points[point + 1] - self.points[point])
         return place, self.heading[point] + share * (self.heading[point + 1] - self.heading[point])
@@ -345,9 +337,6 @@ class _Terrain:
     At first, only the cells with points know one. Then all cells look at the eight others that are some number of cells
     away, and take over the point of one that is nearer to their own middle. That number is halved from half of the grid
     down to 1, so that points reach all cells in a few rounds. Some cells get a point that is only nearly the nearest one.
-
-    Args:
-        points: The points, (n, 2) in m.
     """
 
     def __init__(self, points: Floats) -> None:
@@ -406,10 +395,6 @@ class _Terrain:
 
 class _Levels:
     """The further levels of roads in the cells of a terrain where several are above each other.
-
-    Args:
-        points: Of the lanes, (n, 3).
-        terrain: The nearest of them, for each cell.
 
     Attributes:
         is_empty: Whether no road is above another.

@@ -55,11 +55,7 @@ class _Journey:
 
 
 class PedestrianNavigation:
-    """Steers the walkers that have destinations; a controller of the world.
-
-    Args:
-        episode: The episode; its random generator chooses the next destinations.
-    """
+    """Steers the walkers that have destinations; the episode's random generator chooses the next ones."""
 
     def __init__(self, episode: Episode) -> None:
         self._episode = episode

@@ -38,10 +38,9 @@ _MAX_ANGLE: Final = 1.2  # radians to the direction of the lane, at the start of
 class Autopilot:
     """Drives the vehicles that have it switched on, as long as physics moves them; a controller of the world.
 
-    A vehicle that has it switched on while it drives goes on from its place and at its speed.
+    The episode's random generator chooses the routes and the characteristics of the drivers.
 
-    Args:
-        episode: The episode; its random generator chooses the routes and the characteristics of the drivers.
+    A vehicle that has it switched on while it drives goes on from its place and at its speed.
     """
 
     def __init__(self, episode: Episode) -> None:
@@ -59,11 +58,7 @@ class Autopilot:
         self._decisions = 0
 
     def step(self, delta: float) -> None:
-        """Set the controls and lights of all driven vehicles.
-
-        Args:
-            delta: The time until the next step, in s.
-        """
+        """Set the controls and lights of all driven vehicles for the time until the next step, in s."""
         elapsed, drivers, vehicles = self._clock.elapsed, self._drivers, self._episode.vehicles
         rows = np.flatnonzero(self._driven())
         if not np.array_equal(vehicles.id[rows], drivers.id):

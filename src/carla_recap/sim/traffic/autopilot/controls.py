@@ -42,13 +42,7 @@ _OFF_ROAD_BRAKING: Final = -3.0  # m/s²: the braking of vehicles that have no l
 
 
 def set_pedals(state: AutopilotState, desired: Floats, delta: float) -> None:
-    """Set throttle and brake, and count how long vehicles have been standing.
-
-    Args:
-        state: The driven vehicles.
-        desired: The desired accelerations in m/s².
-        delta: The time since the previous call, in s.
-    """
+    """Set throttle and brake for desired accelerations in m/s², and count how long, in s, vehicles have been standing."""
     cars, drivers, vehicles = state.cars, state.drivers, state.vehicles
     least = drivers.acceleration - _BRAKE_JERK * delta
     most = np.maximum(drivers.acceleration, _RELEASE) + _JERK * delta

@@ -131,13 +131,7 @@ class Drivers(StructOfArrays):
         self.count = len(rows)
 
     def desired_gap(self, speed: Floats, closing_speed: Floats, rows: Integers | slice = slice(None)) -> Floats:
-        """Return the gap to an obstacle ahead that drivers desire, in m.
-
-        Args:
-            speed: The own speed in m/s.
-            closing_speed: The own speed less that of the obstacle, in m/s.
-            rows: The rows of the drivers in question.
-        """
+        """Return the gap in m to an obstacle that drivers desire, by their speed, and that at which they close, in m/s."""
         dynamic = speed * self.headway[rows] + speed * closing_speed / (2 * self.comfort[rows])
         return STANDING_GAP + np.maximum(dynamic, 0)
 

@@ -51,14 +51,7 @@ _SPARE: Final = 1.0  # m less room between two junctions that is enough to wait 
 
 
 class JunctionControl:
-    """The stop lines and reservations of all drivers.
-
-    Args:
-        town: The town.
-        network: Its lanes.
-        drivers: The drivers; this class maintains the columns about stop lines.
-        routes: Their routes.
-    """
+    """The stop lines and reservations of all drivers; it maintains the columns of drivers about stop lines."""
 
     def __init__(self, town: Town, network: LaneNetwork, drivers: Drivers, routes: Routes) -> None:
         self._network, self._drivers, self._routes = network, drivers, routes
@@ -119,13 +112,8 @@ class JunctionControl:
     ) -> None:
         """Release reservations for lights that have changed, and grant new ones.
 
-        Args:
-            now: The time in s.
-            states: The states of the town's signals, and green as the last one, for `NONE`.
-            speed: The speeds of the vehicles in m/s.
-            perception: What the drivers perceive.
-            braking: The distance from which each driver brakes for a standing obstacle, in m.
-            queues: The last vehicles on the lanes.
+        The states are those of the town's signals, and green as the last one, for `NONE`; each driver brakes for a standing
+        obstacle from a distance in m.
         """
         drivers = self._drivers
         distance = drivers.stop_line - self._routes.position - self._half_length
@@ -194,14 +182,7 @@ class JunctionControl:
 
 
 class QueueEnds:
-    """The last vehicle on each lane.
-
-    Args:
-        network: The lanes.
-        lane: The lanes of the vehicles.
-        rear: The distances of their rear ends along these, in m.
-        speed: Their speeds in m/s.
-    """
+    """The last vehicle on each lane, by the distances of rear ends along lanes in m and their speeds in m/s."""
 
     def __init__(self, network: LaneNetwork, lane: Integers, rear: Floats, speed: Floats) -> None:
         order = np.lexsort((rear, lane))[::-1]
@@ -284,15 +265,9 @@ class JunctionRules:
 def next_stop_line(
     network: LaneNetwork, rules: JunctionRules, routes: Routes, row: int, front: float, room: float
 ) -> StopLine | None:
-    """Return the next stop line of a route, if there is one.
+    """Return the next stop line of a route beyond the front end of a vehicle, if there is one.
 
-    Args:
-        network: The lanes.
-        rules: The rules of the junctions.
-        routes: The routes.
-        row: The row of the vehicle's driver.
-        front: The position of its front end.
-        room: The least length between two junctions in which the vehicle can wait, in m.
+    The room is the least length between two junctions in which the vehicle can wait, in m.
     """
     used = int((routes.lanes[row] != NONE).sum())
     lanes: list[int] = routes.lanes[row, :used].tolist()
@@ -374,13 +349,7 @@ class ReservationRequest:
 
 
 class Reservations:
-    """The reservations of lanes through junctions.
-
-    Args:
-        rules: The rules of the junctions.
-        rear: Returns the position of the rear end of a vehicle along its route, in m.
-        standing_time: Returns how long a vehicle has been standing, in s.
-    """
+    """The reservations of lanes through junctions, by the rear ends of vehicles along their routes in m."""
 
     def __init__(self, rules: JunctionRules, rear: Callable[[int], float], standing_time: Callable[[int], float]) -> None:
         self._conflicts = rules.conflicts

@@ -101,9 +101,6 @@ class ObstacleTracker:
         """Return all obstacles: the vehicles, in their order, then walkers, then props.
 
         Those that the autopilot does not drive include the area that they will be in soon.
-
-        Args:
-            driven: Whether the autopilot drives each vehicle, (vehicles,).
         """
         episode, elapsed = self._episode, self._episode.clock.elapsed
         if elapsed >= self._props_due or len(episode.actors) != self._actors:

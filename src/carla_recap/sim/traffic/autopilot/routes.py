@@ -216,11 +216,7 @@ class Routes:
         return short
 
     def locate(self, ahead: Floats) -> tuple[Integers, Floats]:
-        """Return the lanes at distances ahead of the vehicles, and the distances along these, for `LaneNetwork.points`.
-
-        Args:
-            ahead: Distances from the positions of the vehicles, (vehicles, any).
-        """
+        """Return the lanes at distances ahead of vehicles, (vehicles, any), and the distances along them."""
         target = self.position[:, None] + ahead
         rows = np.arange(len(self.position))[:, None]
         number = np.zeros(target.shape, np.int64)
@@ -248,16 +244,7 @@ class Routes:
 
 
 def start_transition(drivers: Drivers, row: int, position: float, speed: float, offset: float, slope: float) -> None:
-    """Start the transition of a vehicle to the centre of its lane.
-
-    Args:
-        drivers: The drivers.
-        row: The row of the vehicle's driver.
-        position: The position of the vehicle along its route, in m.
-        speed: The speed of the vehicle in m/s.
-        offset: Its offset to the right of the lane's centre, in m.
-        slope: The change of that offset per m along the lane.
-    """
+    """Start the transition of a vehicle to the centre of its lane, from an offset to its right in m, with a slope per m."""
     length = max(_DURATION * speed, _LEAST_ASPECT * abs(offset), _LEAST_LENGTH)
     drivers.transition_start[row], drivers.transition_length[row] = position, length
     drivers.transition_offset[row], drivers.transition_slope[row] = offset, slope * length
@@ -294,17 +281,7 @@ def _lateral_slope(offset: Floats, slope: Floats, progress: Floats) -> Floats:
 def shift_poses(
     drivers: Drivers, position: Floats, ahead: Floats, poses: tuple[Floats, Floats, Floats]
 ) -> tuple[Floats, Floats, Floats]:
-    """Shift poses on the centres of lanes to the paths of the vehicles in transition.
-
-    Args:
-        drivers: The drivers.
-        position: The positions of the vehicles along their routes, (vehicles,).
-        ahead: The distances from the vehicles to the poses, (vehicles, any).
-        poses: X, y and heading of the poses, (vehicles, any) each; they are changed.
-
-    Returns:
-        The poses.
-    """
+    """Shift poses on the centres of lanes, (vehicles, any), to the paths of vehicles in transition; they are changed."""
     rows = np.flatnonzero(transition_progress(drivers, position) < 1)
     if len(rows):
         x, y, heading = poses
