@@ -217,7 +217,7 @@ class LaneIndex:
         self._level = float(heights[0]) if np.ptp(heights) == 0 else None
 
     def at(self, lane: ArrayLike, s: ArrayLike) -> tuple[Floats, Floats]:
-        """Return locations, (k, 3), and directions of travel, (k,), at distances along lanes; beyond the ends, those there."""
+        """Return locations, (k, 3), and directions of travel, (k,), at distances along lanes; beyond the ends, of those."""
         point, share = self.steps(np.asarray(lane), np.asarray(s, np.float64))
         place = self.points[point] + share[:, None] * (self.points[point + 1] - self.points[point])
         return place, self.heading[point] + share * (self.heading[point + 1] - self.heading[point])
