@@ -257,14 +257,25 @@ class Actor:
 
     @property
     def transform(self) -> Transform:
-        """A copy of its transform in the world. Setting it moves the actor; an attached one, relative to its parent."""
-        return self._transform.copy() if self.parent is None or not self.is_alive else transforms([self])[0]
+        """A copy of its transform in the world. Setting it moves the actor; an attached one, relative to its parent.
+
+        A vehicle or walker keeps its speed.
+        """
+        return self._place() if self.is_alive else self._transform.copy()
 
     @transform.setter
     def transform(self, value: Transform) -> None:
         self.check()
         expect_transform("the transform", value, of=self)
         self._transform = value.copy()
+        self._move_body()
+
+    def _place(self) -> Transform:
+        """Return the transform in the world of a live actor."""
+        return self._transform.copy() if self.parent is None else transforms([self])[0]
+
+    def _move_body(self) -> None:
+        """Move what the episode has of it besides itself to its transform, which is set."""
 
     @property
     def relative_transform(self) -> Transform:

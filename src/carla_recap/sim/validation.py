@@ -1,6 +1,6 @@
 """Checks of values from outside: recordings and the physics engine cannot handle all of them.
 
-Each takes the name of what it checks, and optionally its owner (`of`), for the error text alone.
+Each raises SimError, and takes the name of what it checks, and optionally its owner (`of`), for the text alone.
 """
 
 from __future__ import annotations
@@ -27,11 +27,7 @@ MAX_TEXT: Final = 1000  # bytes of the value of an attribute
 
 
 def expect_finite(what: str, *values: float, of: object = None) -> None:
-    """Make sure that numbers are finite.
-
-    Raises:
-        SimError: One of them is infinite or NaN.
-    """
+    """Make sure that numbers are finite."""
     if not all(map(isfinite, values)):
         raise SimError(
             f"{_named(what, of)}: finite numbers were expected, found {', '.join(f'{value:g}' for value in values)}"
@@ -39,97 +35,57 @@ def expect_finite(what: str, *values: float, of: object = None) -> None:
 
 
 def expect_between(what: str, value: int, least: int, most: int, *, of: object = None) -> None:
-    """Make sure that a number is within bounds, both included.
-
-    Raises:
-        SimError: It is out of bounds.
-    """
+    """Make sure that a number is within bounds, both included."""
     if not least <= value <= most:
         raise SimError(f"{_named(what, of)}: {least} to {most} was expected, found {value}")
 
 
 def expect_count(what: str, value: int) -> None:
-    """Make sure that a number is a count.
-
-    Raises:
-        SimError: It is negative, or no whole number.
-    """
+    """Make sure that a number is a count."""
     if not (value >= 0 and value % 1 == 0):
         raise SimError(f"{what}: 0 or a larger whole number was expected, found {value:g}")
 
 
 def expect_seconds(what: str, value: float, most: float = MAX_TICK) -> None:
-    """Make sure that a duration in s is within bounds.
-
-    Raises:
-        SimError: It is not above 0 s, or too long.
-    """
+    """Make sure that a duration in s is within bounds."""
     if not 0 < value <= most:
         raise SimError(f"{what} of {value:g} s: expected more than 0 s, and at most {most:g} s")
 
 
 def expect_place(what: str, location: Location, *, of: object = None) -> None:
-    """Make sure that the coordinates of a location are within bounds.
-
-    Raises:
-        SimError: It is too far away.
-    """
+    """Make sure that the coordinates of a location are within bounds."""
     _expect_at_most(what, of, "m", _MAX_COORDINATE, location.x, location.y, location.z)
 
 
 def expect_transform(what: str, transform: Transform, *, of: object = None) -> None:
-    """Make sure that the numbers of a transform are within bounds.
-
-    Raises:
-        SimError: The location is too far away, or an angle too large.
-    """
+    """Make sure that the numbers of a transform are within bounds."""
     rotation = transform.rotation
     expect_place(what, transform.location, of=of)
     _expect_at_most(what, of, "degrees", _MAX_ANGLE, rotation.pitch, rotation.yaw, rotation.roll)
 
 
 def expect_velocity(what: str, velocity: Vector, *, of: object = None) -> None:
-    """Make sure that a velocity in m/s is within bounds, in whichever axes.
-
-    Raises:
-        SimError: It is too high.
-    """
+    """Make sure that a velocity in m/s is within bounds, in whichever axes."""
     _expect_at_most(what, of, "m/s", _MAX_SPEED, velocity.x, velocity.y, velocity.z, velocity.length())
 
 
 def expect_push(what: str, impulse: Vector, mass: float, *, of: object = None) -> None:
-    """Make sure that the velocity to which an impulse in N s accelerates a mass in kg is within bounds.
-
-    Raises:
-        SimError: It is too high.
-    """
+    """Make sure that the velocity to which an impulse in N s accelerates a mass in kg is within bounds."""
     _expect_at_most(what, of, "m/s", _MAX_SPEED, impulse.x / mass, impulse.y / mass, impulse.z / mass)
 
 
 def expect_turning(what: str, velocity: Vector, *, of: object = None) -> None:
-    """Make sure that an angular velocity in degrees/s is within bounds.
-
-    Raises:
-        SimError: It is too high.
-    """
+    """Make sure that an angular velocity in degrees/s is within bounds."""
     _expect_at_most(what, of, "degrees/s", _MAX_ANGULAR_SPEED, velocity.x, velocity.y, velocity.z)
 
 
 def expect_numbers(what: str, record: Any) -> None:
-    """Make sure that the numbers of a dataclass are within bounds.
-
-    Raises:
-        SimError: One is too large.
-    """
+    """Make sure that the numbers of a dataclass are within bounds."""
     _expect_at_most(what, None, "in its numbers", LARGEST, *_numbers(record))
 
 
 def expect_text(what: str, value: str, *, of: object = None) -> None:
-    """Make sure that a recording can contain the value of an attribute.
-
-    Raises:
-        SimError: It is too long, or not encodable as UTF-8.
-    """
+    """Make sure that a recording can contain the value of an attribute."""
     try:
         if len(value.encode()) <= MAX_TEXT:
             return

@@ -22,7 +22,7 @@ from carla_recap.server.rpc.codec import encoder
 from carla_recap.server.rpc.structs import ActorDescription, ActorRecord, BoxStruct
 from carla_recap.server.sensors import active_cameras, feeds, rays
 from carla_recap.server.sensors.active_cameras import BlankImages, Cameras
-from carla_recap.server.sensors.feeds import number, silent
+from carla_recap.server.sensors.feeds import FeedContext, number, silent
 from carla_recap.server.sensors.images import ImageThread
 from carla_recap.server.sensors.surfaces import DrawnImages, TownSurfaces
 from carla_recap.server.sensors.v2x import RadioChannel, message_bytes, v2x
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from carla_recap.server.actor_records import DestroyedActor
     from carla_recap.server.protocol.releases import Release
     from carla_recap.server.sensors.drawn_actors import WorldActors
-    from carla_recap.server.sensors.feeds import Feed, MakeFeed, V2xMessage
+    from carla_recap.server.sensors.feeds import Feed, MakeFeed
     from carla_recap.server.streams import Streams
     from carla_recap.sim.episode import Actor
     from carla_recap.sim.world import World
@@ -133,17 +133,6 @@ SENSOR_KINDS: Final[Mapping[str, SensorKind]] = MappingProxyType(
 """All kinds of sensors by the names of their blueprints."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Context:
-    """See `FeedContext`."""
-
-    release: Release
-    messages: Callable[[str, Actor], list[V2xMessage]]
-    instances: Callable[[], Instances]
-    ray_scene: Callable[[], RayScene | None]
-    actor_record: Callable[..., object]
-
-
 class Sensors:
     """The sensors of a world; `find` returns an actor by its id, even one that has been destroyed."""
 
@@ -217,10 +206,6 @@ class Sensors:
         record = _static(tag) if id is None else actor_records.record(self._find(id), self._streams, release)
         return encoder(ActorRecord, release)(record)
 
-    def _messages(self, type_id: str, receiver: Actor) -> list[V2xMessage]:
-        """See `FeedContext.messages`."""
-        return self._radio.sent(type_id, receiver)
-
     def queue_message(self, sensor: Actor, message: Any) -> None:
         """Have a V2X sensor send a client's message in the next tick."""
         self._radio.queue(sensor, message_bytes(message))
@@ -277,7 +262,7 @@ class Sensors:
         self._start(sensor)
         if stream not in self._feeds:
             record = partial(self._actor_record, release)
-            context = _Context(release, self._messages, self.instances, self.ray_scene, record)
+            context = FeedContext(release, self._radio.sent, self.instances, self.ray_scene, record)
             self._feeds[stream] = kind.make(sensor, context)
         if self._world.settings.no_rendering_mode and sensor.type_id.startswith(_CAMERA):
             return

@@ -7,12 +7,11 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import msgpack
 import numpy as np
 
-from carla_recap.scene.materials import Tag
 from carla_recap.sensors.position import Gnss, Imu, geo_reference
 
 if TYPE_CHECKING:
@@ -46,24 +45,23 @@ class V2xMessage:
     body: bytes
 
 
-class FeedContext(Protocol):
-    """What feeds need besides their sensors."""
+@dataclass(frozen=True, slots=True)
+class FeedContext:
+    """What feeds need besides their sensors.
 
-    @property
-    def release(self) -> Release:
-        """The release of the clients that listen."""
+    Attributes:
+        release: The release of the clients that listen.
+        messages: Returns the V2X messages of a kind of sensor in the latest tick, but for those of a receiver.
+        instances: Returns what is drawn of the actors after the latest tick.
+        ray_scene: Returns the surfaces that rays meet; None if there are none but boxes, or none yet.
+        actor_record: Returns the record of an actor for msgpack; None stands for what is no actor, and has a semantic tag.
+    """
 
-    def messages(self, type_id: str, receiver: Actor) -> list[V2xMessage]:
-        """Return the V2X messages of a kind of sensor in the latest tick, but for those of a receiver."""
-
-    def instances(self) -> Instances:
-        """Return what is drawn of the actors after the latest tick."""
-
-    def ray_scene(self) -> RayScene | None:
-        """Return the surfaces that rays meet; None if there are none but boxes, or none yet."""
-
-    def actor_record(self, id: int | None, tag: int = Tag.WALLS) -> object:
-        """Return the record of an actor for msgpack; None stands for what is no actor, and has a semantic tag."""
+    release: Release
+    messages: Callable[[str, Actor], list[V2xMessage]]
+    instances: Callable[[], Instances]
+    ray_scene: Callable[[], RayScene | None]
+    actor_record: Callable[..., object]
 
 
 MakeFeed = Callable[["Actor", FeedContext], Feed]

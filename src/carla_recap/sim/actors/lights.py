@@ -35,12 +35,34 @@ class Sign(Actor):
         self.signal = signal
 
 
+class _Duration:
+    """A duration in s, which is a column of the episode's signals."""
+
+    def __set_name__(self, owner: type[TrafficLight], name: str) -> None:
+        self._name = name
+
+    def __get__(self, light: TrafficLight, owner: type[TrafficLight]) -> float:
+        return float(getattr(light._signals, self._name)[light.row])
+
+    def __set__(self, light: TrafficLight, seconds: float) -> None:
+        light._expect_time(self._name.replace("_", " "), seconds)
+        getattr(light._signals, self._name)[light.row] = seconds
+        light.episode.pending.light_times.append(light)
+
+
 class TrafficLight(Sign):
     """A traffic light.
 
     Attributes:
         row: The row of `World.signals` that has its numbers.
     """
+
+    green_time = _Duration()
+    """The duration of green in s."""
+    yellow_time = _Duration()
+    """The duration of yellow in s."""
+    red_time = _Duration()
+    """The time after yellow in which all lights of its group are red, in s."""
 
     def __init__(self, episode: Episode, id: int, blueprint: Blueprint, signal: Signal, row: int) -> None:
         super().__init__(episode, id, blueprint, signal)
@@ -89,33 +111,6 @@ class TrafficLight(Sign):
         self.frozen = frozen
 
     @property
-    def green_time(self) -> float:
-        """The duration of green in s."""
-        return float(self._signals.green_time[self.row])
-
-    @green_time.setter
-    def green_time(self, seconds: float) -> None:
-        self._set_time("green_time", seconds)
-
-    @property
-    def yellow_time(self) -> float:
-        """The duration of yellow in s."""
-        return float(self._signals.yellow_time[self.row])
-
-    @yellow_time.setter
-    def yellow_time(self, seconds: float) -> None:
-        self._set_time("yellow_time", seconds)
-
-    @property
-    def red_time(self) -> float:
-        """The time after yellow in which all lights of its group are red, in s."""
-        return float(self._signals.red_time[self.row])
-
-    @red_time.setter
-    def red_time(self, seconds: float) -> None:
-        self._set_time("red_time", seconds)
-
-    @property
     def group(self) -> list[TrafficLight]:
         """The traffic lights of its junction, itself included."""
         rows = self._signals.group_of(self.row)
@@ -129,11 +124,6 @@ class TrafficLight(Sign):
     def affected_lanes(self) -> tuple[tuple[int, float], ...]:
         """The lanes that it governs, and the distance of the stop line along each, in m."""
         return self.signal.stops
-
-    def _set_time(self, name: str, seconds: float) -> None:
-        self._expect_time(name.replace("_", " "), seconds)
-        getattr(self._signals, name)[self.row] = seconds
-        self.episode.pending.light_times.append(self)
 
     def _expect_time(self, what: str, seconds: float) -> None:
         if not 0 <= seconds <= LARGEST:

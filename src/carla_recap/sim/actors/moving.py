@@ -16,7 +16,6 @@ from carla_recap.sim.validation import (
     expect_finite,
     expect_place,
     expect_push,
-    expect_transform,
     expect_velocity,
 )
 
@@ -90,27 +89,14 @@ class MovingActor(Actor):
         self.check()
         return self.rows.row(self.id)
 
-    @property
-    def transform(self) -> Transform:
-        """A copy of its transform in the world. Setting it moves the actor, which keeps its speed.
+    def _place(self) -> Transform:
+        row = self.row
+        return Transform(Location(*self.rows.position[row].tolist()), Rotation(*self.rows.rotation[row].tolist()))
 
-        That of an attached one is set relative to its parent.
-        """
-        if not self.is_alive:
-            return self._transform.copy()
-        row = self.rows.row(self.id)
-        return Transform(
-            Location(*self.rows.position[row].tolist()),
-            Rotation(*self.rows.rotation[row].tolist()),
-        )
-
-    @transform.setter
-    def transform(self, value: Transform) -> None:
-        expect_transform("the transform", value, of=self)
+    def _move_body(self) -> None:
         if self.parent is not None:
-            self._transform = value.copy()
             return self.follow_parent()
-        place, turn = value.location, value.rotation
+        place, turn = self._transform.location, self._transform.rotation
         return self.rows.place(self.row, (place.x, place.y, place.z), (turn.pitch, turn.yaw, turn.roll))
 
     @property

@@ -8,12 +8,9 @@ import numpy as np
 
 from carla_recap.sim.episode import Actor
 from carla_recap.sim.physics.plane import PROP
-from carla_recap.sim.validation import expect_transform
 
 if TYPE_CHECKING:
     import pymunk
-
-    from carla_recap.sim.geometry import Transform
 
 
 class Prop(Actor):
@@ -25,19 +22,10 @@ class Prop(Actor):
 
     body: pymunk.Body | None = None
 
-    @property
-    def transform(self) -> Transform:
-        """A copy of its transform in the world. Setting it moves the prop; an attached one, relative to its parent."""
-        return super().transform
-
-    @transform.setter
-    def transform(self, value: Transform) -> None:
-        self.check()
-        expect_transform("the transform", value, of=self)
-        self._transform = value.copy()
+    def _move_body(self) -> None:
         if self.body is not None:
-            x, y = value.location.x, value.location.y
-            self.episode.plane.move(self.body, x, y, np.radians(value.rotation.yaw).item())
+            place, yaw = self._transform.location, np.radians(self._transform.rotation.yaw).item()
+            self.episode.plane.move(self.body, place.x, place.y, yaw)
 
     def set_collisions(self, enabled: bool = True) -> None:
         """Let it collide with others, or be passed through."""
