@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from carla_recap.capture.observer import Observation
     from carla_recap.capture.rig import RigSensors, Sensors
     from carla_recap.capture.sample_recorder import SampleRecorder
-    from carla_recap.formats.base import Writer
     from carla_recap.model.lives import ActorName
 
     Progress = Callable[[Iterable[float]], Iterable[float]]
@@ -101,14 +100,21 @@ def capture(
     with ExitStack() as stack:
         observer = stack.enter_context(Observer(host, port, additional_data=additional_data, attach=True))
         stack.enter_context(observer.until_signal())
-        rig = stack.enter_context(_rig_sensors(observer, sensors, actor)) if sensors is not None else None
+        rig: RigSensors | None = None
+        if sensors is not None:
+            from carla_recap.capture.rig import RigSensors
+            from carla_recap.capture.sample_recorder import SampleRecorder
+            from carla_recap.formats.mcap.writer import McapWriter
+
+            rig = stack.enter_context(RigSensors(observer, sensors, actor))
         header = header_of(observer)
         writer = create_writer(Path(destination), header, live=True)
         samples: SampleRecorder | None = None
         try:
             with ExitStack() as listening:
                 if rig is not None:
-                    samples = listening.enter_context(_sample_recorder(observer, rig, writer, header))
+                    assert isinstance(writer, McapWriter)
+                    samples = listening.enter_context(SampleRecorder(observer, rig, writer, header))
                 observations = until(duration, observer, _beside(observer, samples))
                 elapsed = _written(writer.write, frames(observations, additional_data=additional_data))
                 last = deque(enumerate(progress(elapsed) if progress else elapsed, 1), maxlen=1)
@@ -123,20 +129,6 @@ def capture(
     count, seconds = last.pop() if last else (0, 0.0)
     counts, dropped = ({}, {}) if samples is None else (dict(samples.counts), dict(samples.dropped))
     return Captured(count, seconds, observer.missed, observer.why, counts, dropped, observer.is_cut_short)
-
-
-def _rig_sensors(observer: Observer, sensors: Sensors, actor: ActorName) -> RigSensors:
-    from carla_recap.capture.rig import RigSensors
-
-    return RigSensors(observer, sensors, actor)
-
-
-def _sample_recorder(observer: Observer, sensors: RigSensors, writer: Writer, header: Header) -> SampleRecorder:
-    from carla_recap.capture.sample_recorder import SampleRecorder
-    from carla_recap.formats.mcap.writer import McapWriter
-
-    assert isinstance(writer, McapWriter)
-    return SampleRecorder(observer, sensors, writer, header)
 
 
 def _beside(observer: Observer, samples: SampleRecorder | None) -> Iterator[Observation]:

@@ -27,7 +27,7 @@ from carla_recap.server.traffic_manager import TrafficManagerCycle, TrafficManag
 from carla_recap.sim.errors import DeadActor
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Generator
+    from collections.abc import Callable, Generator
 
     from carla_recap.rendering.camera import Quality
     from carla_recap.server.actor_records import DestroyedActor
@@ -297,6 +297,7 @@ class Client:
         release: The release that it is of.
         refusal: Why all its calls are refused; empty if they are not.
         stream: The number of its stream of snapshots; see `SnapshotStreams`.
+        connection: Its connection.
         cycle: The state of its traffic manager.
         pause: The pause of its traffic manager, while an episode begins.
         queries: A lock that is held while a recording is queried for it: the answers of a client are made one by one.
@@ -304,10 +305,10 @@ class Client:
 
     def __init__(self, host: Host, connection: ClientConnection) -> None:
         self.host = host
-        self.cycle = TrafficManagerCycle()
+        self.connection = connection
+        self.cycle = TrafficManagerCycle(connection.address)
         self.pause: TrafficManagerPause | None = None
         self.queries = asyncio.Lock()
-        self._connection = connection
         self.release = host.release or DEFAULT
         self.refusal = ""
         self.stream = host.snapshots.open(self.release)
@@ -333,30 +334,12 @@ class Client:
         self.stream = self.host.snapshots.open(found)
 
     @property
-    def address(self) -> str:
-        """The address of the client's machine."""
-        return self._connection.address
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether the client has not left."""
-        return self._connection.is_open
-
-    def read_after(self, work: Awaitable[object]) -> None:
-        """Serve no more calls of the client before some work is done."""
-        self._connection.read_after(work)
-
-    @property
     def known_episode(self) -> int:
         """The number of the episode that the client learns of; while its traffic manager pauses, of the one before.
 
         The first snapshot then tells the client of a new episode, which makes it reset its traffic manager.
         """
         return self.host.episode - (self.pause is not None)
-
-    def in_background(self, work: Awaitable[None]) -> None:
-        """Run something after the current call; it is cancelled when the client leaves."""
-        self._connection.in_background(work)
 
     def begin_call(self, name: str) -> None:
         """Take note of a call of the client, or of its traffic manager: they share a connection.
@@ -375,5 +358,5 @@ class Client:
     def leave(self) -> None:
         """Release everything when the client has left."""
         self.cycle.expect([])
-        self.host.traffic_managers.remove_all(self)
+        self.host.traffic_managers.remove_all(self.cycle)
         self.host.snapshots.close(self.stream)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from contextlib import suppress
 from inspect import isawaitable
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import msgpack
 
@@ -27,25 +27,13 @@ _MOST: Final = 5.0  # s, for the client to subscribe
 _POLL: Final = 0.01  # s
 
 
-class TrafficManagerOwner(Protocol):
-    """A client that runs a traffic manager."""
-
-    @property
-    def address(self) -> str:
-        """The address of the client's machine."""
-
-    @property
-    def cycle(self) -> TrafficManagerCycle:
-        """The state of its traffic manager."""
-
-
 class TrafficManagerRegistry:
-    """The traffic managers by their ports; each is removed when its client leaves, since it runs inside the client."""
+    """The traffic managers by their ports: each runs inside a client, which has a cycle, and leaves with it."""
 
     def __init__(self) -> None:
-        self._running: dict[int, tuple[str, TrafficManagerOwner]] = {}
+        self._running: dict[int, tuple[str, TrafficManagerCycle]] = {}
 
-    def add(self, host: str, port: int, client: TrafficManagerOwner) -> bool:
+    def add(self, host: str, port: int, client: TrafficManagerCycle) -> bool:
         """Add a manager; return False if there is one at this port."""
         if port in self._running:
             return False
@@ -56,7 +44,7 @@ class TrafficManagerRegistry:
         """Remove the manager of a port."""
         self._running.pop(port, None)
 
-    def remove_all(self, client: TrafficManagerOwner) -> None:
+    def remove_all(self, client: TrafficManagerCycle) -> None:
         """Remove the managers of a client."""
         self._running = {port: running for port, running in self._running.items() if running[1] is not client}
 
@@ -64,19 +52,18 @@ class TrafficManagerRegistry:
         """Return the machine on which the manager of a port runs; None if there is no manager."""
         return self._running[port][0] if port in self._running else None
 
-    def count(self, client: TrafficManagerOwner) -> int:
+    def count(self, client: TrafficManagerCycle) -> int:
         """Return how many managers a client runs."""
         return sum(owner is client for _, owner in self._running.values())
 
     def unsettled(self) -> list[asyncio.Future[None]]:
         """Return futures that are done when no manager can miss a tick; see `TrafficManagerCycle`."""
-        return [future for _, owner in self._running.values() for future in owner.cycle.unsettled()]
+        return [future for _, owner in self._running.values() for future in owner.unsettled()]
 
-    def expect_cycles(self, client: TrafficManagerOwner) -> None:
+    def expect_cycles(self, client: TrafficManagerCycle) -> None:
         """Expect the managers of a client to begin their cycles: the client signals the tick to them itself."""
-        ports = sorted(port for port, (_, owner) in self._running.items() if owner is client)
-        if ports:
-            client.cycle.expect([(client.address, port) for port in ports])
+        if ports := sorted(port for port, (_, owner) in self._running.items() if owner is client):
+            client.expect([(client.address, port) for port in ports])
 
 
 class TrafficManagerCycle:
@@ -89,9 +76,13 @@ class TrafficManagerCycle:
 
     A tick that passes while the manager asks for the settings would bring client and manager to the moment when they can
     miss each other: such a tick waits. If they have missed each other all the same, on a busy machine, the manager is woken.
+
+    Attributes:
+        address: The address of the client's machine.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, address: str) -> None:
+        self.address = address
         self._next = 0
         self._has_completed_one = False
         self._settled: asyncio.Future[None] | None = None

@@ -66,7 +66,7 @@ def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> l
     """
     if (controlled := _apply_controls(client, commands)) is not None:
         return _tick_after(client, controlled, do_tick)
-    answers = client.host.take(_execute_all(client, commands), at_once=not client.is_connected)
+    answers = client.host.take(_execute_all(client, commands), at_once=not client.connection.is_open)
     if isinstance(answers, list):
         return _tick_after(client, answers, do_tick)
 
@@ -75,7 +75,7 @@ def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> l
         return found if isinstance(found, list) else await found
 
     whole = asyncio.ensure_future(complete())
-    client.read_after(asyncio.wait([whole]))  # its next calls come after these commands
+    client.connection.read_after(asyncio.wait([whole]))  # its next calls come after these commands
     return asyncio.shield(whole)  # if the client leaves, its commands and the tick are executed
 
 

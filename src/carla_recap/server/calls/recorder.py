@@ -48,7 +48,7 @@ async def start_recorder(client: Client, name: str, additional_data: bool = Fals
 def stop_recorder(client: Client) -> None:
     """End the recording; calls of the client that follow are answered when it is complete, as are those about recordings."""
     client.host.recordings.stop()
-    client.read_after(client.host.recordings.completed())
+    client.connection.read_after(client.host.recordings.completed())
 
 
 @call

@@ -104,7 +104,7 @@ def when_done(host: Host, pending: list[asyncio.Future[Any]], work: Callable[[],
 
 def _signalled(client: Client, frame: int) -> int:
     """Return a frame that the client is about to signal to its traffic managers."""
-    client.host.traffic_managers.expect_cycles(client)
+    client.host.traffic_managers.expect_cycles(client.cycle)
     return frame
 
 
@@ -182,7 +182,7 @@ def get_traffic_manager_running(client: Client, port: int) -> tuple[str, int]:
 @call
 def add_traffic_manager_running(client: Client, address: tuple[str, int]) -> bool:
     """Register a traffic manager that the client runs."""
-    return client.host.traffic_managers.add(*address, client)
+    return client.host.traffic_managers.add(*address, client.cycle)
 
 
 @call
@@ -219,10 +219,10 @@ async def load_new_episode(client: Client, name: str, reset_settings: bool = Tru
         host.recordings.stop()
         await host.recordings.completed()
         await settled()
-        if managers := host.traffic_managers.count(client):
+        if managers := host.traffic_managers.count(client.cycle):
             client.pause = TrafficManagerPause(managers)
             await client.pause.begin(partial(host.publish_again, client))
-            client.in_background(_end_pause(client.pause, client))
+            client.connection.in_background(_end_pause(client.pause, client))
         await host.between_batches()
         if reset_settings:
             host.apply_settings(EpisodeSettings())
