@@ -33,7 +33,7 @@ def crash(town, tmp_path_factory):
     paths = [tmp_path_factory.mktemp("crash") / f"crash{suffix}" for suffix in (".mcap", ".log")]
     seen = []
     with World(town, date=0) as world:
-        actors = Crash(world).actors
+        actors = Crash(world)
         world.recorder.start(paths[0], additional_data=True, in_process=True)
         for frame in range(1, 1001):
             world.tick()
@@ -83,7 +83,7 @@ def test_queries_find_the_collisions(crash, format):
 def test_all_collisions_can_be_reported_for_both_actors(town):
     world = World(town, date=0)
     world.settings.collisions_of = "all"
-    actors = Crash(world).actors
+    actors = Crash(world)
     pairs = Counter()
     for _ in range(400):
         world.tick()
@@ -100,7 +100,7 @@ def test_all_collisions_can_be_reported_for_both_actors(town):
 def test_a_van_breaks_down_and_others_queue_behind_it(town):
     world = World(town, date=0)
     world.settings.collisions_of = "all"
-    actors = Blockage(world).actors
+    actors = Blockage(world)
     world.run(BREAKDOWN)
     assert world.vehicles.speed.min() > 3
     hits = []
@@ -121,7 +121,7 @@ def test_a_van_breaks_down_and_others_queue_behind_it(town):
 
 def test_the_queue_drives_on_when_the_van_is_destroyed(town):
     world = World(town, date=0)
-    actors = Blockage(world).actors
+    actors = Blockage(world)
     world.run(25)
     world.destroy(actors.van)
     world.run(8)

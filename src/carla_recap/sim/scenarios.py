@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -100,21 +99,6 @@ _STEP_OUT: Final = 4.5  # m, from the middle of the lane to where the walker wai
 _WALKING_SPEED: Final = 2.0  # m/s, across the street
 
 
-@dataclass(frozen=True)
-class CrashActors:
-    """The actors of an accident.
-
-    Attributes:
-        hero: The car that hits the walker, then the van.
-        walker: The walker, which steps onto the street in front of the hero.
-        van: The van, which stands in the lane from the beginning.
-    """
-
-    hero: Vehicle
-    walker: Walker
-    van: Vehicle
-
-
 class Crash:
     """An accident; a controller of the world.
 
@@ -125,7 +109,9 @@ class Crash:
         world: The world.
 
     Attributes:
-        actors: The actors.
+        hero: The car that hits the walker, then the van.
+        walker: The walker, which steps onto the street in front of the hero.
+        van: The van, which stands in the lane from the beginning.
 
     Raises:
         SimError: The town has no straight lane of the required length.
@@ -135,24 +121,24 @@ class Crash:
     def __init__(self, world: World) -> None:
         self._world = world
         lane, begin = straight_section(world.town, _TO_WALKER + _TO_VAN)
-        hero = spawn_on_lane(world, _CAR, lane, begin, HERO)
-        van = spawn_on_lane(world, _VAN, lane, begin + _TO_WALKER + _TO_VAN, "broken down")
-        world.spawn(COLLISION_SENSOR, Transform(), parent=hero)
-        van.apply_control(VehicleControl(hand_brake=True))
+        self.hero = spawn_on_lane(world, _CAR, lane, begin, HERO)
+        self.van = spawn_on_lane(world, _VAN, lane, begin + _TO_WALKER + _TO_VAN, "broken down")
+        world.spawn(COLLISION_SENSOR, Transform(), parent=self.hero)
+        self.van.apply_control(VehicleControl(hand_brake=True))
         point, heading = point_on_lane(lane, begin + _TO_WALKER)
         right = heading + math.pi / 2
         self._across = Vector(-math.cos(right), -math.sin(right), 0.0)
         curb = Location(point.x + _STEP_OUT * math.cos(right), point.y + _STEP_OUT * math.sin(right), point.z + 1.0)
         walker = world.spawn(_WALKER, Transform(curb, Rotation(yaw=math.degrees(right) + 180.0)))
         assert isinstance(walker, Walker)
-        self.actors = CrashActors(hero, walker, van)
+        self.walker = walker
         self._impact = Transform(point, Rotation(yaw=math.degrees(heading)))
         self._is_crossing = False
         world.controllers.append(self)
 
     def step(self, delta: float) -> None:
         """Act at the beginning of a tick of a length in s."""
-        hero = self.actors.hero
+        hero = self.hero
         if not hero.is_alive or self._world.elapsed < START:
             return
         speed = float(self._world.vehicles.speed[hero.row])
@@ -165,7 +151,7 @@ class Crash:
         seconds = _STEP_OUT / _WALKING_SPEED
         if not self._is_crossing and 0.0 < distance <= speed * seconds + hero.box.extent.x:
             self._is_crossing = True
-            self.actors.walker.apply_control(WalkerControl(self._across, _WALKING_SPEED))
+            self.walker.apply_control(WalkerControl(self._across, _WALKING_SPEED))
 
     def _distance(self, hero: Vehicle) -> float:
         """Return the distance along the lane from the hero to the point where the walker crosses, in m."""
@@ -180,19 +166,6 @@ _BRAKE: Final = 0.4
 _HAZARD_LIGHTS: Final = LEFT_BLINKER | RIGHT_BLINKER
 
 
-@dataclass(frozen=True)
-class BlockageActors:
-    """The actors of a breakdown.
-
-    Attributes:
-        van: The van that breaks down.
-        queue: The vehicles that stop behind it, the nearest first, which is the hero.
-    """
-
-    van: Vehicle
-    queue: tuple[Vehicle, ...]
-
-
 class Blockage:
     """A breakdown; a controller of the world.
 
@@ -203,7 +176,8 @@ class Blockage:
         world: The world.
 
     Attributes:
-        actors: The actors.
+        van: The van that breaks down.
+        queue: The vehicles that stop behind it, the nearest first, which is the hero.
 
     Raises:
         SimError: The town has no straight lane of the required length without another lane beside it.
@@ -213,20 +187,19 @@ class Blockage:
     def __init__(self, world: World) -> None:
         self._world = world
         lane, begin = straight_section(world.town, len(_QUEUE) * _SPACING + _RUN, single=True)
-        van = spawn_on_lane(world, _VAN, lane, begin + len(_QUEUE) * _SPACING, "broken down")
-        queue = tuple(
+        self.van = spawn_on_lane(world, _VAN, lane, begin + len(_QUEUE) * _SPACING, "broken down")
+        self.queue = tuple(
             spawn_on_lane(world, model, lane, begin + (len(_QUEUE) - number) * _SPACING, "autopilot" if number > 1 else HERO)
             for number, model in enumerate(_QUEUE, 1)
         )
-        world.spawn(COLLISION_SENSOR, Transform(), parent=queue[0])
-        for vehicle in (van, *queue):
+        world.spawn(COLLISION_SENSOR, Transform(), parent=self.queue[0])
+        for vehicle in (self.van, *self.queue):
             vehicle.set_autopilot()
-        self.actors = BlockageActors(van, queue)
         world.controllers.append(self)
 
     def step(self, delta: float) -> None:
         """Act at the beginning of a tick of a length in s."""
-        van = self.actors.van
+        van = self.van
         if van.is_alive and self._world.elapsed >= BREAKDOWN:
             van.set_autopilot(False)
             van.apply_control(VehicleControl(brake=_BRAKE))

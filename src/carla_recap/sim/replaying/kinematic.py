@@ -48,25 +48,6 @@ _SAME_CONTACT: Final = 0.25  # s of the recording between two collisions of the 
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Link:
-    """Pairs of records and rows of the world.
-
-    Attributes:
-        rows: The rows of the world.
-        indices: The indices of their records.
-        recorded_ids: The ids of all records, as bytes.
-        world_ids: The ids of all rows.
-        changes: The number of changes of the mapping.
-    """
-
-    rows: Rows
-    indices: Rows
-    recorded_ids: bytes
-    world_ids: NDArray[np.int64]
-    changes: int
-
-
-@dataclass(frozen=True, eq=False, slots=True)
 class _Velocities:
     """The recorded velocities of vehicles or walkers in a tick.
 
@@ -102,7 +83,8 @@ class KinematicReplay:
     def __init__(self, episode: Episode, mapping: ActorMapping) -> None:
         self._episode = episode
         self._mapping = mapping
-        self._links: dict[str, _Link] = {}
+        self._pairs = np.empty((2, 0), np.int64)  # of the ids of the recording, ascending, and those of the world
+        self._changes_of_pairs = -1
         self._speeds: dict[int, list[float]] = {}
         self._set_poses: dict[int, bytes] = {}
         self._in_motion: dict[str, Ids] = {}
@@ -114,8 +96,12 @@ class KinematicReplay:
 
         In the tick, some seconds of the recording pass.
         """
+        if self._changes_of_pairs != self._mapping.changes:
+            self._changes_of_pairs = self._mapping.changes
+            pairs = sorted((id, actor.id) for id, actor in self._mapping.replayed.items())
+            self._pairs = np.array(pairs, np.int64).reshape(-1, 2).T
         for name, movers in (("vehicles", self._episode.vehicles), ("walkers", self._episode.walkers)):
-            rows, indices = self._linked(name, scene.ids, movers.id)
+            rows, indices = self._linked(scene.ids, movers.id)
             for row in rows[movers.simulated[rows]].tolist():  # its physics has been switched on meanwhile
                 movers.set_simulated(row, False)
             poses = scene.poses[indices]
@@ -222,7 +208,7 @@ class KinematicReplay:
         x, y = vehicles.velocity[:, 0], vehicles.velocity[:, 1]
         np.copyto(vehicles.speed, cos * x + sin * y, where=kinematic)
         np.copyto(vehicles.sideways, cos * y - sin * x, where=kinematic)
-        rows, indices = self._linked("controls", scene.vehicle_controls["id"], vehicles.id)
+        rows, indices = self._linked(scene.vehicle_controls["id"], vehicles.id)
         controls = scene.vehicle_controls[indices]
         vehicles.steer[rows] = controls["steer"]
         vehicles.throttle[rows] = controls["throttle"]
@@ -231,42 +217,30 @@ class KinematicReplay:
         vehicles.reverse[rows] = controls["gear"] < 0
         vehicles.manual[rows] = True
         vehicles.gear[rows] = np.clip(controls["gear"], -1, GEARS - 2)
-        rows, indices = self._linked("lights", scene.vehicle_lights["id"], vehicles.id)
+        rows, indices = self._linked(scene.vehicle_lights["id"], vehicles.id)
         vehicles.light_state[rows] = scene.vehicle_lights["flags"][indices]
 
     def _set_walks(self, scene: Scene) -> None:
         walkers = self._episode.walkers
-        rows, indices = self._linked("walks", scene.walker_controls["id"], walkers.id)
+        rows, indices = self._linked(scene.walker_controls["id"], walkers.id)
         walkers.speed[rows] = scene.walker_controls["speed"][indices] / CM_PER_M
         yaw = np.radians(walkers.yaw[rows])
         walkers.direction[rows] = np.column_stack((np.cos(yaw), np.sin(yaw), np.zeros(len(rows))))
 
     def _set_lights(self, scene: Scene) -> None:
         signals = self._episode.signals
-        rows, indices = self._linked("signals", scene.light_states["id"], signals.id)
+        rows, indices = self._linked(scene.light_states["id"], signals.id)
         states = scene.light_states[indices]
         signals.state[rows] = states["state"]
         signals.elapsed[rows] = states["elapsed"]
         signals.frozen[rows] = states["frozen"] != 0
 
-    def _linked(self, name: str, ids: Ids, world_ids: NDArray[np.int64]) -> tuple[Rows, Rows]:
-        """Return the rows of the world to which recorded ids are mapped, and the indices of these ids.
-
-        They are kept until either set of ids, or the mapping, changes.
-        """
-        link = self._links.get(name)
-        recorded, changes = ids.tobytes(), self._mapping.changes
-        if link is None or link.world_ids is not world_ids or link.changes != changes or link.recorded_ids != recorded:
-            replayed = self._mapping.replayed
-            row_of = {id: row for row, id in enumerate(world_ids.tolist())}
-            pairs = [
-                (row_of[replayed[id].id], index)
-                for index, id in enumerate(ids.tolist())
-                if id in replayed and replayed[id].id in row_of
-            ]
-            rows, indices = np.array(pairs, np.intp).reshape(-1, 2).T
-            link = self._links[name] = _Link(rows, indices, recorded, world_ids, changes)
-        return link.rows, link.indices
+    def _linked(self, ids: Ids, world_ids: NDArray[np.int64]) -> tuple[Rows, Rows]:
+        """Return the rows of the world to which recorded ids are mapped, and the indices of these ids."""
+        where, is_mapped = find(ids, self._pairs[0])
+        order = np.argsort(world_ids)
+        rows, is_present = find(self._pairs[1][where[is_mapped]], world_ids[order])
+        return order[rows[is_present]], np.flatnonzero(is_mapped)[is_present]
 
 
 def _turning(rotation: Floats, turn: Floats) -> Floats:
