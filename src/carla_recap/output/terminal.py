@@ -111,15 +111,11 @@ def _room(shown: _Shown, enough: Mapping[str, int] | None = None) -> int:
 
 
 def _kept(shown: _Shown, room: int) -> _Shown:
-    """Return the columns without the less important ones for which there is not enough room."""
-    kept, dropped = shown[:], []
-    for enough, sign in ((_COMFORT, 1), (_LEAST, -1)):
-        for _, each in sorted(enumerate(shown), key=lambda numbered: (-numbered[1][0].rank, -numbered[0])):
-            if each[0].rank * sign > 0 and _room(kept, enough) > room:
-                kept.remove(each)
-                dropped.append(each)
-    for each in reversed(dropped):  # a narrow one may fit, where a wide one was in its way
-        if _room(more := [one for one in shown if one in kept or one is each], _COMFORT) <= room:
+    """Return the columns, the most important first, for which there is enough room beside those that are never left out."""
+    kept = [each for each in shown if not each[0].rank]
+    for each in sorted((each for each in shown if each[0].rank), key=lambda each: each[0].rank):
+        enough = _COMFORT if each[0].rank > 0 else _LEAST
+        if _room(more := [one for one in shown if one in kept or one is each], enough) <= room:
             kept = more
     return kept
 

@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, TYPES, BlockedRow, StationaryTracker, check_limits
 from carla_recap.queries import Answer
-from carla_recap.queries.digest import listed_intervals
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from carla_recap.formats.base import Reader
 
-__all__ = ["Blocked", "BlockedRow", "blocked"]
+__all__ = ["Blocked", "BlockedRow", "blocked", "listed_intervals"]
 
 
 class Blocked(Answer[BlockedRow]):
@@ -49,3 +48,15 @@ def blocked(
 def longest_first(rows: Iterable[BlockedRow]) -> list[BlockedRow]:
     """Return rows sorted by duration, the longest first, then by start and id."""
     return sorted(rows, key=lambda row: (-row.duration, row.start, row.id))
+
+
+def listed_intervals(source: Reader, min_time: float, min_distance: float) -> list[BlockedRow] | None:
+    """Return the stationary intervals for some limits, see `blocked`, in no order; None if the file does not list them."""
+    part = source.digest("stretches")
+    if part is None or not min_time >= part.limits[0] or min_distance != part.limits[1]:
+        return None
+    rows = part.read()
+    if rows is None:
+        return None
+    found = (BlockedRow(start, duration, id, type_id, *place) for id, type_id, start, duration, *place in rows)
+    return [row for row in found if row.duration >= min_time]

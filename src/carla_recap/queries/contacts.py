@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 
 from carla_recap.formats.sources import is_remote
 from carla_recap.model.contacts import MOTION, Impact
-from carla_recap.queries.digest import listed_impacts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -43,6 +42,15 @@ def impacts(source: Reader, wanted: Mapping[Key, float]) -> dict[Key, Impact]:
             search.add(source.batches(MOTION), is_whole=True)
         found |= search.found
     return found
+
+
+def listed_impacts(source: Reader) -> list[Impact] | None:
+    """Return the impacts of all contacts; None if the file does not list them."""
+    part = source.digest("contacts")
+    rows = part.read() if part is not None else None
+    if rows is None:
+        return None
+    return [Impact(row[0], row[1], row[2], (row[3:6], row[6:9]), (row[9:12], row[12:])) for row in rows]
 
 
 def joined(spans: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final, Literal, TypedDict
 
 from carla_recap.errors import RecapError
-from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, BrakingDetector
+from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, Braking, BrakingDetector
 from carla_recap.model.braking import TYPES as BRAKING_TYPES
 from carla_recap.model.contacts import MOTION, UNKNOWN, Contact, Impact
 from carla_recap.model.lives import ROAD_USERS, ranked
@@ -16,9 +16,8 @@ from carla_recap.model.motion import place_in_metres
 from carla_recap.model.presence import RoadHeights
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, StationaryTracker, check_limits
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
-from carla_recap.queries.blocked import blocked, longest_first
+from carla_recap.queries.blocked import blocked, listed_intervals, longest_first
 from carla_recap.queries.contacts import LOOK_UPS, ImpactSearch, impacts, is_known, joined, read_spans
-from carla_recap.queries.digest import listed_braking, listed_intervals
 from carla_recap.queries.measures.definitions import DURATION, MEASURES, RELATIVE_SPEED
 from carla_recap.queries.measures.near_misses import (
     LONGEST,
@@ -36,7 +35,6 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
-    from carla_recap.model.braking import Braking
     from carla_recap.model.contacts import Contacts
     from carla_recap.model.lives import ActorLives, ActorName
     from carla_recap.model.stationary import BlockedRow
@@ -279,6 +277,13 @@ class LongStopIncidents(Detector):
         place, extreme = place_in_metres(row.x, row.y, row.z), (row.duration, stop)
         text = f"{self._search.actors.name(row.id, row.start)} stands still for {row.duration:.0f} s"
         return self._search.incident("blocked", (row.id,), (row.start, stop), place, DURATION, extreme, threshold, text)
+
+
+def listed_braking(source: Reader, deceleration: float) -> list[Braking] | None:
+    """Return the hard braking from a deceleration in m/s² on, in no order; None if the file does not list it."""
+    part = source.digest("braking")
+    rows = part.read() if part is not None and part.limits == (deceleration,) else None
+    return None if rows is None else [Braking(*row) for row in rows]
 
 
 class HardBrakingIncidents(Detector):

@@ -30,8 +30,9 @@ from carla_recap.formats.mcap import frames as frames_module
 from carla_recap.formats.mcap.index import CHUNK_LIMIT
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import NO_ACTOR, UE4, Spawn, WheelSet
-from carla_recap.queries.blocked import blocked
-from carla_recap.queries.digest import listed_braking, listed_impacts, listed_intervals
+from carla_recap.queries.blocked import blocked, listed_intervals
+from carla_recap.queries.contacts import listed_impacts
+from carla_recap.queries.detectors import listed_braking
 from tests import strategies
 from tests.formats.mcap import forge
 from tests.formats.mcap.forge import Forge, chunk_records, data_records, messages_in, resealed, rewrite, seal

@@ -15,8 +15,7 @@ from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn, attributes
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.measures.road import TYPES, RoadEvent, RoadSearch
-from carla_recap.queries.measures.stop_lines import StopLines
-from carla_recap.queries.measures.traffic_lights import LightHistory
+from carla_recap.queries.measures.road_signals import LightHistory, StopLines
 from carla_recap.queries.recorded_actors import actors
 from carla_recap.roads.network import LIGHT as LIGHT_KIND
 from carla_recap.roads.surfaces import build_network, find_road_network, load_road_network

@@ -18,9 +18,8 @@ from carla_recap.model.lives import ROAD_USERS
 from carla_recap.model.lives import TYPES as ACTOR_TYPES
 from carla_recap.model.motion import place_in_metres
 from carla_recap.model.stationary import MIN_DISTANCE
-from carla_recap.queries.blocked import blocked
+from carla_recap.queries.blocked import blocked, listed_intervals
 from carla_recap.queries.collisions import collisions
-from carla_recap.queries.digest import listed_intervals
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.queries.measures import measures

@@ -10,8 +10,7 @@ import numpy as np
 
 from carla_recap.queries import Answer
 from carla_recap.queries.measures.definitions import MEASURES, NO_OTHER, MeasureRow, MeasureValues
-from carla_recap.queries.measures.drives import Drive
-from carla_recap.queries.measures.driving import BACKGROUND, comfort, efficiency
+from carla_recap.queries.measures.drives import BACKGROUND, Drive, comfort, efficiency
 from carla_recap.queries.measures.encroachment import CrossingSearch
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
 from carla_recap.queries.measures.paths_ahead import SEEN

@@ -18,8 +18,7 @@ from carla_recap.model.motion import motion_of, place_in_metres, runs
 from carla_recap.model.presence import RoadHeights
 from carla_recap.model.segment import last_of_each, segments
 from carla_recap.queries.measures.definitions import MeasureValues
-from carla_recap.queries.measures.stop_lines import StopLines
-from carla_recap.queries.measures.traffic_lights import LightHistory
+from carla_recap.queries.measures.road_signals import LightHistory, StopLines
 from carla_recap.roads import network as roads
 
 if TYPE_CHECKING:

@@ -1,4 +1,7 @@
-from carla_recap.queries.measures.driving import COMFORT as COMFORT
+from carla_recap.queries.measures.drives import COMFORT as COMFORT
+from carla_recap.queries.score.checkpoint import ABILITIES as ABILITIES
+from carla_recap.queries.score.checkpoint import Ability as Ability
+from carla_recap.queries.score.checkpoint import abilities as abilities
 from carla_recap.queries.score.checkpoint import bench2drive as bench2drive
 from carla_recap.queries.score.infractions import FORMULAS as FORMULAS
 from carla_recap.queries.score.infractions import INFRACTIONS as INFRACTIONS
@@ -8,9 +11,6 @@ from carla_recap.queries.score.infractions import InfractionKind as InfractionKi
 from carla_recap.queries.score.route_files import Route as Route
 from carla_recap.queries.score.route_files import read_routes as read_routes
 from carla_recap.queries.score.route_files import route_for as route_for
-from carla_recap.queries.score.scenario_types import ABILITIES as ABILITIES
-from carla_recap.queries.score.scenario_types import Ability as Ability
-from carla_recap.queries.score.scenario_types import abilities as abilities
 from carla_recap.queries.score.scoring import Score as Score
 from carla_recap.queries.score.scoring import ScoreOptions as ScoreOptions
 from carla_recap.queries.score.scoring import score as score

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.queries.measures.drives import WINDOW
-from carla_recap.queries.measures.driving import traffic_shares
+from carla_recap.queries.measures.drives import WINDOW, traffic_shares
 from carla_recap.queries.score.infractions import Infraction
 from carla_recap.roads.lanes import DRIVING
 from carla_recap.roads.waypoints import NONE, PARKING
@@ -23,8 +22,7 @@ if TYPE_CHECKING:
     from carla_recap.model.contacts import Contact
     from carla_recap.model.lives import ActorLife, ActorLives
     from carla_recap.queries.measures.drives import Drive, PlannedRoute
-    from carla_recap.queries.measures.stop_lines import StopLines
-    from carla_recap.queries.measures.traffic_lights import LightHistory
+    from carla_recap.queries.measures.road_signals import LightHistory, StopLines
     from carla_recap.roads.network import RoadNetwork
     from carla_recap.roads.waypoints import LaneMap, Waypoints
     from carla_recap.tables.trajectories import Trajectory

@@ -11,10 +11,8 @@ import numpy as np
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.lives import HERO, ActorName, find_actor
-from carla_recap.queries.measures.drives import LONGEST_FRAME, Drive, PlannedRoute
-from carla_recap.queries.measures.driving import BACKGROUND, comfort, efficiency
-from carla_recap.queries.measures.stop_lines import StopLines
-from carla_recap.queries.measures.traffic_lights import LightHistory
+from carla_recap.queries.measures.drives import BACKGROUND, LONGEST_FRAME, Drive, PlannedRoute, comfort, efficiency
+from carla_recap.queries.measures.road_signals import LightHistory, StopLines
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from carla_recap.queries.roads import find_map_of
 from carla_recap.queries.score import criteria

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from carla_recap import ActorKind, Spawn, create_recording, open_recording
-from carla_recap.queries.measures.traffic_lights import RED, LightHistory
+from carla_recap.queries.measures.road_signals import RED, LightHistory
 from carla_recap.roads import network as roads
 
 GREEN = 2

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from carla_recap import open_recording
-from carla_recap.queries.measures.driving import COMFORT, comfort, comfort_values
+from carla_recap.queries.measures.drives import COMFORT, comfort, comfort_values
 from carla_recap.queries.score import ABILITIES, Infraction, Route, Score, abilities, bench2drive
 from tests.queries.score.drives import HERO, OTHER, ROUTE, Drives, at_speed, vehicle, westward
 
