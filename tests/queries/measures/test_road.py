@@ -394,8 +394,9 @@ def test_a_teleport_crosses_no_line_and_is_not_fast(drives: Drives) -> None:
 def test_poses_that_are_no_numbers_do_not_count(drives: Drives) -> None:
     poses = EASTWARD.copy()
     poses[30:60] = np.nan
-    poses[100] = 1e30
-    assert drives(poses, lights=lambda _: RED) == []
+    poses[100] = 1e30  # at the line
+    (event,) = drives(poses, lights=lambda _: RED)
+    assert (event.kind, event.extreme[0]) == ("red light", pytest.approx(10))
 
 
 def test_neither_blocks_nor_the_format_change_anything(drives: Drives, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -407,7 +408,7 @@ def test_neither_blocks_nor_the_format_change_anything(drives: Drives, monkeypat
     )
     whole = drives(*cars, lights=lambda _: RED)
     extremes = drives.extremes
-    monkeypatch.setattr("carla_recap.queries.measures.road._BLOCK", 7)
+    monkeypatch.setattr("carla_recap.queries.measures.motion_table._FRAMES", 7)
     parts = drives(*cars, lights=lambda _: RED)
     assert len({event.kind for event in whole}) == 4
     assert [event.text for event in parts] == [event.text for event in whole]
@@ -422,7 +423,7 @@ def test_a_run_between_frames_far_apart_is_one_in_whatever_blocks(drives: Drives
     cars = along([120.0] * 30, x=5), along([60.0] * 30, x=5, y=1.75), _swerve(1.0, 5.0)[30:60]
     whole = drives(*cars, tick=0.7)
     extremes = drives.extremes
-    monkeypatch.setattr("carla_recap.queries.measures.road._BLOCK", 7)
+    monkeypatch.setattr("carla_recap.queries.measures.motion_table._FRAMES", 7)
     assert sorted(event.kind for event in whole) == ["off road", "wrong way"]
     assert drives(*cars, tick=0.7) == whole
     assert drives.extremes == extremes

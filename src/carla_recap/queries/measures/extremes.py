@@ -110,7 +110,7 @@ class MeasureSearch:
     def add(self, batch: Batch) -> None:
         """Process the next frames, which have at least their transforms, velocities and, with roads, states of lights."""
         if self._roads is not None:
-            self._roads.add(batch)
+            self._roads.lights.add(batch)
         for table in self._motion.add(batch):
             self._measure(table)
 
@@ -132,6 +132,8 @@ class MeasureSearch:
         return Measures(filter(None, rows), self._source, compat=False)
 
     def _measure(self, table: MotionTable) -> None:
+        if self._roads is not None:
+            self._roads.evaluate(table)
         rows = np.flatnonzero(np.isin(table.ids, list(self._subjects)))
         if not len(rows):
             return

@@ -157,16 +157,23 @@ class MotionTable:
         attached = (parent[one] == ids[other]) | (parent[other] == ids[one])
         return np.asarray((self.is_vehicle[one] | self.is_vehicle[other]) & (ids[one] != ids[other]) & ~attached)
 
-    def location(self, actor: int, frame: int) -> tuple[float, float, float]:
-        """Return the location of an actor, not of the centre of its box, in m."""
-        x, y, z = self.offset[actor].tolist()
-        yaw = self.yaw[actor, frame]
+    def locations(self, actor: Indices, frame: Indices) -> Floats:
+        """Return the locations of actors in frames, not of the centres of their boxes: rows of x, y and z in m."""
+        (x, y, z), yaw = self.offset[actor].T, self.yaw[actor, frame]
         cos, sin = np.cos(yaw), np.sin(yaw)
-        return (
-            float(self.x[actor, frame] - cos * x + sin * y),
-            float(self.y[actor, frame] - sin * x - cos * y),
-            float(self.z[actor, frame] - z),
+        return np.stack(
+            (
+                self.x[actor, frame] - cos * x + sin * y,
+                self.y[actor, frame] - sin * x - cos * y,
+                self.z[actor, frame] - z,
+            ),
+            axis=1,
         )
+
+    def location(self, actor: int, frame: int) -> tuple[float, float, float]:
+        """Return the location of an actor in a frame in m; see `locations`."""
+        x, y, z = self.locations(np.array([actor]), np.array([frame]))[0].tolist()
+        return x, y, z
 
 
 class MotionCollector:

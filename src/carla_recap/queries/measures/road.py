@@ -14,23 +14,21 @@ import numpy as np
 
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.motion import motion_of, place_in_metres, runs
-from carla_recap.model.presence import RoadHeights
-from carla_recap.model.segment import last_of_each, segments
+from carla_recap.model.motion import runs, steps_joined
 from carla_recap.queries.measures.definitions import MeasureValues
+from carla_recap.queries.measures.motion_table import MotionCollector
 from carla_recap.queries.measures.road_signals import LightHistory, StopLines
 from carla_recap.roads import network as roads
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
+    from collections.abc import Callable, Iterable, Iterator
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
     from carla_recap.model.lives import ActorLife
+    from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.roads.network import LanePositions, RoadNetwork
-    from carla_recap.util.arrays import Booleans, Floats, Indices
+    from carla_recap.util.arrays import Booleans, Floats
 
 TYPES: Final = ("transforms", "velocities", "light_states")
 """The record types that are read."""
@@ -56,7 +54,6 @@ _INTERVAL: Final = 0.1  # s between the samples of the motion of a vehicle
 _LONGEST: Final = 2.5  # s from one sample to the next
 _STILL: Final = 0.02  # m; within a shorter way, the position in relation to the lanes is the same
 _GAP: Final = 0.55  # s between runs that are one
-_BLOCK: Final = 200_000  # samples that are evaluated together
 _FACING: Final = math.cos(math.radians(120))  # between a vehicle that drives the wrong way and its lane
 _LONGEST_HALF: Final = 8.0  # m of a vehicle
 _KMH: Final = 3.6  # km/h in m/s
@@ -89,103 +86,43 @@ class RoadSearch:
         actors: Iterable[ActorLife],
         note: Callable[[int, str, MeasureValues], None] = lambda *_: None,
     ) -> None:
-        self._network, self._note, actors = network, note, list(actors)
-        self._heights = RoadHeights(actors)
-        vehicles = {actor.id: actor for actor in actors if actor.kind == "vehicle"}
-        self._vehicles = np.array(sorted(vehicles), np.int64)
-        self._boxes = np.array([_box(vehicles[id]) for id in self._vehicles.tolist()]).reshape(-1, 2)
-        self._lights = LightHistory(source, network)
+        self._network, self._note = network, note
+        self._motion = MotionCollector(actors, before=_LONGEST)
+        self.lights = LightHistory(source, network)
         self._lines = StopLines(network)
-        self._samples: list[NDArray[np.void]] = []
-        self._count = 0
-        self._next = np.full(len(self._vehicles), -math.inf)  # when the next sample of each vehicle is due
-        self._spawned: dict[int, list[float]] = defaultdict(list)  # when actors appear, by vehicle
-        for actor in actors:
-            if actor.id in vehicles:
-                self._spawned[int(np.searchsorted(self._vehicles, actor.id))].append(actor.spawned_at)
-        self._held = np.zeros(0, _SAMPLE)  # the last two samples of each vehicle, of which the last one is evaluated next
         self._first_on_road: dict[int, float] = {}
         self._slow: dict[int, tuple[float, ...]] = {}  # where the front of each vehicle was when it last stood
         self._crossings: list[_Crossing] = []
         self._runs: dict[str, list[_Run]] = defaultdict(list)
 
-    @np.errstate(invalid="ignore")  # of signalling NaN
     def add(self, batch: Batch) -> None:
         """Process the next frames; they have at least their transforms, velocities and states of lights."""
-        if batch.preamble or not len(self._vehicles):
-            return
-        self._lights.add(batch)
-        frame, vehicle, record = self._sampled(batch)
-        if not len(frame):
-            return
-        transforms = batch.records("transforms")
-        samples, chosen = np.zeros(len(frame), _SAMPLE), transforms[frame, record]
-        samples["vehicle"], samples["time"] = vehicle, batch.elapsed[frame]
-        samples["x"], samples["y"], samples["z"] = place_in_metres(*(chosen[axis].astype(np.float64) for axis in "xyz"))
-        samples["yaw"] = np.radians(-chosen["yaw"].astype(np.float64))
-        rows, row = np.unique(frame, return_inverse=True)
-        samples["velocity"] = self._recorded_velocities(batch.records("velocities")[rows])[row, vehicle]
-        finite = np.all([np.isfinite(samples[name]) for name in ("x", "y", "z", "yaw")], axis=0)
-        self._samples.append(samples[finite & ~self._heights.away_in(transforms[rows])[row, record]])
-        self._count += len(samples)
-        if self._count >= _BLOCK:
-            self._evaluate()
+        self.lights.add(batch)
+        for table in self._motion.add(batch):
+            self.evaluate(table)
 
     def finish(self) -> list[RoadEvent]:
         """Return the events, in order of their start."""
-        self._evaluate(ended=True)
+        for table in self._motion.finish():
+            self.evaluate(table)
         events = [*self._at_lines(), *self._left_road(), *self._wrong_way(), *self._speeding()]
         return sorted(events, key=lambda event: (event.span[0], event.kind, event.id))
 
-    def _sampled(self, batch: Batch) -> tuple[Indices, Indices, Indices]:
-        """Return the frame, the vehicle and the position of the record of each sample in a batch."""
-        found = [(np.zeros(0, np.intp),) * 3]
-        for segment in segments(batch.records("transforms")):
-            segment = segment.only(last_of_each(segment.ids))
-            segment = segment.only(np.isin(segment.ids, self._vehicles))
-            vehicle = np.searchsorted(self._vehicles, segment.ids)
-            dues = self._next[vehicle]
-            for due in np.unique(dues).tolist():  # the same for most of them
-                group, rows = np.flatnonzero(dues == due), []
-                for row, time in enumerate(batch.elapsed[segment.frames].tolist(), segment.first):
-                    if time >= due - SAME_TIME or time < due - 2 * _INTERVAL:
-                        rows.append(row)
-                        due = time + _INTERVAL
-                self._next[vehicle[group]] = due
-                those = np.tile(group, len(rows))
-                found.append((np.repeat(np.array(rows, np.intp), len(group)), vehicle[those], segment.columns[those]))
-        frame, vehicle, record = map(np.concatenate, zip(*found, strict=True))
-        return frame, vehicle, record
-
-    def _recorded_velocities(self, records: NDArray[np.void]) -> Floats:
-        """Return the recorded velocities of all vehicles in frames, (frames, vehicles, 3); NaN where there is none."""
-        found = np.full((len(records), len(self._vehicles), 3), np.nan)
-        for segment in segments(records):
-            segment = segment.only(last_of_each(segment.ids))
-            segment = segment.only(np.isin(segment.ids, self._vehicles))
-            vehicle = np.searchsorted(self._vehicles, segment.ids)
-            found[segment.frames, vehicle] = np.stack([segment.field(axis) for axis in "xyz"], axis=2)
-        return found
-
     @np.errstate(all="ignore")
-    def _evaluate(self, *, ended: bool = False) -> None:
-        """Evaluate the samples so far; until all are there, not the last one of each vehicle, whose next one is unknown."""
-        samples = np.concatenate((self._held, *self._samples))
-        self._samples, self._count = [], 0
-        if not len(samples):
+    def evaluate(self, table: MotionTable) -> None:
+        """Process the motion in the next frames, which has a margin of 2.5 s before them."""
+        motion = _Motion(table)
+        if not motion.is_new.any():
             return
-        motion = _Motion(samples[np.argsort(samples["vehicle"], kind="stable")], self._spawned, ended=ended)
-        motion.samples["done"] |= motion.is_new
-        self._held = motion.samples[motion.is_last | np.append(motion.is_last[1:], False)]
         at = motion.lanes(self._network)
         on_road = np.flatnonzero(at.on_road)
-        for row in on_road[np.unique(motion.vehicle[on_road], return_index=True)[1]].tolist():
-            self._first_on_road.setdefault(int(self._vehicles[motion.vehicle[row]]), float(motion.time[row]))
+        for row in on_road[np.unique(motion.id[on_road], return_index=True)[1]].tolist():
+            self._first_on_road.setdefault(int(motion.id[row]), float(motion.time[row]))
         self._cross(motion)
         outside = np.where(np.isfinite(at.outside), at.outside, roads.REACH)
         self._add_runs("off road", motion, outside > OFF_ROAD, outside)
         self._measure("distance_off_road", motion, np.where(outside > 0, outside, np.nan))
-        along = np.cos(motion.samples["yaw"] - at.heading)
+        along = np.cos(motion.yaw - at.heading)
         progress = motion.dx * np.cos(at.heading) + motion.dy * np.sin(at.heading)
         kinds = np.append(self._network.lanes["kind"], roads.GAP)[at.lane]
         against = (progress < -AGAINST * motion.seconds) & (along < _FACING) & (at.beside <= 0)
@@ -211,12 +148,11 @@ class RoadSearch:
         for first, last in runs(flags & motion.is_new, motion.continues[1:]):
             part = values[first : last + 1]
             row = first + int(np.nanargmax(part)) if np.isfinite(part).any() else first
-            start = motion.samples[first]
             run = _Run(
-                int(self._vehicles[start["vehicle"]]),
-                float(start["time"]),
+                int(motion.id[first]),
+                float(motion.time[first]),
                 float(motion.time[last]),
-                (float(start["x"]), float(start["y"]), float(start["z"])),
+                tuple(motion.place[first].tolist()),
                 float(np.nansum(part)) if summed else float(values[row]),
                 float(motion.time[last if summed else row]),
                 math.nan if limits is None else float(limits[row]),
@@ -228,18 +164,15 @@ class RoadSearch:
         """Note the values at samples, by vehicle."""
         for first, last in motion.spans():
             found = MeasureValues.of(motion.time[first:last], values[first:last])
-            self._note(int(self._vehicles[motion.vehicle[first]]), measure, found.only(motion.is_new[first:last]))
+            self._note(int(motion.id[first]), measure, found.only(motion.is_new[first:last]))
 
     def _cross(self, motion: _Motion) -> None:
         """Add the crossings of stop lines by the fronts and by the centres of vehicles."""
-        boxes = self._boxes[motion.vehicle]
-        cos, sin = np.cos(motion.samples["yaw"]), np.sin(motion.samples["yaw"])
-        position = np.stack([motion.samples[axis] for axis in "xyz"], axis=1)
         points = []
-        for ahead in (boxes[:, 0] + boxes[:, 1], boxes[:, 0]):
-            point = position.copy()
-            point[:, 0] += ahead * cos
-            point[:, 1] += ahead * sin
+        for ahead in motion.ahead:
+            point = motion.place.copy()
+            point[:, 0] += ahead * np.cos(motion.yaw)
+            point[:, 1] += ahead * np.sin(motion.yaw)
             points.append(point)
         rows = np.flatnonzero(motion.is_new & motion.continues & (motion.distance > 0))
         slow = np.flatnonzero((motion.speed < STOPPED) & motion.is_new)
@@ -247,23 +180,22 @@ class RoadSearch:
         def stood(row: int) -> tuple[float, ...] | None:
             """Return where the front of a vehicle was when it last stood until a sample; None if it never did."""
             last = slow[np.searchsorted(slow, row, side="right") - 1] if len(slow) else -1
-            if 0 <= last <= row and motion.vehicle[last] == motion.vehicle[row]:
+            if 0 <= last <= row and motion.id[last] == motion.id[row]:
                 return tuple(points[0][last].tolist())
-            return self._slow.get(int(motion.vehicle[row]))
+            return self._slow.get(int(motion.id[row]))
 
         for by_front, point in zip((True, False), points, strict=True):
-            found = self._lines.crossed(point[rows - 1], point[rows], motion.samples["yaw"][rows])
+            found = self._lines.crossed(point[rows - 1], point[rows], motion.yaw[rows])
             for index, line, share in zip(*(values.tolist() for values in found), strict=True):
                 row = int(rows[index])
-                id = int(self._vehicles[motion.vehicle[row]])
                 time = float(motion.time[row] - (1 - share) * motion.seconds[row])
                 place = stood(row - 1) if by_front and self._lines.is_stop[line] else None
                 has_stopped = place is not None and self._lines.is_before(line, place, STOP_ZONE)
-                speed, where = float(motion.speed[row]), tuple(position[row].tolist())
+                id, speed, where = int(motion.id[row]), float(motion.speed[row]), tuple(motion.place[row].tolist())
                 self._crossings.append(_Crossing(time, id, line, by_front, speed, where, has_stopped))
         for first, last in motion.spans():
             if (place := stood(last - 1)) is not None:
-                self._slow[int(motion.vehicle[first])] = place
+                self._slow[int(motion.id[first])] = place
 
     def _at_lines(self) -> Iterator[RoadEvent]:
         """Yield where vehicles cross stop lines, with the front and the centre, although they should not."""
@@ -276,7 +208,7 @@ class RoadSearch:
             if front is None:
                 continue
             kind, text, threshold = "red light", "", math.nan
-            light = self._lights.red(signal, front.time, crossing.time, always=True)
+            light = self.lights.red(signal, front.time, crossing.time, always=True)
             at = "" if math.isnan(front.speed) else f" at {front.speed * _KMH:.0f} km/h"
             if light is not None:
                 text = f"runs a red light{at} (light {light})"
@@ -314,49 +246,43 @@ def _box(actor: ActorLife) -> tuple[float, float]:
     return (box.x, box.extent_x) if box.extent_x < _LONGEST_HALF else _CAR
 
 
-_SAMPLE: Final = np.dtype(
-    [("vehicle", "i8"), *((name, "f8") for name in ("time", "x", "y", "z", "yaw")), ("velocity", "f8", 3), ("done", "?")]
-)
-"""The index of a vehicle, its pose in right-handed axes, in m and radians, its recorded velocity in m/s, or NaN, and whether
-this was evaluated."""
-
-
 class _Motion:
-    """The motion of vehicles: samples, one vehicle after the other, each in order of time.
+    """The motion of vehicles in a table, in each 0.1 s once: samples, one vehicle after the other, each in order of time.
 
-    Of each, there is whether it is evaluated now, is the last one of its vehicle, and continues from the one before, of the
-    same life and without a jump; the time and the way from there, else NaN; the speed in m/s, NaN where it is unknown.
+    Of each, there is whether it is in the frames that the table is for, and continues from the one before, of the same life
+    and without a jump; the time and the way from there, else NaN; the speed in m/s, NaN where it is unknown; and how far the
+    front and the centre are ahead of the place, in m.
     """
 
-    def __init__(self, samples: NDArray[np.void], spawned: Mapping[int, Sequence[float]], *, ended: bool) -> None:
-        self.samples, self.vehicle, self.time = samples, samples["vehicle"], samples["time"]
-        self.is_last = np.append(np.diff(self.vehicle) != 0, True)
-        self.is_new = ~samples["done"] & (ended | ~self.is_last)
-        life = 0 * self.vehicle
-        for vehicle, times in spawned.items():
-            rows = slice(*np.searchsorted(self.vehicle, (vehicle, vehicle + 1)).tolist())
-            life[rows] = np.searchsorted(np.sort(times), self.time[rows] + SAME_TIME, side="right")
-        places = np.stack([samples[axis] for axis in "xyz"])
-        lives = self.vehicle * (life.max(initial=0) + 1) + life
-        velocity, joined = motion_of(self.time, places, samples["velocity"].T, lives, longest=_LONGEST)
-        self.speed, self.continues = np.hypot(*velocity[:2]), np.append(False, joined)[: len(samples)]
-        seconds, dx, dy = (np.diff(samples[name], prepend=np.nan) for name in ("time", "x", "y"))
+    def __init__(self, table: MotionTable) -> None:
+        present = ~np.isnan(table.x) & table.is_vehicle[:, None] & np.isfinite(table.time)
+        latest = np.maximum.accumulate(np.where(present, np.arange(len(table.time)), -1), axis=1)
+        before = np.pad(latest[:, :-1], ((0, 0), (1, 0)), constant_values=-1)
+        step = np.floor(table.time / _INTERVAL + SAME_TIME)
+        actor, frame = np.nonzero(present & ((before < 0) | (step != step[before])))
+        self.id, self.time, self.yaw = table.ids[actor], table.time[frame], table.yaw[actor, frame]
+        self.speed, self.place = table.speed[actor, frame], table.locations(actor, frame)
+        self.is_new = (frame >= table.first) & (frame < table.last)
+        boxes = np.array([_box(life) for life in table.actors]).reshape(-1, 2)[actor]
+        self.ahead = boxes.sum(axis=1), boxes[:, 0]
+        joined = steps_joined(self.time, self.place.T, self.speed, actor, longest=_LONGEST)
+        self.continues = np.append(False, joined)[: len(actor)]
+        steps = np.diff(self.place[:, :2], axis=0, prepend=np.nan).T
         self.seconds, self.dx, self.dy, self.distance = (
-            np.where(self.continues, values, np.nan) for values in (seconds, dx, dy, np.hypot(dx, dy))
+            np.where(self.continues, values, np.nan)
+            for values in (np.diff(self.time, prepend=np.nan), *steps, np.hypot(*steps))
         )
 
     def lanes(self, network: RoadNetwork) -> LanePositions:
         """Return the lanes of all samples."""
         way = np.floor(np.cumsum(np.nan_to_num(self.distance)) / _STILL)
         moved = ~self.continues | (np.diff(way, prepend=0.0) > 0)
-        taken = self.samples[moved]
-        found = network.lanes_at(np.stack([taken[axis] for axis in "xyz"], axis=1), taken["yaw"])
-        return found.taken(np.cumsum(moved) - 1)
+        return network.lanes_at(self.place[moved], self.yaw[moved]).taken(np.cumsum(moved) - 1)
 
     def spans(self) -> Iterator[tuple[int, int]]:
         """Yield the first sample of each vehicle, and the one after its last."""
-        ends = np.flatnonzero(self.is_last) + 1
-        yield from zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True)
+        edges = np.flatnonzero(np.diff(self.id) != 0) + 1
+        yield from zip([0, *edges.tolist()], [*edges.tolist(), len(self.id)], strict=True)
 
 
 class _Run(NamedTuple):

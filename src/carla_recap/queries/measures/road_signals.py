@@ -123,7 +123,7 @@ class LightHistory:
     def add(self, batch: Batch) -> None:
         """Process the next frames; they have at least their states of lights."""
         records = batch.records("light_states")
-        if not records.shape[1] or not self._lights:
+        if batch.preamble or not records.shape[1] or not self._lights:
             return
         ids, states = records["id"], records["state"]
         changed = np.ones(len(records), np.bool_)
