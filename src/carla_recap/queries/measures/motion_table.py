@@ -266,10 +266,9 @@ class MotionCollector:
         alive = np.array(lived, np.bool_).reshape(-1, len(time))
         found = []
         for buffer, fields in ((self._poses, ("x", "y", "z", "yaw")), (self._velocities, "xyz")):
-            values, known = buffer.dense(fields, ids, start, stop)
-            there = known[rows] & alive
-            values = values[:, rows].astype(np.float64)
-            values[:, ~there] = np.nan
+            recorded, known = buffer.dense(fields, ids, start, stop)
+            there, values = known[rows] & alive, np.full((len(fields), *alive.shape), np.nan)
+            np.copyto(values, recorded[:, rows], where=there)
             found.append((values, there))
         (pose, there), (velocity, _) = found
         boxes = [box_of(actor) for actor in actors]
@@ -310,8 +309,8 @@ def _motion(time: Floats, pose: Floats, velocity: Floats, there: Booleans, away:
     places, motion = np.stack(place_in_metres(*pose[:3])), np.stack((velocity[0], -velocity[1], velocity[2]))
     yaw = np.deg2rad(np.remainder(-pose[3], 360.0))
     absent = away | ~((np.abs(places) < FAR).all(axis=0) & np.isfinite(yaw))
-    places[:, absent] = np.nan
-    motion[:, ~(np.hypot(*motion[:2]) < _FASTEST)] = np.nan
+    np.copyto(places, np.nan, where=absent)
+    np.copyto(motion, np.nan, where=~(np.hypot(*motion[:2]) < _FASTEST))
     rows = np.flatnonzero(there)  # from here on, the frames of one actor after the other
     actor, frame = np.divmod(rows, len(time))
     flat = places.reshape(3, -1).take(rows, axis=1)
@@ -324,7 +323,8 @@ def _motion(time: Floats, pose: Floats, velocity: Floats, there: Booleans, away:
         jumps = np.zeros((len(there), len(time) - 1), np.bool_)
         jumps[actor[torn], frame[torn]] = jumps[actor[torn], frame[torn + 1] - 1] = True
         absent |= _around(jumps, time)
-    places[:, absent] = yaw[absent] = motion[:, absent] = np.nan
+    for values in (places, yaw, motion):
+        np.copyto(values, np.nan, where=absent)
     return *places, yaw, *motion[:2]
 
 
