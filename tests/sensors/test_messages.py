@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from io import BytesIO
+from threading import active_count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -238,6 +239,36 @@ def test_messages_of_moments_come_in_order_and_hold_up_no_more_than_a_few() -> N
     assert len(taken) < 5
     assert [message.topic for message in messages] == [*(topic.name for topic in maker.topics)]
     assert [frame.time for frame, _ in found] == [index * 0.1 for index in range(1, 8)]
+
+
+def moments() -> tuple[SensorRig, list[SensedFrame]]:
+    some = sample("sensor.camera.rgb", picture())
+    images = [np.roll(picture(), 4 * index, 1) for index in range(30)]
+    samples = [Sample(some.spec, index * 0.1, POSE, image) for index, image in enumerate(images)]
+    return SensorRig((some.spec,)), [
+        SensedFrame(own.time, None, None, 1, POSE, {"own": own})  # type: ignore[arg-type]
+        for own in samples
+    ]
+
+
+@pytest.mark.parametrize("video", [False, True])
+def test_messages_made_in_threads_are_those_made_one_after_the_other(video: bool) -> None:
+    rig, frames = moments()
+    one, other = (SensorMessages(rig, HEADER, video=video) for _ in range(2))
+    made = [messages for _, messages in one.encoded(frames)]
+    assert made == [list(other.of(frame.samples.values())) for frame in frames]
+
+
+def test_an_error_while_messages_are_made_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> bytes:
+        raise RecapError("cannot be encoded")
+
+    monkeypatch.setattr("carla_recap.sensors.messages.jpeg", fail)
+    rig, frames = moments()
+    threads = active_count()
+    with pytest.raises(RecapError, match="cannot be encoded"):
+        list(SensorMessages(rig, HEADER).encoded(frames))
+    assert active_count() == threads
 
 
 def test_pngs_are_read_again() -> None:

@@ -246,9 +246,9 @@ class _Export:
         start, duration = self._player.start, self._player.stop - self._player.start
         part = SensingOptions(actor=self._actor, start=start, duration=duration, road_map=self._map)
         frames = sensed_frames(self._source, self._rig, part, progress)
-        with closing(frames):
-            for frame in frames:
-                yield frame.time, frame.scene, list(self._messages.of(frame.samples.values()))
+        with closing(frames), closing(self._messages.encoded(frames)) as encoded:
+            for frame, messages in encoded:
+                yield frame.time, frame.scene, [*messages]
 
     # --- scene ---------------------------------------------------------------------------------------------------------
 

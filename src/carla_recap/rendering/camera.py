@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from math import radians, tan
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from carla_recap.errors import RecapError
 
 if TYPE_CHECKING:
+    from carla_recap.scene.instances import Instances
     from carla_recap.util.arrays import Floats
 
 
@@ -78,3 +79,12 @@ class Camera:
             x = self.width / 2 - self.focal_length * left / forward
             y = self.height / 2 - self.focal_length * up / forward
         return np.stack((x, y, forward), axis=1)
+
+
+class DrawnView(NamedTuple):
+    """What a camera draws of a moment; see `carla_recap.rendering.renderer.Renderer.draw`."""
+
+    camera: Camera
+    kinds: tuple[ImageKind, ...]
+    previous: tuple[Camera, Instances | None] | None = None
+    without: frozenset[int] = frozenset()

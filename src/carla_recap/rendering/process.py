@@ -26,7 +26,7 @@ import numpy as np
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering.buffers import image_format
-from carla_recap.rendering.camera import ImageKind, check_quality
+from carla_recap.rendering.camera import DrawnView, ImageKind, check_quality
 from carla_recap.rendering.renderer import LARGEST, Renderer
 from carla_recap.scene.models import MODELS, Models, own_models
 from carla_recap.util.processes import (
@@ -65,8 +65,20 @@ _KEPT: Final = {"MALLOC_TRIM_THRESHOLD_": str(1 << 28), "MALLOC_MMAP_THRESHOLD_"
 """Bytes of freed memory, and of the largest part of it, that glibc keeps for the next picture; else each maps it anew."""
 
 
-_Job = tuple[Future["Images"], Any]
-"""A picture to come, and what is to be drawn."""
+class _Command(NamedTuple):
+    """What is to be drawn of a moment."""
+
+    views: Sequence[DrawnView]
+    instances: Instances | None
+    sky: Sky | None
+
+
+class _Job(NamedTuple):
+    """Pictures to come, by view or of the only one, and what is to be drawn."""
+
+    future: Future[Any]
+    command: _Command
+    is_single: bool
 
 
 class RenderProcessEnded(RecapError):
@@ -149,14 +161,22 @@ class RenderProcess:
             The images to come. Its `result` raises RecapError where they could not be drawn; `add_done_callback` calls back
             in another thread; a picture that is cancelled before its turn is not drawn.
         """
-        future: Future[Images] = Future()
         kinds = tuple(kind for kind in ImageKind if kind in kinds)
-        command = camera, instances, kinds, sky, previous, frozenset(without)
+        return self._put(_Command([DrawnView(camera, kinds, previous, frozenset(without))], instances, sky), is_single=True)
+
+    def submit_views(
+        self, views: Sequence[DrawnView], instances: Instances | None, sky: Sky | None
+    ) -> Future[list[dict[ImageKind, NDArray[Any]]]]:
+        """Have images of several cameras at one moment drawn, which takes less time than to ask for each; see `submit`."""
+        return self._put(_Command(views, instances, sky), is_single=False)
+
+    def _put(self, command: _Command, *, is_single: bool) -> Future[Any]:
+        future: Future[Any] = Future()
         with self._lock:
             if self._is_closed:
                 future.set_exception(RecapError("the renderer is closed"))
             else:
-                self._jobs.put((future, command))
+                self._jobs.put(_Job(future, command, is_single))
         return future
 
     def draw(
@@ -210,14 +230,14 @@ class RenderProcess:
                     job = self._jobs.get(block=not sent)
                     is_ending = job is None
             if job is not None:
-                if self._send(*job):
+                if self._send(job.future, job.command):
                     sent.append(job)
-            elif sent and not self._receive(*sent.popleft()):
+            elif sent and not self._receive(sent.popleft()):
                 again, sent = sent, again
         if self._child is not None:
             self._child.close()
 
-    def _send(self, future: Future[Images], command: Any) -> bool:
+    def _send(self, future: Future[Any], command: _Command) -> bool:
         """Have a picture drawn; return false if it will not be."""
         if self._is_closed:
             if not future.cancel():
@@ -233,20 +253,20 @@ class RenderProcess:
                 return True
         return False
 
-    def _receive(self, future: Future[Images], command: Any) -> bool:
+    def _receive(self, job: _Job) -> bool:
         """Wait for the picture that was sent first; return false if the process has ended."""
         assert self._child is not None
         try:
-            images = self._child.receive(command)
+            images = self._child.receive(job.command)
             self._pause = _PAUSES[0]
         except RenderProcessEnded as error:
             self._child.close()
             self._child = None
-            future.set_exception(error)
+            job.future.set_exception(error)
         except Exception as error:
-            future.set_exception(error)
+            job.future.set_exception(error)
         else:
-            future.set_result(images)
+            job.future.set_result(images[0] if job.is_single else images)
         return self._child is not None
 
 
@@ -317,36 +337,30 @@ class _Child:
             self.close()
             raise
 
-    def send(self, command: Any) -> None:
+    def send(self, command: _Command) -> None:
         """Have images drawn; if the process has ended, that is found when they are received.
 
         Raises:
             RecapError: They are too large.
         """
-        camera, kinds = command[0], command[2]
-        _, size = _layout(kinds, *_checked_size(camera))
+        for view in command.views:
+            _check_size(view.camera)
         memory = self._memories[0]
-        memory.grow(size)
-        self._write(pickle.dumps((memory.descriptor, *command), pickle.HIGHEST_PROTOCOL))
+        memory.grow(_size(command.views))
+        self._write(pickle.dumps((memory.descriptor, command), pickle.HIGHEST_PROTOCOL))
         self._memories.rotate(-1)
         self._filled.append(memory)
 
-    def receive(self, command: Any) -> Images:
+    def receive(self, command: _Command) -> list[Images]:
         """Return the images of the command that was sent first, of those whose images have not been received.
 
         Raises:
             RenderProcessEnded: The process has ended.
             RecapError: They cannot be drawn.
         """
-        camera, kinds = command[0], command[2]
-        offsets, _ = _layout(kinds, camera.width, camera.height)
         memory = self._filled.popleft()
         self._wait()
-        images = {}
-        for kind, offset in offsets.items():
-            shape, dtype = image_format(kind, camera.width, camera.height)
-            images[kind] = np.ndarray(shape, dtype, memory.view, offset).copy()
-        return images
+        return [{kind: image.copy() for kind, image in images.items()} for images in _arrays(command.views, memory)]
 
     def close(self) -> None:
         """End the process."""
@@ -426,8 +440,8 @@ def _create_memory() -> int:
         return os.dup(file.fileno())
 
 
-def _checked_size(camera: Camera) -> tuple[int, int]:
-    """Return the width and height of the images of a camera.
+def _check_size(camera: Camera) -> None:
+    """Check the width and height of the images of a camera.
 
     Raises:
         RecapError: They are too large.
@@ -435,17 +449,29 @@ def _checked_size(camera: Camera) -> tuple[int, int]:
     if not (1 <= camera.width <= LARGEST and 1 <= camera.height <= LARGEST):
         size = f"{camera.width} x {camera.height}"
         raise RecapError(f"an image of {size} pixels: 1 to {LARGEST} along each side can be drawn")
-    return camera.width, camera.height
 
 
-def _layout(kinds: Sequence[ImageKind], width: int, height: int) -> tuple[dict[ImageKind, int], int]:
-    """Return the offsets of images in the shared memory, and the size of it."""
-    offsets, size = {}, 0
-    for kind in kinds:
-        shape, dtype = image_format(kind, width, height)
-        offsets[kind] = size
-        size += -(-int(np.prod(shape)) * np.dtype(dtype).itemsize // _PAGE) * _PAGE
-    return offsets, max(size, _PAGE)
+def _bytes_of(kind: ImageKind, camera: Camera) -> int:
+    shape, dtype = image_format(kind, camera.width, camera.height)
+    return -(-int(np.prod(shape)) * np.dtype(dtype).itemsize // _PAGE) * _PAGE
+
+
+def _size(views: Sequence[DrawnView]) -> int:
+    """Return the bytes of memory that images take."""
+    return max(sum(_bytes_of(kind, view.camera) for view in views for kind in view.kinds), _PAGE)
+
+
+def _arrays(views: Sequence[DrawnView], memory: _SharedMemory) -> list[Images]:
+    """Return the arrays of images in a memory."""
+    found, offset = [], 0
+    for camera, kinds, *_ in views:
+        images = {}
+        for kind in kinds:
+            shape, dtype = image_format(kind, camera.width, camera.height)
+            images[kind] = np.ndarray(shape, dtype, memory.view, offset)
+            offset += _bytes_of(kind, camera)
+        found.append(images)
+    return found
 
 
 # --- in the process ----------------------------------------------------------------------------------------------------
@@ -470,7 +496,11 @@ def serve(commands: BinaryIO, answers: BinaryIO, descriptors: Sequence[int], mod
                     models.append(model)
                 renderer = Renderer(town, models=models, quality=quality, supersampling=supersampling)
             else:
-                _draw(renderer, memories[command[0]], *command[1:])
+                descriptor, (views, instances, sky) = command
+                memories[descriptor].grow(_size(views))
+                for view, into in zip(views, _arrays(views, memories[descriptor]), strict=True):
+                    camera, kinds, before, without = view
+                    renderer.draw(camera, instances, kinds, sky, before, without=without, into=into)
             answer = None
         except (MissingExtra, RecapError) as error:
             answer = error
@@ -485,25 +515,6 @@ def serve(commands: BinaryIO, answers: BinaryIO, descriptors: Sequence[int], mod
             break
     if renderer is not None:
         renderer.close()
-
-
-def _draw(
-    renderer: Renderer,
-    memory: _SharedMemory,
-    camera: Camera,
-    instances: Instances | None,
-    kinds: Sequence[ImageKind],
-    sky: Sky | None,
-    previous: tuple[Camera, Instances | None] | None,
-    without: Collection[int],
-) -> None:
-    offsets, size = _layout(kinds, camera.width, camera.height)
-    memory.grow(size)
-    into = {}
-    for kind, offset in offsets.items():
-        shape, dtype = image_format(kind, camera.width, camera.height)
-        into[kind] = np.ndarray(shape, dtype, memory.view, offset)
-    renderer.draw(camera, instances, kinds, sky, previous, without=without, into=into)
 
 
 def main() -> None:

@@ -6,6 +6,7 @@ Axes are right-handed, but boxes alone may be in any axes.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 import numpy as np
@@ -129,6 +130,17 @@ class SurfaceHits:
         """Return some of the hits."""
         return SurfaceHits(self.ray[index], self.actor[index], self.distance[index], self.cosine[index], self.tag[index])
 
+    @classmethod
+    def joined(cls, parts: Sequence[SurfaceHits], firsts: Sequence[int]) -> SurfaceHits:
+        """Return the hits of parts of the rays, at least one, as those of all, given the index of each part's first ray."""
+        return cls(
+            np.concatenate([part.ray + first for part, first in zip(parts, firsts, strict=True)]),
+            np.concatenate([part.actor for part in parts]),
+            np.concatenate([part.distance for part in parts]),
+            np.concatenate([part.cosine for part in parts]),
+            np.concatenate([part.tag for part in parts]),
+        )
+
 
 class NumberedMeshes(Protocol):
     """Meshes by their numbers."""
@@ -140,6 +152,8 @@ class NumberedMeshes(Protocol):
 
 class RayScene:
     """A town and the models of actors for rays: those whose instances are at the moment that is asked for.
+
+    Rays may be cast from several threads at a time.
 
     Args:
         tiles: The meshes of the town.
@@ -156,6 +170,7 @@ class RayScene:
         self._town = _RayShape(self._device, town) if len(town.triangles) else None
         self._meshes = models
         self._models: dict[int, _RayShape] = {}
+        self._lock = Lock()  # for the models that are read
 
     def cast(self, origin: Floats, directions: Floats, reach: float, instances: Instances | None = None) -> SurfaceHits:
         """Return the first hit of each ray that hits something.
@@ -211,9 +226,10 @@ class RayScene:
         return SurfaceHits(ray, instances.ids[box].astype(np.int64), far, _cosine(outward, directions[ray]), tag)
 
     def _model(self, number: int) -> _RayShape:
-        if number not in self._models:
-            self._models[number] = _RayShape(self._device, self._meshes[number])
-        return self._models[number]
+        with self._lock:
+            if number not in self._models:
+                self._models[number] = _RayShape(self._device, self._meshes[number])
+            return self._models[number]
 
 
 class _RayShape:
@@ -229,6 +245,7 @@ class _RayShape:
         if self._scene is not None:
             vertices = np.ascontiguousarray(mesh.vertices, np.float32)
             TriangleMesh(self._scene, vertices, np.ascontiguousarray(mesh.triangles, np.int32))
+            self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))  # the first one builds its tree
 
     def cast(
         self, starts: NDArray[Any], directions: Floats, reach: Floats
@@ -256,6 +273,6 @@ def _device() -> Any:
 
 
 def _cosine(normals: Floats, directions: Floats) -> Floats:
-    lengths = np.linalg.norm(normals, axis=1)
-    cosine: Floats = np.abs((normals * directions).sum(axis=1)) / np.where(lengths > 0, lengths, 1.0)
+    squares = np.einsum("ij,ij->i", normals, normals)
+    cosine: Floats = np.abs(np.einsum("ij,ij->i", normals, directions)) / np.sqrt(np.where(squares > 0, squares, 1.0))
     return cosine

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.rendering.camera import Camera, ImageKind
+from carla_recap.rendering.camera import Camera, DrawnView, ImageKind
 from carla_recap.rendering.sky import Sky
 from carla_recap.replay.pose import LOCATION, rotations
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 _DEPTH_STEPS: Final = (1 << 24) - 1
 _FARTHEST: Final = 1000.0  # m, that depth images reach; what is farther, and the sky, has this depth
+_PIXELS_TOGETHER: Final = 1 << 22  # of the images that are drawn at once: 16 MB
 _IDS: Final = 1 << 16  # that instance images tell apart
 
 
@@ -128,21 +129,36 @@ class RigCameras:
             view.previous = previous or view.previous
             view.sensors.append((spec.id, kind))
         sky = Sky.of_weather(scene.weather)
-        return [self._drawn(view, instances, sky) for view in found]
+        return [self._drawn(part, instances, sky) for part in _together(found)]
 
-    def _drawn(self, view: _Pass, instances: Instances, sky: Sky) -> Callable[[], dict[str, Image]]:
-        """Have the images of a view drawn, and return what waits for them."""
-        future: Future[dict[ImageKind, Image]] = self._renderer.submit(
-            view.camera, instances, tuple(view.drawn), sky, view.previous, without=view.hidden
-        )
+    def _drawn(self, passes: list[_Pass], instances: Instances, sky: Sky) -> Callable[[], dict[str, Image]]:
+        """Have the images of some views drawn, and return what waits for them."""
+        views = [DrawnView(each.camera, tuple(each.drawn), each.previous, each.hidden) for each in passes]
+        future: Future[list[dict[ImageKind, Image]]] = self._renderer.submit_views(views, instances, sky)
 
         def images() -> dict[str, Image]:
-            drawn = future.result()
-            of = {kind: drawn.get(kind, drawn.get(ImageKind.INSTANCE)) for kind in view.kinds}
-            arrays = {kind: decoded(kind, image, instances.ids) for kind, image in of.items() if image is not None}
-            return {id: arrays[kind] for id, kind in view.sensors}
+            found: dict[str, Image] = {}
+            for each, drawn in zip(passes, future.result(), strict=True):
+                of = {kind: drawn.get(kind, drawn.get(ImageKind.INSTANCE)) for kind in each.kinds}
+                arrays = {kind: decoded(kind, image, instances.ids) for kind, image in of.items() if image is not None}
+                found |= {id: arrays[kind] for id, kind in each.sensors}
+            return found
 
         return images
+
+
+def _together(passes: Iterable[_Pass]) -> list[list[_Pass]]:
+    """Return views in groups that are drawn at once, each of at most `_PIXELS_TOGETHER` or of one view."""
+    found: list[list[_Pass]] = []
+    pixels = 0
+    for each in passes:
+        more = each.camera.width * each.camera.height * len(each.drawn)
+        if not found or pixels + more > _PIXELS_TOGETHER:
+            found.append([])
+            pixels = 0
+        found[-1].append(each)
+        pixels += more
+    return found
 
 
 def _actors_of(previous: tuple[Camera, Instances] | None) -> Instances | None:

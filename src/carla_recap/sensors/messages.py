@@ -7,6 +7,7 @@ right in the image, y down, z along the axis of view; all others have x forward,
 from __future__ import annotations
 
 import json
+import os
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -26,7 +27,6 @@ try:
     from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
     from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
     from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
-    from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
     from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
     from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
     from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
@@ -38,7 +38,7 @@ except ImportError:
     raise MissingExtra("a recording of sensors", "foxglove") from None
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Collection, Generator, Iterable, Iterator
     from concurrent.futures import Future
 
     from google.protobuf.message import Message
@@ -57,7 +57,9 @@ WORLD: Final = "world"
 """The frame of all positions."""
 
 _AHEAD: Final = 2  # moments whose messages are made while one is used
-_OPTICAL: Final = (-0.5, 0.5, -0.5, 0.5)  # x, y, z, w of the rotation from forward, left, up to right, down, forward
+_MOST_THREADS: Final = 8  # that make messages
+_OPTICAL: Final = np.array([(1, 1, 1, 1), (-1, 1, 1, -1), (-1, -1, 1, 1), (-1, 1, -1, 1)]) / 2
+"""What turns a rotation as a quaternion x, y, z, w from forward, left, up to right, down, forward."""
 _STEPS: Final = 256.0  # in 1, of the numbers of points that are rounded: m, or without a unit
 _FLOW_STEPS: Final = 64.0  # in a pixel
 _ROUNDED: Final = ("x", "y", "z", "intensity", "cosine")
@@ -115,26 +117,55 @@ class SensorMessages:
         """Yield the messages of a sample, without that of its pose."""
         return self._makers[sample.spec.id].messages(sample, self._stamp(sample.time))
 
-    def poses(self, samples: Iterable[Sample]) -> Iterator[SensorMessage]:
+    def poses(self, samples: Collection[Sample]) -> Iterator[SensorMessage]:
         """Yield the message of the poses of samples of one moment, of which there is none without samples."""
         transforms, elapsed = FrameTransforms(), 0.0
-        for sample in samples:
+        turns = quaternions(np.array([sample.pose for sample in samples]).reshape(-1, 6))
+        for sample, turn in zip(samples, turns, strict=True):
             elapsed = sample.time
-            transforms.transforms.append(_transform(sample, self._stamp(elapsed)))
+            found = transforms.transforms.add(
+                timestamp=self._stamp(elapsed), parent_frame_id=WORLD, child_frame_id=sample.spec.id
+            )
+            found.translation.x, found.translation.y, found.translation.z = sample.pose[LOCATION].tolist()
+            x, y, z, w = (turn if sample.spec.image is None else turn @ _OPTICAL).tolist()
+            found.rotation.CopyFrom(Quaternion(x=x, y=y, z=z, w=w))
         if transforms.transforms:
             yield SensorMessage(TRANSFORMS, elapsed, transforms.SerializeToString())
 
-    def encoded(self, frames: Iterable[SensedFrame]) -> Iterator[tuple[SensedFrame, list[SensorMessage]]]:
-        """Yield moments with their messages, which a thread makes while later moments are sensed."""
-        waiting: deque[tuple[SensedFrame, Future[list[SensorMessage]]]] = deque()
-        with ThreadPoolExecutor(1, "carla-recap-encoding") as thread:
+    def encoded(self, frames: Iterable[SensedFrame]) -> Generator[tuple[SensedFrame, list[SensorMessage]]]:
+        """Yield moments with their messages, which threads make while later moments are sensed."""
+        waiting: deque[tuple[SensedFrame, list[Future[list[SensorMessage]]]]] = deque()
+        threads = ThreadPoolExecutor(min(os.cpu_count() or 1, _MOST_THREADS), "carla-recap-encoding")
+        try:
             for frame in frames:
-                waiting.append((frame, thread.submit(list, self.of(frame.samples.values()))))
+                waiting.append((frame, [self._begun(threads, sample) for sample in frame.samples.values()]))
                 if len(waiting) > _AHEAD:
-                    before, messages = waiting.popleft()
-                    yield before, messages.result()
-            for before, messages in waiting:
-                yield before, messages.result()
+                    yield self._finished(*waiting.popleft())
+            while waiting:
+                yield self._finished(*waiting.popleft())
+        finally:
+            threads.shutdown(cancel_futures=True)
+
+    def _begun(self, threads: ThreadPoolExecutor, sample: Sample) -> Future[list[SensorMessage]]:
+        """Have the messages of a sample made, after those of the one before if they depend on it."""
+        maker = self._makers[sample.spec.id]
+        before = maker.before
+
+        def messages() -> list[SensorMessage]:
+            if before is not None:
+                before.result()
+            return list(self.of_sample(sample))
+
+        found = threads.submit(messages)
+        if maker.depends:
+            maker.before = found
+        return found
+
+    def _finished(
+        self, frame: SensedFrame, made: list[Future[list[SensorMessage]]]
+    ) -> tuple[SensedFrame, list[SensorMessage]]:
+        messages = [message for each in made for message in each.result()]
+        return frame, [*messages, *self.poses(frame.samples.values())]
 
     def _stamp(self, elapsed: float) -> Stamp:
         from google.protobuf.timestamp_pb2 import Timestamp
@@ -157,6 +188,7 @@ class _Maker:
         self._metadata = {"sensor": json.dumps(spec.to_dict())}
         self._quality = quality
         self._next_key = -np.inf
+        self.before: Future[list[SensorMessage]] | None = None  # the messages that the next ones depend on
         self.topics: list[Topic] = []
         makers: dict[str, tuple[str, type[Message], Callable[[Any, Stamp, float], Message]]] = {
             "depth": ("depth", RawImage, self._depth),
@@ -187,6 +219,11 @@ class _Maker:
                     raise RecapError(f"sensor {spec.id!r}: {error}") from None
             self._calibration = self._add("calibration", CameraCalibration)
         self._topic = self._add(name, schema)
+
+    @property
+    def depends(self) -> bool:
+        """Whether a message depends on the one before, as in a video."""
+        return self._stream is not None
 
     def messages(self, sample: Sample, stamp: Stamp) -> Iterator[SensorMessage]:
         """Yield the messages of a sample."""
@@ -315,18 +352,4 @@ def frame_rotation(spec: SensorSpec, pose: NDArray[np.float64]) -> NDArray[np.fl
         pose: Its pose in m and degrees, right-handed, (6,).
     """
     turn = quaternions(pose)
-    return turn if spec.image is None else _product(turn, np.array(_OPTICAL))
-
-
-def _transform(sample: Sample, stamp: Stamp) -> FrameTransform:
-    found = FrameTransform(timestamp=stamp, parent_frame_id=WORLD, child_frame_id=sample.spec.id)
-    found.translation.x, found.translation.y, found.translation.z = sample.pose[LOCATION].tolist()
-    x, y, z, w = frame_rotation(sample.spec, sample.pose).tolist()
-    found.rotation.CopyFrom(Quaternion(x=x, y=y, z=z, w=w))
-    return found
-
-
-def _product(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation that carries out another one, and then one: x, y, z, w."""
-    vector = one[3] * other[:3] + other[3] * one[:3] + np.cross(one[:3], other[:3])
-    return np.append(vector, one[3] * other[3] - one[:3] @ other[:3])
+    return turn if spec.image is None else turn @ _OPTICAL

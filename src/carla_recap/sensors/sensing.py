@@ -9,10 +9,13 @@ with carla_recap.open_recording("crash.mcap") as recording:
 from __future__ import annotations
 
 import math
+import os
 import warnings
+from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -23,6 +26,7 @@ from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import HERO, find_actor, heroes_of
 from carla_recap.model.presence import FAR
 from carla_recap.model.records import CM
+from carla_recap.rendering.rays import SurfaceHits
 from carla_recap.replay import Player
 from carla_recap.replay.motion import SceneMotion
 from carla_recap.replay.pose import LOCATION, MIRROR, YAW, attach, left_handed, right_handed, rotations
@@ -37,7 +41,8 @@ from carla_recap.sensors.options import SensingOptions
 from carla_recap.sensors.position import Gnss, Imu, geo_reference
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Mapping, Sequence
+    from collections.abc import Generator, Iterable, Sequence
+    from concurrent.futures import Future
     from pathlib import Path
     from typing import Unpack
 
@@ -46,7 +51,7 @@ if TYPE_CHECKING:
     from carla_recap.model.lives import ActorName
     from carla_recap.recording import Recording
     from carla_recap.rendering.camera import Camera
-    from carla_recap.rendering.rays import RayScene, SurfaceHits
+    from carla_recap.rendering.rays import RayScene
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import Scene
     from carla_recap.replay.player import Progress
@@ -79,6 +84,8 @@ _LONGEST: Final = 10.0  # s between two samples, for which rays are cast
 ANGULAR_MIRROR: Final = np.array((-1.0, 1.0, -1.0))
 """The factors of angular velocities between CARLA's axes and right-handed ones."""
 _RAY_KINDS: Final = ("lidar", "semantic_lidar", "radar")
+_RAYS_OF_A_PART: Final = 1 << 14  # cast by one thread at a time
+_MOST_THREADS: Final = 8  # that cast rays; more wait for Python's lock
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,6 +328,8 @@ class _Sensing:
         self._motions: dict[int, CarrierMotion] = {}
         self._scene_motion = SceneMotion() if any(spec.kind == "radar" for spec in self._rig) else None
         self._cameras: RigCameras | None = None
+        self._rays: _RayCaster | None = None
+        self._measuring = ThreadPoolExecutor(1, "carla-recap-sensing")  # of lidars and radars, moment by moment
         self._instruments: dict[str, _Instrument] = {}
         self._carrier: int | None = None
 
@@ -328,6 +337,7 @@ class _Sensing:
         """Yield the moments; images are drawn some moments ahead."""
         with ExitStack() as stack:
             self._open(stack)
+            stack.callback(self._measuring.shutdown, cancel_futures=True)
             waiting: deque[Callable[[], SensedFrame]] = deque()
             before = None
             sizes = [int(spec.number("image_size_x") * spec.number("image_size_y")) for spec in self._rig if spec.image]
@@ -354,36 +364,29 @@ class _Sensing:
                     if "camera" in those:
                         self._cameras = RigCameras(stack.enter_context(self._renderer()))
                     else:
-                        self._make_instruments(self._ray_scene(), those)
+                        self._rays = stack.enter_context(closing(self._ray_sensors()))
                 except RecapError as error:
                     if kinds <= set(those):
                         raise
                     warnings.warn(f"{name} measure nothing: {error}", RecapWarning, stacklevel=2)
-        self._make_instruments(None, ("gnss", "imu", "speedometer"))
+        for spec in self._rig:
+            if spec.kind == "gnss":
+                self._instruments[spec.id] = _gnss(spec, self._town.opendrive())
+            elif spec.kind in ("imu", "speedometer"):
+                self._instruments[spec.id] = _imu(spec) if spec.kind == "imu" else _speedometer(spec)
 
     def _renderer(self) -> Any:
         from carla_recap.rendering.process import RenderProcess
 
         return RenderProcess(self._town.mesh, quality=self._quality)
 
-    def _ray_scene(self) -> RayScene:
+    def _ray_sensors(self) -> _RayCaster:
         from carla_recap.rendering.rays import RayScene
         from carla_recap.scene.models import MODEL_MESHES
 
         town = self._town.mesh()
-        return RayScene(town.tiles if town is not None else (), MODEL_MESHES)
-
-    def _make_instruments(self, rays: RayScene | None, kinds: Sequence[str]) -> None:
-        for spec in self._rig:
-            if spec.kind not in kinds:
-                continue
-            if spec.kind == "gnss":
-                self._instruments[spec.id] = _gnss(spec, self._town.opendrive())
-            elif rays is None:
-                self._instruments[spec.id] = {"imu": _imu, "speedometer": _speedometer}[spec.kind](spec)
-            else:
-                make = {"lidar": _lidar, "semantic_lidar": _semantic_lidar, "radar": _radar}[spec.kind]
-                self._instruments[spec.id] = make(spec, rays)
+        scene = RayScene(town.tiles if town is not None else (), MODEL_MESHES)
+        return _RayCaster(scene, {spec.id: _RAY_SENSORS[spec.kind](spec) for spec in self._rig if spec.kind in _RAY_KINDS})
 
     def _begin(self, scene: Scene, before: Scene | None) -> Callable[[], SensedFrame]:
         """Begin to sense a moment; return what waits for the images."""
@@ -394,9 +397,11 @@ class _Sensing:
             self._cameras.forget()
         self._carrier = carrier
         moving = None if self._scene_motion is None else np.nan_to_num(self._scene_motion.velocities(batch)[0])
-        samples: dict[str, Sample] = {}
         images: list[Callable[[], dict[str, NDArray[Any]]]] = []
-        cameras: dict[str, PlacedSensor] = {}
+        motion: Motion | None = None
+        placed: list[PlacedSensor] = []
+        values: dict[str, NDArray[Any]] = {}
+        points: Future[dict[str, NDArray[np.void]]] | None = None
         if carrier is not None and (np.abs(pose) < FAR).all():  # not so if any is NaN
             due = [row for row, spec in enumerate(self._rig) if self._clocks[spec.id].is_due(scene.time)]
             if due:
@@ -404,22 +409,27 @@ class _Sensing:
                 instances = described_instances(description, marks=False)
                 motion = self._motion_of(carrier).at(scene.time) if self._needs_motion else None
                 moment = _Moment(scene, moving, self._step(scene, before), instances, motion, _with_attached(scene, carrier))
-                for row, own in zip(due, poses, strict=True):
-                    spec = self._rig[row]
-                    if spec.kind == "camera":
-                        cameras[spec.id] = PlacedSensor(spec, own)
-                    elif spec.id in self._instruments:
-                        data = self._instruments[spec.id](moment, own)
-                        velocity = motion.velocity if motion is not None and spec.kind == "radar" else None
-                        samples[spec.id] = Sample(spec, scene.time, own, data, velocity)
+                placed = [PlacedSensor(self._rig[row], own) for row, own in zip(due, poses, strict=True)]
+                cameras = [sensor for sensor in placed if sensor.spec.kind == "camera"]
+                casting = [sensor for sensor in placed if sensor.spec.kind in _RAY_KINDS]
+                if casting and self._rays is not None:
+                    points = self._measuring.submit(self._rays.measured, casting, moment)
                 if cameras and self._cameras is not None:
-                    surrounding = _boxes_around(description, carrier)
-                    images = self._cameras.submit(cameras.values(), instances, scene, surrounding)
+                    images = self._cameras.submit(cameras, instances, scene, _boxes_around(description, carrier))
+                for spec, own in placed:
+                    if spec.id in self._instruments:
+                        values[spec.id] = self._instruments[spec.id](moment, own)
 
         def finished() -> SensedFrame:
+            if points is not None:
+                values.update(points.result())
             for wait in images:
-                for id, data in wait().items():
-                    samples[id] = Sample(cameras[id].spec, scene.time, cameras[id].pose, data)
+                values.update(wait())
+            samples = {}
+            for spec, own in sorted(placed, key=lambda sensor: sensor.spec.kind == "camera"):
+                if spec.id in values:
+                    velocity = motion.velocity if motion is not None and spec.kind == "radar" else None
+                    samples[spec.id] = Sample(spec, scene.time, own, values[spec.id], velocity)
             return SensedFrame(scene.time, scene, description, carrier, pose, samples)
 
         return finished
@@ -485,34 +495,70 @@ def _boxes_around(description: SceneDescription, carrier: int) -> Callable[[Sens
 # --- instruments: what measures without being drawn --------------------------------------------------------------------
 
 
-class _Caster:
-    """Casts the rays of a sensor.
+class _RaySensor(ABC):
+    """A lidar or radar. Its moments come in order of time.
 
     Args:
         spec: The sensor.
-        rays: What they meet.
     """
 
-    def __init__(self, spec: SensorSpec, rays: RayScene) -> None:
+    beams: LidarBeams | RadarBeams
+
+    def __init__(self, spec: SensorSpec) -> None:
         self._interval = spec.number("sensor_tick")
-        self._reach = spec.number("range")
-        self._rays = rays
+        self.reach = spec.number("range")
 
-    def seconds(self, moment: _Moment) -> float:
-        """Return the time for which a moment stands, in s."""
-        return min(max(moment.step, self._interval), _LONGEST)
+    def rays(self, moment: _Moment) -> Floats:
+        """Return the directions of the rays in its axes, CARLA's, (n, 3)."""
+        return self.beams.rays(min(max(moment.step, self._interval), _LONGEST))
 
-    def cast(self, directions: Floats, moment: _Moment, pose: Floats) -> SurfaceHits:
-        """Return what rays meet first, but for the carrier.
+    @abstractmethod
+    def measure(self, moment: _Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
+        """Return what it measures.
 
         Args:
-            directions: The directions in the axes of the sensor, CARLA's, (n, 3).
             moment: The moment.
-            pose: The pose of the sensor.
+            pose: Its pose in m and degrees, right-handed.
+            hits: What its rays meet first.
+            directions: Their directions.
         """
-        others = ~np.isin(moment.instances.ids, list(moment.carrier))
-        along = directions @ (MIRROR[:, None] * rotations(pose).T)
-        return self._rays.cast(pose[LOCATION], along, self._reach, moment.instances.take(others))
+
+
+class _RayCaster:
+    """Casts the rays of the lidars and radars of a rig, in several threads.
+
+    Args:
+        scene: What they meet.
+        sensors: The sensors by their ids.
+    """
+
+    def __init__(self, scene: RayScene, sensors: Mapping[str, _RaySensor]) -> None:
+        self._scene = scene
+        self._sensors = sensors
+        self._threads = ThreadPoolExecutor(min(os.cpu_count() or 1, _MOST_THREADS), "carla-recap-rays")
+
+    def measured(self, due: Sequence[PlacedSensor], moment: _Moment) -> dict[str, NDArray[np.void]]:
+        """Return what sensors measure at a moment, by id; their carrier is not hit."""
+        others = moment.instances.take(~np.isin(moment.instances.ids, list(moment.carrier)))
+        begun = []
+        for spec, pose in due:
+            sensor = self._sensors[spec.id]
+            rays, place, turn = sensor.rays(moment), pose[LOCATION], MIRROR[:, None] * rotations(pose).T
+            firsts = range(0, max(len(rays), 1), _RAYS_OF_A_PART)
+            parts = [rays[first : first + _RAYS_OF_A_PART] for first in firsts]
+            cast = [self._threads.submit(self._cast, place, turn, part, sensor.reach, others) for part in parts]
+            begun.append((sensor, spec.id, pose, rays, firsts, cast))
+        return {
+            id: sensor.measure(moment, pose, SurfaceHits.joined([part.result() for part in cast], firsts), rays)
+            for sensor, id, pose, rays, firsts, cast in begun
+        }
+
+    def _cast(self, place: Floats, turn: Floats, rays: Floats, reach: float, others: Instances) -> SurfaceHits:
+        return self._scene.cast(place, rays @ turn, reach, others)
+
+    def close(self) -> None:
+        """End the threads."""
+        self._threads.shutdown(cancel_futures=True)
 
 
 def _warn_of(spec: SensorSpec) -> Callable[[str], None]:
@@ -528,38 +574,35 @@ def _points(hits: SurfaceHits, directions: Floats, dtype: np.dtype[np.void]) -> 
     return points
 
 
-def _lidar(spec: SensorSpec, rays: RayScene) -> _Instrument:
-    caster, beams, returns = _Caster(spec, rays), LidarBeams(spec.number, _warn_of(spec)), LidarReturns(spec.number)
+class _Lidar(_RaySensor):
+    def __init__(self, spec: SensorSpec) -> None:
+        super().__init__(spec)
+        self.beams, self._returns = LidarBeams(spec.number, _warn_of(spec)), LidarReturns(spec.number)
 
-    def measure(moment: _Moment, pose: Floats) -> NDArray[np.void]:
-        directions = beams.rays(caster.seconds(moment))
-        hits, intensity = returns.of(caster.cast(directions, moment, pose))
+    def measure(self, moment: _Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
+        hits, intensity = self._returns.of(hits)
         points = _points(hits, directions, POINT)
         points["intensity"] = intensity
         return points
 
-    return measure
 
+class _SemanticLidar(_RaySensor):
+    def __init__(self, spec: SensorSpec) -> None:
+        super().__init__(spec)
+        self.beams = LidarBeams(spec.number, _warn_of(spec))
 
-def _semantic_lidar(spec: SensorSpec, rays: RayScene) -> _Instrument:
-    caster, beams = _Caster(spec, rays), LidarBeams(spec.number, _warn_of(spec))
-
-    def measure(moment: _Moment, pose: Floats) -> NDArray[np.void]:
-        directions = beams.rays(caster.seconds(moment))
-        hits = caster.cast(directions, moment, pose)
+    def measure(self, moment: _Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
         points = _points(hits, directions, SEMANTIC_POINT)
         points["cosine"], points["actor"], points["tag"] = hits.cosine, hits.actor, hits.tag
         return points
 
-    return measure
 
+class _Radar(_RaySensor):
+    def __init__(self, spec: SensorSpec) -> None:
+        super().__init__(spec)
+        self.beams = RadarBeams(spec.number, _warn_of(spec))
 
-def _radar(spec: SensorSpec, rays: RayScene) -> _Instrument:
-    caster, beams = _Caster(spec, rays), RadarBeams(spec.number, _warn_of(spec))
-
-    def measure(moment: _Moment, pose: Floats) -> NDArray[np.void]:
-        directions = beams.rays(caster.seconds(moment))
-        hits = caster.cast(directions, moment, pose)
+    def measure(self, moment: _Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
         ids, velocities = moment.scene.ids, moment.velocities
         rows = np.minimum(np.searchsorted(ids, hits.actor), max(len(ids) - 1, 0))
         assert moment.motion is not None
@@ -575,7 +618,12 @@ def _radar(spec: SensorSpec, rays: RayScene) -> _Instrument:
         table["azimuth"] *= -1
         return table
 
-    return measure
+
+_RAY_SENSORS: Final[Mapping[str, type[_RaySensor]]] = {
+    "lidar": _Lidar,
+    "semantic_lidar": _SemanticLidar,
+    "radar": _Radar,
+}
 
 
 def _gnss(spec: SensorSpec, opendrive: str) -> _Instrument:

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from carla_recap.model.lives import ActorLife, ActorName
     from carla_recap.recording import Recording
     from carla_recap.replay.player import Progress
+    from carla_recap.sensors.messages import SensorMessage
     from carla_recap.sensors.options import SensingKeywords
     from carla_recap.sensors.rig import SensorRig
     from carla_recap.sensors.sensing import SensedFrame
@@ -220,8 +221,9 @@ class _SensedWriter:
                 yield part.elapsed[0].item(), partial(self._add_scene, part)
 
     def _samples(self, moments: Iterable[SensedFrame]) -> Iterator[TimedWrite]:
-        for moment in moments:
-            yield moment.time, partial(self._add_samples, moment)
+        with closing(self._messages.encoded(moments)) as encoded:
+            for moment, messages in encoded:
+                yield moment.time, partial(self._add_samples, moment, messages)
 
     def _add_frames(self, batch: Batch) -> None:
         self._writer.write_batch(batch)
@@ -235,7 +237,7 @@ class _SensedWriter:
             else:
                 self._writer.write_message(topic, elapsed, data)
 
-    def _add_samples(self, moment: SensedFrame) -> None:
+    def _add_samples(self, moment: SensedFrame, messages: Iterable[SensorMessage]) -> None:
         self._moments += 1
         if moment.carrier is None or not np.isfinite(moment.carrier_pose).all():
             self._absent_from = moment.time if not self._absent else self._absent_from
@@ -243,7 +245,7 @@ class _SensedWriter:
         if self._clock.at(moment.time) is None:  # a time that no file can hold
             return
         self.samples.update([*moment.samples])
-        for topic, elapsed, data in self._messages.of(moment.samples.values()):
+        for topic, elapsed, data in messages:
             self._writer.write_message(topic, elapsed, data)
 
 
