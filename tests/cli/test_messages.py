@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import logging
-import os
 import re
 import signal
 import subprocess
@@ -59,16 +58,9 @@ class Done(NamedTuple):
     err: str
 
 
-class Exited(BaseException):
-    """Instead of the end of the process."""
-
-
 @pytest.fixture
 def invoke(monkeypatch, tmp_path):
     """A function that runs a command in this process, in an empty folder."""
-
-    def end(code):
-        raise Exited(code)
 
     def run(*arguments, terminal=False):
         out, err = Stream(terminal), Stream(terminal)
@@ -79,14 +71,13 @@ def invoke(monkeypatch, tmp_path):
             warnings.showwarning = cli._print_warning
             try:
                 code = cli.run([str(argument) for argument in arguments])
-            except (Exited, SystemExit) as ended:
+            except SystemExit as ended:
                 code = ended.args[0]
             finally:
                 logger.handlers[:] = handlers
                 logger.setLevel(level)
         return Done(code, out.text, err.text)
 
-    monkeypatch.setattr(os, "_exit", end)
     monkeypatch.chdir(tmp_path)
     for name in ("NO_COLOR", "FORCE_COLOR"):
         monkeypatch.delenv(name, raising=False)

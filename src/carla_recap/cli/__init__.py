@@ -6,6 +6,7 @@ Exit codes: 0; 1 if an assertion fails (`--max-rows`); 2 for bad input, with one
 from __future__ import annotations
 
 import atexit
+import gc
 import re
 import signal
 import sys
@@ -132,7 +133,7 @@ def main() -> None:
     warnings.showwarning = _print_warning
     if hasattr(signal, "SIGPIPE"):
         signal.signal(signal.SIGPIPE, signal.SIG_DFL)
-    atexit.register(_ignore_more)  # as the first, so that it is called as the last
+    atexit.register(_prepare_end)  # as the first, so that it is called as the last
     set_handlers(_stop)
     sys.exit(run())
 
@@ -181,7 +182,8 @@ def _stop(number: int, _: FrameType | None) -> None:
     sys.exit(128 + number)
 
 
-def _ignore_more() -> None:
-    """Ignore further signals after a first one while the interpreter ends, which resets handlers."""
+def _prepare_end() -> None:
+    """Keep the end of the interpreter short, which looks for cycles of objects and resets the handlers of signals."""
+    gc.freeze()
     if is_terminating():
         ignore_termination()

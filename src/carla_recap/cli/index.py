@@ -108,16 +108,12 @@ def sql(index_file: str, query: str, form: Form | None) -> NoReturn:
 
     The tables are recordings, actors, collisions, stationary, incidents and measures. A QUERY of - is read from stdin.
     """
-    from carla_recap.cli import INTERRUPTED
     from carla_recap.fleet.index.database import open_index
 
     text = _read_query() if query == "-" else query
     opened = open_index(index_file)
     _limit_memory()
-    try:
-        rows = opened.sql(text)
-    except (KeyboardInterrupt, SystemExit) as end:
-        os._exit(INTERRUPTED if isinstance(end, KeyboardInterrupt) else int(end.code or 0))  # the query may go on
+    rows = opened.sql(text)
     if _needs_measures(text, found=len(rows)) and (missing := _without_measures(opened)):
         what = "near misses, measures and incidents of the road, which 'carla-recap index --measures' adds"
         warn(f"{index_file}: {counted(missing, 'recording')} without {what}")

@@ -112,7 +112,7 @@ class QueryRequest(SourcesRequest):
                 stack.close()
                 _end_as_by_a_closed_pipe()
                 raise
-        os._exit(code)  # see `show`
+        sys.exit(code)
 
 
 def is_one(source: str) -> bool:
