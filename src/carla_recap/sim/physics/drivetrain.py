@@ -45,7 +45,7 @@ _KEPT: Final = 8
 _TINY: Final = 1e-9
 _STICKY_SPEED: Final = 0.2  # m/s: slower vehicles whose wheels are locked stand, and others after a second
 _STICKY_TIME: Final = 1.0  # s
-_RATES: Final = {"throttle": (6.0, 10.0), "brake": (6.0, 10.0), "steer": (2.5, 5.0)}
+_PEDALS, _STEERING = (6.0, 10.0), (2.5, 5.0)
 """1/s, by which the pedals and the steering of UE4's vehicles rise and fall at most."""
 _LONG_AGO: Final = 1e3  # s since the latest shift of a gearbox that has not shifted yet
 
@@ -204,51 +204,29 @@ class _Parameters:
         )
 
 
-def steer(fleet: Drivetrains, seconds: float) -> None:
-    """Let the pedals and the steering follow their controls for a step of a length in s."""
-    for name, limits in _RATES.items():
-        _follow(getattr(fleet, f"{name}_input"), getattr(fleet, name), limits, seconds)
-    own = fleet.tables.of(fleet.table)
-    limit = own.full_lock * fleet.tables.lock_share[fleet.table, column_of(np.abs(fleet.speed))]
-    # The angle between those of the front wheels has a cotangent between theirs, which differ by track / wheelbase.
-    by_track = own.track / (2 * fleet.wheelbase)
-    inner = np.tan(limit * np.abs(fleet.steer_input))
-    fleet.steer_angle[:] = np.copysign(np.arctan(inner / (1 + inner * by_track)), fleet.steer_input)
-    fleet.steer_limit[:] = np.maximum(limit, _TINY)
-
-
 def column_of(speed: Floats) -> Integers:
     """Return the columns of the tables for speeds in m/s."""
-    found: Integers = np.minimum((speed / SPEEDS[1]).astype(np.int64), len(SPEEDS) - 1)
+    found: Integers = np.fmin(speed / SPEEDS[1], len(SPEEDS) - 1).astype(np.int64)
     return found
 
 
-def _follow(values: Floats, wanted: Floats, limits: tuple[float, float], seconds: float) -> None:
-    """Let inputs follow what is wanted, away from 0 by one rate and back by another, as UE4 does."""
+def steer(fleet: Drivetrains, seconds: float) -> None:
+    """Let the steering follow its control for a tick of a length in s."""
+    steered = fleet.steer_input[:] = _follow(fleet.steer_input, fleet.steer, _STEERING, seconds)
+    own = fleet.tables.of(fleet.table)
+    limit = own.full_lock * fleet.tables.lock_share[fleet.table, column_of(np.abs(fleet.speed))]
+    # The angle between those of the front wheels has a cotangent between theirs, which differ by track / wheelbase.
+    inner = np.tan(limit * np.abs(steered))
+    fleet.steer_angle[:] = np.copysign(np.arctan(inner / (1 + inner * own.track / (2 * fleet.wheelbase))), steered)
+    fleet.steer_limit[:] = np.maximum(limit, _TINY)
+
+
+def _follow(values: Floats, wanted: Floats, rates: tuple[float, float], seconds: float) -> Floats:
+    """Return inputs that have followed what is wanted for a time in s: away from 0 by one rate, and back by another."""
     change = wanted - values
-    rate = np.where(change * values >= 0, limits[0], limits[1]) * seconds
-    values += np.minimum(np.maximum(change, -rate), rate)
-
-
-def shift(fleet: Drivetrains, rows: Integers, own: _Parameters, seconds: float) -> None:
-    """Let the gearboxes of some vehicles work for a step of a length in s; a shift goes by way of neutral."""
-    gear, target = fleet.gear[rows], fleet.target_gear[rows]
-    since = fleet.since_shift[rows] + seconds
-    turns, table = fleet.engine[rows] * own.per_turn / TORQUES, fleet.table[rows]
-    ready = (gear == target) & (since - seconds > own.latency) & own.autobox & ~fleet.manual[rows] & (gear >= 0)
-    up, down = ready & (turns > fleet.tables.up[table, gear]), ready & (turns < fleet.tables.down[table, gear])
-    shifting = up | down
-    if shifting.any():
-        target = target + up - down
-        since, gear = np.where(shifting, 0.0, since), np.where(shifting, 0, gear)
-        fleet.shift_time[rows[shifting]] = 0.0
-    fleet.since_shift[rows] = since
-    changing = gear != target
-    if changing.any():
-        waited = fleet.shift_time[rows]
-        done = changing & (waited > own.switch_time)
-        fleet.gear[rows], fleet.target_gear[rows] = np.where(done, target, gear), target
-        fleet.shift_time[rows] = waited + seconds
+    most = np.where(change * values >= 0, rates[0], rates[1]) * seconds
+    found: Floats = values + np.minimum(np.maximum(change, -most), most)
+    return found
 
 
 def advance(fleet: Drivetrains, rows: Integers, seconds: float, *, exactly: bool) -> tuple[Floats, Floats, Floats]:
@@ -266,18 +244,11 @@ def advance(fleet: Drivetrains, rows: Integers, seconds: float, *, exactly: bool
     drive = _Drive(fleet, rows)
     steps = max(ceil(seconds / _STEP - _ROUNDING), 1) if exactly else 1
     for _ in range(steps):
-        step = seconds / steps
-        shift(fleet, rows, drive.own, step)
-        drive.read_gears()
-        slow = drive.speed() < _SLOW
-        implicit = slow & (drive.accelerator == 0) if exactly else np.ones(len(rows), np.bool_)
-        if exactly and slow.any():
-            drive.step(np.where(slow, step / _SLOW_STEPS, step), implicit)
-            for _ in range(_SLOW_STEPS - 1):
-                drive.step(np.where(slow, step / _SLOW_STEPS, 0.0), implicit)
+        drive.begin(seconds / steps)
+        if exactly:
+            drive.step_exactly(seconds / steps)
         else:
-            drive.step(np.full(len(rows), step), implicit)
-        fleet.engine[rows] = drive.engine
+            drive.step(np.full(len(rows), seconds), np.ones(len(rows), np.bool_))
     return drive.write(seconds)
 
 
@@ -292,43 +263,75 @@ class _Drive:
         self.table = fleet.table[rows]
         self.own = fleet.tables.of(self.table)
         hand_brake = fleet.hand_brake[rows]
-        self.brakes = fleet.brake_input[rows] * self.own.brake + hand_brake * self.own.hand_brake
-        self.braked = self.brakes > 0
+        self.held = hand_brake * self.own.hand_brake
         self.share = np.full((CORNERS, len(rows)), 1 / CORNERS)
         self.share[:2, hand_brake], self.share[2:, hand_brake] = 0.5, 0.0  # PhysX's: drive at the front alone
         self.mass, self.moment, self.air = fleet.mass[rows], fleet.moment[rows], fleet.air[rows]
-        self.throttle = fleet.throttle_input[rows]
         self.cos, self.sin = self._front_wheels()
+        self.throttle, self.brake = fleet.throttle_input[rows], fleet.brake_input[rows]
+        self.manual, self.gear, self.target = fleet.manual[rows], fleet.gear[rows], fleet.target_gear[rows]
+        self.shift_time, self.since_shift = fleet.shift_time[rows], fleet.since_shift[rows]
         self.turning = fleet.turning[rows]
         self.vx, self.vy = fleet.speed[rows], fleet.sideways[rows] + self.turning * self.own.centre
         self.yaw, self.moved_x, self.moved_y = np.zeros((3, len(rows)))
         self.omega, self.engine = np.ascontiguousarray(fleet.omega[rows].T), fleet.engine[rows]
-        self.ratio = self.strength = self.accelerator = self.engine_damping = self.yaw
+
+    def speed(self) -> Floats:
+        """Return the speeds ahead in m/s."""
+        speed: Floats = self.vx * np.cos(self.yaw) + self.vy * np.sin(self.yaw)
+        return speed
+
+    def begin(self, seconds: float) -> None:
+        """Begin a step of a length in s: pedals, and gears; an automatic shift takes the throttle away."""
+        fleet, rows, own = self.fleet, self.rows, self.own
+        self.throttle = _follow(self.throttle, fleet.throttle[rows], _PEDALS, seconds)
+        self.brake = _follow(self.brake, fleet.brake[rows], _PEDALS, seconds)
+        self.brakes = self.brake * own.brake + self.held
+        self.braked = self.brakes > 0
+        self._shift(seconds)
+        neutral = self.gear == 0
+        shifting = (self.gear != self.target) & ~self.manual
+        self.ratio = fleet.tables.ratios[self.table, self.gear]
+        self.strength = np.where(neutral, 0.0, own.clutch)
+        self.accelerator = np.where(shifting, 0.0, self.throttle)
+        without = np.where(neutral, own.disengaged, own.engaged)
+        self.engine_damping = without + (own.full - without) * self.accelerator
 
     def _front_wheels(self) -> tuple[Floats, Floats]:
         """Return cosine and sine of the angles of the wheels: those of the front ones meet at the axis of the rear ones."""
-        fleet, rows = self.fleet, self.rows
-        between = np.tan(fleet.steer_angle[rows])
-        by_track = between * self.own.track / (2 * fleet.wheelbase[rows])
+        between = np.tan(self.fleet.steer_angle[self.rows])
+        by_track = between * self.own.track / (2 * self.fleet.wheelbase[self.rows])
         tangents = np.zeros_like(self.own.x)
         tangents[0], tangents[1] = between / (1 + by_track), between / np.maximum(1 - by_track, _TINY)
         cos: Floats = 1 / np.sqrt(1 + tangents * tangents)
         return cos, cos * tangents
 
-    def speed(self) -> Floats:
-        """Return the speeds ahead or backwards in m/s."""
-        return np.abs(self.vx * np.cos(self.yaw) + self.vy * np.sin(self.yaw))
+    def _shift(self, seconds: float) -> None:
+        """Let the gearboxes work for a step of a length in s; a shift goes by way of neutral."""
+        own, tables = self.own, self.fleet.tables
+        turns = self.engine * own.per_turn / TORQUES
+        ready = (self.gear == self.target) & (self.since_shift > own.latency) & own.autobox & ~self.manual & (self.gear >= 0)
+        up = ready & (turns > tables.up[self.table, self.gear])
+        down = ready & (turns < tables.down[self.table, self.gear])
+        self.since_shift += seconds
+        begins = up | down
+        if begins.any():
+            self.target = self.target + up - down
+            self.gear[begins], self.shift_time[begins], self.since_shift[begins] = 0, 0.0, 0.0
+        changing = self.gear != self.target
+        if changing.any():
+            done = changing & (self.shift_time > own.switch_time)
+            self.gear[done] = self.target[done]
+            self.shift_time += seconds
 
-    def read_gears(self) -> None:
-        """Read the gears, and what follows from them: an automatic shift takes the throttle away."""
-        gear, own = self.fleet.gear[self.rows], self.own
-        neutral = gear == 0
-        shifting = (gear != self.fleet.target_gear[self.rows]) & ~self.fleet.manual[self.rows]
-        self.ratio = self.fleet.tables.ratios[self.table, gear]
-        self.strength = np.where(neutral, 0.0, own.clutch)
-        self.accelerator = np.where(shifting, 0.0, self.throttle)
-        without = np.where(neutral, own.disengaged, own.engaged)
-        self.engine_damping = without + (own.full - without) * self.accelerator
+    def step_exactly(self, seconds: float) -> None:
+        """Advance as PhysX does: a slow vehicle in three parts, and one that rolls slowly without throttle to its rest."""
+        slow = np.abs(self.speed()) < _SLOW
+        rolls = slow & (self.accelerator == 0)
+        self.step(np.where(slow, seconds / _SLOW_STEPS, seconds), rolls)
+        if slow.any():
+            for _ in range(_SLOW_STEPS - 1):
+                self.step(np.where(slow, seconds / _SLOW_STEPS, 0.0), rolls)
 
     def step(self, seconds: Floats, implicit: Booleans) -> None:
         """Advance by a step.
@@ -424,7 +427,10 @@ class _Drive:
         fleet.slow_time[rows] = waited
         fleet.speed[rows], fleet.turning[rows] = forward * moving, self.turning * moving
         fleet.sideways[rows] = (right - self.turning * self.own.centre) * moving
-        fleet.omega[rows] = (self.omega * moving).T
+        fleet.omega[rows], fleet.engine[rows] = (self.omega * moving).T, self.engine
+        fleet.throttle_input[rows], fleet.brake_input[rows] = self.throttle, self.brake
+        fleet.gear[rows], fleet.target_gear[rows] = self.gear, self.target
+        fleet.shift_time[rows], fleet.since_shift[rows] = self.shift_time, self.since_shift
         x = self.moved_x + (1 - cos) * self.own.centre
         y = self.moved_y - sin * self.own.centre
         return x * moving, y * moving, self.yaw * moving

@@ -279,11 +279,11 @@ def _corners(control: PhysicsControl, box: Box) -> tuple[list[float], list[float
 
 
 def _wheels_of_corners(control: PhysicsControl) -> list[list[WheelPhysics]]:
-    """Return the wheels of each corner: those behind the fourth one belong to the rear, and missing ones are as the last."""
-    wheels: list[list[WheelPhysics]] = [[] for _ in range(CORNERS)]
-    for number, wheel in enumerate(control.wheels or [WheelPhysics()]):
-        wheels[number if number < CORNERS else 2 + number % 2].append(wheel)
-    return [corner or wheels[0][-1:] for corner in wheels]
+    """Return the wheels of each corner: those behind the fourth one belong to the rear, and missing ones are as others."""
+    wheels = control.wheels or [WheelPhysics()]
+    if len(wheels) < CORNERS:  # one wheel of each axle, or even fewer
+        return [[wheels[min(number * len(wheels) // CORNERS, len(wheels) - 1)]] for number in range(CORNERS)]
+    return [[wheels[corner], *(wheels[CORNERS + corner % 2 :: 2] if corner >= 2 else ())] for corner in range(CORNERS)]
 
 
 def _mean_position(wheels: list[WheelPhysics]) -> tuple[float, float]:

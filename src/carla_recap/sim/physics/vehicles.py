@@ -68,8 +68,8 @@ class Vehicles(Drivetrains):
         self.table[row] = self.tables.row(drive, np.delete(self.table, row))
         for name, value in columns(control, box).items():
             getattr(self, name)[row] = value
-        self.gear[row] = min(self.gear[row], len(control.forward_gears))
-        self.target_gear[row] = self.gear[row]
+        for gears in (self.gear, self.target_gear):
+            gears[row] = min(gears[row], len(control.forward_gears))
         if self.simulated[row]:
             self.bodies[row].mass, self.bodies[row].moment = self.mass[row].item(), self.moment[row].item()
 
@@ -83,17 +83,38 @@ class Vehicles(Drivetrains):
         if self.gear[row]:
             turns = self.tables.ratios[self.table[row], self.gear[row]] * self.omega[row].mean()
             self.engine[row] = min(max(turns, 0.0), self.tables.most_turns[self.table[row]])
+        elif self.autopilot[row]:
+            self.engage(row)
+
+    def set_simulated(self, row: int, simulated: bool) -> None:
+        """See `MovingBodies.set_simulated`; physics begins with an engine at rest in neutral, and with free pedals."""
+        if simulated and not self.simulated[row]:
+            for name in (
+                "throttle_input",
+                "steer_input",
+                "brake_input",
+                "gear",
+                "target_gear",
+                "engine",
+                "omega",
+                "slow_time",
+            ):
+                getattr(self, name)[row] = 0
+        super().set_simulated(row, simulated)
 
     def engage(self, row: int) -> None:
-        """Put a vehicle that rolls in neutral in the gear for its speed, as an autopilot needs to take over."""
+        """Put a vehicle that rolls in neutral in the lowest gear for its speed, as an autopilot needs to take over."""
         tables, own, speed = self.tables, self.table[row], self.speed[row]
-        gears = np.flatnonzero(tables.ratios[own, 1:-1]) + 1
-        if self.gear[row] or speed < _ROLLS or not len(gears):
+        if self.gear[row] or self.target_gear[row] or speed < _ROLLS:
             return
-        turns = tables.ratios[own] * speed / tables.wheels[own, _RADIUS, 0]
-        fits = gears[turns[gears] <= np.minimum(tables.up[own, gears], 1.0) * tables.most_turns[own]]
-        self.gear[row] = self.target_gear[row] = fits[0] if len(fits) else gears[-1]
-        self.engine[row] = min(turns[self.gear[row]], tables.most_turns[own])
+        most = tables.most_turns[own]
+        turns = tables.ratios[own, 1:-1] * speed / tables.wheels[own, _RADIUS, 0]
+        possible = np.flatnonzero((turns > 0) & (turns <= most))
+        if len(possible):
+            calm = possible[turns[possible] <= tables.up[own, 1:-1][possible] * most]
+            gear = calm[0] if len(calm) else possible[-1]
+            self.gear[row] = self.target_gear[row] = gear + 1
+            self.engine[row] = turns[gear]
 
     def drive(self, rows: list[int], pedals: Floats, hand_brake: Sequence[bool], reverse: Sequence[bool]) -> None:
         """Apply controls to some vehicles, as `Vehicle.apply_control` does, with automatic gearboxes.
@@ -176,12 +197,12 @@ class Vehicles(Drivetrains):
         """See `MovingBodies.write_velocities`."""
         drivetrain.steer(self, seconds)
         moved = np.zeros((3, len(self)))
-        for rows, exactly in (
-            (np.flatnonzero(self.autopilot & self.simulated), False),
-            (np.flatnonzero(~self.autopilot & self.simulated & self.awake), True),
-        ):
+        driven = self.simulated & (self.autopilot | self.awake)
+        for which, exactly in ((driven & self.autopilot, False), (driven & ~self.autopilot, True)):
+            rows = np.flatnonzero(which)
             if len(rows):
                 moved[:, rows] = drivetrain.advance(self, rows, seconds, exactly=exactly)
+        np.copyto(self.brake_input, self.brake, where=~driven)
         in_motion = self._in_motion()
         for values in (self.speed, self.sideways, self.turning):
             values[self.awake & ~in_motion] = 0
