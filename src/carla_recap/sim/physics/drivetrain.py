@@ -47,6 +47,7 @@ _STICKY_SPEED: Final = 0.2  # m/s: slower vehicles whose wheels are locked stand
 _STICKY_TIME: Final = 1.0  # s
 _PEDALS, _STEERING = (6.0, 10.0), (2.5, 5.0)
 """1/s, by which the pedals and the steering of UE4's vehicles rise and fall at most."""
+_sum: Final = np.add.reduce  # over the corners
 _LONG_AGO: Final = 1e3  # s since the latest shift of a gearbox that has not shifted yet
 
 
@@ -292,8 +293,8 @@ class _Drive:
         neutral = self.gear == 0
         shifting = (self.gear != self.target) & ~self.manual
         self.ratio = fleet.tables.ratios[self.table, self.gear]
-        self.strength = np.where(neutral, 0.0, own.clutch)
-        self.accelerator = np.where(shifting, 0.0, self.throttle)
+        self.strength = own.clutch * ~neutral
+        self.accelerator = self.throttle * ~shifting
         without = np.where(neutral, own.disengaged, own.engaged)
         self.engine_damping = without + (own.full - without) * self.accelerator
 
@@ -365,12 +366,12 @@ class _Drive:
         pull = pull + softness * (new - omega)
         self.omega = new
 
-        force_x = (pull * self.cos - push * self.sin).sum(axis=0) - self.air * forward * np.abs(forward)
-        push_y = pull * self.sin + push * self.cos
-        force_y, torque = push_y.sum(axis=0), (own.x * push_y - own.y * (pull * self.cos - push * self.sin)).sum(axis=0)
+        pull_x, push_y = pull * self.cos - push * self.sin, pull * self.sin + push * self.cos
+        force_x = _sum(pull_x) - self.air * forward * np.abs(forward)
+        force_y, torque = _sum(push_y), _sum(own.x * push_y - own.y * pull_x)
         ax, ay, spin = force_x / self.mass * seconds, force_y / self.mass * seconds, torque / self.moment * seconds
         if implicit.any():
-            ax /= 1 + (softness * (new == 0) / own.radius).sum(axis=0) / self.mass * seconds
+            ax /= 1 + _sum(softness * (new == 0) / own.radius) / self.mass * seconds
             stiffness = by_slip * weighting * per_side_speed * self.cos**2 * implicit
             ay, spin = self._follow_slip(stiffness, ay, spin, seconds)
         self.vx += ax * cos - ay * sin
@@ -398,9 +399,9 @@ class _Drive:
         slowed = 1 / (1 + per_wheel * (own.damping + softness))
         free = (self.omega + per_wheel * (torque + softness * self.omega)) * slowed
         gained = per_wheel * slowed * self.share * self.ratio
-        difference = engine - self.ratio * (self.share * free).sum(axis=0)
+        difference = engine - self.ratio * _sum(self.share * free)
         clutch = self.strength * difference
-        clutch /= 1 + self.strength * (engine_less + self.ratio * (self.share * gained).sum(axis=0))
+        clutch /= 1 + self.strength * (engine_less + self.ratio * _sum(self.share * gained))
         self.engine = np.minimum(np.maximum(engine - engine_less * clutch, 0.0), own.most_turns)
         wheels: Floats = free + gained * clutch
         wheels[self.braked & (self.omega * wheels <= 0)] = 0.0
@@ -408,10 +409,10 @@ class _Drive:
 
     def _follow_slip(self, stiffness: Floats, ay: Floats, spin: Floats, seconds: Floats) -> tuple[Floats, Floats]:
         """Return the changes of the speed to the right and of the yaw rate if tyres follow the change of their slips."""
-        a = 1 + stiffness.sum(axis=0) / self.mass * seconds
-        levers = (stiffness * self.own.x).sum(axis=0) * seconds
-        d = 1 + (stiffness * self.own.x * self.own.x).sum(axis=0) / self.moment * seconds
-        b, c = levers / self.mass, levers / self.moment
+        levers = stiffness * self.own.x
+        a, lever = 1 + _sum(stiffness) / self.mass * seconds, _sum(levers) * seconds
+        d = 1 + _sum(levers * self.own.x) / self.moment * seconds
+        b, c = lever / self.mass, lever / self.moment
         determinant = a * d - b * c
         return (d * ay - b * spin) / determinant, (a * spin - c * ay) / determinant
 
