@@ -8,8 +8,10 @@ import statistics
 import sys
 import time
 from functools import wraps
+from importlib.machinery import SourceFileLoader
 from itertools import pairwise
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -30,6 +32,14 @@ BLOCK: Final = 96  # ticks that are timed together
 ROUNDS: Final = 60  # of blocks with and without a recorder
 PAUSE: Final = 0.05  # s of real time, in which the recorded ticks are written
 COUNTS: Final = (50, 100, 200, 400)
+LOGS: Final = Path("../shared/data/carla-logs")
+DRIVES: Final = {
+    "the Lincoln of 0.9.10": ("carla-0.9.10-lane-center", 259, 5.3, 99.0),
+    "the Lincoln of 0.9.13": ("carla-0.9.13-lane-center", 234, 4.4, 99.0),
+    "a Tesla at 0.5": ("town05-two-cars", 190, 0.0, 3.2),
+    "a Tesla at 0.6": ("town05-two-cars", 192, 0.0, 3.2),
+}
+"""Recordings, actors, and where their drives begin and how long they take in s: without falls, pauses and collisions."""
 
 
 def in_town(row: Row) -> Row:
@@ -120,7 +130,35 @@ def traffic(subject: Subject) -> Iterator[Line]:
     yield Line("100 cars, 10 min: longest stop", f"{stop:.0f} s", "", "≤ 180 s", stop <= 180)
 
 
-ROWS: Final = (driving, parked, recorder, scaling, an_hour, traffic)
+def drives(subject: Subject) -> Iterator[Line]:
+    """Recorded drives of CARLA, whose throttle, brake and steering drive the simulator's vehicle again."""
+    for drive, (name, actor, start, duration) in DRIVES.items():
+        path = LOGS / f"{name}.log"
+        if path.exists():
+            tool = drive_again_tool()
+            *_, theirs, ours, _ = tool.drive_again(path, actor, start, duration)
+            speed, place, heading = tool.off_by(theirs, ours)
+            rms, after = float(np.sqrt(np.mean(speed**2))), tool.soon(theirs)
+            good = bool(rms <= 0.5 and place[after] <= 1.0 and abs(heading[after]) <= 2.0)
+            yield Line(
+                f"{drive} driven again: speed, and place after 3 s",
+                f"{rms:.2f} m/s rms",
+                f"{place[after]:.2f} m, {abs(heading[after]):.1f}° off",
+                "≤ 0.5 m/s, 1 m, 2°",
+                good,
+            )
+
+
+ROWS: Final = (driving, parked, recorder, scaling, an_hour, traffic, drives)
+
+
+def drive_again_tool() -> ModuleType:
+    """Return the module of `tools/drive-again`."""
+    loader = SourceFileLoader("drive_again", str(Path(__file__).parents[1] / "tools" / "drive-again"))
+    module = ModuleType(loader.name)
+    sys.modules[loader.name] = module
+    loader.exec_module(module)
+    return module
 
 
 def crowded(vehicles: int, walkers: int, *, drive: bool = True) -> World:

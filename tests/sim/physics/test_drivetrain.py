@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from importlib.machinery import SourceFileLoader
 from math import exp, inf, nan, pi
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from carla_recap import open_recording
-from carla_recap.replay import Player
+from benchmarks.simulator import DRIVES, drive_again_tool
 from carla_recap.sim.actors.moving import Vehicle, VehicleControl
 from carla_recap.sim.blueprints import standard_library
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Vector
 from carla_recap.sim.physics.drivetrain import column_of
 from carla_recap.sim.physics.physics_control import SPEEDS, WHEEL, Gear, parameters
-from carla_recap.sim.replaying.actor_mapping import blueprint_for
-from tests.samples import ROOT, carla_log
+from tests.samples import carla_log
 from tests.sim.flat import at, flat_world, spawn_car
 
 if TYPE_CHECKING:
+    from types import ModuleType
+
     from carla_recap.sim.world import World
 
 RADIUS = 0.37  # m, of the Tesla's wheels
@@ -271,34 +268,18 @@ def test_a_number_that_is_none_is_an_error_at_the_call(name: str) -> None:
         tesla(**{name: nan})
 
 
-DRIVES = {
-    "the Lincoln of 0.9.10": ("carla-0.9.10-lane-center", 259, 5.3, 99.0),
-    "the Lincoln of 0.9.13": ("carla-0.9.13-lane-center", 234, 4.4, 99.0),
-    "a Tesla at 0.5": ("town05-two-cars", 190, 0.0, 3.2),
-    "a Tesla at 0.6": ("town05-two-cars", 192, 0.0, 3.2),
-}
-
-
 @pytest.fixture(scope="module")
 def tool() -> ModuleType:
-    loader = SourceFileLoader("drive_again", str(ROOT / "tools" / "drive-again"))
-    module = ModuleType("drive_again")
-    sys.modules["drive_again"] = module
-    loader.exec_module(module)
-    return module
+    return drive_again_tool()
 
 
 @pytest.mark.parametrize("drive", DRIVES)
 def test_recorded_controls_give_the_recorded_drive(drive: str, tool: Any) -> None:
     name, actor, start, duration = DRIVES[drive]
-    with open_recording(carla_log(f"{name}.log")) as recording:
-        life = Player(recording, start=start).at(start).actors[actor]
-        blueprint, _ = blueprint_for(life, standard_library())
-        theirs, controls, track = tool.recorded(recording, actor, start, start + duration)
-    ours = tool.driven(blueprint, track, controls, tool.lead_of(blueprint, track, controls))
+    *_, theirs, ours, _ = tool.drive_again(carla_log(f"{name}.log"), actor, start, duration)
     speed, place, heading = tool.off_by(theirs, ours)
-    soon = min(np.searchsorted(theirs.time, theirs.time[(theirs.speed > 0.1).argmax()] + 3.0), len(theirs.time) - 1)
+    after = tool.soon(theirs)
     assert np.sqrt(np.mean(speed**2)) < 0.25
-    assert place[soon] < 0.7
-    assert abs(heading[soon]) < 1.0
+    assert place[after] < 0.7
+    assert abs(heading[after]) < 1.0
     assert tool.same_gear(theirs, ours, 0.1) > 0.95

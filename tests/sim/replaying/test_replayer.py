@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from carla_recap.sim.actors.moving import Vehicle, VehicleControl, Walker, Walke
 from carla_recap.sim.actors.props import Prop
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
+from carla_recap.sim.physics.physics_control import Gear
 from carla_recap.sim.settings import PRESETS
 from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
@@ -596,6 +598,31 @@ def test_at_the_end_vehicles_go_on_by_autopilot_and_walkers_stop(drive: Path) ->
     assert walker.transform.location.distance(place) < 0.01
     assert hero.transform.location.x > begin + 10
     assert not world.signals.held
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".log"])
+def test_a_vehicle_drives_on_with_the_physics_that_were_recorded(tmp_path: Path, suffix: str) -> None:
+    world = new_world()
+    hero = spawn_car(world, at(20.0), "vehicle.lincoln.mkz_2017", role_name="hero")
+    gears = [Gear(4.0, 0.2, 0.4), Gear(2.0, 0.2, 0.4)]
+    hero.physics_control = replace(hero.physics_control, mass=5000.0, forward_gears=gears)
+    hero.apply_control(VehicleControl(throttle=1.0))
+    path = tmp_path / f"drive{suffix}"
+    record(world, path, 160, additional_data=True)
+    with carla_recap.open_recording(path) as recording:
+        way = recording.trajectory(hero.id, axes="carla")
+    again = new_world()
+    again.replay_file(path, duration=4.0)
+    play_out(again)
+    mine = played(again, hero.id)
+    control = mine.physics_control
+    assert (control.mass, [gear.ratio for gear in control.forward_gears]) == (5000.0, [4.0, 2.0])
+    turns = control.forward_gears[mine.control.gear - 1].ratio * control.final_ratio * mine.velocity.x / 0.355
+    assert again.vehicles.engine[mine.row] == pytest.approx(turns, rel=0.1)
+    mine.set_autopilot(False)
+    mine.apply_control(VehicleControl(throttle=1.0))
+    again.run(3.0)
+    assert mine.velocity.x == pytest.approx(way.vx[np.searchsorted(way.time, 7.0)], rel=0.1)
 
 
 @pytest.mark.parametrize("factor", [0.5, 3.0])
