@@ -1,14 +1,9 @@
 """How vehicles drive: engine, clutch, gearbox, wheels and tyres of all at once, as in the engine of CARLA.
 
 That is PhysX 3's vehicle with four driven wheels (its guide's chapter Vehicles, and PxVehicleUpdate.cpp) as UE4 sets it up.
-Four wheels and the engine turn; a clutch couples the engine to the mean of the wheels:
-
-    torque of the clutch = strength * (engine - ratio * mean of the wheels)
-
-The torque of the engine is that of its curve times the throttle, less its damping; that of a wheel is its share of the
-clutch, the brake, the damping, and the tyre. They are integrated together and backwards, so that any clutch is stable. The
-force of a tyre follows from its slips, lengthwise and sideways, as in the Michigan model: it grows by its stiffnesses, and
-saturates at its friction. Loads are those at rest.
+Four wheels and the engine turn; a clutch couples the engine to the mean of the wheels. They are integrated together and
+backwards, so that any clutch is stable. The force of a tyre follows from its slips, lengthwise and sideways, as in the
+Michigan model: it grows by its stiffnesses, and saturates at its friction. Loads are those at rest.
 
 PhysX takes the force of a tyre from before the step, which makes stiff tyres oscillate at 5 to 15 m/s in steps of 0.01 s; so
 they do in CARLA's recordings, whose cars accelerate less there. `advance` does so, too, in CARLA's own steps, 0.01 s at
@@ -19,7 +14,7 @@ of vehicles that roll slowly without throttle: they come to rest.
 
 from __future__ import annotations
 
-from math import ceil, pi
+from math import ceil, inf, pi
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -48,7 +43,6 @@ _STICKY_TIME: Final = 1.0  # s
 _PEDALS, _STEERING = (6.0, 10.0), (2.5, 5.0)
 """1/s, by which the pedals and the steering of UE4's vehicles rise and fall at most."""
 _sum: Final = np.add.reduce  # over the corners
-_LONG_AGO: Final = 1e3  # s since the latest shift of a gearbox that has not shifted yet
 
 
 class DriveTables(StructOfArrays):
@@ -79,12 +73,10 @@ class DriveTables(StructOfArrays):
     """The share of the most revolutions above which the gearbox shifts up, by gear."""
     down: Floats = column(np.zeros(GEARS))
     """The share of the most revolutions below which it shifts down, by gear."""
-    autobox: Booleans = column(True)
-    """Whether it shifts by itself."""
     switch_time: Floats = column(0.0)
     """How long it is in neutral when it shifts, in s."""
     latency: Floats = column(0.0)
-    """The least time between two shifts in s."""
+    """The least time between two shifts in s; infinite for a gearbox that does not shift by itself."""
     lock_share: Floats = column(np.zeros(len(SPEEDS)))
     """The share of the full lock that steering reaches, by speed."""
 
@@ -144,7 +136,7 @@ class Drivetrains(MovingBodies):
     """The gear that the gearbox shifts to."""
     shift_time: Floats = column(0.0)
     """How long it has been shifting, in s."""
-    since_shift: Floats = column(_LONG_AGO)
+    since_shift: Floats = column(inf)
     """The time since the gearbox began to shift by itself, in s."""
     engine: Floats = column(0.0)
     """The speed of the engine in rad/s."""
@@ -170,8 +162,6 @@ class Drivetrains(MovingBodies):
     """The distance from its origin to the front axle in m."""
     rear: Floats = column(0.5)
     """The distance from its origin to the rear axle in m."""
-    moment: Floats = column(1.0)
-    """The moment of inertia in kg m²."""
     air: Floats = column(0.0)
     """The drag of the air: the force in N at 1 m/s."""
     table: Integers = column(np.int64(0))
@@ -197,12 +187,8 @@ class _Parameters:
         self.per_engine = 1 / tables.engine_inertia[own]
         self.full, self.engaged, self.disengaged = np.ascontiguousarray(tables.damping[own].T)
         self.centre, self.track, self.full_lock = tables.centre[own], tables.track[own], tables.full_lock[own]
-        self.autobox, self.latency, self.switch_time = tables.autobox[own], tables.latency[own], tables.switch_time[own]
-        self.brakes, self.wheel_damping, self.wheel_inertia = (
-            brakes[0].sum(axis=0),
-            self.damping.sum(axis=0),
-            inertia.sum(axis=0),
-        )
+        self.latency, self.switch_time = tables.latency[own], tables.switch_time[own]
+        self.brakes, self.wheel_damping, self.wheel_inertia = _sum(brakes[0]), _sum(self.damping), _sum(inertia)
 
 
 def column_of(speed: Floats) -> Integers:
@@ -231,13 +217,7 @@ def _follow(values: Floats, wanted: Floats, rates: tuple[float, float], seconds:
 
 
 def advance(fleet: Drivetrains, rows: Integers, seconds: float, *, exactly: bool) -> tuple[Floats, Floats, Floats]:
-    """Drive some vehicles for a step.
-
-    Args:
-        fleet: The vehicles.
-        rows: The rows of those to drive.
-        seconds: The length of the step.
-        exactly: Whether to drive as CARLA does, in its steps.
+    """Drive the vehicles of some rows for a time in s, `exactly` as CARLA does, in its steps, or in one.
 
     Returns:
         How far their origins have moved, ahead and to the right of how they stood at first, in m, and their turn in radians.
@@ -311,7 +291,7 @@ class _Drive:
         """Let the gearboxes work for a step of a length in s; a shift goes by way of neutral."""
         own, tables = self.own, self.fleet.tables
         turns = self.engine * own.per_turn / TORQUES
-        ready = (self.gear == self.target) & (self.since_shift > own.latency) & own.autobox & ~self.manual & (self.gear >= 0)
+        ready = (self.gear == self.target) & (self.since_shift > own.latency) & ~self.manual & (self.gear >= 0)
         up = ready & (turns > tables.up[self.table, self.gear])
         down = ready & (turns < tables.down[self.table, self.gear])
         self.since_shift += seconds
@@ -335,12 +315,7 @@ class _Drive:
                 self.step(np.where(slow, seconds / _SLOW_STEPS, 0.0), rolls)
 
     def step(self, seconds: Floats, implicit: Booleans) -> None:
-        """Advance by a step.
-
-        Args:
-            seconds: The length of the step of each vehicle in s.
-            implicit: Whether its tyres follow the change of their slips.
-        """
+        """Advance each vehicle by its time in s; the tyres of `implicit` ones follow the change of their slips."""
         own, cos, sin, omega = self.own, np.cos(self.yaw), np.sin(self.yaw), self.omega
         forward, right = self.vx * cos + self.vy * sin, self.vy * cos - self.vx * sin
         along, across = forward - self.turning * own.y, right + self.turning * own.x
@@ -382,7 +357,7 @@ class _Drive:
         self.yaw = self.yaw + self.turning * seconds
 
     def _turn_wheels(self, seconds: Floats, torque: Floats, softness: Floats) -> Floats:
-        """Turn engine and wheels for a step, and return the speeds of the wheels after it, in rad/s.
+        """Return the speeds of the wheels after a step in rad/s, and turn the engine.
 
         With the torque of the clutch t, the engine is e0 - a t after the step, and a wheel w0 + b t. As t itself is
         strength * (engine - ratio * mean of the wheels) after the step, it is a fraction.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import inf
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -59,6 +60,8 @@ class MovingBodies(StructOfArrays):
     """The height of the top of the box above the origin, in m."""
     mass: Floats = column(1.0)
     """The masses in kg."""
+    moment: Floats = column(inf)
+    """The moments of inertia in kg m²; those of walkers are infinite."""
     simulated: NDArray[np.bool_] = column(True)
     """Whether forces move it; else it stays where it is placed."""
     unsettled: NDArray[np.bool_] = column(True)
@@ -123,7 +126,7 @@ class MovingBodies(StructOfArrays):
             body.activate()
         if simulated:
             body.body_type = pymunk.Body.DYNAMIC
-            body.mass, body.moment = self.mass[row].item(), self._moment(row)
+            body.mass, body.moment = self.mass[row].item(), self.moment[row].item()
         else:
             body.body_type = pymunk.Body.KINEMATIC
             body.velocity, body.angular_velocity = (0.0, 0.0), 0.0
@@ -144,17 +147,9 @@ class MovingBodies(StructOfArrays):
         return z + self.bottom, z + self.top
 
     def _stand(self, rows: NDArray[np.intp], road: Floats, seconds: float) -> NDArray[np.bool_]:
-        """Put actors on the road, where it is near.
+        """Put actors on the road, where it is near, and return which are there; one far above falls, one far below stays.
 
-        An actor far above the road falls, one far below it stays where it is.
-
-        Args:
-            rows: Their rows.
-            road: The z of their origins on the road, (rows,).
-            seconds: The length of the tick.
-
-        Returns:
-            Which of them are on the road, (rows,).
+        `road` is the z of their origins on the road, (rows,).
         """
         z = self.position[rows, 2]
         above = z - road
@@ -193,10 +188,6 @@ class MovingBodies(StructOfArrays):
         """Set the accelerations of those that forces move, at the end of a tick; a replay sets those that it moves."""
         free = self.simulated
         self.acceleration[free] = (self.velocity[free] - self._before[free]) / seconds
-
-    def _moment(self, row: int) -> float:
-        """Return the moment of inertia of an actor's body, in kg m²."""
-        raise NotImplementedError
 
     def _move_body(self, row: int) -> None:
         x, y, _ = self.position[row].tolist()

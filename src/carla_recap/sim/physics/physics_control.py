@@ -6,7 +6,8 @@ All values are accepted that CARLA accepts: those that have no meaning make a ve
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import pi, radians
+from math import inf, pi, radians
+from statistics import fmean
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -46,6 +47,7 @@ _USUAL_LATENCY, _QUICK_LATENCY = 2.0, 0.5
 Recordings show 2.0 s where a shift takes 0.5 s (0.9.10), and 0.5 s where it takes 0.1 s (0.9.13)."""
 _LEAST_MOMENT: Final = 1e-3  # kg m² of engine and wheels
 _STEEPEST_LOCK: Final = 85.0  # degrees
+_DAMPINGS: Final = ("full_throttle", "zero_throttle_clutch_engaged", "zero_throttle_clutch_disengaged")
 _CM: Final = 0.01  # m
 _LEAST_LEVER: Final = 0.05  # m, between the centre of a vehicle and an axle
 
@@ -147,11 +149,7 @@ class PhysicsControl:
 
 
 def expect_physics(what: str, control: PhysicsControl) -> None:
-    """Make sure that a physics control can be simulated.
-
-    Args:
-        what: The control's name in the error text.
-        control: The physics control.
+    """Make sure that a physics control can be simulated; the error text begins with `what`.
 
     Raises:
         SimError: It has no wheel, or more than 12 gears, or a number is too large, infinite or NaN.
@@ -179,10 +177,7 @@ def columns(control: PhysicsControl, box: Box) -> dict[str, float]:
 def parameters(control: PhysicsControl, box: Box, *, weightless: bool = False) -> dict[str, Any]:
     """Return the row of `DriveTables` that follows from a physics control, which may be incomplete.
 
-    Args:
-        control: The physics control.
-        box: The box of the vehicle: it has the positions of the wheels if there are none.
-        weightless: Whether there is no gravity, so that the tyres have no grip.
+    Wheels without places stand where it suits the box. Without gravity, the tyres have no grip.
     """
     x, y = _corners(control, box)
     base, mass = x[0] - x[2], max(control.mass, 1.0)
@@ -192,9 +187,9 @@ def parameters(control: PhysicsControl, box: Box, *, weightless: bool = False) -
     full_lock = radians(min(max(max(wheel.max_steer_angle for wheel in control.wheels[:2]), 0.0), _STEEPEST_LOCK))
     corners = []
     for own_x, own_y, load, wheels in zip(x, y, loads, _wheels_of_corners(control), strict=True):
-        radius = max(_mean([wheel.radius * _CM for wheel in wheels]), 0.05)
-        stiffness = _mean([max(wheel.lat_stiff_value, 0.0) * _saturation(wheel.lat_stiff_max_load) for wheel in wheels])
-        friction = 0.0 if weightless else _mean([max(wheel.tire_friction, 0.0) for wheel in wheels])
+        radius = max(fmean([wheel.radius * _CM for wheel in wheels]), 0.05)
+        stiffness = fmean([max(wheel.lat_stiff_value, 0.0) * _saturation(wheel.lat_stiff_max_load) for wheel in wheels])
+        friction = 0.0 if weightless else fmean([max(wheel.tire_friction, 0.0) for wheel in wheels])
         inertia = 0.5 * min(_WHEEL_MASS, _WHEEL_SHARE * mass) * radius * radius
         corners.append(
             (
@@ -216,20 +211,13 @@ def parameters(control: PhysicsControl, box: Box, *, weightless: bool = False) -
         "centre": centre,
         "full_lock": full_lock,
         "track": y[1] - y[0],
-        "torques": _torques(control, most),
+        "torques": _at(np.linspace(0.0, most, TORQUES + 1), control.torque_curve, 0.0),
         "most_turns": most * 2 * pi / 60,
         "engine_inertia": max(control.moi, _LEAST_MOMENT),
-        "damping": np.maximum(
-            (
-                control.damping_rate_full_throttle,
-                control.damping_rate_zero_throttle_clutch_engaged,
-                control.damping_rate_zero_throttle_clutch_disengaged,
-            ),
-            0.0,
-        ),
+        "damping": np.maximum([getattr(control, f"damping_rate_{name}") for name in _DAMPINGS], 0.0),
         "clutch": max(control.clutch_strength, 0.0),
         **_gears(control),
-        "lock_share": _lock_share(control),
+        "lock_share": _at(SPEEDS * 3.6, control.steering_curve, 1.0, 1.0),
     }
 
 
@@ -243,37 +231,33 @@ def _gears(control: PhysicsControl) -> dict[str, Any]:
         down[number] = gear.down_ratio if number > 1 else -1.0
     ratios[-1] = _REVERSE * control.final_ratio
     up[0] = _NEUTRAL_UP if gears else _NEVER
+    latency = _USUAL_LATENCY if control.gear_switch_time >= _USUAL_SWITCH_TIME else _QUICK_LATENCY
     return {
         "ratios": ratios,
         "up": up,
         "down": down,
-        "autobox": control.use_gear_autobox,
         "switch_time": max(control.gear_switch_time, 0.0),
-        "latency": _USUAL_LATENCY if control.gear_switch_time >= _USUAL_SWITCH_TIME else _QUICK_LATENCY,
+        "latency": latency if control.use_gear_autobox else inf,
     }
 
 
-def _torques(control: PhysicsControl, most: float) -> Floats:
-    """Return the torques of the engine at full throttle, in N m, from no revolutions to the most."""
-    turns, torques = np.array(sorted(control.torque_curve) or [(0.0, 0.0)]).T
-    found: Floats = np.maximum(np.interp(np.linspace(0.0, most, TORQUES + 1), turns, torques), 0.0)
-    return found
-
-
-def _lock_share(control: PhysicsControl) -> Floats:
-    """Return the share of the full lock that steering reaches by speed."""
-    speeds, shares = np.array(sorted(control.steering_curve) or [(0.0, 1.0)]).T
-    found: Floats = np.interp(SPEEDS * 3.6, speeds, np.clip(shares, 0.0, 1.0))
+def _at(points: Floats, curve: Curve, empty: float, most: float = inf) -> Floats:
+    """Return the values of a curve at some points, each 0 to `most`; an empty curve has one value."""
+    x, y = np.array(sorted(curve) or [(0.0, empty)]).T
+    found: Floats = np.interp(points, x, np.clip(y, 0.0, most))
     return found
 
 
 def _corners(control: PhysicsControl, box: Box) -> tuple[list[float], list[float]]:
     """Return x and y of the four corners in m; where the wheels have no places, those that suit the box."""
-    places = [_mean_position(wheels) for wheels in _wheels_of_corners(control)]
-    front, rear = (places[0][0] + places[1][0]) / 2, (places[2][0] + places[3][0]) / 2
+    x, y = (
+        [_CM * fmean(getattr(wheel.position, axis) for wheel in wheels) for wheels in _wheels_of_corners(control)]
+        for axis in "xy"
+    )
+    front, rear = (x[0] + x[1]) / 2, (x[2] + x[3]) / 2
     if front - rear < _LEAST_LEVER:
         front, rear = 0.6 * max(box.extent.x, 0.1), -0.6 * max(box.extent.x, 0.1)
-    right = (places[1][1] - places[0][1] + places[3][1] - places[2][1]) / 4
+    right = (y[1] - y[0] + y[3] - y[2]) / 4
     right = right if right > 0 else 0.8 * box.extent.y
     return [front, front, rear, rear], [-right, right, -right, right]
 
@@ -286,15 +270,7 @@ def _wheels_of_corners(control: PhysicsControl) -> list[list[WheelPhysics]]:
     return [[wheels[corner], *(wheels[CORNERS + corner % 2 :: 2] if corner >= 2 else ())] for corner in range(CORNERS)]
 
 
-def _mean_position(wheels: list[WheelPhysics]) -> tuple[float, float]:
-    return _mean([wheel.position.x * _CM for wheel in wheels]), _mean([wheel.position.y * _CM for wheel in wheels])
-
-
 def _saturation(most_load: float) -> float:
     """Return the share of the lateral stiffness that a tyre has at its load at rest, by PhysX's curve."""
     k = min(3.0 / most_load, 3.0) if most_load > 0 else 3.0
     return k - k * k / 3 + k**3 / 27
-
-
-def _mean(values: list[float]) -> float:
-    return sum(values) / len(values)

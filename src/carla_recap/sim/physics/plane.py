@@ -54,14 +54,7 @@ _CONTACT: Final = ArbiterFields.BODY_A_ID | ArbiterFields.BODY_B_ID | ArbiterFie
 
 
 class BodyContact(NamedTuple):
-    """A contact of two bodies in a step.
-
-    Attributes:
-        a: The id of one body.
-        b: The id of the other.
-        impulse: The impulse that b gave to a, in N s.
-        point: The point of contact, in m.
-    """
+    """A contact of two bodies in a step, by their ids: the impulse that b gave to a in N s, and the point in m."""
 
     a: int
     b: int
@@ -92,13 +85,7 @@ class Plane:
         self._state = np.empty((0, 6))
 
     def add_box(self, group: int, corners: Iterable[tuple[float, float]], mass: float | None) -> pymunk.Body:
-        """Add a body of convex shape, and return it.
-
-        Args:
-            group: `VEHICLE` or `PROP`.
-            corners: The corners in the axes of the body, in m.
-            mass: The mass in kg; None for a static body.
-        """
+        """Add a body of convex shape, with corners in its axes in m and a mass in kg; one without a mass is static."""
         points = list(corners)
         body = (
             pymunk.Body(body_type=pymunk.Body.STATIC)

@@ -119,11 +119,7 @@ class Vehicles(Drivetrains):
     def drive(self, rows: list[int], pedals: Floats, hand_brake: Sequence[bool], reverse: Sequence[bool]) -> None:
         """Apply controls to some vehicles, as `Vehicle.apply_control` does, with automatic gearboxes.
 
-        Args:
-            rows: Their rows.
-            pedals: Throttle, steering and brake, all finite, (3, n).
-            hand_brake: Whether the hand brakes are drawn.
-            reverse: Whether the throttle drives backwards.
+        `pedals` are throttle, steering and brake, all finite, (3, n).
         """
         self.throttle[rows], self.steer[rows], self.brake[rows] = np.clip(pedals, _LEAST, 1.0)
         self.hand_brake[rows] = hand_brake
@@ -134,10 +130,7 @@ class Vehicles(Drivetrains):
     def pedals(self, rows: Integers, acceleration: Floats, backwards: Booleans | bool = False) -> tuple[Floats, Floats]:
         """Return throttle and brake, 0 to 1 each, for accelerations of vehicles; one of the two is 0.
 
-        Args:
-            rows: Their rows, (n,).
-            acceleration: The accelerations in the direction of the gear, in m/s², (n,).
-            backwards: Whether that is backwards, (n,).
+        Accelerations are in m/s², in the direction of the gear, (n,); `backwards` says whether that is backwards, (n,).
         """
         table = self.table[rows]
         own, tables = self.tables.of(table), self.tables
@@ -154,9 +147,6 @@ class Vehicles(Drivetrains):
             np.minimum(np.maximum(each, 0), 1) for each in (throttle, -wanted / np.maximum(own.brakes, _TINY))
         )
         return throttle, np.where(acceleration < 0, brake, 0)
-
-    def _moment(self, row: int) -> float:
-        return float(self.moment[row])
 
     def begin_tick(self, seconds: float) -> bool:
         """See `MovingBodies.begin_tick`; forces act now."""

@@ -83,16 +83,8 @@ class Walkers(MovingBodies):
         super().set_velocity(row, x, y, z)
         self.slide[row] = x, y
 
-    def _moment(self, row: int) -> float:
-        return math.inf
-
     def fall(self, row: int, push: tuple[float, float] = (0.0, 0.0)) -> None:
-        """Throw a walker down: it slides, lies, and touches no others.
-
-        Args:
-            row: Its row.
-            push: The direction of the push: it falls on its face if that came from behind, else on its back.
-        """
+        """Throw a walker down: it slides, lies, and touches no others; on its face if the push came from behind."""
         if self.fallen[row]:
             return
         yaw = math.radians(self.rotation[row, 1])
