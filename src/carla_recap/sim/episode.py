@@ -285,24 +285,24 @@ class Actor:
     @property
     def velocity(self) -> Vector:
         """Its velocity in m/s."""
-        return Vector() if (carrier := self._carrier()) is None else carrier.velocity
+        return self._vector("velocity")
 
     @property
     def angular_velocity(self) -> Vector:
         """Its angular velocity in degrees/s."""
-        return Vector() if (carrier := self._carrier()) is None else carrier.angular_velocity
+        return self._vector("angular_velocity")
 
     @property
     def acceleration(self) -> Vector:
         """Its acceleration in m/s²."""
-        return Vector() if (carrier := self._carrier()) is None else carrier.acceleration
+        return self._vector("acceleration")
 
-    def _carrier(self) -> Actor | None:
-        """Return the nearest actor with a motion of its own among those that it is attached to."""
+    def _vector(self, column: str) -> Vector:
+        """Return a vector of the nearest actor with a motion of its own among those that it is attached to."""
         carrier = self.parent
         while carrier is not None and not carrier.has_motion:
             carrier = carrier.parent
-        return carrier
+        return Vector() if carrier is None else carrier._vector(column)
 
     def follow_parent(self) -> None:
         """Take over position and motion from the parent; one without a motion of its own has its parent's in any case."""

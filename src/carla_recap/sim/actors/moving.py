@@ -100,21 +100,6 @@ class MovingActor(Actor):
         return self.rows.place(self.row, (place.x, place.y, place.z), (turn.pitch, turn.yaw, turn.roll))
 
     @property
-    def velocity(self) -> Vector:
-        """Its velocity in m/s."""
-        return self._vector("velocity")
-
-    @property
-    def angular_velocity(self) -> Vector:
-        """Its angular velocity in degrees/s."""
-        return self._vector("angular_velocity")
-
-    @property
-    def acceleration(self) -> Vector:
-        """Its acceleration in m/s²."""
-        return self._vector("acceleration")
-
-    @property
     def simulates_physics(self) -> bool:
         """Whether forces move it; else it stays where it is placed."""
         return bool(self.rows.simulated[self.row])
