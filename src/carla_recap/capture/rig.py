@@ -114,7 +114,7 @@ class RigSensors:
         try:
             for spec in self.rig:
                 if spec.id in self._listened:
-                    self._listened[spec.id].listen(_receiver(spec, callback))
+                    self._listened[spec.id].listen(lambda data, spec=spec: callback(SensorFrame.of(spec, data)))
             if self._speedometers:
                 self._speed_callback = self._world.on_tick(self._speeds(self._speedometers, callback))
         except UNANSWERED as error:
@@ -282,10 +282,6 @@ class RigSensors:
                 self._client.apply_batch_sync([carla.command.DestroyActor(sensor) for sensor in self._spawned])
         self._spawned.clear()
         self._listened.clear()
-
-
-def _receiver(spec: SensorSpec, callback: Callable[[SensorFrame], None]) -> Callable[[Any], None]:
-    return lambda data: callback(SensorFrame.of(spec, data))
 
 
 def _mount(sensor: carla.Actor) -> list[float]:

@@ -11,14 +11,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from threading import Condition
 from time import monotonic
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 
 from carla_recap.sensors.messages import SensorMessages
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from concurrent.futures import Future
     from types import TracebackType
 
@@ -184,12 +183,9 @@ class SampleRecorder:
 
     def _make(self, data: SensorFrame, elapsed: float) -> tuple[Sample, list[SensorMessage]]:
         """Return a sample without its data, and its messages."""
-        sample = data.sample(elapsed, self._ids())
+        sample = data.sample(elapsed, np.array(sorted(self._observer.present), np.uint32))
         messages = list(self._messages.of_sample(sample))
         return replace(sample, data=_NO_DATA), messages
-
-    def _ids(self) -> Any:
-        return np.array(sorted(self._observer.present), np.uint32)
 
     def _collect(self) -> None:
         """Take the messages that are made, in the order in which the data came."""
@@ -212,15 +208,11 @@ class SampleRecorder:
             is_due = everything or is_full or tick.since < before or len(tick.samples) >= self._sensors.count
             if frame > self._frame or not is_due:
                 break
-            for message in self._written(tick):
+            for message in (*tick.messages, *self._messages.poses(tick.samples)):
                 self._writer.write_message(*message)
             self.counts.update(sample.spec.id for sample in tick.samples)
             del self._ticks[frame]
             self._release(tick.size)
-
-    def _written(self, tick: _TickSamples) -> Iterator[SensorMessage]:
-        yield from tick.messages
-        yield from self._messages.poses(tick.samples)
 
     def _release(self, size: int) -> None:
         """Make room for data."""

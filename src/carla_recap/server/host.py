@@ -169,7 +169,10 @@ class Host:
         """Tick the world, send the data of sensors and the snapshot, and return the number of the frame."""
         before = self.world.frame
         self.world.tick(delta)
-        self._update_cache()
+        for actor in self.world.events.spawned:
+            self.remember(actor)
+        for id in self.world.events.destroyed:
+            self._actors.evict(id)
         self.check_episode(before)
         self.sensors.send(self.frame)
         self.publish()
@@ -266,12 +269,6 @@ class Host:
     def remember(self, actor: Actor) -> None:
         """Keep an actor known after its destruction."""
         self._actors.add(actor)
-
-    def _update_cache(self) -> None:
-        for actor in self.world.events.spawned:
-            self.remember(actor)
-        for id in self.world.events.destroyed:
-            self._actors.evict(id)
 
     def _begin(self) -> None:
         self._episode = self.world.episode.number

@@ -171,15 +171,11 @@ def _ray(world: World, start: Location, end: Location) -> list[LabelledPoint]:
     if not reach:
         return []
     direction = (goal - origin) / reach
-    hits = [*_actor_hits(world, origin, direction, reach), *_ground_hits(world, origin, direction, reach)]
-    return [_point(origin + distance * direction, label) for distance, label in sorted(hits)]
-
-
-def _actor_hits(world: World, origin: Floats, direction: Floats, reach: float) -> Iterator[tuple[float, int]]:
     actors = solid_actors(world.actors.values())
-    hits = ActorBoxes(actors).pierce(origin, direction[None], reach)
-    for box, distance in zip(hits.box.tolist(), hits.distance.tolist(), strict=True):
-        yield distance, actor_records.tag(actors[box])
+    found = ActorBoxes(actors).pierce(origin, direction[None], reach)
+    of_actors = zip(found.distance.tolist(), (actor_records.tag(actors[box]) for box in found.box.tolist()), strict=True)
+    hits = sorted([*of_actors, *_ground_hits(world, origin, direction, reach)])
+    return [LabelledPoint(Location(*(origin + distance * direction).tolist()), Label(label)) for distance, label in hits]
 
 
 def _ground_hits(world: World, origin: Floats, direction: Floats, reach: float) -> Iterator[tuple[float, int]]:
@@ -194,7 +190,3 @@ def _ground_hits(world: World, origin: Floats, direction: Floats, reach: float) 
         distance = samples[i] + (samples[i + 1] - samples[i]) * above[i] / (above[i] - beyond[i])
         x, y, z = (origin + distance * direction)[:, None]
         yield float(distance), Tag.ROADS if world.town.on_road(x, y, z)[0] else Tag.TERRAIN
-
-
-def _point(point: Floats, label: int) -> LabelledPoint:
-    return LabelledPoint(Location(*point.tolist()), Label(label))

@@ -127,13 +127,9 @@ class CollisionDetector:
     def _is_watched(self, actor: Actor) -> bool:
         """Return whether the collisions of an actor are reported; decided once per tick."""
         if actor.id not in self._watched:
-            self._watched[actor.id] = self._should_watch(actor)
+            is_of_all = self._episode.settings.collisions_of == "all" and isinstance(actor, (Vehicle, Walker))
+            self._watched[actor.id] = is_of_all or is_watched(actor)
         return self._watched[actor.id]
-
-    def _should_watch(self, actor: Actor) -> bool:
-        if self._episode.settings.collisions_of == "all" and isinstance(actor, (Vehicle, Walker)):
-            return True
-        return is_watched(actor)
 
 
 def is_watched(actor: Actor) -> bool:
