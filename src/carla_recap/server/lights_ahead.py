@@ -25,13 +25,13 @@ class LightsAhead:
         lights = (signal for signal in town.signals if signal.kind is SignalKind.LIGHT)
         remaining = [(lane, stop, _REACH, row) for row, light in enumerate(lights) for lane, stop in light.stops]
         for lane, end, reach, row in remaining:  # grows
-            stretch = lane, max(0.0, end - reach), end, row
+            stretch = lane, end - reach, end, row
             if end < reach and stretch not in stretches:
                 before = [other for other in town.lanes[lane].predecessors if town.lanes[other].junction is None]
                 remaining += [(other, town.lanes[other].length, reach - end, row) for other in before]
             stretches.add(stretch)
         self._stretches: defaultdict[int, list[tuple[float, float, int]]] = defaultdict(list)
-        for lane, begin, end, row in sorted(stretches, reverse=True):
+        for lane, begin, end, row in sorted(stretches, key=lambda stretch: (stretch[1], -stretch[3])):  # nearest lines first
             self._stretches[lane].append((begin, end, row))
 
     def at(self, lane: Integers, s: Floats) -> Integers:
