@@ -1,13 +1,14 @@
 PYTHON ?= python3
 python := .venv/bin/python
-node_modules := tests/node/node_modules
+node_modules := tests/node/node_modules viewer/node_modules
+npm := $(if $(shell command -v npm),npm --prefix viewer --silent,@echo no npm here, the page is not checked:)
 pytest := $(python) -m pytest -n 2 --dist=loadfile
 protoc = $(python) -m grpc_tools.protoc --proto_path=proto $(wildcard proto/carla_recap/v1/*.proto)
 generated := src/carla_recap/v1
 durations := benchmarks/durations.txt
 demo_extras := sim,video,foxglove
 
-.PHONY: help venv test durations lint types proto check-proto models wheel check nuscenes clients docs bench performance soak search demo clean
+.PHONY: help venv test durations lint types proto check-proto bundle models wheel check nuscenes clients docs bench performance soak search demo clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -16,18 +17,21 @@ venv: .venv/stamp ## Make .venv with everything a developer needs
 
 test: venv $(node_modules) ## Run the whole test suite
 	$(pytest)
+	$(npm) test
 
 durations: venv $(node_modules) ## Run the whole test suite, and keep its slowest tests in benchmarks/durations.txt
 	$(python) -c 'from benchmarks.results import *; print(*vars(current_conditions()).values(), sep=", ")' >$(durations)
 	$(pytest) --durations=50 | tee /dev/stderr | sed -n '/slowest/,$$p' >>$(durations)
 
-lint: venv ## Check style, format, and which modules import which
+lint: venv viewer/node_modules ## Check style, format, and which modules import which
 	$(python) -m ruff check
 	$(python) -m ruff format --check
 	.venv/bin/lint-imports --no-cache --no-logo
+	$(npm) run lint
 
-types: venv ## Check types
+types: venv viewer/node_modules ## Check types
 	$(python) -m mypy
+	$(npm) run types
 
 proto: venv ## Regenerate the Python of the schemas
 	rm -f $(generated)/*_pb2.py $(generated)/*_pb2.pyi
@@ -38,6 +42,9 @@ check-proto: venv ## Check that the Python of the schemas is up to date
 	$(protoc) --python_out=build/proto --pyi_out=build/proto
 	@diff -r -x __init__.py -x __pycache__ build/proto/carla_recap/v1 $(generated) || \
 		{ echo "$(generated) is not what proto/ generates: run 'make proto' and commit the result" >&2; exit 1; }
+
+bundle: viewer/node_modules ## Bundle the script of the incident page, viewer/page/page.js, of viewer/source
+	npm --prefix viewer run --silent bundle
 
 models: venv ## Make the models of actors, in viewer/models, of tools/models
 	$(python) -m tools.models
@@ -106,7 +113,7 @@ build/clients/stamp: pyproject.toml
 		build/clients/$$release/bin/python -m pip install --quiet carla-$$release --editable '.[server]' || exit; done
 	@touch $@
 
-$(node_modules): tests/node/package-lock.json
+$(node_modules): %/node_modules: %/package-lock.json
 	@if command -v npm >/dev/null; \
-		then npm ci --prefix tests/node --ignore-scripts --no-audit --no-fund && touch $@; \
-		else echo 'no npm here: the tests with the independent MCAP reader will be skipped'; fi
+		then npm ci --prefix $* --ignore-scripts --no-audit --no-fund && touch $@; \
+		else echo 'no npm here: the checks that need $@ will be skipped'; fi

@@ -13,7 +13,7 @@ from carla_recap import open_recording
 from carla_recap.replay import Player
 from carla_recap.replay.pose import rotations
 from carla_recap.scene.description import SceneDescriber
-from carla_recap.scene.falls import FallenWalkers
+from carla_recap.scene.falls import FallenWalkers, RecordedContacts
 from carla_recap.scene.marks import MARKED, MOST_MARKS, CollisionMarks
 from tests.replay.scripts import pose, spawn, write
 
@@ -139,9 +139,20 @@ def recalled(path, time):
     with open_recording(path) as recording:
         walkers = FallenWalkers()
         batch = Player(recording).at(time).batch
-        walkers.recall(recording.reader, batch)
+        walkers.recall(recording.reader, batch, RecordedContacts(recording.reader))
         walkers.changes(batch, keep=True)
         return set(walkers.falls)
+
+
+def test_contacts_are_those_of_one_reading_in_whatever_order_they_are_asked(tmp_path):
+    frames = [{"collisions": [(n, n, n + 1, 0, 0)] * (n % 3)} for n in range(30)]
+    path = write(tmp_path / "contacts.log", frames, tick=0.1)
+    with open_recording(path) as recording:
+        every = [(frame.elapsed, row.tolist()[1]) for frame in recording.frames() for row in frame["collisions"]]
+        contacts = RecordedContacts(recording.reader)
+        for moment in (0.0, 1.0, 0.35, 2.0, 1.5, 9.0, 9.0):
+            found = [(elapsed, actor) for elapsed, actor, _ in contacts.before(moment)]
+            assert found == [row for row in every if row[0] < moment - 1e-6], moment
 
 
 def up_again(number, *, walks):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from carla_recap.replay import Scene
     from carla_recap.replay.player import Player
     from carla_recap.scene.description import LookColumns, SceneDescription
-    from carla_recap.scene.falls import Fall
+    from carla_recap.scene.falls import Fall, RecordedContacts
     from carla_recap.util.arrays import Floats
 
 
@@ -98,9 +98,9 @@ class SceneActors:
         batch = scene.batch if len(scene.batch) == 1 else scene.batch[scene.row : scene.row + 1]
         return described_instances(self._describer.describe(batch), marks=self._marks)
 
-    def recall(self, player: Player) -> None:
+    def recall(self, player: Player, contacts: RecordedContacts | None = None) -> None:
         """Learn what of the time before a player's start is still to be seen then; see `SceneDescriber.recall`."""
-        self._describer.recall(player)
+        self._describer.recall(player, contacts)
 
 
 def _lay(found: Instances, centers: Floats, fallen: Mapping[int, Fall]) -> None:

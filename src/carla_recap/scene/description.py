@@ -16,7 +16,7 @@ from carla_recap.replay.player import Player
 from carla_recap.replay.pose import ROTATION, right_handed, rotations
 from carla_recap.replay.selection import NO_IDS, find
 from carla_recap.scene.appearance import UNKNOWN, look_of_present
-from carla_recap.scene.falls import UPRIGHT, FallChange, FallenWalkers
+from carla_recap.scene.falls import UPRIGHT, FallChange, FallenWalkers, RecordedContacts
 from carla_recap.scene.lamps import VehicleLamps, lamps_of_lights, lamps_of_vehicles
 from carla_recap.scene.marks import MARKED, CollisionMarks
 from carla_recap.scene.materials import Tag
@@ -258,12 +258,18 @@ class SceneDescriber:
         self._places = _Places(np.zeros(0, np.intp), np.zeros((0, 6)), [])
         self._recalled = False
 
-    def recall(self, player: Player) -> None:
-        """Learn what of the time before the first scene of a player, which has not begun, is still to be seen then."""
+    def recall(self, player: Player, contacts: RecordedContacts | None = None) -> None:
+        """Learn what of the time before the first scene of a player, which has not begun, is still to be seen then.
+
+        Args:
+            player: The player.
+            contacts: The contacts of its recording, if this is done for many moments, so that they are read once.
+        """
+        contacts = contacts or RecordedContacts(player.reader)
         self._lamps, self._walkers, self._marks = VehicleLamps(), FallenWalkers(), CollisionMarks()
         for batch in player.lead(_LOOK_BACK):
             if batch.fresh:
-                self._walkers.recall(player.reader, batch)
+                self._walkers.recall(player.reader, batch, contacts)
             self._lamps.flags(batch, keep=True)
             self._walkers.changes(batch, keep=True)
             self._marks.changes(batch, keep=True)

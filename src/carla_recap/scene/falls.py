@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from carla_recap.model.contacts import velocity_before
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.replay.events import Collided
 from carla_recap.replay.player import Player
@@ -143,14 +145,15 @@ class FallenWalkers:
         self._recent = dict(sorted(recent.items())[-2:])
         return found
 
-    def recall(self, reader: Reader, batch: SceneBatch) -> None:
+    def recall(self, reader: Reader, batch: SceneBatch, contacts: RecordedContacts) -> None:
         """Learn which walkers lie that were knocked down before the next batch.
 
         Args:
             reader: The recording.
             batch: The next batch.
+            contacts: The contacts of the recording.
         """
-        for id, times in _unrisen(reader, _walkers_hit(reader, batch), float(batch.time[0])).items():
+        for id, times in _unrisen(reader, _walkers_hit(contacts, batch), float(batch.time[0])).items():
             for hit in times[:_MOST_HITS]:
                 seen, start = FallenWalkers(), max(hit - _LEAD, 0.0)
                 for around in Player(reader, start=start, duration=hit - start + _SLACK).batches():
@@ -236,17 +239,38 @@ class FallenWalkers:
         return np.asarray(np.nan_to_num((x, -y)))
 
 
-def _walkers_hit(reader: Reader, batch: SceneBatch) -> dict[int, list[float]]:
+class RecordedContacts:
+    """The contacts of a recording, each part of which is read once, for many moments in order.
+
+    Args:
+        reader: The recording.
+    """
+
+    def __init__(self, reader: Reader) -> None:
+        self._reader = reader
+        self._read = -math.inf  # the elapsed seconds before which they have been read
+        self._contacts: list[tuple[float, int, int]] = []
+
+    def before(self, time: float) -> Iterator[tuple[float, int, int]]:
+        """Return the contacts before a time: elapsed seconds and the ids of both actors."""
+        if time > self._read:
+            for frame in self._reader.frames(("collisions",), sparse=True, start=self._read, stop=time):
+                rows = array(frame["collisions"]).tolist()
+                self._contacts += [(frame.elapsed, actor1, actor2) for _, actor1, actor2, *_ in rows]
+            self._read = time
+        return (contact for contact in self._contacts if contact[0] < time - SAME_TIME)
+
+
+def _walkers_hit(contacts: RecordedContacts, batch: SceneBatch) -> dict[int, list[float]]:
     """Return when, in elapsed seconds, the walkers of a batch were hit before it by something else than a walker."""
     spawned = {id: actor.spawned_at for id, actor in batch.actors.items() if actor.kind == "walker"}
     found: dict[int, list[float]] = {}
     if not spawned:
         return found
-    for frame in reader.frames(("collisions",), sparse=True, stop=float(batch.time[0])):
-        for _, actor1, actor2, *_ in array(frame["collisions"]).tolist():
-            walkers = [id for id in (actor1, actor2) if frame.elapsed >= spawned.get(id, np.inf)]
-            if len(walkers) == 1 and NO_ACTOR not in (actor1, actor2):
-                found.setdefault(walkers[0], []).append(frame.elapsed)
+    for elapsed, actor1, actor2 in contacts.before(float(batch.time[0])):
+        walkers = [id for id in (actor1, actor2) if elapsed >= spawned.get(id, np.inf)]
+        if len(walkers) == 1 and NO_ACTOR not in (actor1, actor2):
+            found.setdefault(walkers[0], []).append(elapsed)
     return found
 
 

@@ -11,7 +11,7 @@ from carla_recap import open_recording
 from carla_recap.replay import Player, right_handed
 from carla_recap.show.page import Opening
 from tests.replay.scripts import pose, spawn, write
-from tests.samples import carla_log
+from tests.samples import carla_log, names_in
 from tests.show.page.conftest import CROSSING, NASTY, data, record, report
 from tests.waiting import wait_until
 
@@ -114,21 +114,23 @@ def test_all_actors_have_the_poses_of_the_player(crossing: Page) -> None:
             scene = player.at(moment)
             crossing.browser.execute_script("replay.clock.seek(arguments[0])", moment)
             for id, pose in zip(scene.ids.tolist(), right_handed(scene.poses), strict=True):
-                shown = crossing.ask("replay.poseOf(arguments[0])", id)
+                shown = crossing.ask("replay.recording.poseOf(arguments[0], replay.clock.time)", id)
                 assert [shown["x"], shown["y"]] == pytest.approx(pose[:2], abs=0.02), (moment, id)
                 assert abs((np.degrees(shown["yaw"]) - pose[5] + 180) % 360 - 180) < 0.3
-        assert crossing.ask("replay.poseOf(104)") is not None
+        assert crossing.ask("replay.recording.poseOf(104, replay.clock.time)") is not None
         crossing.browser.execute_script("replay.clock.seek(29)")
-        assert crossing.ask("[replay.poseOf(104), replay.poseOf(103)]") == [None, None]
+        assert crossing.ask(
+            "[replay.recording.poseOf(104, replay.clock.time), replay.recording.poseOf(103, replay.clock.time)]"
+        ) == [None, None]
 
 
 def test_yaw_is_interpolated_along_the_shorter_rotation(chromium: Chrome, tmp_path: Path) -> None:
     frames = [{"transforms": [(1, 0, 0, 0, 0, 0, yaw)]} for yaw in (170, -170, -110)]
     page = Page(chromium, report(record(tmp_path / "a.log", frames, tick=1), tmp_path / "page"))
     page.browser.execute_script("replay.clock.seek(0.5)")
-    assert abs(np.degrees(page.ask("replay.poseOf(1).yaw")) % 360 - 180) < 0.1
+    assert abs(np.degrees(page.ask("replay.recording.poseOf(1, replay.clock.time).yaw")) % 360 - 180) < 0.1
     page.browser.execute_script("replay.clock.seek(1.5)")
-    assert np.degrees(page.ask("replay.poseOf(1).yaw")) % 360 == pytest.approx(140, abs=0.1)
+    assert np.degrees(page.ask("replay.recording.poseOf(1, replay.clock.time).yaw")) % 360 == pytest.approx(140, abs=0.1)
 
 
 def test_everything_works_with_the_keyboard(crossing: Page) -> None:
@@ -157,18 +159,118 @@ def test_everything_works_with_the_keyboard(crossing: Page) -> None:
     assert crossing.errors == []
 
 
-def test_space_plays_after_a_click_on_a_button_and_marks_can_be_focused(crossing: Page) -> None:
+@pytest.mark.parametrize("button", ["#trails", ".incident", "#pace"])
+def test_space_plays_and_pauses_after_a_click_on_anything(crossing: Page, button: str) -> None:
     from selenium.webdriver.common.by import By
 
-    crossing.browser.execute_script("replay.clock.pause()")
-    crossing.browser.find_element(By.ID, "trails").click()
-    pressed = crossing.ask("document.getElementById('trails').getAttribute('aria-pressed')")
+    element = crossing.browser.find_element(By.CSS_SELECTOR, button)
+    if button == "#pace":
+        crossing.browser.execute_script("arguments[0].focus(); arguments[0].dispatchEvent(new Event('change'))", element)
+    else:
+        element.click()
+    crossing.browser.execute_script("replay.clock.seek(2); replay.clock.pause()")
+    state = "[document.getElementById('trails').ariaPressed, replay.incidents.current, replay.clock.pace]"
+    before = crossing.ask(state)
     crossing.press(" ")
     assert crossing.ask("replay.clock.playing")
-    assert crossing.ask("document.getElementById('trails').getAttribute('aria-pressed')") == pressed
-    assert crossing.ask("[...document.querySelectorAll('.mark')].map(mark => mark.tabIndex)") == [0] * crossing.ask(
-        "document.querySelectorAll('.mark').length"
+    crossing.press(" ")
+    assert not crossing.ask("replay.clock.playing")
+    assert crossing.ask(state) == before
+
+
+def test_marks_are_reached_and_pressed_by_the_keyboard_and_keep_the_focus(crossing: Page) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    crossing.browser.execute_script("document.getElementById('time').focus()")
+    crossing.press(Keys.TAB, Keys.TAB)
+    focused = "document.activeElement.dataset.incident"
+    assert crossing.ask(focused) == "1"
+    crossing.browser.execute_script("replay.part.zoom(2, 20)")  # the marks are made anew
+    assert crossing.ask(focused) == "1"
+    crossing.press(Keys.ENTER)
+    assert crossing.ask("[replay.incidents.current, replay.clock.playing]") == [1, True]
+
+
+def test_an_actor_is_found_and_followed_without_a_mouse(crossing: Page) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    shown = "[...document.querySelectorAll('#actor-list .actor')].map(one => one.querySelector('span').textContent)"
+    crossing.press("a")
+    everyone = crossing.ask(shown)
+    assert "hero" in everyone[0]
+    assert len(everyone) == 14  # all but the sensors and the spectator
+    crossing.press(*"walker")
+    assert len(crossing.ask(shown)) == 2
+    crossing.press(Keys.ARROW_DOWN, Keys.ARROW_DOWN, Keys.ENTER)
+    followed = crossing.ask("replay.followedActor().label")
+    assert followed == crossing.ask(shown)[1]
+    crossing.until(lambda: crossing.ask("document.querySelector('.actor[aria-current] span')?.textContent") == followed)
+    assert crossing.ask("replay.focus(replay.stage)") is not None  # it is there at the time that is shown
+    crossing.press("a")
+    crossing.press(*"nobody")
+    assert "No actor is found" in crossing.text("actors-note")
+    crossing.press(Keys.ESCAPE, Keys.ESCAPE)
+    assert crossing.ask("[replay.actors.isOpen, replay.actors.shown.length]") == [False, 14]
+    assert crossing.errors == []
+
+
+def test_single_frames_are_shown_and_the_speed_is_from_a_tenth_to_sixteen_times(crossing: Page) -> None:
+    crossing.browser.execute_script("replay.clock.seek(10)")
+    crossing.press(".", ".")
+    assert crossing.time == pytest.approx(10.2)
+    crossing.press(",")
+    crossing.click("#back")
+    assert crossing.time == pytest.approx(10)
+    crossing.press(*"<<<<")
+    assert crossing.ask("replay.clock.pace") == 0.1
+    crossing.press(*">>>>>>>>")
+    assert crossing.ask("replay.clock.pace") == 16
+
+
+def test_the_timeline_and_the_plots_zoom_together(crossing: Page) -> None:
+    part = "[replay.part.start, replay.part.stop]"
+    crossing.browser.execute_script("replay.clock.seek(20)")
+    crossing.press("z", "z")
+    assert crossing.ask(part) == pytest.approx([15, 15 + 53 / 4])
+    assert crossing.ask("[Number(time.min), Number(time.max), overview.hidden]") == [*crossing.ask(part), False]
+    crossing.browser.execute_script(
+        "const { left, width } = plot.getBoundingClientRect();"
+        "plot.dispatchEvent(new WheelEvent('wheel', { deltaY: -400, clientX: left, cancelable: true }))"
     )
+    start, stop = crossing.ask(part)
+    assert start == pytest.approx(15)
+    assert stop < 25
+    crossing.browser.execute_script("replay.clock.seek(40)")
+    crossing.until(lambda: crossing.ask("replay.part.start < 40 && replay.part.stop > 40"))
+    crossing.press("x", "x", "x", "x")
+    assert crossing.ask("[replay.part.isWhole, overview.hidden]") == [True, True]
+    assert crossing.errors == []
+
+
+def test_a_link_to_the_moment_is_copied(crossing: Page) -> None:
+    crossing.browser.execute_script(
+        "replay.clock.seek(12.5); navigator.clipboard.writeText = async (text) => { window.copied = text; }"
+    )
+    crossing.press("y")
+    crossing.until(lambda: crossing.ask("document.getElementById('status').className") == "toast")
+    assert crossing.ask("window.copied").endswith("/index.html#t=12.5&follow=100")
+    assert "copied" in crossing.text("status")
+
+
+def test_a_picture_of_the_view_is_saved(crossing: Page, tmp_path: Path) -> None:
+    from PIL import Image
+
+    crossing.browser.execute_cdp_cmd("Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(tmp_path)})
+    crossing.browser.execute_script("replay.clock.seek(12.5)")
+    crossing.press("s")
+    crossing.until(lambda: names_in(tmp_path) == ["crossing-12.50s.png"])
+    with Image.open(tmp_path / "crossing-12.50s.png") as image:
+        width, height = crossing.ask("[replay.stage.canvas.width, replay.stage.canvas.height]")
+        assert (image.format, image.width) == ("PNG", width)
+        assert height < image.height < height + 50  # with a line that says what it is
+        place = crossing.ask("[...replay.stage.context.getImageData(100, 100, 1, 1).data].slice(0, 3)")
+        assert list(image.convert("RGB").getpixel((100, 100))) == place
+    assert crossing.errors == []
 
 
 def test_a_walker_lies_in_the_direction_of_its_fall(chromium: Chrome, tmp_path: Path) -> None:

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 def series(page: Page, id: int) -> dict[str, Any]:
     """Return the series of an actor, with None where there is no value."""
     found = page.ask(
-        f"(({{speed, acceleration, gap, leader}}) => [speed, acceleration, gap, leader].map(values => [...values]))"
+        f"(({{values, leader}}) => Object.entries({{...values, leader}}).map(([name, all]) => [name, [...all]]))"
         f"(replay.recording.motion.series(replay.tracks.indexOf({id}, 0)))"
     )
-    return dict(zip(("speed", "acceleration", "gap", "leader"), found, strict=True))
+    return dict(found)
 
 
 @pytest.fixture(scope="module")
@@ -110,5 +110,5 @@ def test_a_drag_on_the_plots_goes_to_a_time(chromium: Chrome, followed: Path) ->
     width = page.ask("replay.plots.width")
     away = int(width / 2 - canvas.size["width"] / 2)
     ActionChains(page.browser).move_to_element_with_offset(canvas, away, 0).click().perform()
-    assert page.time == pytest.approx(page.ask("replay.length") / 2, abs=0.05)
+    assert page.time == pytest.approx(page.ask("replay.part.length") / 2, abs=0.05)
     assert page.errors == []

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from carla_recap import RecapError, open_recording
-from carla_recap.queries.incidents import incidents
+from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.rendering.town import load_town_of
 from carla_recap.show.page import Opening, samples, write_report
 from carla_recap.show.page import report as module
-from tests.replay.scripts import spawn
+from tests.replay.scripts import pose, spawn
 from tests.samples import names_in
 from tests.show.page.conftest import CROSSING, NASTY, WITHOUT_ROADS, data, record, report
 
@@ -74,6 +74,24 @@ def test_a_long_recording_is_replayed_around_its_incidents(tmp_path: Path, monke
     assert recording["spans"] == [[12.1, 15.1], [18.9, 25.6]]
     for incident in summary["incidents"]:
         assert any(start <= incident["start"] <= stop for start, stop in recording["spans"])
+
+
+def test_who_was_knocked_down_before_an_interval_lies_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames: list[dict[str, Any]] = [
+        {"transforms": [pose(1, 50 * min(n, 4)), pose(2, 200, z=93), pose(3, 0, 900), pose(4, 0, 1200)]} for n in range(300)
+    ]
+    frames[0]["spawned"] = [spawn(1), spawn(2, "walker.pedestrian.0001", yaw=90), spawn(3), spawn(4)]
+    frames[4]["collisions"], frames[290]["collisions"] = [(0, 1, 2, False, False)], [(1, 3, 4, False, False)]
+    monkeypatch.setattr(samples, "BUDGET", 2_000)
+    source = record(tmp_path / "a.log", frames, tick=0.1)
+    with open_recording(source) as recording:
+        found = incidents(recording.reader, IncidentOptions(kinds=["collision"]))
+        replay, whole = samples.sample(recording, found[1:], 1.0, 0.5, None)
+    assert (whole, replay.spans) == (False, [(pytest.approx(28.0), pytest.approx(29.5))])
+    lying = {replay.actors[index].id: yaw for index, yaw in replay.lying_at(28.5).items()}
+    assert lying == {2: 0}
+    assert len(replay.marks_at(28.5)) == 0
+    assert len(replay.marks_at(29.2)) == 1
 
 
 def test_incidents_beyond_the_budget_are_listed_without_a_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from carla_recap import open_recording
 from carla_recap.replay import Player, right_handed
-from carla_recap.show.page.samples import BLOCK, Sampler
-from tests.replay.scripts import spawn
-from tests.show.page.conftest import CROSSING, record
+from carla_recap.scene.ahead import NO_LIGHT, stop_points
+from carla_recap.scene.follow import followed_series
+from carla_recap.show.page.samples import BLOCK, Sampler, measure, sample
+from carla_recap.show.page.script import MEASURED_UNITS, Packer, measured_data
+from tests.replay.scripts import pose, spawn
+from tests.show.page.conftest import CROSSING, record, unpack
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -87,6 +90,46 @@ def test_an_actor_spawned_between_two_samples_is_in_the_next(tmp_path: Path) -> 
     frames = [{}, {"spawned": [spawn(7, "static.prop")]}, {}, {"destroyed": [7], "spawned": [spawn(8)]}, {}, {}, {}]
     replay = sampled(record(tmp_path / "a.log", frames), rate=10)
     assert [(replay.actors[track.actor].id, track.first, track.last) for track in replay.tracks] == [(7, 1, 1), (8, 2, 3)]
+
+
+def test_what_is_plotted_is_what_is_measured_elsewhere() -> None:
+    with open_recording(CROSSING.with_name("crash.mcap")) as recording:
+        replay, whole = sample(recording, [], 0.0, 0.0, None)
+        (measured,) = measure(recording, [41], replay.times)
+        shown = followed_series(recording, 41, stop_points(recording.reader))
+        series = recording.time_series(41)
+    assert whole
+    assert replay.times == pytest.approx(shown.time)
+    expected = {
+        "acceleration": shown.acceleration,
+        "throttle": shown.pedals[:, 0],
+        "brake": shown.pedals[:, 1],
+        "steer": shown.controls[:, 2],
+        "light": np.where(shown.light == NO_LIGHT, np.nan, shown.light_state),
+        "distance": shown.light_distance,
+        "gap": series.distance_headway,
+        "ttc": series.time_to_collision,
+    }
+    assert set(measured.values) == set(expected) == set(MEASURED_UNITS)
+    for name, values in expected.items():
+        assert measured.values[name].tolist() == pytest.approx(values.tolist(), nan_ok=True), name
+        assert np.isfinite(values).any(), name
+    packer = Packer()
+    found = unpack(packer.pack(measured_data(measured, packer)))
+    for name, unit in MEASURED_UNITS.items():
+        values = np.where(found[name] <= -127, np.nan, found[name])
+        known = np.where(np.isfinite(expected[name]), expected[name], np.nan)
+        assert values.tolist() == pytest.approx(known.tolist(), abs=0.51 * unit, nan_ok=True), name
+
+
+def test_lit_lamps_are_those_of_the_recording(tmp_path: Path) -> None:
+    frames: list[dict[str, Any]] = [
+        {"transforms": [pose(1, 50 * n)], "vehicle_lights": [(1, 0x11 if n % 10 < 5 else 0x20)]} for n in range(20)
+    ]
+    frames[0]["spawned"] = [spawn(1)]
+    replay = sampled(record(tmp_path / "a.log", frames, tick=0.1), rate=10)
+    assert [(round(time, 1), flags) for _, time, flags in replay.lamps] == [(0, 0x11), (0.5, 0x20), (1, 0x11), (1.5, 0x20)]
+    assert replay.lamps_at(0.7) == {0: 0x20}
 
 
 def test_each_change_of_a_light_is_recorded_once() -> None:

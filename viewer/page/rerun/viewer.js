@@ -7,7 +7,7 @@ const BILLION = 1e9; // ns
 const RETRY = 200; // ms
 const CONFIRMATIONS = [300, 1000, 3000, 8000]; // ms
 
-/** Return an integer in protobuf's encoding. */
+/** Return an integer in protobuf's encoding. @param {number} value */
 function varint(value) {
   const bytes = [];
   let rest = BigInt.asUintN(64, BigInt(value));
@@ -15,30 +15,33 @@ function varint(value) {
   return [...bytes, Number(rest)];
 }
 
-/** Return a field with a message or a text. */
+/** Return a field with a message or a text. @param {number} field @param {ArrayLike<number> & Iterable<number>} bytes */
 function block(field, bytes) {
   return [...varint(field * 8 + 2), ...varint(bytes.length), ...bytes];
 }
 
-/** Return the request to show a time of a timeline, paused. */
+/** Return the request to show a time of a timeline, paused. @param {string} timeline @param {number} seconds */
 function timeRequest(timeline, seconds) {
   const name = block(1, new TextEncoder().encode(timeline));
   const time = [8, ...varint(Math.round(seconds * BILLION))];
   return new Uint8Array(block(SET_TIME, [...block(2, name), ...block(3, time), 40, PAUSED]));
 }
 
+/** @typedef {{ time: number, camera: string | null }} Wanted */
+
 class Viewer {
+  /** @param {{ viewer_control(request: Uint8Array): Promise<unknown>, add_receiver(url: string): void }} handle */
   constructor(handle) {
     this.handle = handle;
-    this.wanted = null;
-    this.camera = null; // null: the recording's own blueprint
-    this.time = null; // the time that is shown, in s
-    this.asked = null; // the time that was requested last
-    this.timers = [];
+    this.wanted = /** @type {Wanted | null} */ (null);
+    this.camera = /** @type {string | null} */ (null); // null: the recording's own blueprint
+    this.time = /** @type {number | null} */ (null); // the time that is shown, in s
+    this.asked = 0; // the time that was requested last
+    this.timers = /** @type {number[]} */ ([]);
     this.busy = false;
   }
 
-  /** Show a time, from a camera: the address of a blueprint, or null to keep the present one. */
+  /** Show a time, from a camera: the address of a blueprint, or null to keep the present one. @param {Wanted} wanted */
   show(wanted) {
     this.wanted = wanted;
     if (!this.busy) this.work();
@@ -70,7 +73,7 @@ class Viewer {
   /** Request the time again while a blueprint is loaded, which may set another one. */
   confirm() {
     this.timers.forEach(clearTimeout);
-    this.timers = CONFIRMATIONS.map((late) => setTimeout(() => this.show({ time: this.asked, camera: this.camera }), late));
+    this.timers = CONFIRMATIONS.map((late) => window.setTimeout(() => this.show({ time: this.asked, camera: this.camera }), late));
   }
 }
 
@@ -102,7 +105,7 @@ async function start() {
     render_backend: "webgl",
   });
   await handle.start(document.getElementById("space"));
-  document.getElementById("state").hidden = true;
+  /** @type {HTMLElement} */ (document.getElementById("state")).hidden = true;
   return new Viewer(handle);
 }
 
@@ -113,7 +116,7 @@ window.addEventListener("message", (event) => {
 starting.then(
   () => window.parent.postMessage({ ready: true }, location.origin),
   (error) => {
-    document.getElementById("state").textContent = `Rerun's viewer does not start: ${error}`;
+    /** @type {HTMLElement} */ (document.getElementById("state")).textContent = `Rerun's viewer does not start: ${error}`;
     window.parent.postMessage({ failed: true }, location.origin);
   },
 );

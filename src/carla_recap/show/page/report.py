@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import warnings
 from collections import Counter
@@ -21,6 +22,7 @@ from carla_recap.rendering.town import load_town_of, town_of_map
 from carla_recap.replay.player import Player
 from carla_recap.roads.find import map_key
 from carla_recap.roads.surfaces import road_network_of_map
+from carla_recap.scene.falls import RecordedContacts
 from carla_recap.scene.style import LIGHTS, OTHER, STYLES
 from carla_recap.show.page import script
 from carla_recap.show.page.base_map import base_map
@@ -50,6 +52,7 @@ REPLAYED: Final = 200  # the most incidents with a taken picture and, of a long 
 PICTURE_SIZE: Final = (640, 400)
 FRAME: Final = 720  # pixels; the height of a page in a notebook
 LISTED: Final = 2000  # the most incidents in the list
+TOLERANCE: Final = 0.5  # m by which actors of two recordings may be apart, unless differences are given
 NOTES: Final = 4  # the most notes
 VIEWER_FILES: Final = ("re_viewer.js", "re_viewer_bg.wasm")
 _TIMEOUT: Final = 30.0  # s
@@ -156,6 +159,7 @@ class _Reported:
         from carla_recap.show.video.film import opened_renderer
         from carla_recap.show.video.picture import picture
 
+        contacts = RecordedContacts(self.recording.reader)
         with opened_renderer(None, town, self.recording, supersampling=2) as opened:
             for index, incident in self.chosen.items():
                 followed = next((id for id in incident.actors if id in self.replay.ids(incident.start)), None)
@@ -168,6 +172,7 @@ class _Reported:
                         overlay=False,
                         renderer=opened.result(),
                         form="JPEG",
+                        contacts=contacts,
                     )
 
 
@@ -197,7 +202,8 @@ def write_report(
             `.html`, a single file.
         options: Which incidents to list, see `carla_recap.queries.incidents`; without roads, those of `road_map` count.
         other: Another recording of the same map, to be shown beside the first one, or over it.
-        differences: The differences of both, whose actors are the same on the page, which begins with one over the other.
+        differences: The differences of both, which the page names, and with which it begins with one over the other; None:
+            those beyond 0.5 m, with both side by side.
         opening: What the page shows first; None: the beginning.
         before: The seconds before an incident in the replay of a long recording.
         after: The seconds after it.
@@ -243,8 +249,9 @@ def write_report(
     packer = Packer()
     ground = packer.pack(script.base_map_data(base_map(town, [each.replay for each in reported]), packer))
     shown: dict[str, Any] = {"drawn": pictures == "drawn", "viewer": viewer}
-    if differences is not None:
-        shown["differences"] = _differences(differences)
+    if other is not None:
+        found = differences or recordings[0].diff(recordings[1], tolerance=TOLERANCE, events=False)
+        shown["differences"] = {"over": differences is not None, **_differences(found)}
     if opening is not None:
         shown["opening"] = _opening(opening, reported[0].incidents)
     data = {
@@ -271,8 +278,8 @@ def write_report(
                 (room / name).write_text(text, "ascii")
             size = sum(file.stat().st_size for file in room.rglob("*") if file.is_file())
     seconds = max(sum(stop - start for start, stop in each.replay.spans) for each in reported)
-    found, images = (sum(counts) for counts in zip(*(each.counts for each in reported), strict=True))
-    return Report(path, found, all(each.whole for each in reported), seconds, images, size)
+    listed, images = (sum(counts) for counts in zip(*(each.counts for each in reported), strict=True))
+    return Report(path, listed, all(each.whole for each in reported), seconds, images, size)
 
 
 def _check_destination(path: Path, *, single: bool, force: bool) -> None:
@@ -391,13 +398,14 @@ def _opening(opening: Opening, found: Sequence[Incident]) -> dict[str, Any]:
 
 
 def _incident(incident: Incident, picture: str | None) -> dict[str, Any]:
+    place = incident.x, incident.y
     return {
         "kind": incident.kind,
         "start": script.number(incident.start),
         "stop": script.number(incident.stop),
         "actors": list(incident.actors),
         "types": [script.shortened(type_id) for type_id in incident.type_ids],
-        "place": [script.number(value, 2) for value in (incident.x, incident.y, incident.z)],
+        "place": [round(value, 2) for value in place] if all(map(math.isfinite, place)) else None,
         "text": incident.text[: 2 * script.LONGEST],
         "picture": picture,
     }

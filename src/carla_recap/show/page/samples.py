@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
@@ -21,11 +21,13 @@ from carla_recap.replay.motion import SceneMotion
 from carla_recap.replay.player import Player
 from carla_recap.replay.pose import YAW
 from carla_recap.replay.selection import find
+from carla_recap.scene.ahead import NO_LIGHT, stop_points
 from carla_recap.scene.description import SceneDescriber
+from carla_recap.scene.falls import RecordedContacts
 from carla_recap.scene.follow import FollowedActor
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -36,9 +38,10 @@ if TYPE_CHECKING:
     from carla_recap.recording import Recording
     from carla_recap.replay.player import Progress
     from carla_recap.replay.scene import Scene, SceneBatch
+    from carla_recap.scene.ahead import StopPoints
     from carla_recap.scene.appearance import Look
     from carla_recap.scene.description import SceneDescription
-    from carla_recap.util.arrays import Floats
+    from carla_recap.util.arrays import Floats, Ids, Integers
 
 
 BLOCK: Final = 128  # samples that are handled together
@@ -48,9 +51,14 @@ ROW_BYTES: Final = 12  # of a sample of an actor in the page
 ACTOR_BYTES: Final = 250  # of an actor in the page
 _SAME_TIME: Final = 1e-4  # s
 _COLUMNS: Final = (0, 1, YAW)
+_LAMPS: Final = 0xFF  # the bits of lamps that are seen from above: all but the one within, and beacons
+OFF: Final = 3  # the state of a traffic light that is not recorded
+Change: TypeAlias = tuple[int, float, int]
+"""A change of a value: the index of an actor, the elapsed seconds, the value from then on."""
 BUDGET: Final = 15_000_000
 """The most bytes of samples before compression; of a longer recording, a page has only the time around incidents."""
 
+MEASURED_VALUES: Final = ("acceleration", "gap", "ttc", "throttle", "brake", "steer", "light", "distance")
 RATES: Final = (20.0, 10.0)  # samples per second of a whole recording
 
 
@@ -103,15 +111,15 @@ class MeasuredActor:
 
     Attributes:
         id: The actor id.
-        acceleration: The acceleration in m/s²; see `FollowedSeries`.
-        headway: The distance headway in m; see `carla_recap.queries.measures`.
         leader: The id of the actor ahead, or `NO_OTHER`.
+        values: By name: "acceleration" in m/s², "throttle", "brake" and "steer" as they are shown, the state of the "light"
+            ahead in CARLA's numbers and the "distance" to it in m, see `FollowedSeries`; the distance headway as "gap" in m,
+            and the time to collision as "ttc" in s, see `carla_recap.queries.measures`.
     """
 
     id: int
-    acceleration: Floats
-    headway: Floats
     leader: NDArray[np.int64]
+    values: dict[str, Floats]
 
 
 @dataclass
@@ -126,14 +134,20 @@ class SampledReplay:
         lights: Each change of a traffic light: its index in `actors`, elapsed seconds, the state.
         lying: Each change of a walker that lies: its index in `actors`, elapsed seconds, the heading of its head in degrees,
             right-handed; -1 from when on it does not lie.
+        lamps: Each change of a vehicle's lit lamps: its index in `actors`, elapsed seconds, the bits of CARLA's
+            VehicleLightState.
+        marks: The elapsed seconds at which marks of collisions appear or disappear, and where all are from then on,
+            (marks, 2) in m, right-handed.
     """
 
     times: Floats
     spans: list[tuple[float, float]]
     actors: list[SampledActor]
     tracks: list[Track]
-    lights: list[tuple[int, float, int]]
-    lying: list[tuple[int, float, int]]
+    lights: list[Change]
+    lying: list[Change]
+    lamps: list[Change]
+    marks: list[tuple[float, Floats]]
 
     def covers(self, time: float) -> bool:
         """Return whether the samples cover a time."""
@@ -157,18 +171,55 @@ class SampledReplay:
 
     def light_states(self, time: float) -> dict[int, int]:
         """Return the states of the traffic lights at a time, by their indices in `actors`."""
-        return {actor: state for actor, since, state in self.lights if since <= time + _SAME_TIME}
+        return _latest(self.lights, time)
 
     def lying_at(self, time: float) -> dict[int, int]:
         """Return the headings of the heads of the walkers that lie at a time, in degrees, by their indices in `actors`."""
-        latest = {actor: heading for actor, since, heading in self.lying if since <= time + _SAME_TIME}
-        return {actor: heading for actor, heading in latest.items() if heading >= 0}
+        return {actor: heading for actor, heading in _latest(self.lying, time).items() if heading >= 0}
+
+    def lamps_at(self, time: float) -> dict[int, int]:
+        """Return the lit lamps of vehicles at a time, by their indices in `actors`."""
+        return _latest(self.lamps, time)
+
+    def marks_at(self, time: float) -> Floats:
+        """Return where marks of collisions are at a time, (marks, 2) in m."""
+        shown = [places for since, places in self.marks if since <= time + _SAME_TIME]
+        return shown[-1] if shown else np.zeros((0, 2))
 
     @cached_property
     def _bounds(self) -> NDArray[np.int64]:
         """The actor, the first and the last sample of each track."""
         bounds = [(track.actor, track.first, track.last) for track in self.tracks]
         return np.array(bounds, np.int64).reshape(-1, 3).T
+
+
+def _latest(changes: Iterable[Change], time: float) -> dict[int, int]:
+    return {actor: value for actor, since, value in changes if since <= time + _SAME_TIME}
+
+
+class _Changes:
+    """The changes of a value of each actor."""
+
+    def __init__(self) -> None:
+        self.rows: list[Change] = []
+        self._now: dict[int, int] = {}
+        self._added: tuple[bytes, ...] = ()
+
+    def add(self, time: float, index: Mapping[int, int], ids: Ids, values: Integers, gone: int) -> None:
+        """Add the values of actors at a time, given by their ids; any other actor has `gone`."""
+        added = ids.tobytes(), values.tobytes()
+        if added == self._added:
+            return
+        self._added = added
+        now = {index[id]: value for id, value in zip(ids.tolist(), values.tolist(), strict=True) if id in index}
+        if now != self._now:
+            self.rows += [(actor, time, value) for actor, value in now.items() if self._now.get(actor, gone) != value]
+            self.rows += [(actor, time, gone) for actor, value in self._now.items() if actor not in now and value != gone]
+            self._now = now
+
+    def begin(self) -> None:
+        """Expect other actors under the ids of before."""
+        self._added = ()
 
 
 class Sampler:
@@ -183,7 +234,8 @@ class Sampler:
         self._spans: list[tuple[float, float]] = []
         self._sampled: list[SampledActor] = []
         self._tracks: list[Track] = []
-        self._lights: list[tuple[int, float, int]] = []
+        self._lights, self._lying, self._lamps = _Changes(), _Changes(), _Changes()
+        self._marks: list[tuple[float, Floats]] = []
         self._step = 1 / rate
         self._due = -math.inf
         self._rows = 0
@@ -199,20 +251,22 @@ class Sampler:
         self._columns = np.zeros(0, np.intp)  # the actors of the rows of a sample
         self._motion = SceneMotion()
         self._moving: tuple[SceneBatch, Floats] | None = None  # the latest batch, and the speeds in it
-        self._lying: list[tuple[int, float, int]] = []
-        self._down: dict[int, int] = {}  # the headings of the walkers that lie
-        self._light_ids, self._light_states = b"", b""
-        self._shown: dict[int, int] = {}  # the states of the traffic lights
 
     @property
     def size(self) -> int:
         """The size of the samples in the page, in bytes, roughly."""
         return self._rows * ROW_BYTES + len(self._sampled) * ACTOR_BYTES
 
-    def begin(self) -> None:
-        """Begin an interval that does not continue the one before."""
+    def begin(self, player: Player, contacts: RecordedContacts) -> None:
+        """Begin an interval that does not continue the one before.
+
+        Args:
+            player: Plays it, and has not begun.
+            contacts: The contacts of the recording.
+        """
         self._flush(ended=True)
         self._due = -math.inf
+        self._describer.recall(player, contacts)
 
     def add(self, scene: Scene, *, last: bool = False) -> None:
         """Add a scene, if a sample is due.
@@ -250,8 +304,7 @@ class Sampler:
         where, recorded = find(self._description.ids, scene.ids)
         rows[recorded, 3] = self._moving[1][scene.row][where[recorded]]
         self._block.append((self._columns, rows))
-        self._note_lights(scene)
-        self._note_lying(self._description.lying_at(scene.row), scene.time)
+        self._add_changes(scene, self._description)
         if len(self._block) > BLOCK:
             self._flush()
 
@@ -260,7 +313,9 @@ class Sampler:
         self._flush(ended=True)
         for actor in self._open:
             self._join(actor)
-        return SampledReplay(np.array(self._times), self._spans, self._sampled, self._tracks, self._lights, self._lying)
+        lights, lying, lamps = self._lights.rows, self._lying.rows, self._lamps.rows
+        times, spans = np.array(self._times), self._spans
+        return SampledReplay(times, spans, self._sampled, self._tracks, lights, lying, lamps, self._marks)
 
     def _describe(self, scene: Scene) -> SceneDescription:
         """Return the description of the batch of a scene."""
@@ -272,6 +327,8 @@ class Sampler:
     def _update_actors(self, description: SceneDescription) -> None:
         """Find the actors of some scenes."""
         self._changed = False
+        for each in (self._lights, self._lying, self._lamps):
+            each.begin()
         actors = zip(description.ids.tolist(), description.actors.looks, strict=True)
         self._columns = np.array([self._index_of(description.lives[id], look) for id, look in actors], np.intp)
 
@@ -287,23 +344,16 @@ class Sampler:
         self._index[id] = index
         return index
 
-    def _note_lights(self, scene: Scene) -> None:
-        records = scene.light_states
-        ids, states = records["id"].tobytes(), records["state"].tobytes()
-        if ids == self._light_ids and states == self._light_states:
-            return
-        for id, state in zip(records["id"].tolist(), records["state"].tolist(), strict=True):
-            actor = self._index.get(id)
-            if actor is not None and self._shown.get(actor) != state:
-                self._shown[actor] = state
-                self._lights.append((actor, scene.time, state))
-        self._light_ids, self._light_states = ids, states
-
-    def _note_lying(self, headings: dict[int, float], time: float) -> None:
-        now = {self._index[id]: round(heading) % 360 for id, heading in headings.items() if id in self._index}
-        self._lying += [(actor, time, heading) for actor, heading in now.items() if self._down.get(actor) != heading]
-        self._lying += [(actor, time, -1) for actor in self._down if actor not in now]
-        self._down = now
+    def _add_changes(self, scene: Scene, description: SceneDescription) -> None:
+        """Add the states of traffic lights, the walkers that lie, the lit lamps of vehicles and the marks in a scene."""
+        lights, lying, flags = scene.light_states, description.lying_at(scene.row), description.flags[scene.row] & _LAMPS
+        lit, ids = np.flatnonzero(flags), np.array(list(lying), np.uint32)
+        self._lights.add(scene.time, self._index, lights["id"], lights["state"], OFF)
+        self._lying.add(scene.time, self._index, ids, np.rint(list(lying.values())).astype(np.int64) % 360, -1)
+        self._lamps.add(scene.time, self._index, description.vehicles[lit], flags[lit], 0)
+        places = description.marks_at(scene.row)[:, :2]
+        if not np.array_equal(places, self._marks[-1][1] if self._marks else np.zeros((0, 2))):
+            self._marks.append((scene.time, places))
 
     def _flush(self, *, ended: bool = False) -> None:
         """Add the block to the tracks; its last sample is the first of the next one, unless the interval has ended."""
@@ -399,7 +449,7 @@ def sample(
         if scene.time - player.start < RATES[-1] / RATES[0] * (player.stop - player.start):
             break  # it would be too large at half the rate, too
     player, sampler = Player(recording), Sampler(RATES[0])
-    around = _around(player, _windows(found, before, after, player.total), sampler)
+    around = _around(recording, _windows(found, before, after, player.total), sampler)
     for scene in progress(around, player) if progress else around:
         sampler.add(scene)
         if sampler.size > BUDGET:
@@ -418,14 +468,12 @@ def _windows(found: Sequence[Incident], before: float, after: float, total: floa
     return windows
 
 
-def _around(player: Player, windows: Sequence[tuple[float, float]], sampler: Sampler) -> Iterator[Scene]:
+def _around(recording: Recording, windows: Sequence[tuple[float, float]], sampler: Sampler) -> Iterator[Scene]:
+    contacts = RecordedContacts(recording.reader)
     for start, stop in windows:
-        sampler.begin()
-        yield player.at(start)
-        for scene in chain.from_iterable(player.batches()):
-            if scene.time > stop:
-                break
-            yield scene
+        player = Player(recording, start=start, duration=max(stop - start, SAME_TIME))
+        sampler.begin(player, contacts)
+        yield from chain.from_iterable(player.batches())
 
 
 class _Measurer:
@@ -434,24 +482,37 @@ class _Measurer:
     Args:
         ids: The ids of the actors.
         times: The times of the samples, in elapsed seconds, ascending.
+        stops: The points at which traffic lights stop cars; see `carla_recap.scene.ahead`.
     """
 
-    def __init__(self, ids: Iterable[int], times: Floats) -> None:
-        nothing = np.full(len(times), np.nan)
+    def __init__(self, ids: Iterable[int], times: Floats, stops: StopPoints) -> None:
         self.measured = [
-            MeasuredActor(id, nothing.copy(), nothing.copy(), np.full(len(times), NO_OTHER, np.int64)) for id in ids
+            MeasuredActor(
+                id, np.full(len(times), NO_OTHER, np.int64), {name: np.full(len(times), np.nan) for name in MEASURED_VALUES}
+            )
+            for id in ids
         ]
         self._times = times
-        self._followed = [FollowedActor(each.id, {}) for each in self.measured]
+        self._followed = [FollowedActor(each.id, stops) for each in self.measured]
 
     def follow(self, batch: SceneBatch) -> None:
-        """Measure the accelerations in scenes, which come in order."""
+        """Measure what is shown of followed actors in scenes, which come in order."""
         samples, rows = self._samples_in(batch.time)
         for measured, followed in zip(self.measured, self._followed, strict=True):
-            measured.acceleration[samples] = followed.series(batch).acceleration[rows]
+            series = followed.series(batch)
+            found = {
+                "acceleration": series.acceleration,
+                "throttle": series.pedals[:, 0],
+                "brake": series.pedals[:, 1],
+                "steer": series.controls[:, 2],
+                "light": np.where(series.light == NO_LIGHT, np.nan, series.light_state),
+                "distance": series.light_distance,
+            }
+            for name, values in found.items():
+                measured.values[name][samples] = values[rows]
 
     def find_leaders(self, table: MotionTable) -> None:
-        """Measure the distances to leaders in a table of motion."""
+        """Measure the distances to leaders and the times to collision in a table of motion."""
         samples, frames = self._samples_in(table.time[table.core])
         subjects = np.flatnonzero(np.isin(table.ids, [each.id for each in self.measured]))
         if not len(frames) or not len(subjects):
@@ -460,10 +521,9 @@ class _Measurer:
         frames += table.first
         for measured in self.measured:
             for position in np.flatnonzero(table.ids[subjects] == measured.id).tolist():
-                there = frames[found.leader[position, frames] != NO_OTHER]
-                of_those = samples[found.leader[position, frames] != NO_OTHER]
-                measured.headway[of_those] = found.distance_headway[position, there]
-                measured.leader[of_those] = found.leader[position, there]
+                measured.values["gap"][samples] = found.distance_headway[position, frames]
+                measured.values["ttc"][samples] = found.time_to_collision[position, frames]
+                measured.leader[samples] = found.leader[position, frames]
 
     def _samples_in(self, moments: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the samples that are among some moments, ascending, and which of these they are of."""
@@ -481,7 +541,8 @@ def measure(recording: Recording, ids: Iterable[int], times: Floats) -> list[Mea
         ids: The ids of the actors.
         times: The times of the samples, in elapsed seconds, ascending.
     """
-    measurer, motion = _Measurer(ids, times), MotionCollector(recorded_actors(recording.reader), before=MARGIN, after=MARGIN)
+    measurer = _Measurer(ids, times, stop_points(recording.reader))
+    motion = MotionCollector(recorded_actors(recording.reader), before=MARGIN, after=MARGIN)
 
     def observe(batch: Batch) -> None:
         for table in motion.add(batch):

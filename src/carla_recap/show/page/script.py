@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.style import Color
     from carla_recap.show.page.base_map import BaseMap
     from carla_recap.show.page.images import PageImages
-    from carla_recap.show.page.samples import MeasuredActor, SampledActor, SampledReplay
+    from carla_recap.show.page.samples import Change, MeasuredActor, SampledActor, SampledReplay
 
 LEVEL: Final = 6  # of compression
 _LARGEST: Final = 2.0**30  # units; larger columns get a larger unit
@@ -38,9 +38,19 @@ LENGTH_UNIT: Final = 0.002  # m
 TIME_UNIT: Final = 1e-5  # s
 MAP_UNIT: Final = 0.02  # m
 SPEED_UNIT: Final = 0.01  # m/s
-ACCELERATION_UNIT: Final = 0.02  # m/s²
-HEADWAY_UNIT: Final = 0.05  # m
-_MOST: Final = 100.0  # m/s²
+MEASURED_UNITS: Final = {
+    "acceleration": 0.02,
+    "gap": 0.05,
+    "ttc": 0.05,
+    "throttle": 0.01,
+    "brake": 0.01,
+    "steer": 0.01,
+    "light": 1.0,
+    "distance": 0.5,
+}
+"""The precision of what is plotted, in the units of `MeasuredActor`."""
+_MOST: Final = 100.0  # of a value that is plotted, without its sign
+_UNKNOWN: Final = -128.0
 _TURN: Final = 16384 / 360  # units of a yaw per degree
 _PAINT: Final = re.compile(r" *(\d{1,3}) *, *(\d{1,3}) *, *(\d{1,3}) *")
 _LONG: Final = 2.65  # m, half the length from which a vehicle is drawn as a truck
@@ -210,8 +220,6 @@ def recording_data(replay: SampledReplay, measured: Iterable[MeasuredActor], pac
         begin += len(track.rows)
     x, y, yaw, speed = np.concatenate(rows).T if rows else np.zeros((4, 0))
     columns = np.array(table, np.float64).reshape(-1, 5).T
-    actors, times, states = np.array(replay.lights, np.float64).reshape(-1, 3).T
-    walkers, since, headings = np.array(replay.lying, np.float64).reshape(-1, 3).T
     return {
         "times": packer.column(replay.times, TIME_UNIT, order=2),
         "spans": [[number(start, 6), number(stop, 6)] for start, stop in replay.spans],
@@ -222,31 +230,32 @@ def recording_data(replay: SampledReplay, measured: Iterable[MeasuredActor], pac
         "yaw": packer.column(np.rint(yaw * _TURN), order=2),
         "speed": packer.column(speed, SPEED_UNIT),
         "measured": [measured_data(each, packer) for each in measured],
-        "lights": {
-            "actor": packer.column(actors),
-            "time": packer.column(times, TIME_UNIT),
-            "state": packer.column(states % 256, order=0),
-        },
-        "lying": {
-            "actor": packer.column(walkers),
-            "time": packer.column(since, TIME_UNIT),
-            "heading": packer.column(headings, order=0),
-        },
+        "lights": _changes(replay.lights, packer),
+        "lying": _changes(replay.lying, packer),
+        "lamps": _changes(replay.lamps, packer),
+        "marks": [[number(time), places.round(2).tolist()] for time, places in replay.marks],
+    }
+
+
+def _changes(changes: Sequence[Change], packer: Packer) -> dict[str, Any]:
+    actors, times, values = np.array(changes, np.float64).reshape(-1, 3).T
+    return {
+        "actor": packer.column(actors),
+        "time": packer.column(times, TIME_UNIT),
+        "value": packer.column(values, order=0),
     }
 
 
 def measured_data(measured: MeasuredActor, packer: Packer) -> dict[str, Any]:
-    """Return what is plotted of an actor at each sample, beside its speed.
+    """Return what is plotted of an actor at each sample, beside its speed; what is never known is left out.
 
-    An unknown acceleration is -128 m/s², others are from -100 to 100; without a leader, the headway is -1 m.
+    Values are from -100 to 100, and -128 where they are unknown.
     """
-    acceleration = np.nan_to_num(np.clip(measured.acceleration, -_MOST, _MOST), nan=-128.0)
-    return {
-        "id": measured.id,
-        "acceleration": packer.column(acceleration, ACCELERATION_UNIT),
-        "headway": packer.column(np.nan_to_num(measured.headway, nan=-1.0), HEADWAY_UNIT),
-        "leader": packer.column(measured.leader),
-    }
+    found: dict[str, Any] = {"id": measured.id, "leader": packer.column(measured.leader)}
+    for name, values in measured.values.items():
+        if (known := np.isfinite(values)).any():
+            found[name] = packer.column(np.where(known, np.clip(values, -_MOST, _MOST), _UNKNOWN), MEASURED_UNITS[name])
+    return found
 
 
 def base_map_data(base_map: BaseMap, packer: Packer) -> dict[str, Any]:

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from carla_recap.rendering.process import RenderProcess
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import Follow, Player, Scene
+    from carla_recap.scene.falls import RecordedContacts
     from carla_recap.scene.follow import FollowedSeries
     from carla_recap.scene.instances import Instances
     from carla_recap.show.video.camera_paths import Subject, VideoView
@@ -75,6 +76,7 @@ class Film:
         frames: The number of frames; None: a single picture.
         shown: Which incidents are shown, see `carla_recap.scene.captions.shown_options`; None: nothing is written on the
             pictures.
+        contacts: The contacts of the recording, if there are several films of it.
     """
 
     def __init__(
@@ -88,6 +90,7 @@ class Film:
         rate: float = RATE,
         frames: int | None = None,
         shown: IncidentOptions | None = None,
+        contacts: RecordedContacts | None = None,
     ) -> None:
         from carla_recap.scene.actor_instances import SceneActors  # here, while the renderer starts
 
@@ -97,7 +100,7 @@ class Film:
         self._frames = frames
         self._view = view
         self._actors = SceneActors()
-        self._actors.recall(player)
+        self._actors.recall(player, contacts)
         self._followed = player.followed
         self._subject: Subject | None = None
         self._series: FollowedSeries | None = None

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from carla_recap.recording import Recording
     from carla_recap.rendering.process import RenderProcess
     from carla_recap.replay import Follow
+    from carla_recap.scene.falls import RecordedContacts
     from carla_recap.show.video.camera_paths import VideoView
     from carla_recap.show.video.encoding import Size
     from carla_recap.show.video.film import Town, VideoShot
@@ -102,6 +103,7 @@ def picture(
     incidents: IncidentOptions | None = None,
     renderer: RenderProcess | None = None,
     form: str = "PNG",
+    contacts: RecordedContacts | None = None,
 ) -> PictureFile:
     """Return a picture of a recording at a time; for the other arguments see `snapshot`.
 
@@ -116,6 +118,7 @@ def picture(
         incidents: Which incidents are shown.
         renderer: What draws it, for many pictures of one town; None: one is made and closed.
         form: "PNG" or "JPEG".
+        contacts: The contacts of the recording, for many pictures of it, so that they are read once.
 
     Raises:
         RecapError: There is no such time, actor or camera, or nothing can be drawn here.
@@ -135,7 +138,8 @@ def picture(
     if follow is None and player.followed is None:
         player.followed = Player(source).followed
     with opened_renderer(renderer, town, source, start=start, stop=time, supersampling=2) as opened:
-        film = Film(source, player, view, size, shown=overlay_options(source, view, overlay, incidents))
+        shown = overlay_options(source, view, overlay, incidents)
+        film = Film(source, player, view, size, shown=shown, contacts=contacts)
         *_, shot = (film.shot(scene) for scene in player.scenes(_RATE))
         if follow is not None:
             _check_followed(source, player.followed, shot)

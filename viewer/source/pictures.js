@@ -1,21 +1,27 @@
 // The pictures of incidents in the list: drawn when they are about to be seen, in the colours of the theme.
-"use strict";
+
+import { Camera } from "./camera.js";
+import { element } from "./elements.js";
+import { Stage } from "./stage.js";
+import { theme } from "./theme.js";
 
 const PICTURE = [480, 300]; // px
 const NARROWEST = 36; // m from left to right, at least
 const WIDEST = 400; // m, at most
 const PATH_TIME = 5; // s before and after an incident
 
-class Pictures {
+export class Pictures {
+  /** @param {import("./ground").Ground} ground */
   constructor(ground) {
     this.ground = ground;
-    this.entries = new Map(); // image → { recording, incident }
-    this.stages = new Map(); // recording → stage
+    /** @type {Map<Element, { recording: Recorded, incident: Incident, large: boolean, drawn: string | null }>} */
+    this.entries = new Map();
+    this.stages = /** @type {Map<Recorded, Stage>} */ (new Map());
     this.observer = new IntersectionObserver((seen) => this.see(seen), { rootMargin: "300px" });
     theme.addEventListener("change", () => this.redraw());
   }
 
-  /** Return an image of an incident, which is drawn later. */
+  /** Return an image of an incident, which is drawn later. @param {Recorded} recording @param {Incident} incident */
   image(recording, incident) {
     const image = element("img", "picture");
     Object.assign(image, { alt: "", width: PICTURE[0], height: PICTURE[1] });
@@ -28,6 +34,7 @@ class Pictures {
     return image;
   }
 
+  /** @param {IntersectionObserverEntry[]} seen */
   see(seen) {
     for (const { target, isIntersecting } of seen) if (isIntersecting) this.fill(target);
   }
@@ -38,29 +45,31 @@ class Pictures {
     }
   }
 
+  /** @param {Element} image */
   fill(image) {
     const entry = this.entries.get(image);
-    const drawn = `${theme.name} ${entry.large}`;
-    if (entry.drawn === drawn) return;
+    const drawn = `${theme.name} ${entry?.large}`;
+    if (!entry || entry.drawn === drawn) return;
     entry.drawn = drawn;
-    image.src = this.draw(entry.recording, entry.incident, entry.large);
+    /** @type {HTMLImageElement} */ (image).src = this.draw(entry.recording, entry.incident, entry.large);
   }
 
-  /** Draw a picture for more or less room: the names of actors are in large ones alone. */
+  /** Draw a picture for more or less room: the names of actors are in large ones alone. @param {Element | null} image @param {boolean} large */
   enlarge(image, large) {
-    const entry = this.entries.get(image);
+    const entry = image && this.entries.get(image);
     if (!entry) return;
     entry.large = large;
     if (entry.drawn) this.fill(image);
   }
 
-  /** Return the address of a picture. */
-  draw(recording, { kind, start, actors: ids, place }, large) {
+  /** Return the address of a picture. @param {Recorded} recording @param {Incident} incident @param {boolean} large */
+  draw(recording, { kind, start: begin, actors: ids, place }, large) {
+    const start = begin ?? 0;
     const stage = this.stage(recording);
     const { tracks } = recording;
     const actors = ids.map((id) => tracks.indexOf(id, start)).filter((actor) => actor >= 0);
-    const points = ids.map((id) => recording.poseOf(id, start)).filter((pose) => pose !== null).map(({ x, y }) => [x, y]);
-    if (place[0] !== null && place[1] !== null) points.push(place);
+    const points = ids.flatMap((id) => recording.poseOf(id, start) ?? []).map(({ x, y }) => [x, y]);
+    if (place) points.push(place);
     if (!points.length) points.push([0, 0]);
     const [xs, ys] = [points.map(([x]) => x), points.map(([, y]) => y)];
     const { camera } = stage;
@@ -70,26 +79,25 @@ class Pictures {
     stage.draw(start);
     stage.drawPaths(actors, start - PATH_TIME, start, start + PATH_TIME);
     for (const one of stage.shown) if (actors.includes(one.actor)) stage.drawActor(one);
-    if (kind === "collision" && place[0] !== null && place[1] !== null) {
-      stage.drawCross(...camera.toScreen(place[0], place[1]), 1);
-    }
-    const taken = [];
+    if (kind === "collision" && place) stage.drawCross(...camera.toScreen(...place), 1);
+    const taken = /** @type {number[][]} */ ([]);
     for (const { actor, left, top } of large ? stage.shown : []) {
       if (actors.includes(actor)) stage.label(actor, left, top, taken, true);
     }
     return stage.canvas.toDataURL("image/webp", 0.85);
   }
 
+  /** @param {Recorded} recording */
   stage(recording) {
-    if (!this.stages.has(recording)) {
-      const canvas = document.createElement("canvas");
-      [canvas.width, canvas.height] = PICTURE;
-      const camera = new Camera();
-      [camera.width, camera.height] = PICTURE;
-      const stage = new Stage(canvas, [recording], camera, this.ground);
-      Object.assign(stage, { labels: false, trails: false, marks: false, ratio: 1 });
-      this.stages.set(recording, stage);
-    }
-    return this.stages.get(recording);
+    const known = this.stages.get(recording);
+    if (known) return known;
+    const canvas = document.createElement("canvas");
+    [canvas.width, canvas.height] = PICTURE;
+    const camera = new Camera();
+    [camera.width, camera.height] = PICTURE;
+    const stage = new Stage(canvas, [recording], camera, this.ground);
+    Object.assign(stage, { labels: false, trails: false, marks: false });
+    this.stages.set(recording, stage);
+    return stage;
   }
 }

@@ -1,5 +1,9 @@
 // Draws the scene from above: the roads, and the actors of one recording or, over each other, of two.
-"use strict";
+
+import { UP } from "./camera.js";
+import { APART, LATE, moves } from "./recorded.js";
+import { BODY, DETAILED, details, outline, visible } from "./shapes.js";
+import { theme } from "./theme.js";
 
 const TRAIL = 3; // s
 const FAST = 40; // m/s; trails of what is farther outside the view do not reach it
@@ -7,29 +11,39 @@ const FADES = 16; // parts of a trail
 const LONG_TRAIL = 8; // s, of the followed actor
 const NOTED = 1.5; // s before and after an incident in which it is marked
 const SMALLEST = 7; // px
-const ORDER = ["other", "sensor", "traffic sign", "traffic light", "walker", "vehicle"];
 const REST = new Set(["other", "sensor", "traffic sign"]);
-const FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-serif";
+export const FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-serif";
 
-class Stage {
-  /** recordings: the one to show, or two to show over each other. */
+export class Stage {
+  /** recordings: the one to show, or two to show over each other.
+   * @param {HTMLCanvasElement} canvas @param {Recorded[]} recordings @param {Camera} camera
+   * @param {import("./ground").Ground} ground */
   constructor(canvas, recordings, camera, ground) {
     this.canvas = canvas;
-    this.context = canvas.getContext("2d", { alpha: false });
+    this.context = /** @type {CanvasRenderingContext2D} */ (canvas.getContext("2d", { alpha: false }));
     this.camera = camera;
     this.ground = ground;
     this.origin = ground.origin;
     this.labels = this.trails = true;
     this.marks = true; // whether incidents are marked
     this.hovered = -1;
-    this.show(recordings);
+    this.ratio = 1;
+    this.time = 0;
+    this.recording = recordings[0];
+    this.ghost = recordings.at(1);
+    this.shown = /** @type {Drawn[]} */ ([]); // the drawn actors
+    this.ghosts = /** @type {Drawn[]} */ ([]); // those of the other recording
+    this.places = /** @type {Map<number, Drawn>} */ (new Map()); // the drawn actors by index
   }
 
+  /** @param {Recorded[]} recordings */
   show(recordings) {
     [this.recording, this.ghost] = recordings;
-    this.tracks = this.recording.tracks;
-    this.shown = []; // the drawn actors: { actor, x, y, yaw, left, top }
-    this.ghosts = []; // those of the other recording
+    this.shown = this.ghosts = [];
+  }
+
+  get tracks() {
+    return this.recording.tracks;
   }
 
   /** Return the rectangle around all roads, or around all actors if there are no roads. */
@@ -52,22 +66,24 @@ class Stage {
     this.canvas.height = Math.max(1, Math.round(clientHeight * this.ratio));
   }
 
+  /** @param {number} time */
   draw(time) {
     const { context, camera } = this;
     this.time = time;
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.globalAlpha = 1;
-    context.fillStyle = theme.colors.ground;
+    context.fillStyle = theme.colors.map;
     context.fillRect(0, 0, this.canvas.width, this.canvas.height);
     this.shown = this.locate(this.recording);
     this.places = new Map(this.shown.map((one) => [one.actor, one]));
-    this.ghosts = this.ghost ? this.locate(this.ghost).filter((one) => this.differs(one)) : [];
+    const { ghost } = this;
+    this.ghosts = ghost ? this.locate(ghost).filter((one) => this.differs(ghost, one)) : [];
     camera.apply(context, this.ratio, this.origin);
     this.ground.draw(context, camera);
     if (this.trails) this.drawTrails();
     context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     if (this.marks) this.drawCollisions();
-    for (const one of this.ghosts) this.drawGhost(one);
+    for (const one of this.ghosts) this.drawGhost(/** @type {Recorded} */ (ghost), one);
     for (const one of this.shown) this.drawActor(one);
     const followed = this.places.get(this.tracks.indexOf(camera.followed, this.time));
     if (followed) this.drawActor(followed); // above what may hide it
@@ -76,12 +92,12 @@ class Stage {
     if (this.labels) this.drawLabels();
   }
 
-  /** Return the poses of the present actors of a recording. */
+  /** Return the poses of the present actors of a recording. @param {Recorded} recording */
   locate({ tracks, order }) {
     const sample = tracks.sampleAt(this.time);
     const found = [];
     for (const actor of order) {
-      const pose = { actor };
+      const pose = { actor, x: 0, y: 0, yaw: 0, left: 0, top: 0 };
       if (tracks.actors[actor].kind !== "sensor" && tracks.pose(actor, this.time, sample, pose)) {
         [pose.left, pose.top] = this.camera.toScreen(pose.x, pose.y);
         found.push(pose);
@@ -90,20 +106,18 @@ class Stage {
     return found;
   }
 
-  /** Return whether a moving actor of the other recording is elsewhere in this one. */
-  differs({ actor, x, y }) {
-    const { kind } = this.ghost.tracks.actors[actor];
-    if (kind !== "vehicle" && kind !== "walker") return false;
-    const twin = this.ghost.twin(actor);
+  /** Return whether a moving actor of the other recording is elsewhere in this one. @param {Recorded} ghost @param {Drawn} drawn */
+  differs(ghost, { actor, x, y }) {
+    if (!moves(ghost.tracks.actors[actor])) return false;
+    const twin = ghost.twin(actor);
     const same = this.places.get(twin);
     return !same || Math.hypot(same.x - x, same.y - y) > APART + LATE * this.tracks.speed(twin, this.time);
   }
 
-  // --- trails and marks on the road, in the axes of the world -------------------------------------------
-
   drawTrails() {
-    const shown = new Set(this.ghosts.map(({ actor }) => this.ghost.twin(actor)));
-    for (const one of this.ghosts) this.drawTrail(this.ghost.tracks, one, theme.colors.other, LONG_TRAIL);
+    const { ghost } = this;
+    const shown = new Set(this.ghosts.map(({ actor }) => ghost?.twin(actor)));
+    for (const one of this.ghosts) if (ghost) this.drawTrail(ghost.tracks, one, theme.colors.other, LONG_TRAIL);
     for (const one of this.shown) {
       const { id, kind, color } = this.tracks.actors[one.actor];
       if (REST.has(kind) || kind === "traffic light") continue;
@@ -113,6 +127,7 @@ class Stage {
     this.context.globalAlpha = 1;
   }
 
+  /** @param {import("./tracks").Tracks} tracks @param {Drawn} drawn @param {string} color @param {number} length */
   drawTrail(tracks, { actor, x, y, left, top }, color, length) {
     const { context, camera, time } = this;
     const reach = length * FAST * camera.scale;
@@ -136,7 +151,8 @@ class Stage {
     }
   }
 
-  /** Draw the paths of actors from one time to another: solid up to a time, dotted from then on. */
+  /** Draw the paths of actors from one time to another: solid up to a time, dotted from then on.
+   * @param {number[]} actors @param {number} start @param {number} time @param {number} stop */
   drawPaths(actors, start, time, stop) {
     const { context, camera } = this;
     camera.apply(context, this.ratio, this.origin);
@@ -144,8 +160,8 @@ class Stage {
     for (const actor of actors) {
       context.strokeStyle = this.tracks.actors[actor].color;
       context.lineWidth = 3 / camera.scale;
-      for (const [from, to, dash, alpha] of [[time, stop, [0.1, 1.2], 0.6], [start, time, [], 0.9]]) {
-        context.setLineDash(dash);
+      for (const [from, to, dotted, alpha] of /** @type {const} */ ([[time, stop, true, 0.6], [start, time, false, 0.9]])) {
+        context.setLineDash(dotted ? [0.1, 1.2] : []);
         context.globalAlpha = alpha;
         for (const run of this.tracks.path(actor, from, to)) {
           context.beginPath();
@@ -162,14 +178,11 @@ class Stage {
   /** Draw a cross where something collided. */
   drawCollisions() {
     for (const recording of this.ghost ? [this.ghost, this.recording] : [this.recording]) {
-      for (const { kind, start, place } of recording.report.incidents) {
-        if (kind === "collision" && start !== null && start <= this.time && place[0] !== null && place[1] !== null) {
-          this.drawCross(...this.camera.toScreen(place[0], place[1]), 0.75);
-        }
-      }
+      for (const [x, y] of recording.tracks.marksAt(this.time)) this.drawCross(...this.camera.toScreen(x, y), 0.75);
     }
   }
 
+  /** @param {number} left @param {number} top @param {number} alpha */
   drawCross(left, top, alpha) {
     const { context, camera } = this;
     const arm = Math.max(4, 0.9 * camera.scale);
@@ -190,17 +203,16 @@ class Stage {
   drawIncidents() {
     const { context, camera, time } = this;
     for (const recording of this.ghost ? [this.ghost, this.recording] : [this.recording]) {
-      for (const { kind, start, place } of recording.report.incidents) {
+      for (const { incident, start } of recording.incidentsIn(time - NOTED, time + NOTED)) {
+        const { kind, place } = incident;
         const late = time - start;
-        const early = kind === "collision" ? NOTED : 0;
-        if (start === null || !(-early <= late && late < NOTED) || place[0] === null || place[1] === null) continue;
-        const [left, top] = camera.toScreen(place[0], place[1]);
+        if (late >= NOTED || (late < 0 && kind !== "collision") || !place) continue;
+        const [left, top] = camera.toScreen(...place);
         context.globalAlpha = 1 - Math.abs(late) / NOTED;
         context.lineWidth = 2;
         context.strokeStyle = theme.tones[kind];
         context.fillStyle = theme.tones[kind] + "24";
-        context.beginPath();
-        context.arc(left, top, Math.max(14, 3.4 * camera.scale) * (late < 0 ? 1 + 0.6 * -late : 1), 0, 7);
+        this.circle(left, top, Math.max(14, 3.4 * camera.scale) * (late < 0 ? 1 + 0.6 * -late : 1));
         context.fill();
         context.stroke();
       }
@@ -208,12 +220,11 @@ class Stage {
     context.globalAlpha = 1;
   }
 
-  // --- actors, in px --------------------------------------------------------------------------------------
-
+  /** @param {Drawn} drawn */
   drawActor({ actor, left, top, yaw }) {
     const { context, camera } = this;
     const { id, kind, color, paint, hero, shape } = this.tracks.actors[actor];
-    const [middle, side, length, width] = this.extent(this.recording, actor);
+    const [, , length, width] = this.extent(this.recording, actor);
     const heading = this.tracks.lying(actor, this.time) ?? yaw;
     const size = camera.scale * Math.max(length, width);
     if (Math.max(-left, -top, left - camera.width, top - camera.height) > size + 30) return;
@@ -221,86 +232,92 @@ class Stage {
       this.drawLamp(actor, left, top);
       return;
     }
-    const scale = camera.scale * Math.max(1, (REST.has(kind) ? 2 : SMALLEST) / 2 / size);
     const marked = id === camera.followed || actor === this.hovered;
+    const isMoving = moves(this.tracks.actors[actor]);
     context.save();
     context.translate(left, top);
     if (marked || hero) this.drawGlow(color, Math.max(size, SMALLEST) + 12);
-    context.rotate(camera.up - UP - heading);
-    context.translate(middle * scale, -side * scale);
+    const [path, halfLength, halfWidth] = this.outline(this.recording, { actor, heading }, REST.has(kind) ? 2 : SMALLEST, shape === "walker" ? 3 : 0);
     context.globalAlpha = REST.has(kind) ? 0.5 : 1;
-    const [halfLength, halfWidth] = [Math.max(length * scale, shape === "walker" ? 3 : 0), Math.max(width * scale, shape === "walker" ? 3 : 0)];
-    context.beginPath();
-    outline(context, shape, halfLength, halfWidth);
-    if (kind === "vehicle" || kind === "walker") {
-      context.shadowColor = theme.colors.shade;
-      [context.shadowBlur, context.shadowOffsetY] = [0.5 * scale * this.ratio, 0.12 * scale * this.ratio];
-    }
+    context.shadowColor = isMoving ? theme.colors.shade : "transparent";
+    [context.shadowBlur, context.shadowOffsetY] = [0.5 * halfWidth * this.ratio, 0.12 * halfWidth * this.ratio];
     context.fillStyle = visible(paint ?? color);
-    context.fill();
+    context.fill(path);
     context.shadowColor = "transparent";
-    const detailed = halfLength > DETAILED || (shape === "walker" && halfLength > 4);
-    if ((kind === "vehicle" || kind === "walker") && detailed) details(context, shape, halfLength, halfWidth);
-    context.beginPath();
-    outline(context, shape, halfLength, halfWidth);
+    const isDetailed = halfLength > DETAILED || (shape === "walker" && halfLength > 4);
+    if (isMoving && isDetailed) details(context, shape, halfLength, halfWidth, this.tracks.lampsOf(actor, this.time));
     context.lineWidth = marked ? 2 : 1;
     context.strokeStyle = marked ? theme.colors.text : hero ? color : theme.colors.edge;
-    if (marked || hero || kind === "vehicle") context.stroke();
+    if (marked || hero || kind === "vehicle") context.stroke(path);
     context.restore();
   }
 
-  /** Return x, y and half extents of an actor, those of a walker that lies along its body. */
+  /** Set the axes to those of an actor at the present point, and return its outline, half its length and half its width in px.
+   * @param {Recorded} recording @param {{ actor: number, heading: number }} drawn @param {number} size the least size in px
+   * @param {number} half the least half of a length or width in px @returns {[Path2D, number, number]} */
+  outline(recording, { actor, heading }, size, half) {
+    const { context, camera } = this;
+    const [middle, side, length, width] = this.extent(recording, actor);
+    const scale = camera.scale * Math.max(1, size / 2 / (camera.scale * Math.max(length, width)));
+    const path = new Path2D();
+    const halves = /** @type {[number, number]} */ ([Math.max(half, length * scale), Math.max(half, width * scale)]);
+    context.rotate(camera.up - UP - heading);
+    context.translate(middle * scale, -side * scale);
+    outline(path, recording.tracks.actors[actor].shape, ...halves);
+    return [path, ...halves];
+  }
+
+  /** Return x, y and half extents of an actor, those of a walker that lies along its body. @param {Recorded} recording @param {number} actor */
   extent({ tracks }, actor) {
     const { kind, box } = tracks.actors[actor];
     if (tracks.lying(actor, this.time) !== null) return [0, 0, Math.max(BODY, box[2]), Math.max(0.28, box[3])];
     return kind === "walker" ? [box[0], box[1], Math.min(0.22, box[2]), Math.max(0.28, box[3])] : box;
   }
 
+  /** @param {string} color @param {number} radius */
   drawGlow(color, radius) {
     const { context } = this;
     const shade = context.createRadialGradient(0, 0, radius * 0.4, 0, 0, radius);
     shade.addColorStop(0, color + (theme.name === "dark" ? "66" : "99"));
     shade.addColorStop(1, color + "00");
     context.fillStyle = shade;
-    context.beginPath();
-    context.arc(0, 0, radius, 0, 7);
+    this.circle(0, 0, radius);
     context.fill();
   }
 
+  /** Begin a path that is a circle. @param {number} left @param {number} top @param {number} radius */
+  circle(left, top, radius) {
+    this.context.beginPath();
+    this.context.arc(left, top, radius, 0, 7);
+  }
+
+  /** @param {number} actor @param {number} left @param {number} top */
   drawLamp(actor, left, top) {
     const { context, camera } = this;
     const state = this.tracks.lightState(actor, this.time);
-    const color = this.recording.report.lights[state]?.[1] ?? "#828287";
+    const color = this.recording.report.lights[state ?? -1]?.[1] ?? "#828287";
     const radius = Math.max(2.5, Math.min(7, 0.7 * camera.scale));
     context.globalAlpha = 0.22;
     context.fillStyle = color;
-    context.beginPath();
-    context.arc(left, top, 2.2 * radius, 0, 7);
+    this.circle(left, top, 2.2 * radius);
     if (camera.scale > 1 && state !== null && state < 3) context.fill();
     context.globalAlpha = 1;
-    context.beginPath();
-    context.arc(left, top, radius, 0, 7);
+    this.circle(left, top, radius);
     context.fill();
   }
 
-  /** Draw an actor of the other recording: its outline, dashed. */
-  drawGhost({ actor, left, top, yaw }) {
-    const { context, camera } = this;
-    const { shape } = this.ghost.tracks.actors[actor];
-    const [middle, side, length, width] = this.extent(this.ghost, actor);
-    const scale = camera.scale * Math.max(1, SMALLEST / 2 / (camera.scale * Math.max(length, width)));
+  /** Draw an actor of the other recording: its outline, dashed. @param {Recorded} ghost @param {Drawn} drawn */
+  drawGhost(ghost, { actor, left, top, yaw }) {
+    const { context } = this;
     context.save();
     context.translate(left, top);
-    context.rotate(camera.up - UP - (this.ghost.tracks.lying(actor, this.time) ?? yaw));
-    context.translate(middle * scale, -side * scale);
-    context.beginPath();
-    outline(context, shape, Math.max(3, length * scale), Math.max(3, width * scale));
+    const [path] = this.outline(ghost, { actor, heading: ghost.tracks.lying(actor, this.time) ?? yaw }, SMALLEST, 3);
     context.fillStyle = theme.colors.other + "40";
     context.strokeStyle = theme.colors.other;
     context.lineWidth = 2;
     context.setLineDash([4, 3]);
-    context.fill();
-    context.stroke();
+    context.fill(path);
+    context.stroke(path);
     context.restore();
   }
 
@@ -308,8 +325,8 @@ class Stage {
   drawDistance() {
     const { context, camera } = this;
     const own = this.places.get(this.tracks.indexOf(camera.followed, this.time));
-    const ghost = own && this.ghosts.find(({ actor }) => this.ghost.twin(actor) === own.actor);
-    if (!ghost) return;
+    const ghost = own && this.ghosts.find(({ actor }) => this.ghost?.twin(actor) === own.actor);
+    if (!own || !ghost) return;
     context.strokeStyle = theme.colors.other;
     context.lineWidth = 1.5;
     context.setLineDash([2, 4]);
@@ -318,17 +335,13 @@ class Stage {
     context.lineTo(ghost.left, ghost.top);
     context.stroke();
     context.setLineDash([]);
-    if (Math.hypot(own.left - ghost.left, own.top - ghost.top) < 70) return;
-    const metres = Math.hypot(own.x - ghost.x, own.y - ghost.y);
-    this.text(`${metres.toFixed(metres < 10 ? 1 : 0)} m`, (own.left + ghost.left) / 2, (own.top + ghost.top) / 2 - 6, theme.colors.other);
   }
-
-  // --- names ------------------------------------------------------------------------------------------------
 
   /** Draw names, the most important first; those that would overlap others are left out. */
   drawLabels() {
     const { camera, tracks } = this;
-    const taken = [];
+    const taken = /** @type {number[][]} */ ([]);
+    /** @param {Drawn} drawn */
     const importance = ({ actor }) => {
       const { id, kind, hero } = tracks.actors[actor];
       if (actor === this.hovered) return 5;
@@ -337,23 +350,26 @@ class Stage {
     };
     const named = this.shown.map((one) => ({ ...one, importance: importance(one) }));
     named.sort((a, b) => b.importance - a.importance);
-    for (const { actor, left, top, importance } of named) {
-      if (importance < (camera.scale > 3.5 ? 1 : 3)) break;
+    for (const { actor, left, top, importance: rank } of named) {
+      if (rank < (camera.scale > 3.5 ? 1 : 3)) break;
       if (left < 0 || top < 0 || left > camera.width || top > camera.height) continue;
-      this.label(actor, left, top, taken, importance > 3);
+      this.label(actor, left, top, taken, rank > 3);
     }
     this.context.globalAlpha = 1;
   }
 
-  /** Draw the name of an actor above or below it, all of it on the map, if there is room. */
+  /** Draw the name of an actor above or below it, all of it on the map, if there is room; with its speed under the pointer.
+   * @param {number} actor @param {number} left @param {number} top @param {number[][]} taken @param {boolean} always */
   label(actor, left, top, taken, always) {
     const { context, camera } = this;
     const { label, box } = this.tracks.actors[actor];
     context.font = `600 12px ${FONT}`;
-    const text = cut(label, 26);
+    const speed = actor === this.hovered ? this.tracks.speed(actor, this.time) * 3.6 : NaN;
+    const text = (label.length > 26 ? `${label.slice(0, 25)}…` : label) + (Number.isNaN(speed) ? "" : ` · ${speed.toFixed(0)} km/h`);
     const half = context.measureText(text).width / 2 + 4;
     const middle = Math.max(half, Math.min(camera.width - half, left));
     const reach = Math.max(9, Math.max(box[2], box[3]) * camera.scale);
+    /** @param {number} line */
     const clashes = (line) => taken.some(([x, y, width]) => Math.abs(x - middle) < width + half && Math.abs(y - line) < 15);
     const lines = [top - reach - 8, top + reach + 17].filter((line) => line >= 14 && line <= camera.height - 6);
     const bottom = lines.find((line) => !clashes(line)) ?? (always ? lines[0] : undefined);
@@ -363,7 +379,7 @@ class Stage {
     this.text(text, middle, bottom, theme.colors.text);
   }
 
-  /** Draw a text with a halo. */
+  /** Draw a text with a halo. @param {string} text @param {number} left @param {number} bottom @param {string} color */
   text(text, left, bottom, color) {
     const { context } = this;
     context.font = `600 12px ${FONT}`;
@@ -376,7 +392,15 @@ class Stage {
     context.fillText(text, left, bottom);
   }
 
-  /** Return the actor at a point of the screen, or -1. */
+  /** Mark the actor under the pointer, and return whether it is another one. @param {number | null} left @param {number} top */
+  hover(left, top) {
+    const before = this.hovered;
+    this.hovered = left === null ? -1 : this.actorAt(left, top);
+    this.canvas.classList.toggle("over", this.hovered >= 0);
+    return this.hovered !== before;
+  }
+
+  /** Return the actor at a point of the screen, or -1. @param {number} left @param {number} top */
   actorAt(left, top) {
     let [nearest, least] = [-1, 18];
     for (const one of this.shown) {
@@ -387,9 +411,4 @@ class Stage {
     }
     return nearest;
   }
-}
-
-/** Return the beginning of a long text. */
-function cut(text, length) {
-  return text.length <= length ? text : `${text.slice(0, length - 1)}…`;
 }

@@ -1,7 +1,7 @@
-// Reads the compressed columns of numbers (packing.py writes them), and draws nothing.
-"use strict";
+// Reads the compressed columns of numbers (script.py writes them), and draws nothing.
 
-/** Return the numbers of a column: offset, count, bytes of each, unit, times that differences were taken. */
+/** Return the numbers of a column: offset, count, bytes of each, unit, times that differences were taken.
+ * @param {Uint8Array} bytes @param {number[]} column @returns {Numbers} */
 function numbers(bytes, [offset, count, planes, unit, order]) {
   const values = new Int32Array(count);
   for (let plane = 0; plane < planes; plane++) {
@@ -16,26 +16,26 @@ function numbers(bytes, [offset, count, planes, unit, order]) {
   return unit === 1 ? values : Float64Array.from(values, (value) => value * unit);
 }
 
-/** Return the bytes of a text in base64. */
-function bytesOf(text) {
+/** Return the bytes of a text in base64. @param {string} text */
+export function bytesOf(text) {
   const raw = atob(text);
   const bytes = new Uint8Array(raw.length);
   for (let i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
   return bytes;
 }
 
-/** Return the value in a compressed text, with its columns as typed arrays. */
-async function unpack(text) {
+/** Return the value in a compressed text, with its columns as typed arrays. @param {string} text */
+export async function unpack(text) {
   const stream = new Blob([bytesOf(text)]).stream().pipeThrough(new DecompressionStream("deflate"));
   const content = await new Response(stream).arrayBuffer();
   const length = new DataView(content).getUint32(0, true);
   const head = new TextDecoder().decode(new Uint8Array(content, 4, length));
   const bytes = new Uint8Array(content, 4 + length);
-  return JSON.parse(head, (key, value) => (value && value.column ? numbers(bytes, value.column) : value));
+  return JSON.parse(head, (_, value) => (value && value.column ? numbers(bytes, value.column) : value));
 }
 
-/** Return the number of values of an ascending array that are at most a value. */
-function countUntil(values, value) {
+/** Return the number of values of an ascending array that are at most a value. @param {ArrayLike<number>} values @param {number} value */
+export function countUntil(values, value) {
   let low = 0;
   let high = values.length;
   while (low < high) {
