@@ -8,8 +8,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
-from carla_recap import Player, Recording, Spawn, clip, create_recording, open_recording
+from carla_recap import Player, Recording, Spawn, clip, convert, create_recording, open_recording
+from carla_recap.editing.author import packets_of
+from carla_recap.formats.carla_log import LogWriter
+from carla_recap.model.frame import Frame, Header
+from carla_recap.model.records import UE4
 from carla_recap.output.json import json as as_json
 
 if TYPE_CHECKING:
@@ -79,3 +85,23 @@ def test_json_prints_times_that_read_back(recording: Recording) -> None:
     assert row["elapsed"] == TIMES[HIT]
     for time in (row["elapsed"], float(f"{row['elapsed']:.2f}")):
         assert recording.frame_at(time).id == row["frame"]
+
+
+@given(
+    clock=st.lists(st.tuples(st.integers(0, 6), st.booleans()), min_size=1, max_size=8),
+    span=st.tuples(st.integers(-1, 7), st.integers(-1, 8)),
+)
+@example(clock=[(1, True), (5, False), (2, True)], span=(0, 4))  # after a frame at the stop, the clock goes back
+@settings(max_examples=40, deadline=None)
+def test_a_sparse_read_has_the_frames_of_a_whole_one_that_hold_something(tmp_path_factory, clock, span) -> None:
+    folder = tmp_path_factory.mktemp("clock")
+    with LogWriter(folder / "a.log", Header("Town01", 0)) as writer:
+        for index, (time, hit) in enumerate(clock):
+            records = {"collisions": [(0, 7, 8, 1, 0)]} if hit else {}
+            writer.write(Frame(index, index + 1, float(time), 1.0, packets_of(UE4, records, additional_data=False)))
+    convert(folder / "a.log", folder / "a.mcap")
+    for path in (folder / "a.log", folder / "a.mcap"):
+        with open_recording(path) as recording:
+            whole = [frame for frame in recording.reader.frames(start=span[0], stop=span[1]) if len(frame["collisions"])]
+            found = recording.reader.frames(("collisions",), sparse=True, start=span[0], stop=span[1])
+            assert [(frame.index, frame.elapsed) for frame in found] == [(frame.index, frame.elapsed) for frame in whole]

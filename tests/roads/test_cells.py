@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from carla_recap.roads.cells import NO_AREA, find_areas
+from carla_recap.roads import cells as grids
+from carla_recap.roads.cells import NO_AREA, BoxGrid, find_areas
 
 CELLS = hnp.arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12)))
 
@@ -43,3 +44,12 @@ def test_neighbours_are_of_the_same_area_and_areas_are_of_all_cells(cells):
     for one, other in ((areas.numbers[1:], areas.numbers[:-1]), (areas.numbers[:, 1:], areas.numbers[:, :-1])):
         both = (one != NO_AREA) & (other != NO_AREA)
         assert np.array_equal(one[both], other[both])
+
+
+def test_things_beyond_the_limit_of_entries_share_larger_cells(monkeypatch):
+    monkeypatch.setattr(grids, "_MOST_ENTRIES", 3)
+    low = np.stack(np.meshgrid(np.arange(6.0), np.arange(5.0)), axis=2).reshape(-1, 2)
+    (query, things), *more = BoxGrid(low, low + 0.5, 1.0, 0.25).pairs(np.array([(2.2, 3.1), (90.0, 90.0)]))
+    assert not more
+    assert set(query.tolist()) == {0}
+    assert {3 * 6 + 2} <= set(things.tolist())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from carla_recap.errors import RecapError
+from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.roads import load_map
 from carla_recap.roads.surfaces import road_network_of
 from tests.roads.towns import crossing, lane, opendrive, painted_stop, road, section, stop_sign
@@ -36,6 +36,11 @@ def near(lines: list[np.ndarray], *expected: list[tuple[float, float, float]]) -
     return len(found) == len(wanted) and all(
         len(a) == len(b) and np.allclose(a, b, atol=0.011) for a, b in zip(found, wanted, strict=True)
     )
+
+
+def test_a_junction_wider_than_what_is_drawn_of_it_warns(draw):
+    with pytest.warns(RecapWarning, match="of a lane of road 1 that is 80 m wide, 400 lines are drawn on"):
+        draw(road(length=2, sections=section(0, right=lane(-1, 80)), junction=5))
 
 
 def test_a_straight_road_in_right_handed_metres(draw):

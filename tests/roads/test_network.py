@@ -19,7 +19,7 @@ from carla_recap.roads.surfaces import build_network, find_road_network, load_ro
 from carla_recap.util import cache
 
 from .straight_road import STRAIGHT_ROAD
-from .towns import mirrored
+from .towns import lane, mirrored, opendrive, road, section
 
 _MAPS = Path(__file__).parents[3] / "shared" / "data" / "maps"
 _KMH = 3.6
@@ -75,6 +75,13 @@ def test_the_lane_of_a_point_beside_it_is_the_nearest_one(roads: RoadNetwork) ->
     found = roads.lanes_at(np.array([(20.0, -4.0), (20.0, 8.5)]))
     assert roads.lanes["id"][found.lane].tolist() == [-1, 1]
     assert found.beside == pytest.approx([0.5, 5.0], abs=1e-3)
+
+
+def test_a_lane_may_be_as_wide_as_a_square() -> None:
+    square = road_network_of(opendrive(road(sections=section(0, right=lane(-1, 80)))))
+    found = square.lanes_at(np.array([(20.0, -70.0), (20.0, -83.0), (20.0, 1.0)]))
+    assert found.outside == pytest.approx([0.0, 3.0, 1.0], abs=1e-3)
+    assert found.offset[0] == pytest.approx(-30.0)
 
 
 def test_junctions_are_known(roads: RoadNetwork) -> None:

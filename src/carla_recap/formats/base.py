@@ -1,19 +1,19 @@
-"""The base of readers and the protocol of writers, which every format implements."""
+"""The bases of readers and writers, which every format implements."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from carla_recap.errors import RecapError
 from carla_recap.model.batch import within
 from carla_recap.model.frame import SAME_TIME
+from carla_recap.util.files import AtomicFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from pathlib import Path
-    from types import TracebackType
 
     from carla_recap.formats.sources import ByteSource
     from carla_recap.model.batch import Batch
@@ -135,7 +135,7 @@ class Reader:
 
         Args:
             types: Names of record types: frames hold the packets of these alone, and no empty ones. None: all packets.
-            sparse: Leave out frames that hold no packet of `types`; in MCAP, durations are unknown (NaN) then.
+            sparse: Leave out frames that hold no packet of `types`; in MCAP, durations may be unknown (NaN) then.
             start: The first elapsed time, in seconds.
             stop: The elapsed time at which to stop, in seconds (exclusive). A frame within `SAME_TIME` of either counts as
                 being at it.
@@ -146,11 +146,12 @@ class Reader:
         self.check_open()
         start, stop = start - SAME_TIME, stop - SAME_TIME
         for batch in within(self._batches(types, start, stop, sparse=sparse), start, stop):
-            yield batch
-            self.check_open()
+            if batch.columns or not sparse:
+                yield batch
+                self.check_open()
 
     def _batches(self, types: Collection[str] | None, start: float, stop: float, *, sparse: bool) -> Iterator[Batch]:
-        """Yield batches with the frames from a time to another, and maybe more of them."""
+        """Yield batches with the frames from a time to another, and maybe more of them, also such without packets."""
         raise NotImplementedError
 
     def frame_at(self, elapsed: float) -> Frame | None:
@@ -244,35 +245,17 @@ class Reader:
         self._source.close()
 
 
-class Writer(Protocol):
-    """A recording that is being written: complete after `close`, removed after `abort`, left unfinished after `abandon`."""
+class Writer(AtomicFile):
+    """A recording that is being written; see `AtomicFile`."""
 
     def write(self, frame: Frame) -> None:
         """Add a frame."""
-        ...
+        raise NotImplementedError
 
     def write_batch(self, batch: Batch) -> None:
         """Add the frames of a batch."""
-        ...
+        raise NotImplementedError
 
     def write_tail(self, piece: bytes) -> None:
         """Add bytes after the last complete packet."""
-        ...
-
-    def close(self) -> None:
-        """Finish the file, and give it its name."""
-        ...
-
-    def abort(self) -> None:
-        """Remove what was written."""
-        ...
-
-    def abandon(self) -> Path:
-        """Stop writing; return the unfinished file, which `recover` can read."""
-        ...
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+        raise NotImplementedError

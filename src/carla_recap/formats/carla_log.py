@@ -15,20 +15,19 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 import numpy as np
 
 from carla_recap.errors import FormatError, NotARecording, RecapWarning, RecordError
-from carla_recap.formats.base import PIECE, Reader
+from carla_recap.formats.base import PIECE, Reader, Writer
 from carla_recap.formats.log_scan import PACKET, START, START_HEAD, Scanner, Window, is_sound
 from carla_recap.formats.sources import LocalSource
 from carla_recap.model.batch import Batch, ConstantColumn, PackedColumn
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, MAX_COUNT, OBJECTS_LIMIT, U16, Buffer, Framing
 from carla_recap.model.records import FRAME_START, UE4, UE5, RecordType
-from carla_recap.util.files import AtomicFile
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from carla_recap.formats.log_scan import Offsets, PacketSpan, Run
+    from carla_recap.formats.log_scan import PacketSpan, Run
     from carla_recap.model.batch import Column
 
 MAGIC: Final = b"CARLA_RECORDER"
@@ -77,7 +76,7 @@ class LogReader(Reader):
         self._warned = False
         self._extent: Extent | None = None
         self._elapsed: array[float] | None = None  # of each frame, in s
-        self._offsets: Offsets | None = None  # once all frames have been read
+        self._offsets: array[int] | None = None  # of each frame, once all have been read
         self._end: int | None = None  # of the last complete packet, once known
         self._source = LocalSource(location, file)
         self.path, self.location, self._size = self._source.path, self._source.location, self._source.size
@@ -104,8 +103,8 @@ class LogReader(Reader):
     def _batches(self, types: Collection[str] | None, start: float, stop: float, *, sparse: bool) -> Iterator[Batch]:
         names = None if types is None else frozenset(self.header.table.named(name).name for name in types)
         first = (0, self._start) if start == -math.inf else self._first_at(start)
-        if first is not None:
-            yield from map(self._batch, self._runs(*first, names, sparse=sparse))
+        if first is not None:  # the first frame at the stop, after which the clock may go back, may hold no wanted packet
+            yield from map(self._batch, self._runs(*first, names, sparse=sparse and stop == math.inf))
 
     def frame_at(self, elapsed: float) -> Frame | None:
         """Return the last frame that begins at or before a time; see `Reader.frame_at`."""
@@ -282,7 +281,7 @@ class LogReader(Reader):
 
     # --- random access -------------------------------------------------------------------------------------------------
 
-    def _indexed(self) -> tuple[array[float], Offsets]:
+    def _indexed(self) -> tuple[array[float], array[int]]:
         """Return the elapsed seconds and the offsets of all frames."""
         if self._elapsed is None:
             elapsed = array("d")
@@ -343,7 +342,7 @@ def pack_header(header: Header) -> bytes:
         ) from None
 
 
-class LogWriter(AtomicFile):
+class LogWriter(Writer):
     """Writes a CARLA log; if it is `live`, the frames every `SYNC_SECONDS` of recording. See `AtomicFile`.
 
     Raises:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import struct
 from array import array
-from bisect import bisect_right
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -67,28 +66,6 @@ class Run(NamedTuple):
     base: int
 
 
-class Offsets:
-    """The offsets of frames in a file, by their positions in the recording; stored are those of the first frames of runs."""
-
-    def __init__(self) -> None:
-        self._positions = array("q")  # of the first frame of each run
-        self._offsets = array("q")
-
-    def add(self, position: int, offset: int) -> None:
-        """Add a run by its first frame, or the end of the last run."""
-        self._positions.append(position)
-        self._offsets.append(offset)
-
-    def __getitem__(self, position: int) -> int:
-        """Return the offset of a frame in the file, in bytes."""
-        run = bisect_right(self._positions, position) - 1
-        first, offset = self._positions[run], self._offsets[run]
-        if position == first:
-            return offset
-        stride = (self._offsets[run + 1] - offset) // (self._positions[run + 1] - first)
-        return offset + (position - first) * stride
-
-
 class Window:
     """A part of a file in memory, moved along as needed; `piece` bytes are read at once, unless more are needed.
 
@@ -117,11 +94,7 @@ class Window:
     def begin(self, offset: int) -> None:
         """Move the window to an offset that is outside of it."""
         if not self.base <= offset < self.base + len(self.data):
-            self._read(offset, 0)
-
-    def move(self, offset: int) -> None:
-        """Move the window to an offset."""
-        self._read(offset, 0)
+            self.move(offset)
 
     def grow(self, offset: int, size: int = 0) -> bool:
         """Hold more bytes from an offset on than now, at least `size`; return whether the file has more.
@@ -136,10 +109,11 @@ class Window:
             raise FormatError(
                 self._source.location, offset, f"expected a frame of at most {FRAME_LIMIT} bytes, found a larger one"
             )
-        self._read(offset, max(2 * held, size) if self.base == offset else size)
+        self.move(offset, max(2 * held, size) if self.base == offset else size)
         return True
 
-    def _read(self, offset: int, size: int) -> None:
+    def move(self, offset: int, size: int = 0) -> None:
+        """Move the window to an offset, and hold at least some bytes from there on."""
         size = min(max(size, self._piece), self.size - offset)
         self.data = b""  # so that its memory serves again
         self.data, self.base = self._source.read(offset, size, "a part"), offset
@@ -161,7 +135,7 @@ class Scanner:
         last: The offset of that frame in the file; None before any.
         end: The offset after the last complete packet, once the scan has come to it.
         lost_bytes: Bytes that were left out so far.
-        offsets: The offsets of the frames that were found so far.
+        offsets: The offset in the file of each frame that was found so far.
     """
 
     def __init__(
@@ -189,7 +163,7 @@ class Scanner:
         self.last: int | None = None
         self.end: int | None = None
         self.lost_bytes = 0
-        self.offsets = Offsets()
+        self.offsets = array("q")
 
     def runs(self, index: int, offset: int, *, preamble: bool) -> Iterator[Run]:
         """Yield the runs from the frame at an index on; `preamble`: whether it is the packets before the first frame."""
@@ -211,7 +185,7 @@ class Scanner:
             if found is None:
                 break
             packets, end = found
-            self.offsets.add(self.count, self._offset)
+            self.offsets.append(self._offset)
             if packets or not self._sparse:
                 size = end - self._offset
                 yield Run(self.count, self._offset, 1, size, packets, preamble, window.data, window.base)
@@ -220,13 +194,11 @@ class Scanner:
                 self.last = self._offset
             self._offset, preamble = end, False
         self.end = self._offset
-        self.offsets.add(self.count, self.end)
 
     def _ordinary_runs(self) -> Iterator[Run]:
         """Yield the runs up to a frame that needs care: the last one, a broken one, or one that is larger than a window."""
         window, unpack, header, first = self._window, PACKET.unpack_from, PACKET.size, _FIRST_PACKET
         wanted, skipped, ignored, sparse = self._wanted, self._skipped, self._ignored, self._sparse
-        add_offset = self.offsets.add
         short_runs = wait = 0  # in a row; the number of frames until the next run is searched for
         window.begin(self._offset)
         while True:
@@ -263,9 +235,10 @@ class Scanner:
                         frames = self._alike(data, start, stride)
                         short_runs = short_runs + 1 if frames < _SHORT_RUN else 0
                         wait = min(1 << short_runs, _LONGEST_WAIT) if short_runs > 1 else 0
-                    add_offset(self.count, base + start)
+                    at = base + start
+                    self.offsets.extend(range(at, at + frames * stride, stride))
                     if packets or not sparse:
-                        yield Run(self.count, base + start, frames, stride, packets, False, data, base)
+                        yield Run(self.count, at, frames, stride, packets, False, data, base)
                     start += frames * stride
                     self.count += frames
                     self._offset = base + start

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 _FIRST_STEP: Final = 128  # rows that are compared at once, at first
 _GROWTH: Final = 8
-_TIMES: Final = ("id", "elapsed", "duration")
 
 
 class Column:
@@ -229,7 +228,9 @@ class Batch:
     @staticmethod
     def of(frame: Frame) -> Batch:
         """Return the batch of a single frame."""
-        return _Single(frame)
+        times = np.array([frame.id], np.uint64), np.array([frame.elapsed]), np.array([frame.duration])
+        columns = [ConstantColumn(packet) for packet in frame.packets]
+        return Batch(frame.index, *map(read_only, times), columns, preamble=frame.preamble)
 
     def __len__(self) -> int:
         return len(self.id)
@@ -293,42 +294,6 @@ class Batch:
             found.append(np.empty((len(self), 0), type.dtype))
         records = found[0] if len(found) == 1 else np.concatenate(found, axis=1)
         return read_only(records.view()) if records.flags.writeable else records
-
-
-class _Single(Batch):
-    """The batch of a frame that exists already; its arrays and columns are made when they are first used."""
-
-    __slots__ = ("_frame",)
-
-    def __init__(self, frame: Frame) -> None:
-        self._frame = frame
-        self.index = frame.index
-        self.preamble = frame.preamble
-
-    def __getattr__(self, name: str) -> Any:
-        if name == "columns":
-            self.columns = [ConstantColumn(packet) for packet in self._frame.packets]
-        elif name in _TIMES:
-            value = np.array([getattr(self._frame, name)], np.uint64 if name == "id" else np.float64)
-            setattr(self, name, read_only(value))
-        else:
-            raise AttributeError(f"a batch has no {name}")
-        return getattr(self, name)
-
-    def __len__(self) -> int:
-        return 1
-
-    def __iter__(self) -> Iterator[Frame]:
-        return iter((self._frame,))
-
-    def frame(self, row: int) -> Frame:
-        """See `Batch.frame`."""
-        return self._frame
-
-    def records(self, name: str) -> NDArray[np.void]:
-        """See `Batch.records`."""
-        records = self._frame[name]
-        return read_only(records[None]) if isinstance(records, np.ndarray) else super().records(name)
 
 
 def equal_rows(rows: NDArray[Any], columns: NDArray[np.intp], masks: NDArray[Any] | None = None) -> int:

@@ -18,7 +18,7 @@ LARGEST_GAP: Final = 100.0
 NO_AREA: Final = -1
 """The number of a cell in no area."""
 
-_MOST_ENTRIES: Final = 4_000_000  # of things in cells
+_MOST_ENTRIES: Final = 4_000_000  # of things in cells, beyond one entry for each thing
 _MOST_PAIRS: Final = 1 << 16  # of places and things that are compared together, about
 
 
@@ -88,7 +88,7 @@ class BoxGrid:
         while True:
             first = np.floor((low - margin - self._origin) / cell).astype(np.int64)
             counts = np.floor((high + margin - self._origin) / cell).astype(np.int64) - first + 1
-            if counts.prod(axis=1).sum() <= _MOST_ENTRIES:
+            if counts.prod(axis=1).sum() <= _MOST_ENTRIES + len(low):  # which they have at the latest in a single cell
                 break
             cell *= 2
         self._cell, self._shape = cell, (first + counts).max(axis=0, initial=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import defaultdict
 from dataclasses import dataclass, field
 from itertools import chain
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from carla_recap.errors import FormatError
+from carla_recap.errors import FormatError, RecapWarning
 from carla_recap.roads.files import expecting, read_text
 from carla_recap.roads.lanes import NO_JUNCTION, TownRoads
 from carla_recap.roads.opendrive import read_opendrive
@@ -122,8 +123,11 @@ def _cover(lane: LaneGeometry) -> Floats:
         np.stack([np.interp(stations, lane.stations, axis) for axis in border.T[:2]], axis=1)
         for border in (lane.left, lane.right)
     )
-    width = np.linalg.norm(left - right, axis=1).max()
-    shares = np.linspace(0, 1, min(int(width / _SPACING) + 2, _MOST_ACROSS))[:, None, None]
+    across = int(np.linalg.norm(left - right, axis=1).max() / _SPACING) + 2
+    if across > _MOST_ACROSS:
+        message = f"of a lane of road {lane.road} that is {across * _SPACING:.0f} m wide, {_MOST_ACROSS} lines are drawn on"
+        warnings.warn(message, RecapWarning, stacklevel=2)
+    shares = np.linspace(0, 1, min(across, _MOST_ACROSS))[:, None, None]
     points: Floats = (left + shares * (right - left)).reshape(-1, 2)
     return points
 

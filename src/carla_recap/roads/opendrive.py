@@ -51,7 +51,6 @@ _MAX_RECORDS: Final = 20_000  # of one kind, of a road or junction
 _MIN_LENGTH: Final = 0.01  # m of a road
 _MAX_LENGTH: Final = 40_000.0  # m of a road
 _MIN_SECTION: Final = 1e-3  # m
-_WIDEST: Final = 50.0  # m of a lane
 _FARTHEST: Final = 1e6  # m from the origin
 _FARTHEST_ASIDE: Final = 1_000.0  # m that a term of a width or of an offset of lanes may add
 _STEEPEST: Final = 10.0  # m that a term of a height may add for each m along it
@@ -141,7 +140,7 @@ class RoadSection:
         """Return how far to the left of the central line each border is: (lanes + 1, n), from the left."""
         along = stations - self.start
         left, right = (
-            np.cumsum([np.zeros(len(along)), *(np.clip(lane.width(along), 0.0, _WIDEST) for lane in lanes)], axis=0)
+            np.cumsum([np.zeros(len(along)), *(np.maximum(lane.width(along), 0.0) for lane in lanes)], axis=0)
             for lanes in (self.left, self.right)
         )
         return np.concatenate((left[::-1], -right[1:]))

@@ -108,6 +108,7 @@ class McapReader(Reader):
         return self._read_metadata(EXTENT_METADATA) or {}
 
     def _batches(self, types: Collection[str] | None, start: float, stop: float, *, sparse: bool) -> Iterator[Batch]:
+        sparse = sparse and (stop == math.inf or self._steady)  # else the clock may go back after the stop
         wanted = self._channels.wanted(types, frames=not sparse)
         selection = ReadSelection(wanted, types is None, sparse, start, stop)
         return self._assemble(self._chunks(wanted, start, stop), selection)

@@ -14,7 +14,7 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError, RecapError, RecordError
-from carla_recap.formats.base import Topic
+from carla_recap.formats.base import Topic, Writer
 from carla_recap.formats.mcap import codec
 from carla_recap.formats.mcap.codec import encode, encode_rows, records_codec
 from carla_recap.formats.mcap.container import ChunkBuilder, ChunkedFile
@@ -81,7 +81,7 @@ class _FurtherTopic(NamedTuple):
     group: tuple[str, str]
 
 
-class McapWriter(ChunkedFile):
+class McapWriter(ChunkedFile, Writer):
     """Writes a recording, and beside it further topics, such as those of sensors; see `AtomicFile`.
 
     If it is `live`, every chunk is written when it is cut, so that a crash loses no more than 5 s of recording.
