@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.errors import RecapWarning
-from carla_recap.roads.polylines import simplify
+from carla_recap.roads.polylines import covering, simplify
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -84,11 +84,7 @@ class Ground:
 
     def _cover(self, left: Floats, right: Floats) -> None:
         width = float(np.linalg.norm((left - right)[:, :2], axis=1).max())
-        across = np.linspace(0, 1, int(width / self._cell * 1.5) + 2)[:, None, None]
-        along = np.linspace(0, len(left) - 1, 2 * len(left))
-        given = np.arange(len(left))
-        left, right = (np.stack([np.interp(along, given, axis) for axis in side.T], axis=1) for side in (left, right))
-        points = left + across * (right - left)
+        points = covering(left, right, 2 * len(left), int(width / self._cell * 1.5) + 2)
         columns, rows = np.floor((points[..., :2] - self._origin) / self._cell).astype(np.int64).reshape(-1, 2).T
         cells, heights = columns * self._lowest.shape[1] + rows, points[..., 2].ravel()
         np.minimum.at(self._lowest.reshape(-1), cells, heights)

@@ -15,7 +15,7 @@ from carla_recap.errors import FormatError, RecapWarning
 from carla_recap.roads.files import expecting, read_text
 from carla_recap.roads.lanes import NO_JUNCTION, TownRoads
 from carla_recap.roads.opendrive import read_opendrive
-from carla_recap.roads.polylines import Surface, join, simplify
+from carla_recap.roads.polylines import Surface, covering, join, simplify
 from carla_recap.roads.stop_lines import drawn_stop_lines
 from carla_recap.util.cache import kept
 
@@ -116,20 +116,12 @@ def _surfaces(lanes: list[LaneGeometry]) -> dict[int, tuple[Surface, Floats]]:
 
 def _cover(lane: LaneGeometry) -> Floats:
     """Return points that cover a lane, (n, 2)."""
-    stations = np.interp(
-        np.linspace(0, 1, _DENSITY * (len(lane.stations) - 1) + 1), np.linspace(0, 1, len(lane.stations)), lane.stations
-    )
-    left, right = (
-        np.stack([np.interp(stations, lane.stations, axis) for axis in border.T[:2]], axis=1)
-        for border in (lane.left, lane.right)
-    )
+    left, right = lane.left[:, :2], lane.right[:, :2]
     across = int(np.linalg.norm(left - right, axis=1).max() / _SPACING) + 2
     if across > _MOST_ACROSS:
         message = f"of a lane of road {lane.road} that is {across * _SPACING:.0f} m wide, {_MOST_ACROSS} lines are drawn on"
         warnings.warn(message, RecapWarning, stacklevel=2)
-    shares = np.linspace(0, 1, min(across, _MOST_ACROSS))[:, None, None]
-    points: Floats = (left + shares * (right - left)).reshape(-1, 2)
-    return points
+    return covering(left, right, _DENSITY * (len(left) - 1) + 1, min(across, _MOST_ACROSS)).reshape(-1, 2)
 
 
 def _outlines(surface: Surface, points: Floats) -> Iterator[Floats]:

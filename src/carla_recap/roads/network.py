@@ -53,6 +53,8 @@ PIECE: Final = np.dtype(
 )
 """A part of a lane between two lines across it, from the first to the second in driving direction: its lane, the speed
 limit, and the middle of each line, the direction to the left, and half of the width."""
+SHAPE: Final = [name for name in PIECE.names or () if name not in ("lane", "limit")]
+"""The fields of a piece that are its shape."""
 
 SIGNAL: Final = np.dtype([("kind", "u1"), ("x", "f8"), ("y", "f8"), ("z", "f8"), ("heading", "f8")])
 """A traffic light or sign: its kind, position, and the direction of the traffic that it is for."""
@@ -172,9 +174,6 @@ class RoadNetwork:
         return _Pieces(self)
 
 
-_OTHER: Final = ("lane", "limit")
-"""The fields of a piece that are not its shape."""
-
 _NEAREST: Final = np.dtype(
     [("cost", "f8"), ("piece", "i8"), ("offset", "f8"), ("beside", "f8"), ("outside", "f8"), ("in_junction", "?")]
 )
@@ -186,7 +185,7 @@ class _Pieces:
     def __init__(self, roads: RoadNetwork) -> None:
         pieces, lanes = roads.pieces, roads.lanes[roads.pieces["lane"]]
         self._is_driving, self._in_junction = np.isin(lanes["kind"], (DRIVING, BOTH_WAYS)), lanes["junction"] != NONE
-        self._columns = {name: np.ascontiguousarray(pieces[name]) for name in PIECE.names or () if name not in _OTHER}
+        self._columns = {name: np.ascontiguousarray(pieces[name]) for name in SHAPE}
         self._bounds = _bounds(pieces)
         self._headings = np.arctan2(pieces["y1"] - pieces["y0"], pieces["x1"] - pieces["x0"])
         self._grids: dict[float, BoxGrid] = {}

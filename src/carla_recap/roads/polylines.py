@@ -75,6 +75,14 @@ def distances_to(points: Floats, start: Floats, stop: Floats) -> Floats:
     return distances
 
 
+def covering(left: Floats, right: Floats, along: int, across: int) -> Floats:
+    """Return points that cover what is between two lines, (across, along, axes), each line given by n points."""
+    at, given = np.linspace(0, len(left) - 1, along), np.arange(len(left))
+    left, right = (np.stack([np.interp(at, given, axis) for axis in side.T], axis=1) for side in (left, right))
+    points: Floats = left + np.linspace(0, 1, across)[:, None, None] * (right - left)
+    return points
+
+
 def join(lines: Sequence[Floats]) -> list[Floats]:
     """Return lines joined where one begins at the end of exactly one other."""
     starts, stops = defaultdict(list), defaultdict(list)

@@ -37,7 +37,30 @@ _NARROW: Final = 0.02  # m
 
 def signal_tables(found: Sequence[Road]) -> tuple[NDArray[np.void], NDArray[np.void], tuple[str, ...]]:
     """Return the signals and the stop lines of roads, for a `RoadNetwork`, and the ids of the signals."""
-    return _Signals(found).tables()
+    places: dict[str, list[tuple[Road, RoadSignal]]] = defaultdict(list)
+    for road in found:
+        for signal in road.signals:
+            places[signal.id].append((road, signal))
+    rows: list[tuple[float, ...]] = []
+    lines: list[tuple[float, ...]] = []
+    ids: list[str] = []
+    for id, (road, signal) in defined_signals(found).items():
+        if signal.kind not in _SIGNALS:
+            continue
+        if len(lines) >= _MOST_LINES:
+            message = f"signals from {id} on are left out: those before have {_MOST_LINES:,} stop lines"
+            warnings.warn(message, RecapWarning, stacklevel=2)
+            break
+        if len(places[id]) > _MOST_PLACES:
+            message = f"of {len(places[id]):,} places of signal {id}, {_MOST_PLACES} are looked at"
+            warnings.warn(message, RecapWarning, stacklevel=2)
+        (x, y, z), along = road.at(signal.station, signal.offset)
+        if np.isfinite((x, y, z, along)).all():
+            own = _lines_at(places[id][:_MOST_PLACES])
+            lines += [(len(rows), line.heading, *line.left, *line.right) for line in own]
+            rows.append((_SIGNALS[signal.kind], x, y, z, own[0].heading if own else along + signal.heading))
+            ids.append(id)
+    return np.array(rows, roads.SIGNAL), np.array(lines, roads.STOP_LINE), tuple(ids)
 
 
 def drawn_stop_lines(found: Sequence[Road]) -> tuple[list[Floats], list[Floats]]:
@@ -70,90 +93,50 @@ def _painted(road: Road, thing: RoadObject) -> Floats:
     return np.array((point - half, point + half))
 
 
-class _Signals:
-    """Makes the signals and stop lines of roads."""
-
-    def __init__(self, found: Sequence[Road]) -> None:
-        self._roads = found
-        self._rows: list[tuple[int, float, float, float, float]] = []
-        self._lines: list[tuple[int | float, ...]] = []
-        self._ids: list[str] = []
-        places: dict[str, list[tuple[int, RoadSignal]]] = defaultdict(list)
-        for number, road in enumerate(found):
-            for signal in road.signals:
-                places[signal.id].append((number, signal))
-        for id, (road, signal) in defined_signals(found).items():
-            if signal.kind not in _SIGNALS:
-                continue
-            if len(self._lines) >= _MOST_LINES:
-                message = f"signals from {id} on are left out: those before have {_MOST_LINES:,} stop lines"
-                warnings.warn(message, RecapWarning, stacklevel=3)
-                break
-            if len(places[id]) > _MOST_PLACES:
-                message = f"of {len(places[id]):,} places of signal {id}, {_MOST_PLACES} are looked at"
-                warnings.warn(message, RecapWarning, stacklevel=3)
-            self._add(id, road, signal, places[id][:_MOST_PLACES])
-
-    def tables(self) -> tuple[NDArray[np.void], NDArray[np.void], tuple[str, ...]]:
-        """Return the signals, the stop lines, and the ids of the signals."""
-        return np.array(self._rows, roads.SIGNAL), np.array(self._lines, roads.STOP_LINE), tuple(self._ids)
-
-    def _add(self, id: str, road: Road, signal: RoadSignal, places: Sequence[tuple[int, RoadSignal]]) -> None:
-        (x, y, z), along = road.at(signal.station, signal.offset)
-        if not np.isfinite((x, y, z, along)).all():
-            return
-        lanes = [(number, place, lane) for number, place in places for lane in self._governed(number, place)]
-        if not lanes:  # it says that it is for no lane, and no other road refers to it
-            lanes = [(number, place, lane) for number, place in places for lane in self._facing(number, place)]
-        lines: list[_Cross] = []
-        for number, place, lane in lanes:
-            found = self._line(number, place, *lane)
-            if found is not None and not any(_is_same(found, other) for other in lines):
-                lines.append(found)
-        heading = lines[0].heading if lines else along + signal.heading
-        self._lines += [(len(self._rows), line.heading, *line.left, *line.right) for line in lines]
-        self._rows.append((_SIGNALS[signal.kind], x, y, z, heading))
-        self._ids.append(id)
-
-    def _governed(self, number: int, place: RoadSignal) -> Iterator[tuple[int, int]]:
-        """Yield the section and number of each lane of a road that a signal names, at its station."""
-        return self._lanes(number, place, place.lanes or self._roads[number].lanes_ahead(place.ahead))
-
-    def _facing(self, number: int, place: RoadSignal) -> Iterator[tuple[int, int]]:
-        return self._lanes(number, place, self._roads[number].lanes_ahead(place.ahead))
-
-    def _lanes(self, number: int, place: RoadSignal, ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-        for index, section in enumerate(self._roads[number].sections):
-            if section.start - _AT_SIGN <= place.station <= section.end + _AT_SIGN:
-                for lane in (*section.left, *section.right):
-                    if applies_to(lane.id, ranges) and LANE_KINDS.get(lane.kind) in (roads.DRIVING, roads.BOTH_WAYS):
-                        yield index, lane.id
-
-    def _line(self, number: int, place: RoadSignal, index: int, lane: int) -> _Cross | None:
-        """Return the stop line of a signal on a lane."""
-        road = self._roads[number]
-        ahead = not road.is_reverse(lane)
-        if road.in_junction:  # at its border
-            station = 0.0 if ahead else road.length
-        elif road.links[ahead] and (road.length - place.station if ahead else place.station) <= _TO_JUNCTION:
-            station = road.length if ahead else 0.0
-        else:
-            station = min(max(place.station, 0.0), road.length)
-        sections = sorted(road.sections, key=lambda section: max(section.start - station, station - section.end))
-        numbers = [*(section for section in sections if _has(section, lane)), road.sections[index]]
-        section = numbers[0]
-        station = min(max(station, section.start), section.end - BEFORE_END)
-        points, _, _, headings = borders_at(road, section, np.array((station, station)))
-        position = [other.id for other in (*section.left[::-1], *section.right)].index(lane)
-        left, right = points[position, 0], points[position + 1, 0]
-        if not np.isfinite((left, right)).all() or np.hypot(*(left - right)[:2]) < _NARROW:
-            return None
-        heading = float(headings[0])
-        return _Cross(left, right, heading) if ahead else _Cross(right, left, heading + np.pi)
+def _lines_at(places: Sequence[tuple[Road, RoadSignal]]) -> list[_Cross]:
+    """Return the stop lines of a signal at places where it applies."""
+    lanes = [each for place in places for each in _lanes(*place, place[1].lanes)]
+    if not lanes:  # it says that it is for no lane, and no other road refers to it
+        lanes = [each for place in places for each in _lanes(*place, ())]
+    lines: list[_Cross] = []
+    for road, place, section, lane in lanes:
+        found = _line(road, place, section, lane)
+        if found is not None and not any(_is_same(found, other) for other in lines):
+            lines.append(found)
+    return lines
 
 
-def _has(section: RoadSection, lane: int) -> bool:
-    return any(other.id == lane for other in (*section.left, *section.right))
+def _lanes(
+    road: Road, place: RoadSignal, ranges: Sequence[tuple[int, int]]
+) -> Iterator[tuple[Road, RoadSignal, RoadSection, int]]:
+    """Yield the lanes at a signal, by section and number, that are in ranges; without any, those that it faces."""
+    for section in road.sections:
+        if section.start - _AT_SIGN <= place.station <= section.end + _AT_SIGN:
+            for lane in (*section.left, *section.right):
+                is_for_cars = LANE_KINDS.get(lane.kind) in (roads.DRIVING, roads.BOTH_WAYS)
+                if is_for_cars and applies_to(lane.id, ranges or road.lanes_ahead(place.ahead)):
+                    yield road, place, section, lane.id
+
+
+def _line(road: Road, place: RoadSignal, at: RoadSection, lane: int) -> _Cross | None:
+    """Return the stop line of a signal on a lane."""
+    ahead = not road.is_reverse(lane)
+    if road.in_junction:  # at its border
+        station = 0.0 if ahead else road.length
+    elif road.links[ahead] and (road.length - place.station if ahead else place.station) <= _TO_JUNCTION:
+        station = road.length if ahead else 0.0
+    else:
+        station = min(max(place.station, 0.0), road.length)
+    sections = sorted(road.sections, key=lambda section: max(section.start - station, station - section.end))
+    section = next((each for each in sections if any(other.id == lane for other in each.lanes)), at)
+    station = min(max(station, section.start), section.end - BEFORE_END)
+    points, _, _, headings = borders_at(road, section, np.array((station, station)))
+    position = [other.id for other in section.lanes].index(lane)
+    left, right = points[position, 0], points[position + 1, 0]
+    if not np.isfinite((left, right)).all() or np.hypot(*(left - right)[:2]) < _NARROW:
+        return None
+    heading = float(headings[0])
+    return _Cross(left, right, heading) if ahead else _Cross(right, left, heading + np.pi)
 
 
 def _is_same(line: _Cross, other: _Cross) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from hashlib import sha256
 from itertools import pairwise
@@ -26,13 +26,12 @@ from carla_recap.roads.stop_lines import signal_tables
 from carla_recap.util.cache import kept
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from carla_recap.roads.drawing import RoadMap
-    from carla_recap.roads.opendrive import Road, SparseSection
-    from carla_recap.roads.speed_limits import LimitSign
+    from carla_recap.roads.opendrive import Road
     from carla_recap.util.arrays import Floats
 
     Lane = tuple[int, int, int]
@@ -151,87 +150,61 @@ def build_network(text: str | Iterable[str], name: str = "", lane_types: frozens
     """
     with np.errstate(all="ignore"):
         found = read_opendrive(text).roads
-        maker = _LaneMaker(found, lane_types)
-        lanes, pieces = maker.tables()
+        names = dict.fromkeys(road.junction for road in found if road.in_junction)
+        kinds = LANE_KINDS if lane_types is None else {each: LANE_KINDS.get(each, roads.SHOULDER) for each in lane_types}
+        lanes, pieces = _lane_tables(found, {junction: number for number, junction in enumerate(names)}, kinds)
         signals, lines, ids = signal_tables(found)
-        junctions = tuple(maker.junctions)
-        network = RoadNetwork(name, lanes, pieces, signals, lines, tuple(road.id for road in found), junctions, ids)
+        network = RoadNetwork(name, lanes, pieces, signals, lines, tuple(road.id for road in found), tuple(names), ids)
         if lane_types is not None:
             return network
         lanes, pieces = _gaps(network)
-    return RoadNetwork(name, lanes, pieces, signals, lines, network.road_ids, junctions, ids)
+    return replace(network, lanes=lanes, pieces=pieces)
 
 
-class _LaneMaker:
-    """Makes the lanes and pieces of roads.
-
-    Attributes:
-        junctions: The index of each junction by its id.
-    """
-
-    def __init__(self, found: Sequence[Road], lane_types: frozenset[str] | None = None) -> None:
-        self._kinds = (
-            LANE_KINDS if lane_types is None else {each: LANE_KINDS.get(each, roads.SHOULDER) for each in lane_types}
-        )
-        self.junctions: dict[str, int] = {}
-        for road in found:
-            if road.in_junction:
-                self.junctions.setdefault(road.junction, len(self.junctions))
-        self._lanes: list[tuple[int, int, int, int, int]] = []
-        self._pieces: list[NDArray[np.void]] = []
-        signs = limit_signs(found)
-        for part in sparse_sections(found, _SPACING, _MOST_POINTS, _MOST_PIECES):
-            self._add(part, signs[part.number])
-
-    def tables(self) -> tuple[NDArray[np.void], NDArray[np.void]]:
-        """Return the lanes and the pieces."""
-        pieces = np.concatenate(self._pieces) if self._pieces else np.zeros(0, roads.PIECE)
-        good = np.maximum(pieces["half0"], pieces["half1"]) > _NARROW / 2
-        for name in roads.PIECE.names or ():
-            if name not in ("lane", "limit"):
-                good &= np.isfinite(pieces[name])
-        pieces = pieces[good]
-        used, pieces["lane"] = np.unique(pieces["lane"], return_inverse=True)
-        return np.array(self._lanes, roads.LANE)[used], pieces
-
-    def _add(self, part: SparseSection, signs: Sequence[LimitSign]) -> None:
-        number, road, section, stations = part
-        lanes = section.lanes
-        if not any(lane.kind in self._kinds for lane in lanes):
-            return
-        start, end = section.start, section.end - BEFORE_END
-        changes = [*(station for station, _ in road.limits), *(sign.station for sign in signs)]
+def _lane_tables(
+    found: Sequence[Road], junctions: Mapping[str, int], kinds: Mapping[str, int]
+) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """Return the lanes and the pieces of roads, of lanes of some types, whose kinds are given."""
+    rows: list[tuple[int, int, int, int, int]] = []
+    parts = [np.zeros(0, roads.PIECE)]
+    signs = limit_signs(found)
+    for number, road, section, sparse in sparse_sections(found, _SPACING, _MOST_POINTS, _MOST_PIECES):
+        lanes, start, end = section.lanes, section.start, section.end - BEFORE_END
+        if not any(lane.kind in kinds for lane in lanes):
+            continue
+        changes = [*(station for station, _ in road.limits), *(sign.station for sign in signs[number])]
         changes += [start + along for lane in lanes for along, _ in lane.limits]
-        changes = [station for station in changes if start + 0.1 < station < end - 0.1]
-        stations = np.union1d(stations, changes)
+        stations = np.union1d(sparse, [station for station in changes if start + 0.1 < station < end - 0.1])
         points, offsets, lefts, _ = borders_at(road, section, stations)
-        junction = self.junctions[road.junction] if road.in_junction else roads.NONE
         middles, halves = (points[:-1] + points[1:]) / 2, (offsets[:-1] - offsets[1:]) / 2
-        position = road.sections.index(section)
-        left = len(section.left)
-        for side, reverse in ((slice(None, left), not road.keeps_left), (slice(left, None), road.keeps_left)):
-            paved = np.array([lane.kind in self._kinds for lane in lanes[side]], np.bool_)
-            if not paved.any():
-                continue
-            pieces = _pieces(middles[side][paved], lefts, halves[side][paved], reverse=reverse)
-            for row, lane in zip(pieces, (lane for lane in lanes[side] if lane.kind in self._kinds), strict=True):
-                limits = lane_limits(road, section, lane, signs, (stations[1:] + stations[:-1]) / 2)
-                row["limit"] = limits[::-1] if reverse else limits
-                row["lane"] = len(self._lanes)
-                self._lanes.append((number, position, lane.id, self._kinds[lane.kind], junction))
-            self._pieces.append(pieces.ravel())
+        junction = junctions[road.junction] if road.in_junction else roads.NONE
+        for row, lane in enumerate(lanes):
+            if lane.kind in kinds:
+                reverse = road.is_reverse(lane.id)
+                pieces = _pieces(middles[row], lefts, halves[row], reverse=reverse)
+                limits = lane_limits(road, section, lane, signs[number], (stations[1:] + stations[:-1]) / 2)
+                pieces["limit"] = limits[::-1] if reverse else limits
+                pieces["lane"] = len(rows)
+                rows.append((number, road.sections.index(section), lane.id, kinds[lane.kind], junction))
+                parts.append(pieces)
+    pieces = np.concatenate(parts)
+    good = np.maximum(pieces["half0"], pieces["half1"]) > _NARROW / 2
+    for name in roads.SHAPE:
+        good &= np.isfinite(pieces[name])
+    pieces = pieces[good]
+    used, pieces["lane"] = np.unique(pieces["lane"], return_inverse=True)
+    return np.array(rows, roads.LANE)[used], pieces
 
 
-def _pieces(middles: Floats, lefts: Floats, halves: Floats, *, reverse: bool) -> NDArray[np.void]:
-    """Return the pieces of lanes, (lanes, n - 1), between points, (lanes, n)."""
-    pieces = np.zeros((len(middles), len(lefts) - 1), roads.PIECE)
+def _pieces(middle: Floats, lefts: Floats, half: Floats, *, reverse: bool) -> NDArray[np.void]:
+    """Return the pieces of a lane, (n - 1,), between points, (n,)."""
     if reverse:
-        middles, lefts, halves = middles[:, ::-1], -lefts[::-1], halves[:, ::-1]
+        middle, lefts, half = middle[::-1], -lefts[::-1], half[::-1]
+    pieces = np.zeros(len(middle) - 1, roads.PIECE)
     for end, part in (("0", slice(None, -1)), ("1", slice(1, None))):
-        for column, axis in enumerate("xyz"):
-            pieces[f"{axis}{end}"] = middles[:, part, column]
-        pieces[f"left_x{end}"], pieces[f"left_y{end}"] = lefts[part, 0], lefts[part, 1]
-        pieces[f"half{end}"] = halves[:, part]
+        pieces[f"x{end}"], pieces[f"y{end}"], pieces[f"z{end}"] = middle[part].T
+        pieces[f"left_x{end}"], pieces[f"left_y{end}"], _ = lefts[part].T
+        pieces[f"half{end}"] = half[part]
     return pieces
 
 

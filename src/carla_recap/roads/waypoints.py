@@ -130,7 +130,8 @@ class LaneMap:
         """
         segments, points = self._segments_of(kinds or (DRIVING,)), np.asarray(points, np.float64)
         if segments is None:
-            return self._nowhere(len(points))
+            number, vector = np.full(len(points), np.nan), np.full((len(points), 3), np.nan)
+            return Waypoints(np.full(len(points), NONE), number, vector, number, vector, number)
         moved = np.append(True, (np.diff(points, axis=0) != 0).any(axis=1))[: len(points)]  # repeated points are found once
         found, share = (values[np.cumsum(moved) - 1] for values in segments.nearest(points[moved]))
         known = np.maximum(found, 0)
@@ -200,11 +201,6 @@ class LaneMap:
             np.stack((np.cos(heading) * np.cos(climb), np.sin(heading) * np.cos(climb), np.sin(climb)), axis=1),
             self._widths[point] + share * (self._widths[point + 1] - self._widths[point]),
         )
-
-    @staticmethod
-    def _nowhere(count: int) -> Waypoints:
-        number, vector = np.full(count, np.nan), np.full((count, 3), np.nan)
-        return Waypoints(np.full(count, NONE), number, vector, number, vector, number)
 
 
 class _Segments:
