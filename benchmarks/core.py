@@ -140,14 +140,14 @@ def differences(subject: Subject) -> Iterator[Line]:
 def _move(source: Path, destination: Path) -> None:
     """Write a recording with all actors 0.3 to 0.5 m aside."""
     from carla_recap.formats import create_writer, open_reader
-    from carla_recap.model.batch import Batch, Column, RecordsColumn
+    from carla_recap.model.batch import Batch, Column, packed
 
     def moved(column: Column) -> Column:
         if column.type is None or column.type.name != "transforms" or not column.records.size:
             return column
         records = column.records.copy()
         records["x"] += 30 + 20 * np.sin(records["y"])
-        return RecordsColumn(column.type, records)
+        return packed(column.type, records)
 
     reader = open_reader(source)
     with create_writer(destination, reader.header) as writer:

@@ -103,6 +103,16 @@ def test_a_lost_chunk_of_events_is_reported(driven, tmp_path):
     assert (recovery.frames, recovery.lost_frames) == (600, 0)
 
 
+@pytest.mark.parametrize("other", [4, 200])
+def test_a_channel_that_is_declared_under_another_number_is_known_by_the_summary(driven, tmp_path, other):
+    whole = images(driven)
+    data = bytearray(driven.read_bytes())
+    data[data.index(b"/actors/transforms") - 8] = other
+    save(driven, bytes(data))
+    assert recover(driven, tmp_path / "saved.mcap").losses == []
+    assert images(tmp_path / "saved.mcap") == whole
+
+
 @pytest.mark.parametrize("place", [b"/actors/transforms", b"carla_recap.v1.Transforms", b"\x04\0\0\0zstd"])
 def test_frames_stay_in_order_whatever_is_damaged(driven, tmp_path, place):
     before = images(driven)

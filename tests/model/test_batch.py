@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carla_recap.model.batch import Batch, RecordsColumn
+from carla_recap.model.batch import Batch, packed
 from carla_recap.model.frame import Frame, Packet
 from carla_recap.model.records import UE4
 
@@ -22,9 +22,7 @@ def pose(id: int, x: float) -> tuple[float, ...]:
 def batch_of(parts: int) -> Batch:
     """Return three frames with packets of poses: of the actors 0, 1, …, one each, at 10 m times the frame."""
     type = UE4.named("transforms")
-    columns = [
-        RecordsColumn(type, np.stack([type.records([pose(part, 10.0 * row)]) for row in range(3)])) for part in range(parts)
-    ]
+    columns = [packed(type, np.stack([type.records([pose(part, 10.0 * row)]) for row in range(3)])) for part in range(parts)]
     return Batch(0, np.arange(1, 4, dtype=np.uint64), np.arange(3.0), np.ones(3), columns)
 
 

@@ -158,40 +158,18 @@ class PackedColumn(Column):
         return PackedColumn(self.id, self.type, self.size, self._buffer, offset, self._stride, stop - start, self._origin)
 
 
-class RecordsColumn(Column):
-    """Packets made from records of one size: the rows of an array, (frames, records of each)."""
-
-    __slots__ = ("_records",)
-
-    def __init__(self, type: RecordType, records: NDArray[np.void]) -> None:
-        start = 0 if type.framing is Framing.SINGLE else U16.size
-        super().__init__(type.id, type, start + records.shape[1] * type.dtype.itemsize)
-        self._records = records
-
-    @property
-    def records(self) -> NDArray[np.void]:
-        """See `Column.records`."""
-        return self._records
-
-    def packet(self, row: int) -> Packet:
-        """See `Column.packet`."""
-        return Packet(self.id, self.type, records=self._records[row])
-
-    def payloads(self, count: int) -> NDArray[np.uint8]:
-        """See `Column.payloads`."""
-        assert self.type is not None
-        start = self.size - self._records.shape[1] * self.type.dtype.itemsize
-        data = np.empty((count, self.size), np.uint8)
-        if start:
-            data[:, :start] = np.frombuffer(U16.pack(self._records.shape[1]), np.uint8)
-        packed = np.ascontiguousarray(self._records[:count], self.type.dtype)
-        data[:, start:] = packed.view(np.uint8).reshape(count, -1)
-        return data
-
-    def sliced(self, start: int, stop: int) -> Column:
-        """See `Column.sliced`."""
-        assert self.type is not None
-        return RecordsColumn(self.type, self._records[start:stop])
+def packed(type: RecordType, records: NDArray[np.void]) -> PackedColumn:
+    """Return the column of packets made from records of one size, (frames, records of each), with the fields of a type."""
+    start = 0 if type.framing is Framing.SINGLE else U16.size
+    size = start + records.shape[1] * type.dtype.itemsize
+    data = np.empty((len(records), size), np.uint8)
+    if start:
+        data[:, :start] = np.frombuffer(U16.pack(records.shape[1]), np.uint8)
+    if records.size:
+        rows = np.ndarray(records.shape, type.dtype, data, start, (size, type.dtype.itemsize))
+        for name in type.dtype.names or ():
+            rows[name] = records[name]
+    return PackedColumn(type.id, type, size, read_only(data.reshape(-1)).data, 0, size, len(records))
 
 
 class Batch:

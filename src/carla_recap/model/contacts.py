@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from carla_recap.model.frame import Frame, Packet
 
     Vector = tuple[float, float, float]
-    Recent = Frame | tuple[Batch, int]  # a frame, or a batch and the row of one
 
 MOTION: Final = ("transforms", "velocities")
 """The record types of positions and velocities."""
@@ -189,7 +188,7 @@ class ImpactTracker:
     """
 
     def __init__(self) -> None:
-        self._recent: list[Recent] = []  # the two latest frames
+        self._recent: list[Frame] = []  # the two latest frames
         self._touching: set[tuple[int, ...]] = set()
         self._elapsed = math.nan
         self._found: list[Impact] = []
@@ -209,8 +208,7 @@ class ImpactTracker:
                 self.frame(frame, index + row)
         else:
             self._touching = set()
-            rows = range(max(len(batch) - 2, 0), len(batch))
-            self._recent = [*self._recent, *((batch, row) for row in rows)][-2:]
+            self._recent = [*self._recent, *batch[-2:]][-2:]
 
     def take(self) -> list[Impact]:
         """Return the impacts that were found since the previous call."""
@@ -224,15 +222,8 @@ class ImpactTracker:
         self._elapsed = frame.elapsed
         keys = dict.fromkeys((index, id1, id2) for id1, id2, *_ in sorted(self._touching - before))
         if keys:
-            recent = [None, None, *map(_frame, self._recent)]
+            recent = [None, None, *self._recent]
             self._found += [Impact.of(key, frame, recent[-1], recent[-2]) for key in keys]
-
-
-def _frame(recent: Recent) -> Frame:
-    if not isinstance(recent, tuple):
-        return recent
-    batch, row = recent
-    return batch.frame(row)
 
 
 def _has_collisions(packets: Iterable[Packet]) -> bool:

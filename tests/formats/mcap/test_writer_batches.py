@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from carla_recap.formats import create_writer
 from carla_recap.formats.mcap import writer
 from carla_recap.formats.mcap.writer import has_template
-from carla_recap.model.batch import Batch, ConstantColumn, RecordsColumn
+from carla_recap.model.batch import Batch, ConstantColumn, PackedColumn, packed
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, Framing
 from carla_recap.model.records import FRAME_END, ORDER, UE4
@@ -24,14 +24,14 @@ FILLED = ("transforms", "light_states", "vehicle_controls", "visual_time")
 FEW = 3_000  # bytes of a chunk
 
 
-def column(name: str, frames: int, count: int, seed: int) -> RecordsColumn:
+def column(name: str, frames: int, count: int, seed: int) -> PackedColumn:
     """Packets of a type, with any numbers that fit."""
     type = UE4.named(name)
     records = np.zeros((frames, count), type.dtype)
     random = np.random.default_rng(seed)
     for field in type.dtype.names or ():
         records[field] = random.integers(0, 2, records.shape)
-    return RecordsColumn(type, records)
+    return packed(type, records)
 
 
 def batch(first: int, elapsed: list[float], count: int) -> Batch:

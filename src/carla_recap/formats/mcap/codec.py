@@ -313,14 +313,6 @@ class RecordsCodec:
             or any((records[:, :, fields[name][1]] & mask).any() for name, mask in self._masks.items())
         )
 
-    def records(self, bodies: NDArray[np.void]) -> NDArray[np.void]:
-        """Return the records of bodies of the type `wire`, read-only."""
-        records = np.empty(bodies.shape, self._dtype)
-        for name in self._dtype.names or ():
-            records[name] = bodies[name]
-        records.flags.writeable = False
-        return records
-
     def decode(self, messages: Sequence[Buffer]) -> list[NDArray[np.void]] | None:
         """Return the records of each of some messages; None where one is not as `encode` writes it."""
         counts = [self.count_in(len(message) - HEAD.size) for message in messages]
@@ -331,7 +323,10 @@ class RecordsCodec:
         bodies = b"".join([message[HEAD.size :] for message in messages])
         if not self.matches(np.frombuffer(bodies, np.uint8).reshape(1, -1)):
             return None
-        records = self.records(np.frombuffer(bodies, self.wire))
+        records, found = np.empty(len(bodies) // self.stride, self._dtype), np.frombuffer(bodies, self.wire)
+        for name in self._dtype.names or ():
+            records[name] = found[name]
+        records.flags.writeable = False
         return [records[start:end] for start, end in pairwise([0, *accumulate(count or 0 for count in counts)])]
 
 

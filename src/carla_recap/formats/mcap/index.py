@@ -10,9 +10,7 @@ import struct
 import zlib
 from collections import Counter
 from contextlib import contextmanager
-from functools import lru_cache
 from itertools import pairwise
-from threading import local
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import zstandard
@@ -146,17 +144,6 @@ def parse_schema(content: bytes) -> tuple[str, bytes]:
         return encoding, bytes(data[offset : offset + size])
 
 
-_of_thread: Final = local()
-
-
-def _decompressor() -> zstandard.ZstdDecompressor:
-    """Return this thread's decompressor: to make one takes longer than to decompress a small chunk."""
-    if not hasattr(_of_thread, "decompressor"):
-        _of_thread.decompressor = zstandard.ZstdDecompressor()
-    found: zstandard.ZstdDecompressor = _of_thread.decompressor
-    return found
-
-
 def decompress(compression: str, data: bytes | memoryview, size: int) -> bytes:
     """Return a chunk's records, never more than the chunk says.
 
@@ -171,7 +158,7 @@ def decompress(compression: str, data: bytes | memoryview, size: int) -> bytes:
         elif compression == "zstd":
             if zstandard.frame_content_size(data) not in (-1, size):
                 raise ValueError("the compressed data announce another size than the chunk")
-            records = _decompressor().decompress(data, max_output_size=size) if size else b""
+            records = zstandard.ZstdDecompressor().decompress(data, max_output_size=size) if size else b""
         elif compression == "lz4":
             import lz4.frame
 
@@ -350,15 +337,4 @@ def _chunk_index(data: memoryview) -> ChunkIndex:
     offsets = data[CHUNK_INDEX.size : CHUNK_INDEX.size + size]
     if len(offsets) != size or size % CHUNK_OFFSETS.size or length > CHUNK_LIMIT:
         raise ValueError("a chunk index that does not fit")
-    return ChunkIndex(start, end, offset, length, _channels(_offsets(size // CHUNK_OFFSETS.size).unpack(offsets)))
-
-
-@lru_cache(64)
-def _offsets(count: int) -> struct.Struct:
-    """Return the layout of a number of message indexes, of which only the channels are read."""
-    return struct.Struct("<" + "H8x" * count)
-
-
-@lru_cache(1024)
-def _channels(ids: tuple[int, ...]) -> frozenset[int]:
-    return frozenset(ids)
+    return ChunkIndex(start, end, offset, length, frozenset(channel for channel, _ in CHUNK_OFFSETS.iter_unpack(offsets)))

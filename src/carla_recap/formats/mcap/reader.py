@@ -61,7 +61,6 @@ BLOCK_SIZE: Final = 256 << 10
 """Chunks that are smaller than this, in bytes, are taken several at a time."""
 _LARGE_BLOCK: Final = 4 << 20  # bytes
 _LIMITS: Final = {STATIONARY: 2, BRAKING: 1, CONTACTS: 0}  # numbers before that of the rows
-_WORTH_A_THREAD: Final = 2 << 20  # bytes of a file from which on chunks are decompressed ahead
 
 
 class McapReader(Reader):
@@ -191,8 +190,7 @@ class McapReader(Reader):
         from carla_recap.formats.mcap.topics import FurtherTopics
 
         own = {spec.topic for spec in channel_specs(self.header.table)}
-        opened = partial(self._opened, ahead=False)
-        return FurtherTopics(self._source, self._summary, own, LogClock(self.header), opened)
+        return FurtherTopics(self._source, self._summary, own, LogClock(self.header), self._opened)
 
     def _listed(self, type: RecordType, count: float) -> list[Any] | None:
         """Return the rows of a part of the digest; None if some are missing, as if another program left them out."""
@@ -207,7 +205,7 @@ class McapReader(Reader):
         self._source.check_open()
         channel = self._channels.of(topic)
         chunks = self._chunks({channel}) if channel in self._channels.specs else []
-        for chunk, records in zip(chunks, self._opened(chunks, ahead=False), strict=True):
+        for chunk, records in zip(chunks, self._opened(chunks), strict=True):
             yield from channel_messages(self.location, chunk, records, channel)
 
     # --- what the file says of itself ----------------------------------------------------------------------------------
@@ -258,25 +256,10 @@ class McapReader(Reader):
         from_time, until = hit[0].start, max(c.end for c in hit)
         return [c for c in chunks if c.end >= from_time and c.start <= until]
 
-    def _opened(self, chunks: list[ChunkIndex], *, ahead: bool) -> Iterator[bytes]:
-        """Yield the records of some chunks; `ahead`: the next one is decompressed while this one is used."""
+    def _opened(self, chunks: list[ChunkIndex], *, whole: bool = True) -> Iterator[bytes]:
+        """Yield the records of some chunks; see `ByteSource.read_ranges`."""
         spans = [(chunk.offset, chunk.length) for chunk in chunks]
-        stored = self._source.read_ranges(spans, "a chunk", whole=not ahead)
-        if not ahead or len(chunks) < 2 or self._source.is_remote or self._source.size < _WORTH_A_THREAD:
-            yield from map(self._open, chunks, stored)
-            return
-        from concurrent.futures import ThreadPoolExecutor
-
-        with ThreadPoolExecutor(1, "carla-recap-reader") as pool:
-            coming = pool.submit(self._open_next, chunks[0], stored)
-            for chunk in chunks[1:]:
-                opened = coming.result()
-                coming = pool.submit(self._open_next, chunk, stored)
-                yield opened
-            yield coming.result()
-
-    def _open_next(self, chunk: ChunkIndex, stored: Iterator[bytes]) -> bytes:
-        return self._open(chunk, next(stored))
+        return map(self._open, chunks, self._source.read_ranges(spans, "a chunk", whole=whole))
 
     def _open(self, chunk: ChunkIndex, data: bytes) -> bytes:
         """Return the records of a chunk, from its bytes in the file."""
@@ -290,11 +273,11 @@ class McapReader(Reader):
                 self.location, chunk.offset, f"damaged chunk: {error}; 'carla-recap recover' saves the rest"
             ) from None
 
-    def _blocks(self, chunks: list[ChunkIndex], *, ahead: bool) -> Iterator[list[tuple[ChunkIndex, bytes]]]:
-        """Chunks with their records; small ones several at a time."""
+    def _blocks(self, chunks: list[ChunkIndex], *, whole: bool) -> Iterator[list[tuple[ChunkIndex, bytes]]]:
+        """Yield chunks with their records; small ones several at a time."""
         block: list[tuple[ChunkIndex, bytes]] = []
         size, least = 0, 0  # the first block is a small one: many a read ends there
-        for index, data in enumerate(self._opened(chunks, ahead=ahead), 1):
+        for index, data in enumerate(self._opened(chunks, whole=whole), 1):
             chunk = chunks[index - 1]
             block.append((chunk, data))
             size += len(data)
@@ -313,7 +296,7 @@ class McapReader(Reader):
         warn, lenient = self._warn_of_lost, self._lenient
         frames = FrameAssembler(self.location, self._channels, selection, allowance, warn, lenient=lenient)
         count = 0
-        for block in self._blocks(chunks, ahead=not selection.sparse):
+        for block in self._blocks(chunks, whole=selection.sparse):
             frames.add(block)
             count += len(block)
             yield from frames.complete(chunks[count].start if count < len(chunks) else None)

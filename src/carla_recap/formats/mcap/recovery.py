@@ -84,9 +84,9 @@ def recover_summary(source: ByteSource) -> tuple[Summary, Damage]:
             end = scan.next_chunk(at + 1)
             damage.bytes += end - at
         at = end
-    # What the file's own summary says is known good by its checksum; the scan may have missed some of it.
+    # What the file's own summary says is known good by its checksum, and counts first; the scan may have missed some of it.
     summary.schemas |= own.schemas
-    summary.channels |= own.channels
+    summary.channels = own.channels | {id: each for id, each in summary.channels.items() if id not in own.channels}
     summary.schema_spans |= own.schema_spans
     summary.channel_spans |= own.channel_spans
     met = {chunk.offset for chunk in summary.chunks}

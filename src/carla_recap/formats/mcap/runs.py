@@ -13,7 +13,7 @@ from mcap.opcode import Opcode
 
 from carla_recap.formats.mcap.codec import FRAME_HEAD, HEAD, HEAD_DTYPE, decode_rows, have_heads, records_codec
 from carla_recap.formats.mcap.schema import MESSAGE, MESSAGE_DTYPE, MESSAGE_FIELDS, RECORD
-from carla_recap.model.batch import PackedColumn, RecordsColumn, equal_rows
+from carla_recap.model.batch import PackedColumn, equal_rows, packed
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -183,4 +183,4 @@ def column(type: RecordType, run: MessageRun, slot: Slot) -> Column:
     count = codec.count_in(size)
     if count is None or not have_heads(run.view(HEAD_DTYPE, offset)) or not codec.matches(run.bytes_at(start, size)):
         raise ValueError(f"a {type.message_name} of another form")
-    return RecordsColumn(type, codec.records(run.view(codec.wire, start, count)))
+    return packed(type, run.view(codec.wire, start, count))
