@@ -18,29 +18,10 @@ from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError, NotARecording, RecapWarning
 from carla_recap.formats.base import DigestPart, Reader
+from carla_recap.formats.mcap import schema
 from carla_recap.formats.mcap.codec import WireError, decode_records
 from carla_recap.formats.mcap.frames import MESSAGES_LIMIT, Channels, FrameAssembler, ReadSelection, channel_messages, parsed
 from carla_recap.formats.mcap.index import METADATA_LIMIT, open_chunk, parse_metadata, read_record, read_summary
-from carla_recap.formats.mcap.schema import (
-    BRAKING,
-    CONTACTS,
-    DIGEST,
-    EXPORT_METADATA,
-    EXTENT_METADATA,
-    HEADER_METADATA,
-    PARAMETERS_METADATA,
-    RECORD,
-    STATIONARY,
-    STATIONARY_RULE,
-    TAIL_MESSAGE,
-    TAIL_TOPIC,
-    ChannelSpec,
-    LogClock,
-    channel_specs,
-    parse_extent,
-    parse_header,
-    unchecked,
-)
 from carla_recap.formats.sources import LocalSource
 from carla_recap.model.frame import SAME_TIME, Extent, Frame, Header
 
@@ -60,7 +41,7 @@ T = TypeVar("T")
 BLOCK_SIZE: Final = 256 << 10
 """Chunks that are smaller than this, in bytes, are taken several at a time."""
 _LARGE_BLOCK: Final = 4 << 20  # bytes
-_LIMITS: Final = {STATIONARY: 2, BRAKING: 1, CONTACTS: 0}  # numbers before that of the rows
+_LIMITS: Final = {schema.STATIONARY: 2, schema.BRAKING: 1, schema.CONTACTS: 0}  # numbers before that of the rows
 
 
 class McapReader(Reader):
@@ -94,7 +75,7 @@ class McapReader(Reader):
         except BaseException:
             self._source.close()
             raise
-        self._channels = Channels(_match(self._summary, channel_specs(self.header.table)), self.header.table)
+        self._channels = Channels(_match(self._summary, schema.channel_specs(self.header.table)), self.header.table)
 
     @property
     def bytes_read(self) -> int:
@@ -104,7 +85,7 @@ class McapReader(Reader):
     @property
     def metadata(self) -> dict[str, str]:
         """What the file says of the recording as a whole, beyond the header; empty where it does not."""
-        return self._read_metadata(EXTENT_METADATA) or {}
+        return self._read_metadata(schema.EXTENT_METADATA) or {}
 
     def _batches(self, types: Collection[str] | None, start: float, stop: float, *, sparse: bool) -> Iterator[Batch]:
         sparse = sparse and (stop == math.inf or self._steady)  # else the clock may go back after the stop
@@ -117,7 +98,7 @@ class McapReader(Reader):
         elapsed += SAME_TIME
         found = None
         wanted = self._channels.wanted((), frames=True)
-        time = LogClock(self.header).at(elapsed)
+        time = schema.LogClock(self.header).at(elapsed)
         chunks = self._chunks(wanted)
         if time is not None and self._steady:
             apart = all(a.end < b.start for a, b in itertools.pairwise(chunks))
@@ -148,18 +129,20 @@ class McapReader(Reader):
 
     def tail(self) -> Iterator[bytes]:
         """Yield the bytes behind the last complete packet, in pieces."""
-        messages = self._messages(TAIL_TOPIC)
-        return (bytes(parsed(self.location, "tail", TAIL_MESSAGE, message).data) for message in messages)
+        messages = self._messages(schema.TAIL_TOPIC)
+        return (bytes(parsed(self.location, "tail", schema.TAIL_MESSAGE, message).data) for message in messages)
 
     def digest(self, part: PartName) -> DigestPart | None:
         """Return a part of the digest, read from the events; see `Reader.digest`."""
-        type = next(each for each in DIGEST if each.name == part)
+        type = next(each for each in schema.DIGEST if each.name == part)
         try:
             numbers = tuple(float(number) for number in self.metadata[part].split())
         except (KeyError, ValueError):
             return None
         limits = _LIMITS[type]
-        if len(numbers) <= limits or numbers[limits + 1 :] != ((STATIONARY_RULE,) if type is STATIONARY else ()):
+        if len(numbers) <= limits or numbers[limits + 1 :] != (
+            (schema.STATIONARY_RULE,) if type is schema.STATIONARY else ()
+        ):
             return None
         return DigestPart(numbers[:limits], partial(self._listed, type, numbers[limits]))
 
@@ -189,8 +172,8 @@ class McapReader(Reader):
     def _further(self) -> FurtherTopics:
         from carla_recap.formats.mcap.topics import FurtherTopics
 
-        own = {spec.topic for spec in channel_specs(self.header.table)}
-        return FurtherTopics(self._source, self._summary, own, LogClock(self.header), self._opened)
+        own = {spec.topic for spec in schema.channel_specs(self.header.table)}
+        return FurtherTopics(self._source, self._summary, own, schema.LogClock(self.header), self._opened)
 
     def _listed(self, type: RecordType, count: float) -> list[Any] | None:
         """Return the rows of a part of the digest; None if some are missing, as if another program left them out."""
@@ -216,34 +199,34 @@ class McapReader(Reader):
             return None
         content = read_record(self._source, offset, Opcode.METADATA, f"the metadata {name}", METADATA_LIMIT)
         try:
-            return unchecked(parse_metadata(content)[1])
+            return schema.unchecked(parse_metadata(content)[1])
         except ValueError as error:
             raise FormatError(self.location, offset, f"broken MCAP metadata {name!r}: {error}") from None
 
     def _read_header(self) -> Header:
-        metadata = self._read_metadata(HEADER_METADATA)
-        if metadata is None and EXPORT_METADATA in self._summary.metadata:
+        metadata = self._read_metadata(schema.HEADER_METADATA)
+        if metadata is None and schema.EXPORT_METADATA in self._summary.metadata:
             raise NotARecording(self.location, "expected a recording, found an export for a viewer that was made from one")
         if metadata is None:
-            raise NotARecording(self.location, f"holds no recording (MCAP metadata {HEADER_METADATA!r} is missing)")
+            raise NotARecording(self.location, f"holds no recording (MCAP metadata {schema.HEADER_METADATA!r} is missing)")
         try:
-            header = parse_header(metadata)
+            header = schema.parse_header(metadata)
         except (KeyError, ValueError) as error:
-            raise FormatError(self.location, None, f"broken MCAP metadata {HEADER_METADATA!r}: {error}") from None
-        return replace(header, parameters=self._read_metadata(PARAMETERS_METADATA) or {})
+            raise FormatError(self.location, None, f"broken MCAP metadata {schema.HEADER_METADATA!r}: {error}") from None
+        return replace(header, parameters=self._read_metadata(schema.PARAMETERS_METADATA) or {})
 
     def _read_extent(self) -> Extent | None:
-        metadata = self._read_metadata(EXTENT_METADATA)
+        metadata = self._read_metadata(schema.EXTENT_METADATA)
         try:
-            return parse_extent(metadata) if metadata else None
+            return schema.parse_extent(metadata) if metadata else None
         except (KeyError, ValueError) as error:
-            raise FormatError(self.location, None, f"broken MCAP metadata {EXTENT_METADATA!r}: {error}") from None
+            raise FormatError(self.location, None, f"broken MCAP metadata {schema.EXTENT_METADATA!r}: {error}") from None
 
     # --- chunks --------------------------------------------------------------------------------------------------------
 
     def _chunks(self, wanted: set[int], start: float = -math.inf, stop: float = math.inf) -> list[ChunkIndex]:
         """Return the chunks with wanted channels within a time, in order of time."""
-        clock = LogClock(self.header)
+        clock = schema.LogClock(self.header)
         first = clock.at(start) if start > -math.inf and self._steady else None
         last = clock.at(stop) if stop < math.inf and self._steady else None
         chunks = [c for c in self._summary.chunks if not c.channels or not wanted.isdisjoint(c.channels)]
@@ -263,11 +246,11 @@ class McapReader(Reader):
 
     def _open(self, chunk: ChunkIndex, data: bytes) -> bytes:
         """Return the records of a chunk, from its bytes in the file."""
-        opcode, size = RECORD.unpack_from(data) if len(data) >= RECORD.size else (0, 0)
-        if opcode != Opcode.CHUNK or RECORD.size + size != chunk.length:
+        opcode, size = schema.RECORD.unpack_from(data) if len(data) >= schema.RECORD.size else (0, 0)
+        if opcode != Opcode.CHUNK or schema.RECORD.size + size != chunk.length:
             raise FormatError(self.location, chunk.offset, f"expected a chunk of {chunk.length} bytes, found another record")
         try:
-            return open_chunk(memoryview(data)[RECORD.size :])[2]
+            return open_chunk(memoryview(data)[schema.RECORD.size :])[2]
         except ValueError as error:
             raise FormatError(
                 self.location, chunk.offset, f"damaged chunk: {error}; 'carla-recap recover' saves the rest"
@@ -311,10 +294,10 @@ class McapReader(Reader):
             )
 
 
-def _match(summary: Summary, specs: list[ChannelSpec]) -> dict[int, ChannelSpec]:
+def _match(summary: Summary, specs: list[schema.ChannelSpec]) -> dict[int, schema.ChannelSpec]:
     """Return the file's channels that are those of a recording, by id."""
     known = {(spec.topic, spec.message): spec for spec in specs}
-    found: dict[int, ChannelSpec] = {}
+    found: dict[int, schema.ChannelSpec] = {}
     for id, channel in summary.channels.items():
         spec = known.pop((channel.topic, summary.schemas.get(channel.schema, "")), None)
         if spec is not None and channel.encoding == "protobuf":

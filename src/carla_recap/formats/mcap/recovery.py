@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError
+from carla_recap.formats.mcap import schema
 from carla_recap.formats.mcap.index import (
     CHUNK_LIMIT,
     METADATA_LIMIT,
@@ -19,19 +20,6 @@ from carla_recap.formats.mcap.index import (
     open_chunk,
     parse_metadata,
     read_summary,
-)
-from carla_recap.formats.mcap.schema import (
-    CHUNK,
-    EXTENT_METADATA,
-    HEADER_METADATA,
-    MAGIC,
-    MESSAGE,
-    PARAMETERS_METADATA,
-    RECORD,
-    SECOND,
-    U64,
-    channel_specs,
-    unchecked,
 )
 from carla_recap.model.frame import Header
 
@@ -49,7 +37,7 @@ _MESSAGES_LEAST: Final = 1_000_000
 _MESSAGE_BYTES: Final = 4  # bytes of the file for each message beyond those
 _ZSTD_FRAME: Final = b"\x28\xb5\x2f\xfd"  # what compressed data begin with
 _ZSTD: Final = b"\x04\x00\x00\x00zstd"  # how the compression is named in a chunk
-_ZSTD_AT: Final = RECORD.size + CHUNK.size - 4
+_ZSTD_AT: Final = schema.RECORD.size + schema.CHUNK.size - 4
 _WINDOW: Final = 1 << 20
 
 
@@ -77,7 +65,7 @@ def recover_summary(source: ByteSource) -> tuple[Summary, Damage]:
     except FormatError:
         own = Summary()
         damage.finished = False
-    at = len(MAGIC) if source.read(0, min(len(MAGIC), source.size), "the magic") == MAGIC else 0
+    at = len(schema.MAGIC) if source.read(0, min(len(schema.MAGIC), source.size), "the magic") == schema.MAGIC else 0
     while at < source.size and not summary.finished:
         end = scan.take(at)
         if end is None:
@@ -103,12 +91,12 @@ def recover_summary(source: ByteSource) -> tuple[Summary, Damage]:
 def guess_header(summary: Summary) -> Header:
     """Return the header of a recording whose own is lost; its map is unknown."""
     wide = any(name.endswith("Double") for name in summary.schemas.values())
-    return Header("", summary.chunks[0].start // SECOND if summary.chunks else 0, wide=wide)
+    return Header("", summary.chunks[0].start // schema.SECOND if summary.chunks else 0, wide=wide)
 
 
 def _declare_lost(summary: Summary) -> None:
     """Declare the channels whose declarations are lost; a channel's id says which it is."""
-    specs = channel_specs(guess_header(summary).table)
+    specs = schema.channel_specs(guess_header(summary).table)
     for id in {id for chunk in summary.chunks for id in chunk.channels} - summary.channels.keys():
         if 0 < id <= len(specs):
             spec = specs[id - 1]
@@ -137,10 +125,10 @@ class _Scan:
     def take(self, at: int) -> int | None:
         """Add the record at an offset to the summary; return its end, None where no whole record is found."""
         source, damage = self._source, self.damage
-        if at + RECORD.size > source.size:
+        if at + schema.RECORD.size > source.size:
             return None
-        opcode, length = RECORD.unpack(source.read(at, RECORD.size, "a record"))
-        end: int = at + RECORD.size + length
+        opcode, length = schema.RECORD.unpack(source.read(at, schema.RECORD.size, "a record"))
+        end: int = at + schema.RECORD.size + length
         is_chunk = opcode == Opcode.CHUNK
         if (
             not Opcode.HEADER <= opcode <= Opcode.DATA_END
@@ -188,13 +176,13 @@ class _Scan:
         return size
 
     def _take_chunk(self, at: int, length: int) -> None:
-        source, size = self._source, RECORD.size + length
-        unpacked = _announced(source.read(at + RECORD.size, min(length, _CHUNK_HEAD), "a record"), length)
+        source, size = self._source, schema.RECORD.size + length
+        unpacked = _announced(source.read(at + schema.RECORD.size, min(length, _CHUNK_HEAD), "a record"), length)
         self._false -= length
         self._unpacked -= unpacked
         if self._unpacked < 0:
             raise ValueError("more bytes of records than a file of this size can mean")
-        data = open_chunk(source.read(at + RECORD.size, length, "a record"))[2]
+        data = open_chunk(source.read(at + schema.RECORD.size, length, "a record"))[2]
         chunk, messages = _described(data, at, size, self._messages)
         self._messages -= messages.total()
         self.summary.counts += messages
@@ -207,38 +195,38 @@ class _Scan:
         if opcode == Opcode.METADATA and length > METADATA_LIMIT:
             return
         self._parsed -= 1
-        content = self._source.read(at + RECORD.size, length, "a record")
+        content = self._source.read(at + schema.RECORD.size, length, "a record")
         if opcode != Opcode.METADATA:
-            self.summary.add(opcode, memoryview(content), at + RECORD.size)
+            self.summary.add(opcode, memoryview(content), at + schema.RECORD.size)
             return
         name, values = parse_metadata(content)
-        if name in (HEADER_METADATA, EXTENT_METADATA, PARAMETERS_METADATA):
-            unchecked(values)
+        if name in (schema.HEADER_METADATA, schema.EXTENT_METADATA, schema.PARAMETERS_METADATA):
+            schema.unchecked(values)
         self.summary.metadata[name] = at
 
     def _is_record(self, at: int) -> bool:
-        if at + RECORD.size > self._source.size:
+        if at + schema.RECORD.size > self._source.size:
             return at == self._source.size
-        opcode, length = RECORD.unpack(self._source.read(at, RECORD.size, "a record"))
-        return bool(Opcode.HEADER <= opcode <= Opcode.DATA_END and at + RECORD.size + length <= self._source.size)
+        opcode, length = schema.RECORD.unpack(self._source.read(at, schema.RECORD.size, "a record"))
+        return bool(Opcode.HEADER <= opcode <= Opcode.DATA_END and at + schema.RECORD.size + length <= self._source.size)
 
 
-_CHUNK_HEAD: Final = CHUNK.size + 16 + U64.size + len(_ZSTD_FRAME)
+_CHUNK_HEAD: Final = schema.CHUNK.size + 16 + schema.U64.size + len(_ZSTD_FRAME)
 """The most bytes of a chunk that stand before its records, and the first of those."""
 
 
 def _announced(start: bytes, length: int) -> int:
     """Return how many bytes of records a chunk of some length announces at its start, before all of it is read."""
-    if len(start) < CHUNK.size:
+    if len(start) < schema.CHUNK.size:
         raise ValueError("a chunk of less than its fixed fields")
-    *_, size, _, name_size = CHUNK.unpack_from(start)
-    at = CHUNK.size + name_size
-    if size > CHUNK_LIMIT or name_size > 16 or at + U64.size > length:
+    *_, size, _, name_size = schema.CHUNK.unpack_from(start)
+    at = schema.CHUNK.size + name_size
+    if size > CHUNK_LIMIT or name_size > 16 or at + schema.U64.size > length:
         raise ValueError("fixed fields that make no sense")
-    (stored,) = U64.unpack_from(start, at)
-    if stored != length - at - U64.size:
+    (stored,) = schema.U64.unpack_from(start, at)
+    if stored != length - at - schema.U64.size:
         raise ValueError("records of another length than the chunk's")
-    if stored and start[CHUNK.size : at] == b"zstd" and not start[at + U64.size :].startswith(_ZSTD_FRAME):
+    if stored and start[schema.CHUNK.size : at] == b"zstd" and not start[at + schema.U64.size :].startswith(_ZSTD_FRAME):
         raise ValueError("no compressed data")
     return int(size)
 
@@ -247,8 +235,8 @@ def _described(data: bytes, offset: int, size: int, most: int) -> tuple[ChunkInd
     """Return a chunk as its messages have it, since its times are under no checksum, and how many each channel has."""
     channels: list[int] = []
     times, at = [], 0
-    while at + MESSAGE.size <= len(data):
-        opcode, length, channel, _, log_time, _ = MESSAGE.unpack_from(data, at)
+    while at + schema.MESSAGE.size <= len(data):
+        opcode, length, channel, _, log_time, _ = schema.MESSAGE.unpack_from(data, at)
         if not opcode:
             raise ValueError(f"no record at byte {at} of a chunk's content")
         if opcode == Opcode.MESSAGE:
@@ -256,7 +244,7 @@ def _described(data: bytes, offset: int, size: int, most: int) -> tuple[ChunkInd
             times.append(log_time)
             if len(times) > most:
                 raise ValueError("more messages than a file of this size can mean")
-        at += RECORD.size + length
+        at += schema.RECORD.size + length
     if at > len(data):
         raise ValueError("the last record of a chunk is not whole")
     counts = Counter(channels)

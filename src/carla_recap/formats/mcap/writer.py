@@ -15,32 +15,11 @@ from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError, RecapError, RecordError
 from carla_recap.formats.base import Topic, Writer
-from carla_recap.formats.mcap import codec
+from carla_recap.formats.mcap import codec, schema
 from carla_recap.formats.mcap.codec import encode, encode_rows, records_codec
 from carla_recap.formats.mcap.container import ChunkBuilder, ChunkedFile
 from carla_recap.formats.mcap.digest import Digest
 from carla_recap.formats.mcap.index import CHANNELS_LIMIT
-from carla_recap.formats.mcap.schema import (
-    EMPTY,
-    EVENTS_AT,
-    EXTENT_METADATA,
-    FILLED,
-    FRAME_TOPIC,
-    HEADER_METADATA,
-    MESSAGE,
-    MESSAGE_DTYPE,
-    MESSAGE_FIELDS,
-    PARAMETERS_METADATA,
-    RAW,
-    RAW_TOPIC,
-    SECOND,
-    TAIL_TOPIC,
-    LogClock,
-    channel_specs,
-    checked,
-    header_metadata,
-    parameters_metadata,
-)
 from carla_recap.model.batch import Batch, ConstantColumn
 from carla_recap.model.frame import Extent, Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, Framing, PayloadError, check
@@ -70,7 +49,7 @@ FURTHER_OPEN_LIMIT: Final = 64 << 20
 MESSAGE_LIMIT: Final = 48 << 20
 """The largest message of a further topic, in bytes: what is much larger could not be read."""
 LEVEL: Final = 3
-_HEADER: Final = np.dtype([*MESSAGE_DTYPE.descr, *codec.HEAD_DTYPE.descr])  # of each message: `MESSAGE`, `codec.HEAD`
+_HEADER: Final = np.dtype([*schema.MESSAGE_DTYPE.descr, *codec.HEAD_DTYPE.descr])  # of each message: `MESSAGE`, `codec.HEAD`
 _DURATION: Final = _HEADER.itemsize + 1  # the offset of the duration in a frame's own message
 
 
@@ -91,24 +70,24 @@ class McapWriter(ChunkedFile, Writer):
     """
 
     def __init__(self, path: Path | str, header: Header, *, live: bool = False, force: bool = True) -> None:
-        self._header_metadata = {HEADER_METADATA: checked(header_metadata(header))}
+        self._header_metadata = {schema.HEADER_METADATA: schema.checked(schema.header_metadata(header))}
         if header.parameters:
-            self._header_metadata[PARAMETERS_METADATA] = checked(parameters_metadata(header))
-        specs = channel_specs(header.table)
+            self._header_metadata[schema.PARAMETERS_METADATA] = schema.checked(schema.parameters_metadata(header))
+        specs = schema.channel_specs(header.table)
         topics = [Topic(spec.topic, spec.message, partial(_schema, spec.module, spec.message)) for spec in specs]
         super().__init__(path, topics, level=LEVEL, live=live, force=force)
         self._by_topic = {spec.topic: id for id, spec in enumerate(specs, 1)}
         self._frame_channel, self._raw_channel, self._tail_channel = (
-            self._by_topic[topic] for topic in (FRAME_TOPIC, RAW_TOPIC, TAIL_TOPIC)
+            self._by_topic[topic] for topic in (schema.FRAME_TOPIC, schema.RAW_TOPIC, schema.TAIL_TOPIC)
         )
         self._channel_of = {spec.type.id: id for id, spec in enumerate(specs, 1) if spec.type}
         self._chunks = {group: ChunkBuilder() for group in Group}
         self._further: dict[str, _FurtherTopic] = {}
         self._further_chunks: dict[tuple[str, str], ChunkBuilder] = {}
-        self._further_span = (CHUNK_SECONDS if live else FURTHER_CHUNK_SECONDS) * SECOND
+        self._further_span = (CHUNK_SECONDS if live else FURTHER_CHUNK_SECONDS) * schema.SECOND
         self._further_counts: Counter[str] = Counter()
         self._further_size = 0  # bytes of the chunks of further topics
-        self._clock = LogClock(header)
+        self._clock = schema.LogClock(header)
         self._sequence = -1
         self._cut_at = self._cut_at_frame = 0
         self._extent = Extent()
@@ -260,7 +239,7 @@ class McapWriter(ChunkedFile, Writer):
                 self._cut(group)
             for further in [*self._further_chunks] if self._live else ():
                 self._cut_further(further)
-            self._cut_at = time + CHUNK_SECONDS * SECOND
+            self._cut_at = time + CHUNK_SECONDS * schema.SECOND
             self._cut_at_frame = self._sequence + CHUNK_FRAMES
 
     def _template_of(self, batch: Batch) -> FrameTemplate | None:
@@ -277,7 +256,7 @@ class McapWriter(ChunkedFile, Writer):
         if type is not None:
             self._additional = self._additional or type.additional
             if payload is EMPTY_LIST or payload == EMPTY_LIST or (id == FRAME_END and not payload):
-                return EMPTY
+                return schema.EMPTY
         if type is None or type.opaque or not type.topic or len(payload) > OBJECTS_LIMIT:
             return self._add_raw(packet, head, times)
         chunk, channel = self._chunks[type.group], self._channel_of[id]
@@ -286,7 +265,7 @@ class McapWriter(ChunkedFile, Writer):
             chunk.add(channel, self._sequence, times, head, b"")
             chunk.encode_later(type, payload, size)
             self._cut_within_frame(type.group)
-            return FILLED
+            return schema.FILLED
         try:
             if type.fixed:
                 packet.warn_of(check(type, payload))
@@ -300,7 +279,7 @@ class McapWriter(ChunkedFile, Writer):
         self._cut_within_frame(type.group)
         if type.name == "spawned":
             self._heroes |= {actor.id: None for actor in packet.records if actor.attribute("role_name") == HERO}
-        return FILLED
+        return schema.FILLED
 
     def _add_raw(self, packet: Packet, head: bytes, times: tuple[int, int]) -> int:
         """Add a packet in pieces of its bytes."""
@@ -308,7 +287,7 @@ class McapWriter(ChunkedFile, Writer):
         for body in codec.raw_bodies(packet.id, packet.payload):
             self._chunks[Group.STATE].add(self._raw_channel, self._sequence, times, head, body)
             self._cut_within_frame(Group.STATE)
-        return RAW
+        return schema.RAW
 
     def _add_digest(self, found: Iterable[tuple[str, bytes]], head: bytes, times: tuple[int, int]) -> None:
         """Add messages of the digest, by topic."""
@@ -358,7 +337,7 @@ class McapWriter(ChunkedFile, Writer):
         # Again, so that a reader that has the end of the file needs nothing from its start.
         for name, values in self._header_metadata.items():
             self._write_metadata(name, values)
-        self._write_metadata(EXTENT_METADATA, checked(self._extent_metadata(events_at)))
+        self._write_metadata(schema.EXTENT_METADATA, schema.checked(self._extent_metadata(events_at)))
         super()._finish()
 
     def _extent_metadata(self, events_at: int | None) -> dict[str, str]:
@@ -369,7 +348,7 @@ class McapWriter(ChunkedFile, Writer):
             "hero_ids": ",".join(map(str, self._heroes)),
             "additional_data": str(int(self._additional)),
             "steady_clock": str(int(self._clock.steady)),
-            **({EVENTS_AT: str(events_at)} if events_at is not None else {}),
+            **({schema.EVENTS_AT: str(events_at)} if events_at is not None else {}),
             **self._digest.metadata(),
         }
 
@@ -408,13 +387,13 @@ class FrameTemplate:
             else:
                 bodies.append((channels[column.id], encode(type, column.packet(0).payload)))
         ids = bytes((FRAME_START, *(column.id for column in batch.columns)))
-        kinds = bytes((FRAME_START, *(EMPTY if _is_empty(column) else FILLED for column in batch.columns)))
+        kinds = bytes((FRAME_START, *(schema.EMPTY if _is_empty(column) else schema.FILLED for column in batch.columns)))
         frame = codec.frame_body(0.0, ids, kinds)
         template = bytearray()
         for channel, body in (*bodies, (frame_channel, frame)):
             self.offsets.append((channel, len(template)))
-            length = MESSAGE_FIELDS + codec.HEAD.size + len(body)
-            template += MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, 0, 0) + codec.head(0, 0.0) + body
+            length = schema.MESSAGE_FIELDS + codec.HEAD.size + len(body)
+            template += schema.MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, 0, 0) + codec.head(0, 0.0) + body
         self.size = len(template)
         self._template = np.frombuffer(bytes(template), np.uint8)
 
@@ -455,7 +434,7 @@ class FrameTemplate:
         entries[:, 0] = times[:, 0]
         entries[:, 1] = np.arange(0, rows.nbytes, self.size)
         for channel, offset in self.offsets:
-            headers = _fields(rows, MESSAGE_DTYPE, offset)
+            headers = _fields(rows, schema.MESSAGE_DTYPE, offset)
             headers["sequence"] = numbers
             headers["log_time"], headers["publish_time"] = times.T
             index[channel] = entries + np.array([0, offset], np.uint64)
