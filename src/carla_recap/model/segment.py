@@ -149,18 +149,6 @@ class SegmentBuffer:
         kind = found[0].records.dtype[fields[0]] if found else np.dtype("f4")
         values = np.zeros((len(fields), len(ids), stop - start), kind)
         known = np.zeros((len(ids), stop - start), np.bool_)
-        single = [segment for segment in found if len(segment) == 1]
-        if len(single) > 1 and len(ids):  # with all of one frame together, thousands take no longer than a few
-            listed = np.concatenate([segment.ids for segment in single])
-            data = b"".join([segment.records[0][segment.columns].tobytes() for segment in single])
-            records = np.frombuffer(data, single[0].records.dtype)
-            frame = np.repeat([segment.first - start for segment in single], [len(segment.ids) for segment in single])
-            row = np.minimum(np.searchsorted(ids, listed), len(ids) - 1)
-            wanted = np.flatnonzero(ids[row] == listed)
-            for number, field in enumerate(fields):
-                values[number, row[wanted], frame[wanted]] = records[field][wanted]
-            known[row[wanted], frame[wanted]] = True
-            found = [segment for segment in found if len(segment) > 1]
         for segment in found if len(ids) else ():
             row = np.minimum(np.searchsorted(ids, segment.ids), len(ids) - 1)
             wanted = ids[row] == segment.ids
