@@ -201,6 +201,16 @@ def test_many_are_encoded_and_decoded_as_each_is(type, data):
     assert not any(records.flags.writeable for records in together)
 
 
+@pytest.mark.parametrize("numbers", [9, 12])  # of a wheel: until 0.9.11, and since
+def test_all_bits_of_wheels_come_back(numbers):
+    type = UE4.named("physics")
+    wheel = struct.pack("<I", 0xFFA20000) * numbers  # a signalling NaN, of which protobuf makes a quiet one
+    payload = b"\1\0" + struct.pack("<I5fB7f", 7, *range(5), 1, *range(7)) + bytes(12) + struct.pack("<I", 1) + wheel
+    message = encoded(type, payload)
+    codec._templates.clear()
+    assert codec.decode(type, message) == payload
+
+
 def test_a_full_packet_comes_back():
     type = UE4.named("transforms")
     payload = struct.pack("<H", MAX_COUNT) + np.random.default_rng(1).bytes(MAX_COUNT * 28)

@@ -83,7 +83,9 @@ def test_a_batch_is_its_frames(batches: list[Batch]) -> None:
 def test_numbers_of_another_size_are_written_all_the_same() -> None:
     frames = batch(0, [0.05, 0.1], 2)
     (controls,) = (column for column in frames.columns if column.type and column.type.name == "vehicle_controls")
-    controls.records["hand_brake"].view(np.uint8)[:] = 0xFF
+    records = controls.records.copy()
+    records["hand_brake"] = 0xFF
+    frames.columns = [packed(controls.type, records) if column is controls else column for column in frames.columns]
     assert not has_template(frames)
     assert written([frames], at_once=True) == written([frames], at_once=False)
 

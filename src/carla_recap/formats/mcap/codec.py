@@ -602,6 +602,17 @@ def _read_items(
     return offset
 
 
+def _read_alternatives(parts: list[bytes], data: bytes, offset: int, end: int, step: Items) -> int:
+    """Do as `_read_items`, by the first of the layouts of a counted array that the records have."""
+    known = len(parts)
+    for layout in step.layouts[:-1]:
+        try:
+            return _read_items(parts, data, offset, end, step.number, step.counter, layout)
+        except ValueError:
+            del parts[known:]
+    return _read_items(parts, data, offset, end, step.number, step.counter, step.layouts[-1])
+
+
 def _read_steps(parts: list[bytes], data: bytes, offset: int, end: int, steps: Sequence[Step]) -> None:
     """Append the bytes that fields of a record have in a payload."""
     for step in steps:
@@ -613,7 +624,7 @@ def _read_steps(parts: list[bytes], data: bytes, offset: int, end: int, steps: S
             parts += form.values.unpack(found)
             offset += len(found)
         elif isinstance(step, Items):
-            offset = _read_items(parts, data, offset, end, step.number, step.counter, step.layouts[0])
+            offset = _read_alternatives(parts, data, offset, end, step)
         elif data.startswith(text := tag(step.number, LEN), offset):
             start, offset = _read_size(data, offset + len(text), end)
             data[start:offset].decode()
