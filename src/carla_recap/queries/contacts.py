@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.formats.sources import is_remote
@@ -92,8 +93,7 @@ class ImpactSearch:
         self.missing: dict[int, list[Key]] = {}
         for key in keys:
             self.missing.setdefault(key[0], []).append(key)
-        self._indexes = {index - back for index in self.missing for back in range(_FRAMES) if index >= back}
-        self.indexes = sorted(self._indexes)
+        self.indexes = sorted({index - back for index in self.missing for back in range(_FRAMES) if index >= back})
         self._frames: dict[int, Frame] = {}
 
     def add(self, batches: Iterable[Batch], *, is_whole: bool = False) -> None:
@@ -106,12 +106,8 @@ class ImpactSearch:
 
     def batch(self, batch: Batch, *, is_whole: bool = False) -> None:
         """Search the frames that follow those before."""
-        rows = range(batch.index, batch.index + len(batch)) if self.missing else range(0)
-        if len(self._indexes) < len(rows):
-            wanted = [index for index in self.indexes if index in rows]
-        else:
-            wanted = [index for index in rows if index in self._indexes]
-        for index in wanted:
+        first, stop = (bisect_left(self.indexes, index) for index in (batch.index, batch.index + len(batch)))
+        for index in self.indexes[first:stop] if self.missing else ():
             self._add(batch.frame(index - batch.index), index, is_whole=is_whole)
 
     def add_frames(self, frames: Iterable[Frame]) -> None:

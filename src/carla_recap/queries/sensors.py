@@ -96,22 +96,13 @@ def _spec(text: str) -> dict[str, Any] | None:
     """Return the specification of a sensor; None for what is none."""
     try:
         spec = json.loads(text)
+        is_spec = isinstance(spec, dict) and isinstance(spec.get("type"), str) and _depth(spec) <= _DEEPEST
     except (ValueError, RecursionError):
         return None
-    if not isinstance(spec, dict) or not isinstance(spec.get("type"), str) or _depth(spec) > _DEEPEST:
-        return None
-    return spec
+    return spec if is_spec else None
 
 
 def _depth(value: Any) -> int:
-    """Return how many levels of objects and lists there are, as far as they are of interest."""
-    depth, level = 0, [value]
-    while level and depth <= _DEEPEST:
-        level = [
-            item
-            for each in level
-            if isinstance(each, dict | list)
-            for item in (each.values() if isinstance(each, dict) else each)
-        ]
-        depth += 1
-    return depth
+    """Return how many levels of objects and lists there are, those of a number or a text included."""
+    items = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return 1 + max(map(_depth, items), default=0)

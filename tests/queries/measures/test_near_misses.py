@@ -14,7 +14,7 @@ from carla_recap.model.records import Spawn
 from carla_recap.queries.measures import measures
 from carla_recap.queries.measures.motion_table import MotionTable
 from carla_recap.queries.measures.near_misses import TYPES, NearMissDetector
-from carla_recap.queries.measures.paths_ahead import paths_meet
+from carla_recap.queries.measures.pairs import paths_meet
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from tests.queries.measures.conftest import Mover, straight
 

@@ -13,7 +13,7 @@ from carla_recap.queries.measures.definitions import MEASURES, NO_OTHER, Measure
 from carla_recap.queries.measures.drives import BACKGROUND, Drive, comfort, efficiency
 from carla_recap.queries.measures.encroachment import CrossingSearch
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
-from carla_recap.queries.measures.paths_ahead import SEEN
+from carla_recap.queries.measures.pairs import SEEN
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
 from carla_recap.queries.measures.series import HORIZON, measured_actors, series_of

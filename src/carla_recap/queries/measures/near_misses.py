@@ -15,8 +15,7 @@ import numpy as np
 
 from carla_recap.queries.measures.encroachment import ENCOUNTER, CrossingSearch, Encounter, encounters
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
-from carla_recap.queries.measures.pairs import PairFrames, near_pairs
-from carla_recap.queries.measures.paths_ahead import BEND_TIME, SEEN, on_collision_course
+from carla_recap.queries.measures.pairs import BEND_TIME, SEEN, PairFrames, near_pairs, on_collision_course
 
 if TYPE_CHECKING:
     from carla_recap.model.batch import Batch

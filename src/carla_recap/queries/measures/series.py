@@ -16,8 +16,7 @@ from carla_recap.model.motion import slope
 from carla_recap.queries.measures.boxes import gap, required_deceleration, time_headway
 from carla_recap.queries.measures.definitions import NO_OTHER, MeasureSeries
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
-from carla_recap.queries.measures.pairs import PairFrames, ahead, near_pairs
-from carla_recap.queries.measures.paths_ahead import on_collision_course
+from carla_recap.queries.measures.pairs import PairFrames, ahead, near_pairs, on_collision_course
 from carla_recap.queries.recorded_actors import lives_and_contacts
 
 if TYPE_CHECKING:
