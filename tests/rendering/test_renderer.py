@@ -376,6 +376,17 @@ def test_what_can_be_seen_through_shows_what_is_behind(renderer: Renderer) -> No
     assert (images[RGB][..., 3] == 255).all()
 
 
+@pytest.mark.parametrize("height", [20, 60, 100])
+def test_what_lies_on_a_mark_of_a_collision_is_seen_from_above(renderer: Renderer, height: float) -> None:
+    ring = shape(cube(Material.COLLISION_MARK))
+    body = boxes((0, 0, 0.2), half=(0.9, 0.3, 0.1))
+    mark = replace(boxes((0, 0, 0.03), half=(3, 3, 0.001)), ids=np.array([1], np.uint32), models=np.array([1], np.uint8))
+    both = Instances(*(np.concatenate((getattr(body, name), getattr(mark, name))) for name in vars(body)))
+    above = camera((0, 0, height), pitch=-90, fov=10)
+    with Renderer(PLANE, models=[shape(cube()), ring]) as with_ring:
+        assert ids(with_ring.draw(above, both, [INSTANCE])[INSTANCE])[60, 80] == 0x1234
+
+
 def test_lit_lamps_glow_in_the_dark(renderer: Renderer) -> None:
     lamp = replace(boxes((10, 0, 2)), models=np.ones(1, np.uint8))
     night = Sky(sun_altitude=-60)

@@ -158,7 +158,11 @@ void main() {
 #endif
 #endif
     gl_Position = clip * vec4(here, 1.0);
+#ifdef INSTANCED
+    gl_Position.z -= ACTOR_LAYER * gl_Position.w;
+#else
     gl_Position.z -= glow[material].w * gl_Position.w;
+#endif
 #ifdef FLOW
     v_previous = (previous_clip * vec4(before, 1.0)).xyw;
 #endif
@@ -470,10 +474,10 @@ _LAYERS: Final = {
     Material.WHITE_LINE: 5,
     Material.YELLOW_LINE: 5,
     Material.STOP_LINE: 6,
-    Material.COLLISION_MARK: 8,
 }
 _LAYER: Final = 2e-6  # of the depth of clip space
 _SHADOW_LAYER: Final = 7 * _LAYER
+_ACTOR_LAYER: Final = 8 * _LAYER  # else what lies on the ground is below a marking or the mark of a collision, seen from far
 _WIDTHS: Final = {Material.WHITE_LINE: 0.15, Material.YELLOW_LINE: 0.15, Material.STOP_LINE: 0.5, Material.CROSSING: 0.5}
 """The widths of markings, in m; those that are less than a pixel wide are faint, and do not flicker."""
 _GRAINS: Final = {
@@ -543,7 +547,8 @@ def sources(name: str, kinds: Sequence[ImageKind], *options: str) -> tuple[str, 
     if ImageKind.SEMANTIC in kinds or ImageKind.INSTANCE in kinds:
         defined.append("MARKS")
     head = "#version 330\n" + "".join(f"#define {each}\n" for each in defined)
-    numbers = {"SKY": f"{Tag.SKY:d}.0", "ROAD": Material.ROAD.value, "LEAST_SUN": LEAST_SUN, "LAYER": f"{_SHADOW_LAYER:.8f}"}
+    numbers = {"SKY": f"{Tag.SKY:d}.0", "ROAD": Material.ROAD.value, "LEAST_SUN": LEAST_SUN}
+    numbers |= {"LAYER": f"{_SHADOW_LAYER:.8f}", "ACTOR_LAYER": f"{_ACTOR_LAYER:.8f}"}
     head += "".join(f"#define {key} {value}\n" for key, value in numbers.items()) + _FRAME
     outputs = "".join(
         f"layout(location={index}) out {'vec2' if kind is ImageKind.FLOW else 'vec4'} o_{_DEFINES[kind].lower()};\n"
