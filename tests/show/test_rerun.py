@@ -16,6 +16,7 @@ import pytest
 
 from carla_recap import ActorKind, MissingExtra, RecapError, RecapWarning, Spawn, attributes, open_recording
 from carla_recap.model.records import NO_ACTOR
+from carla_recap.queries.kinds import KINDS
 from carla_recap.replay import Player
 from carla_recap.roads import RoadMap, load_map
 from carla_recap.scene import style
@@ -418,6 +419,21 @@ def test_hard_braking_and_long_stops_are_in_the_log(crossing) -> None:
     texts = crossing.rrd.rows("/events", "TextLog:text")
     told = [(time, text) for time, (text,) in texts if "brakes hard" in text or "stands still" in text]
     assert told == [(pytest.approx(time), text) for time, text in expected]
+
+
+def test_incidents_are_lanes_of_states(crossing) -> None:
+    seconds = np.array([frame.elapsed for frame in crossing.recording])
+    for incident in crossing.recording.incidents():
+        rows = crossing.rrd.rows(f"/incidents/{KINDS[incident.kind].option}", "StateChange:state")
+        states = {}
+        for time in (incident.start, incident.stop):
+            states[time] = next(state for begin, (state,) in reversed(rows) if begin <= time + 1e-6)
+        assert set(states.values()) == {KINDS[incident.kind].singular}
+        later = [state for begin, (state,) in rows if begin > incident.stop + 1e-6]
+        assert later[:1] == (["none"] if incident.stop < seconds[-1] - 1e-6 else [])
+    assert {path for path in crossing.rrd.entities if path.startswith("/incidents/")} == {
+        f"/incidents/{KINDS[incident.kind].option}" for incident in crossing.recording.incidents()
+    }
 
 
 def test_incidents_outside_of_the_exported_part_are_left_out(crossing, tmp_path: Path) -> None:

@@ -92,14 +92,13 @@ def arranged(
         name="Events",
         columns=rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["loglevel", "body"]),
     )
-    all_lights = rrb.StateTimelineView(origin=entities.STATES, name="All traffic lights")
-    lights: rrb.View | rrb.Container = all_lights
+    lanes = [rrb.StateTimelineView(origin=entities.STATES, name="All traffic lights")]
     if ego is not None:
-        ahead = rrb.StateTimelineView(origin=entities.LIGHT_AHEAD, name=f"Light ahead of {ego}")
-        lights = rrb.Tabs(ahead, all_lights)
+        lanes.insert(0, rrb.StateTimelineView(origin=entities.LIGHT_AHEAD, name=f"Light ahead of {ego}"))
+    lanes.append(rrb.StateTimelineView(origin=entities.INCIDENTS, name="Incidents"))
     scene = rrb.Vertical(
         rrb.Tabs(*cameras.values(), active_tab=list(cameras).index(view)),
-        rrb.Horizontal(lights, log, column_shares=[2, 3]),
+        rrb.Horizontal(rrb.Tabs(*lanes), log, column_shares=[2, 3]),
         row_shares=[4, 1],
     )
     beside: list[rrb.View | rrb.Container] = [

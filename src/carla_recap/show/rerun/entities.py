@@ -21,6 +21,7 @@ SENSORS: Final = "/world/sensors"
 
 STATES: Final = "/signals"
 EVENTS: Final = "/events"
+INCIDENTS: Final = "/incidents"
 EGO: Final = "/ego"
 SPEED: Final = "/ego/speed_kmh"
 ACCELERATION: Final = "/ego/acceleration"
@@ -46,6 +47,11 @@ MAP_FOLLOWED: Final = "/map/followed"
 def actor(id: int) -> str:
     """Return the path of an actor: its box, in its own axes."""
     return f"{ACTORS}/{id}"
+
+
+def incidents(kind: str) -> str:
+    """Return the path of the states of a kind of incident."""
+    return f"{INCIDENTS}/{kind}"
 
 
 def ghost(id: int) -> str:

@@ -8,8 +8,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import rerun as rr
 
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.records import ActorKind
+from carla_recap.queries.kinds import KINDS
 from carla_recap.replay import Destroyed, right_handed
+from carla_recap.replay.events import Collided
 from carla_recap.replay.pose import LOCATION, rotations
 from carla_recap.scene import style
 from carla_recap.scene.ahead import NO_LIGHT
@@ -25,6 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from carla_recap.queries.incidents import Incident
+    from carla_recap.queries.kinds import IncidentKind
     from carla_recap.scene.captions import Line
     from carla_recap.scene.description import SceneDescription
     from carla_recap.scene.follow import FollowedRecords
@@ -65,22 +69,54 @@ class EventWriter:
         self._stream = stream
         self._text = EventText()
         self._lines = HeldRows(stream, _log_columns)
+        self._incidents = HeldRows(stream, _state_columns)
+        self._lanes: set[str] = set()  # of incidents, that have begun
+        self._collides = False
 
     def write(self, description: SceneDescription, times: TimeColumns) -> None:
         """Write scenes."""
         for line in self._text.lines(description.batch.scene(0)):
             self._lines.add(entities.EVENTS, times.point(0), line)
+        collides = any(isinstance(event, Collided) for event in description.batch.events)
+        self._set_collides(collides, times.point(0))
+        if len(description) > 1:
+            self._set_collides(False, times.point(1))
         for row, locations in description.marks:
             self._mark(locations, times.point(row))
 
     def write_incidents(self, found: Iterable[Incident], clock: TimeColumns) -> None:
-        """Write the incidents that began during the scenes of some times, each at the scene at which it began."""
+        """Write incidents: lines of those that began during the scenes of some times, and a lane of each kind."""
+        found = list(found)
         for row, line in incident_lines(found, clock.seconds):
             self._lines.add(entities.EVENTS, clock.point(row), line)
+        seconds = np.maximum.accumulate(clock.seconds)
+        for kind in KINDS.values():
+            happens = np.zeros(len(seconds), np.bool_)
+            for incident in found:
+                if incident.kind == kind.name:
+                    first = np.searchsorted(seconds, incident.start - SAME_TIME)
+                    happens[first : max(first + 1, np.searchsorted(seconds, incident.stop + SAME_TIME, "right"))] = True
+            for row in np.flatnonzero(np.diff(happens, prepend=False)).tolist():
+                self._set_state(kind, bool(happens[row]), clock.point(row))
+
+    def _set_collides(self, collides: bool, time: TimePoint) -> None:
+        if collides != self._collides:
+            self._collides = collides
+            self._set_state(KINDS["collision"], collides, time)
+
+    def _set_state(self, kind: IncidentKind, happens: bool, time: TimePoint) -> None:
+        """Write whether an incident of a kind happens from a time on, in the lane of the kind."""
+        path = entities.incidents(kind.option)
+        if path not in self._lanes:
+            self._lanes.add(path)
+            colors = tuple(bytes.fromhex(kind.dark[1:])), _NO_COLOR
+            self._stream.log_static(path, rr.StateConfiguration(values=[kind.singular, _NONE], colors=colors))
+        self._incidents.add(path, time, kind.singular if happens else _NONE)
 
     def flush(self) -> None:
         """Write what is held back."""
         self._lines.flush()
+        self._incidents.flush()
 
     def _mark(self, locations: Floats, time: TimePoint) -> None:
         """Show marks: each one is a ring on the ground with a cross in it, which hide nothing."""
