@@ -413,7 +413,7 @@ class _Sensing:
                 cameras = [sensor for sensor in placed if sensor.spec.kind == "camera"]
                 casting = [sensor for sensor in placed if sensor.spec.kind in _RAY_KINDS]
                 if casting and self._rays is not None:
-                    points = self._measuring.submit(self._rays.measured, casting, moment)
+                    points = self._measuring.submit(self._rays.begin(casting, moment))
                 if cameras and self._cameras is not None:
                     images = self._cameras.submit(cameras, instances, scene, _boxes_around(description, carrier))
                 for spec, own in placed:
@@ -537,8 +537,8 @@ class _RayCaster:
         self._sensors = sensors
         self._threads = ThreadPoolExecutor(min(os.cpu_count() or 1, _MOST_THREADS), "carla-recap-rays")
 
-    def measured(self, due: Sequence[PlacedSensor], moment: _Moment) -> dict[str, NDArray[np.void]]:
-        """Return what sensors measure at a moment, by id; their carrier is not hit."""
+    def begin(self, due: Sequence[PlacedSensor], moment: _Moment) -> Callable[[], dict[str, NDArray[np.void]]]:
+        """Begin to cast the rays of a moment, which do not hit the carrier; return what waits for what sensors measure."""
         others = moment.instances.take(~np.isin(moment.instances.ids, list(moment.carrier)))
         begun = []
         for spec, pose in due:
@@ -548,10 +548,14 @@ class _RayCaster:
             parts = [rays[first : first + _RAYS_OF_A_PART] for first in firsts]
             cast = [self._threads.submit(self._cast, place, turn, part, sensor.reach, others) for part in parts]
             begun.append((sensor, spec.id, pose, rays, firsts, cast))
-        return {
-            id: sensor.measure(moment, pose, SurfaceHits.joined([part.result() for part in cast], firsts), rays)
-            for sensor, id, pose, rays, firsts, cast in begun
-        }
+
+        def measured() -> dict[str, NDArray[np.void]]:
+            return {
+                id: sensor.measure(moment, pose, SurfaceHits.joined([part.result() for part in cast], firsts), rays)
+                for sensor, id, pose, rays, firsts, cast in begun
+            }
+
+        return measured
 
     def _cast(self, place: Floats, turn: Floats, rays: Floats, reach: float, others: Instances) -> SurfaceHits:
         return self._scene.cast(place, rays @ turn, reach, others)
