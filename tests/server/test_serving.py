@@ -25,6 +25,19 @@ for name in sys.argv[1:]:
     importlib.import_module(name)
 """
 
+SERVES = """
+import asyncio, gc, os, signal
+from carla_recap.server.host import Host
+from carla_recap.server.serving import serve
+from carla_recap.sim import World
+
+def ready(port):
+    print(gc.get_freeze_count())
+    os.kill(os.getpid(), signal.SIGTERM)
+
+asyncio.run(serve(Host(World()), "127.0.0.1", 0, ready))
+"""
+
 
 def test_clients_that_leave_before_their_replies_do_no_harm(port: int) -> None:
     calls = b"".join(msgpack.packb([0, number, "version", [[False]]]) for number in range(1, 50))
@@ -38,6 +51,11 @@ def test_clients_that_leave_before_their_replies_do_no_harm(port: int) -> None:
 def test_each_module_can_be_imported_first() -> None:
     names = [module.name for module in walk_packages(carla_recap.server.__path__, "carla_recap.server.")]
     subprocess.run([sys.executable, "-c", IMPORTS, *names], timeout=PATIENCE, check=True)
+
+
+def test_no_client_waits_for_a_search_for_cycles_among_what_stays() -> None:
+    run = subprocess.run([sys.executable, "-c", SERVES], timeout=PATIENCE, check=True, capture_output=True)
+    assert int(run.stdout) > 10_000  # objects, which no search visits
 
 
 def test_an_invalid_name_of_a_host_is_an_error_in_one_line() -> None:

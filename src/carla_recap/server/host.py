@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _LOG: Final = logging.getLogger(__name__)
-_SLICE: Final = 0.02  # s for which steps keep other clients waiting
+_SLICE: Final = 0.01  # s for which steps keep other clients waiting; a call may come behind two of them
 _MAX_LOGGED: Final = 100  # errors that are not logged again
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import gc
 import logging
 import os
 import signal
@@ -72,6 +73,7 @@ async def serve(
         Thread(target=_wait_for_input, args=(end,), name="carla-recap-attached", daemon=True).start()
     with call_on_termination(lambda _: end()):
         host.prepare()
+        gc.freeze()  # to look for cycles among what stays would keep clients waiting
         connect = partial(ClientConnection, CALLS, host.connections, partial(Client, host))
         calls, streams = await _listen_both(connect, host.streams.connection, address, port, streaming_port)
         port, host.streams.port = (server.sockets[0].getsockname()[1] for server in (calls, streams))
