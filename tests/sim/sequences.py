@@ -12,6 +12,7 @@ import itertools
 import math
 import tempfile
 import time
+from contextlib import suppress
 from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final
@@ -28,6 +29,7 @@ from carla_recap.sim.actors.moving import MovingActor, Vehicle, VehicleControl, 
 from carla_recap.sim.actors.props import Prop, Sensor
 from carla_recap.sim.actors.triggers import FrictionTrigger
 from carla_recap.sim.episode import Actor, Spectator
+from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
@@ -174,7 +176,8 @@ class WorldMachine(RuleBasedStateMachine):
     def shove(self, actor: int, impulse: float, force: bool) -> None:
         self.note("shove", actor, impulse, force)
         if isinstance(found := self.pick(actor), Vehicle):
-            (found.add_force if force else found.add_impulse)(Vector(impulse, -impulse, 0.0))
+            with suppress(SimError):  # 1e6 N s are refused for a bicycle
+                (found.add_force if force else found.add_impulse)(Vector(impulse, -impulse, 0.0))
 
     @rule(actor=actors, enabled=flags)
     def weightless(self, actor: int, enabled: bool) -> None:
