@@ -125,7 +125,7 @@ def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch, every: int) -> N
     options = {"frames": 1000, "has_velocities": False, "tick": 0.005, "every": every}
     whole = detected(cars, **options).finish()
     assert len(whole) == 7
-    for name, size in (("_FRAMES", 520), ("_BLOCK", 100), ("_CELLS", 200), ("_CACHED", 300)):
+    for name, size in (("_FRAMES", 300), ("_BLOCK", 100), ("_CELLS", 200), ("_CACHED", 300)):
         with monkeypatch.context() as patch:
             patch.setattr(braking, name, size)
             assert detected(cars, **options).finish() == whole

@@ -206,9 +206,9 @@ class Batch:
     @staticmethod
     def of(frame: Frame) -> Batch:
         """Return the batch of a single frame."""
-        id, elapsed, duration = np.array([frame.id], np.uint64), np.array([frame.elapsed]), np.array([frame.duration])
+        id, times = np.array([frame.id], np.uint64), np.array(((frame.elapsed,), (frame.duration,)), np.float64)
         columns = [ConstantColumn(packet) for packet in frame.packets]
-        return Batch(frame.index, id, elapsed, duration, columns, preamble=frame.preamble)
+        return Batch(frame.index, id, times[0], times[1], columns, preamble=frame.preamble)
 
     def __len__(self) -> int:
         return len(self.id)

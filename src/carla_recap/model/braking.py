@@ -38,7 +38,7 @@ _SURE: Final = 0.999  # a deceleration below this share of another one is below 
 
 _BLOCK: Final = 100_000  # records that are evaluated together
 _FRAMES: Final = 4096  # that are evaluated together, at most
-_MARGIN: Final = 256  # frames that a block shares with the next one: more than a deceleration depends on
+_MARGIN: Final = 64  # frames that a block shares with the next one, also of vehicles that are in every fourth frame alone
 _MOST: Final = 15  # frames of a vehicle before and after a moment, of which the speeds count
 _CELLS: Final = 1 << 20  # vehicles times frames whose positions are collected together, at most
 _CACHED: Final = 1 << 14  # vehicles times frames that are evaluated together, at most; more are slower
@@ -99,7 +99,7 @@ class BrakingDetector:
         self._add(self._velocities, batch.records("velocities"))
         self._elapsed.extend(batch.elapsed.tolist())
         frames = len(self._elapsed)
-        if frames > 2 * _MARGIN and (self._count >= _BLOCK or frames >= _FRAMES):
+        if frames > 4 * _MARGIN and (self._count >= _BLOCK or frames >= _FRAMES):
             self._evaluate(frames - _MARGIN)
 
     def finish(self) -> list[Braking]:

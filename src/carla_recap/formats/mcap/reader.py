@@ -140,9 +140,8 @@ class McapReader(Reader):
         except (KeyError, ValueError):
             return None
         limits = _LIMITS[type]
-        if len(numbers) <= limits or numbers[limits + 1 :] != (
-            (schema.STATIONARY_RULE,) if type is schema.STATIONARY else ()
-        ):
+        rule = (schema.STATIONARY_RULE,) if type is schema.STATIONARY else ()
+        if len(numbers) <= limits or numbers[limits + 1 :] != rule:
             return None
         return DigestPart(numbers[:limits], partial(self._listed, type, numbers[limits]))
 
