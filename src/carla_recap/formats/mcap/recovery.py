@@ -9,18 +9,7 @@ from typing import TYPE_CHECKING, Final
 from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError
-from carla_recap.formats.mcap import schema
-from carla_recap.formats.mcap.index import (
-    CHUNK_LIMIT,
-    METADATA_LIMIT,
-    RECORDS_LIMIT,
-    ChannelRecord,
-    ChunkIndex,
-    Summary,
-    open_chunk,
-    parse_metadata,
-    read_summary,
-)
+from carla_recap.formats.mcap import index, schema
 from carla_recap.model.frame import Header
 
 if TYPE_CHECKING:
@@ -56,14 +45,14 @@ class Damage:
     finished: bool = True
 
 
-def recover_summary(source: ByteSource) -> tuple[Summary, Damage]:
+def recover_summary(source: ByteSource) -> tuple[index.Summary, Damage]:
     """Return a summary of all that is whole in a file, whether or not it has one of its own, and what is damaged."""
     scan = _Scan(source)
     summary, damage = scan.summary, scan.damage
     try:
-        own = read_summary(source)
+        own = index.read_summary(source)
     except FormatError:
-        own = Summary()
+        own = index.Summary()
         damage.finished = False
     at = len(schema.MAGIC) if source.read(0, min(len(schema.MAGIC), source.size), "the magic") == schema.MAGIC else 0
     while at < source.size and not summary.finished:
@@ -88,20 +77,20 @@ def recover_summary(source: ByteSource) -> tuple[Summary, Damage]:
     return summary, damage
 
 
-def guess_header(summary: Summary) -> Header:
+def guess_header(summary: index.Summary) -> Header:
     """Return the header of a recording whose own is lost; its map is unknown."""
     wide = any(name.endswith("Double") for name in summary.schemas.values())
     return Header("", summary.chunks[0].start // schema.SECOND if summary.chunks else 0, wide=wide)
 
 
-def _declare_lost(summary: Summary) -> None:
+def _declare_lost(summary: index.Summary) -> None:
     """Declare the channels whose declarations are lost; a channel's id says which it is."""
     specs = schema.channel_specs(guess_header(summary).table)
     for id in {id for chunk in summary.chunks for id in chunk.channels} - summary.channels.keys():
         if 0 < id <= len(specs):
             spec = specs[id - 1]
             summary.schemas.setdefault(id, spec.message)
-            summary.channels[id] = ChannelRecord(id, id, spec.topic, "protobuf")
+            summary.channels[id] = index.ChannelRecord(id, id, spec.topic, "protobuf")
 
 
 class _Scan:
@@ -113,14 +102,14 @@ class _Scan:
     """
 
     def __init__(self, source: ByteSource) -> None:
-        self.summary = Summary()
+        self.summary = index.Summary()
         self.damage = Damage()
         self._source = source
         self._window = (0, b"")  # an offset, and the bytes from there on
         self._false = _FALSE_LEAST + _FALSE_FACTOR * source.size
         self._unpacked = _UNPACKED_LEAST + _UNPACKED_FACTOR * source.size
         self._messages = _MESSAGES_LEAST + source.size // _MESSAGE_BYTES
-        self._parsed = RECORDS_LIMIT
+        self._parsed = index.RECORDS_LIMIT
 
     def take(self, at: int) -> int | None:
         """Add the record at an offset to the summary; return its end, None where no whole record is found."""
@@ -132,7 +121,7 @@ class _Scan:
         is_chunk = opcode == Opcode.CHUNK
         if (
             not Opcode.HEADER <= opcode <= Opcode.DATA_END
-            or length > (CHUNK_LIMIT if is_chunk else _SMALL)
+            or length > (index.CHUNK_LIMIT if is_chunk else _SMALL)
             or end > source.size
         ):
             return None
@@ -182,7 +171,7 @@ class _Scan:
         self._unpacked -= unpacked
         if self._unpacked < 0:
             raise ValueError("more bytes of records than a file of this size can mean")
-        data = open_chunk(source.read(at + schema.RECORD.size, length, "a record"))[2]
+        data = index.open_chunk(source.read(at + schema.RECORD.size, length, "a record"))[2]
         chunk, messages = _described(data, at, size, self._messages)
         self._messages -= messages.total()
         self.summary.counts += messages
@@ -192,14 +181,14 @@ class _Scan:
     def _take_other(self, opcode: int, at: int, length: int) -> None:
         if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA) or not self._parsed:
             return
-        if opcode == Opcode.METADATA and length > METADATA_LIMIT:
+        if opcode == Opcode.METADATA and length > index.METADATA_LIMIT:
             return
         self._parsed -= 1
         content = self._source.read(at + schema.RECORD.size, length, "a record")
         if opcode != Opcode.METADATA:
             self.summary.add(opcode, memoryview(content), at + schema.RECORD.size)
             return
-        name, values = parse_metadata(content)
+        name, values = index.parse_metadata(content)
         if name in (schema.HEADER_METADATA, schema.EXTENT_METADATA, schema.PARAMETERS_METADATA):
             schema.unchecked(values)
         self.summary.metadata[name] = at
@@ -221,7 +210,7 @@ def _announced(start: bytes, length: int) -> int:
         raise ValueError("a chunk of less than its fixed fields")
     *_, size, _, name_size = schema.CHUNK.unpack_from(start)
     at = schema.CHUNK.size + name_size
-    if size > CHUNK_LIMIT or name_size > 16 or at + schema.U64.size > length:
+    if size > index.CHUNK_LIMIT or name_size > 16 or at + schema.U64.size > length:
         raise ValueError("fixed fields that make no sense")
     (stored,) = schema.U64.unpack_from(start, at)
     if stored != length - at - schema.U64.size:
@@ -231,7 +220,7 @@ def _announced(start: bytes, length: int) -> int:
     return int(size)
 
 
-def _described(data: bytes, offset: int, size: int, most: int) -> tuple[ChunkIndex, Counter[int]]:
+def _described(data: bytes, offset: int, size: int, most: int) -> tuple[index.ChunkIndex, Counter[int]]:
     """Return a chunk as its messages have it, since its times are under no checksum, and how many each channel has."""
     channels: list[int] = []
     times, at = [], 0
@@ -248,4 +237,4 @@ def _described(data: bytes, offset: int, size: int, most: int) -> tuple[ChunkInd
     if at > len(data):
         raise ValueError("the last record of a chunk is not whole")
     counts = Counter(channels)
-    return ChunkIndex(min(times, default=0), max(times, default=0), offset, size, frozenset(counts)), counts
+    return index.ChunkIndex(min(times, default=0), max(times, default=0), offset, size, frozenset(counts)), counts

@@ -17,15 +17,8 @@ from mcap.opcode import Opcode
 
 from carla_recap.errors import FormatError, RecapError
 from carla_recap.formats.base import FurtherTopic, Topic, TopicMessage
+from carla_recap.formats.mcap import index
 from carla_recap.formats.mcap.frames import MESSAGES_LIMIT, PENDING_LIMIT
-from carla_recap.formats.mcap.index import (
-    CHUNK_LIMIT,
-    METADATA_LIMIT,
-    parse_channel_metadata,
-    parse_schema,
-    read_record,
-    split_records,
-)
 from carla_recap.formats.mcap.schema import MESSAGE, MESSAGE_FIELDS, MESSAGE_INDEX, RECORD, LogClock
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.util.text import first_of
@@ -196,7 +189,7 @@ class FurtherTopics:
         view = memoryview(data)
         least, end = 0 if first is None else first, math.inf if last is None else last
         try:
-            for opcode, start, stop in split_records(view):
+            for opcode, start, stop in index.split_records(view):
                 if opcode != Opcode.MESSAGE:
                     continue
                 if stop - start < MESSAGE_FIELDS:
@@ -224,9 +217,9 @@ class FurtherTopics:
         """Return a topic; its metadata are empty where they are broken, or too large."""
         metadata: dict[str, str] = {}
         span = self._summary.channel_spans.get(channel.id)
-        if span is not None and span[1] <= METADATA_LIMIT:
+        if span is not None and span[1] <= index.METADATA_LIMIT:
             try:
-                metadata = parse_channel_metadata(self._source.read(*span, "a channel"))
+                metadata = index.parse_channel_metadata(self._source.read(*span, "a channel"))
             except ValueError:
                 metadata = {}
         message = self._summary.schemas.get(channel.schema, "")
@@ -242,7 +235,7 @@ class FurtherTopics:
         if span[1] > _SCHEMA_LIMIT:
             raise FormatError(location, span[0], f"a schema of {span[1]} bytes; at most {_SCHEMA_LIMIT} are read")
         try:
-            return parse_schema(self._source.read(*span, "a schema"))
+            return index.parse_schema(self._source.read(*span, "a schema"))
         except ValueError as error:
             raise FormatError(location, span[0], str(error)) from None
 
@@ -294,7 +287,7 @@ class FurtherTopics:
         at = chunk.offset + chunk.length
         try:
             for _ in chunk.channels:
-                content = read_record(self._source, at, Opcode.MESSAGE_INDEX, "a message index", CHUNK_LIMIT)
+                content = index.read_record(self._source, at, Opcode.MESSAGE_INDEX, "a message index", index.CHUNK_LIMIT)
                 at += RECORD.size + len(content)
                 channel, size = MESSAGE_INDEX.unpack_from(content)
                 times = np.frombuffer(content, "<u8", size // 8, MESSAGE_INDEX.size)[::2]
