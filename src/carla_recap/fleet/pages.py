@@ -5,21 +5,16 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import replace
-from datetime import UTC, datetime
 from functools import partial
-from html import escape
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
-from urllib.parse import quote
 
 from carla_recap.fleet.check import WORST_FIRST
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.sources import SourceFile
+from carla_recap.fleet.templates import render
 from carla_recap.show.page import Opening
-from carla_recap.show.page.script import hash_source
-from carla_recap.util.resources import viewer_folder
-from carla_recap.util.text import number, visible
+from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
@@ -40,10 +35,6 @@ _AROUND: Final = 5.0  # s before and after an offence in a clip
 _NAME: Final = 80  # characters of the name of a page
 _OPEN: Final = 60  # recordings that pass, up to which they are shown at once
 _WORDS: Final[dict[Status, str]] = {"pass": "passed", "fail": "failed", "error": "not judged"}
-_ICON: Final = (
-    "data:image/svg+xml,%3Csvg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 16 16'%3E%3Ccircle cx='8' cy='8' r='7' "
-    "fill='%23ffb020'/%3E%3Cpath d='M4.5 8.2l2.4 2.4 4.6-5' fill='none' stroke='%2314161c' stroke-width='1.8'/%3E%3C/svg%3E"
-)
 
 
 class _Wanted(NamedTuple):
@@ -187,40 +178,26 @@ def _names(recordings: Iterable[str]) -> Iterator[str]:
 
 def overview(checked: Sequence[CheckedRecording], rules: RuleSet) -> str:
     """Return the overview of a check as a page that loads nothing and runs nothing."""
-    style = (viewer_folder() / "check" / "check.css").read_text("utf-8")
     counts = Counter(each.status for each in checked)
-    bad = sorted((each for each in checked if each.status != "pass"), key=lambda each: WORST_FIRST.index(each.status))
-    good = [each for each in checked if each.status == "pass"]
-    title = _title(counts, len(checked))
-    program = f"carla-recap {version('carla-recap')}"
-    origin = f"{rules.path} · {datetime.now(UTC):%d %B %Y, %H:%M} UTC · {program}"
-    header = f'{_bar(counts)}<p class="legend">{_legend(counts)}</p>\n'
-    return document(title, origin, header, _rules(checked, rules) + _bad(bad) + _good(good), style)
-
-
-def document(title: str, origin: str, header: str, main: str, style: str) -> str:
-    """Return a page that loads nothing and runs nothing.
-
-    Args:
-        title: Its title, as a text.
-        origin: What it is made of, and when, as a text.
-        header: What is below them, as HTML.
-        main: The rest, as HTML.
-        style: The style sheet.
-    """
-    return "".join(
-        (
-            '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">\n',
-            '<meta name="color-scheme" content="dark light">\n<meta name="referrer" content="no-referrer">\n',
-            '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; ',
-            f"style-src {hash_source(style)}; img-src data:; base-uri 'none'; form-action 'none'\">\n",
-            f'<title>{escape(title)} · carla-recap</title>\n<link rel="icon" href="{_ICON}">\n<style>{style}</style>\n',
-            f'</head>\n<body>\n<header>\n<h1>{escape(title)}</h1>\n<p class="origin">{escape(visible(origin))}</p>\n',
-            header,
-            f"</header>\n<main>\n{main}</main>\n</body>\n</html>\n",
-        )
-    )
+    content = {
+        "counts": counts,
+        "rules": [
+            (
+                rule,
+                Counter(each.verdicts[index].status for each in checked),
+                sum(not each.verdicts[index].applies for each in checked),
+            )
+            for index, rule in enumerate(rules)
+        ],
+        "bad": sorted((each for each in checked if each.status != "pass"), key=lambda each: WORST_FIRST.index(each.status)),
+        "good": [each for each in checked if each.status == "pass"],
+        "statuses": WORST_FIRST,
+        "words": _WORDS,
+        "bar_width": _BAR,
+        "lead": _LEAD,
+        "most_open": _OPEN,
+    }
+    return render("check", _title(counts, len(checked)), rules.path, content, {"shares": _shares, "offences": _offences})
 
 
 def _title(counts: Counter[Status], total: int) -> str:
@@ -233,116 +210,21 @@ def _title(counts: Counter[Status], total: int) -> str:
     return f"{' and '.join(broken)} of {recordings}"
 
 
-def _bar(counts: Counter[Status]) -> str:
-    """Return the shares of the statuses as a bar, drawn, since the policy of the page forbids styles of elements."""
-    total, left, parts = sum(counts.values()), 0.0, []
+def _shares(counts: Counter[Status]) -> Iterator[tuple[Status, float, float]]:
+    """Yield the shares of the statuses as parts of a bar: where each begins, and its width."""
+    left = 0.0
     present = [status for status in WORST_FIRST if counts[status]]
     for status in present:
-        width = counts[status] / total * _BAR
+        width = counts[status] / counts.total() * _BAR
         gap = 0 if status == present[-1] else min(_GAP, width / 2)
-        parts.append(f'<rect class="{status}" x="{left:.1f}" width="{width - gap:.1f}" height="10"/>')
+        yield status, left, width - gap
         left += width
-    return f'<svg class="bar" viewBox="0 0 {_BAR} 10" preserveAspectRatio="none" aria-hidden="true">{"".join(parts)}</svg>\n'
 
 
-def _legend(counts: Counter[Status]) -> str:
-    return "".join(
-        f'<span><i class="dot {status}"></i><b>{counts[status]}</b> {_WORDS[status]}</span>'
-        for status in WORST_FIRST
-        if counts[status]
-    )
-
-
-def _rules(checked: Sequence[CheckedRecording], rules: RuleSet) -> str:
-    """Return the table of the rules, and how many recordings break each."""
-    rows = []
-    for index, rule in enumerate(rules):
-        counts = Counter(each.verdicts[index].status for each in checked)
-        said = f'<b class="fail">{counts["fail"]}</b> failed' if counts["fail"] else '<span class="quiet">all passed</span>'
-        if counts["error"] and not counts["fail"]:
-            said = f'<span class="quiet">{counts["error"]} not judged</span>'
-        if idle := sum(not each.verdicts[index].applies for each in checked):
-            said += f'<br><span class="quiet">nothing to judge in {idle}</span>'
-        rows.append(
-            f'<tr><th scope="row">{_text(rule.name)}</th><td class="description">{_text(rule.description)}</td>'
-            f'<td class="number">{said}</td><td class="share">{_bar(counts)}</td></tr>\n'
-        )
-    return (
-        f'<section>\n<h2>Rules <span>{len(rules)}</span></h2>\n<table class="rules">\n{"".join(rows)}</table>\n</section>\n'
-    )
-
-
-def _bad(checked: Sequence[CheckedRecording]) -> str:
-    """Return the cards of the recordings that do not pass."""
-    if not checked:
-        return ""
-    cards = "".join(_card(each) for each in checked)
-    return f'<section>\n<h2>Not passed <span>{len(checked)}</span></h2>\n<ul class="cards">\n{cards}</ul>\n</section>\n'
-
-
-def _card(checked: CheckedRecording) -> str:
+def _offences(checked: CheckedRecording) -> list[tuple[Verdict, str]]:
+    """Return the verdicts on a recording that are no passes, with the names of their rules; equal ones are put together."""
     broken = [verdict for verdict in checked.verdicts if verdict.status != "pass"]
-    met = [verdict.rule for verdict in checked.verdicts if verdict.status == "pass" and verdict.applies]
-    links = [f'<a href="{_address(checked.page)}">Incident page</a>'] if checked.page else []
-    links += [f'<a href="{_address(checked.clip)}" download>Clip</a>'] if checked.clip else []
-    facts = f"{_text(checked.map)} · {number(checked.duration)} s · {checked.frames} frames"
-    meta = f'<p class="meta">{facts}</p>' if checked.map or checked.frames else ""
-    parts = [
-        f'<li class="card {checked.status}">\n<div class="head"><div><h3>{_name(checked.recording)}</h3>{meta}</div>',
-        f'<p class="links">{"".join(links)}</p></div>\n',
-    ]
-    rules = [verdict.rule for verdict in broken]
     if len({(verdict.status, verdict.message) for verdict in broken}) == 1 < len(broken):
-        broken, rules = broken[:1], ["all rules" if not met else f"{len(broken)} rules"]
-    verdicts = "".join(_verdict(verdict, checked, rule) for verdict, rule in zip(broken, rules, strict=True))
-    parts.append(f'<ul class="verdicts">\n{verdicts}</ul>\n')
-    parts += [f'<p class="met">Passed: {_text(", ".join(met))}</p>\n'] if met else []
-    return "".join((*parts, _idle(checked), "</li>\n"))
-
-
-def _idle(checked: CheckedRecording) -> str:
-    """Return a line for each rule that had nothing to judge."""
-    return "".join(f'<p class="met">{_text(verdict.rule)}: {_text(verdict.message)}</p>\n' for verdict in checked.idle)
-
-
-def _verdict(verdict: Verdict, checked: CheckedRecording, rule: str) -> str:
-    message = _text(verdict.message)
-    if verdict.time is not None and checked.page:
-        address = f"{_address(checked.page)}#t={max(verdict.time - _LEAD, 0.0):.2f}"
-        address += f"&amp;follow={verdict.actors[0]}" if verdict.actors else ""
-        message += f' <a class="when" href="{address}">Watch</a>'
-    more = "".join(f"<li>{_text(line)}</li>" for line in verdict.details[1:])
-    return (
-        f'<li class="{verdict.status}"><span class="rule">{_text(rule)}</span>'
-        f'<div class="message">{message}{f"<ul>{more}</ul>" if more else ""}</div></li>\n'
-    )
-
-
-def _good(checked: Sequence[CheckedRecording]) -> str:
-    """Return the table of the recordings that pass."""
-    if not checked:
-        return ""
-    rows = "".join(
-        f'<tr><td><i class="dot pass"></i>{_name(each.recording)}{_idle(each)}</td>'
-        f'<td class="minor quiet">{_text(each.map)}</td>'
-        f'<td class="number quiet">{number(each.duration)} s</td></tr>\n'
-        for each in checked
-    )
-    is_open = " open" if len(checked) <= _OPEN else ""
-    heading = f"<summary><h2>Passed <span>{len(checked)}</span></h2></summary>"
-    return f"<details{is_open}>\n{heading}\n<table>\n{rows}</table>\n</details>\n"
-
-
-def _name(recording: str) -> str:
-    """Return the path of a recording, its folder less visible."""
-    folder, slash, name = recording.rpartition("/")
-    return f'<span class="folder">{_text(folder + slash)}</span>{_text(name)}' if slash else _text(name)
-
-
-def _address(path: str) -> str:
-    return escape(quote(path))
-
-
-def _text(text: str) -> str:
-    """Return a text of a recording or of rules as HTML."""
-    return escape(visible(text))
+        has_met = any(verdict.status == "pass" and verdict.applies for verdict in checked.verdicts)
+        return [(broken[0], f"{len(broken)} rules" if has_met else "all rules")]
+    return [(verdict, verdict.rule) for verdict in broken]

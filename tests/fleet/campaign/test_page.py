@@ -29,7 +29,7 @@ def shown(rows):
 
 def cells(page):
     """Return the address, the class and the value of each cell of the first heat map; failed cells have no address."""
-    drawing = re.findall(r'<svg class="heat.*?</svg>', page)[0]
+    drawing = re.findall(r'(?s)<svg class="heat.*?</svg>', page)[0]
     linked = re.findall(r'<a class="([\w-]+)" href="([^"]*)">.*?<text [^>]*>([^<]*)</text></a>', drawing)
     return [(address, tone, value) for tone, address, value in linked], re.findall(r'<g class="none">', drawing)
 

@@ -5,10 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from html import escape
-from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from urllib.parse import quote
 
 from carla_recap.fleet.campaign.plan import SEED, text_of
@@ -22,8 +19,7 @@ from carla_recap.fleet.campaign.results import (
     SMOOTHNESS,
     severity,
 )
-from carla_recap.fleet.pages import document
-from carla_recap.util.resources import viewer_folder
+from carla_recap.fleet.templates import render
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -58,6 +54,48 @@ class _Axis:
     index: Callable[[CampaignRow], int]
 
 
+class _Cell(NamedTuple):
+    """A cell of a heat map.
+
+    Attributes:
+        row: Its row.
+        column: Its column.
+        text: The worst value of its runs.
+        tone: The class of its colour.
+        tip: What it is, in words.
+        address: Where it leads; None: nowhere.
+    """
+
+    row: int
+    column: int
+    text: str
+    tone: str
+    tip: str
+    address: str | None
+
+
+class _HeatMap(NamedTuple):
+    """A heat map: the worst value of a measure in each cell.
+
+    Attributes:
+        measure: The measure.
+        worst: Which values are the worst, in words.
+        down: The parameter of the rows.
+        across: The parameter of the columns.
+        rows: A label for each row.
+        columns: A label for each column.
+        cells: The cells that have runs.
+    """
+
+    measure: Measure
+    worst: str
+    down: str
+    across: str
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    cells: list[_Cell]
+
+
 def campaign_page(rows: Sequence[CampaignRow], folder: Path, measure: Measure, title: str) -> str:
     """Return the page of a campaign, which loads nothing and runs nothing.
 
@@ -67,21 +105,33 @@ def campaign_page(rows: Sequence[CampaignRow], folder: Path, measure: Measure, t
         measure: What the runs are compared by.
         title: What is simulated, in words.
     """
-    sheets = (viewer_folder() / "check" / name for name in ("check.css", "campaign.css"))
-    style = "".join(sheet.read_text("utf-8") for sheet in sheets)
     counts = Counter(_status(row) for row in rows)
     said = [f"{len(rows):,} {'run' if len(rows) == 1 else 'runs'}"]
     said += [f"{counts['fail']:,} {'breaks' if counts['fail'] == 1 else 'break'} rules"] if counts["fail"] else []
     said += [f"{counts['error']:,} failed"] if counts["error"] else []
-    origin = f"{title} · {datetime.now(UTC):%d %B %Y, %H:%M} UTC · carla-recap {version('carla-recap')}"
     has_rules = any(row.broken is not None for row in rows)
     known = {name for row in rows for name in row.results}
     scores = (each for each in (IMPACT_SPEED, SCORE, EFFICIENCY, SMOOTHNESS) if each.name in known)
     others = [COLLISIONS, *[BROKEN_RULES] * has_rules, *scores]
     shown = [measure, *(each for each in others if each is not measure)]
-    maps = "".join(_heat_map(rows, folder, each) for each in shown)
-    main = f"{maps}{_table(rows, folder, shown, has_rules=has_rules)}{_failed(rows)}"
-    return document(", ".join(said), origin, "", main, style)
+    axes = _axes(rows)
+    ordered = worst_first(rows, measure)
+    columns = [each for each in shown if each is not BROKEN_RULES]
+    names = list(dict.fromkeys(name for row in ordered for name in row.parameters))
+    failed = [row for row in rows if row.error is not None]
+    content = {
+        "maps": [] if axes is None else [_heat_map(rows, folder, each, *axes) for each in shown],
+        "titles": ["seed", *names, *(each.title for each in columns)],
+        "runs": [(row, _cells(row, names, columns), address_from(folder, row)) for row in ordered[:_MOST_ROWS]],
+        "total": len(ordered),
+        "has_rules": has_rules,
+        "failed": [(_run_text(row), row) for row in failed[:_MOST_FAILED]],
+        "failures": len(failed),
+        "runs_file": RUNS,
+        "size": (_CELL, _HIGH, _LEFT, _TOP),
+        "few": _FEW,
+    }
+    return render("campaign", ", ".join(said), title, content, {"short": _short, "address": _address})
 
 
 def _status(row: CampaignRow) -> str:
@@ -124,136 +174,69 @@ def _label(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else visible(text_of(value))
 
 
-def _heat_map(rows: Sequence[CampaignRow], folder: Path, measure: Measure) -> str:
-    """Return the worst value of each cell as a drawing, in which each links to the run that has it."""
-    axes = _axes(rows)
-    if axes is None:
-        return ""
-    down, across = axes
+def _heat_map(rows: Sequence[CampaignRow], folder: Path, measure: Measure, down: _Axis, across: _Axis) -> _HeatMap:
+    """Return the worst value of each cell, which leads to the run that has it."""
     cells: dict[tuple[int, int], list[CampaignRow]] = defaultdict(list)
     for row in rows:
         cells[down.index(row), across.index(row)].append(row)
     known = [row.results[measure.name].value for row in rows if measure.name in row.results]
     known = [value for value in known if math.isfinite(value)]
     span = (min(known), max(known)) if known else (0.0, 0.0)
-    size = _LEFT + _CELL * len(across.labels), _TOP + _HIGH * len(down.labels)
-    parts = [
-        f'<text class="axis" x="{_LEFT}" y="16">{_text(across.name)} →</text>',
-        f'<text class="axis" x="{_LEFT - 10}" y="{_TOP - 10}" text-anchor="end">{_short(down.name)} ↓</text>',
-    ]
-    for index, label in enumerate(across.labels):
-        x = _LEFT + _CELL * (index + 0.5)
-        parts.append(f'<text class="axis" x="{x:g}" y="{_TOP - 10}" text-anchor="middle">{_short(label)}</text>')
-    for index, label in enumerate(down.labels):
-        y = _TOP + _HIGH * (index + 0.5) + 5
-        parts.append(f'<text class="axis" x="{_LEFT - 10}" y="{y:g}" text-anchor="end">{_short(label)}</text>')
-        parts += [
-            _cell(cells[index, column], folder, measure, span, _LEFT + _CELL * column, _TOP + _HIGH * index)
+    return _HeatMap(
+        measure,
+        "least" if measure.extreme == "least" else "greatest",
+        down.name,
+        across.name,
+        down.labels,
+        across.labels,
+        [
+            _Cell(row, column, *_worst(cells[row, column], folder, measure, span))
+            for row in range(len(down.labels))
             for column in range(len(across.labels))
-            if cells[index, column]
-        ]
-    worst = "least" if measure.extreme == "least" else "greatest"
-    unit = f", in {measure.unit}" if measure.unit else ""
-    text = f"the {worst} of each cell{unit}"
-    heading = f"<h2>{escape(measure.title.capitalize())} <span>{escape(text)}</span></h2>"
-    kind = "heat few" if len(across.labels) <= _FEW else "heat"
-    shape = f'viewBox="0 0 {size[0]} {size[1]}" width="{size[0]}" height="{size[1]}"'
-    drawn = f'<svg class="{kind}" {shape}>{"".join(parts)}</svg>'
-    return f'<section>\n{heading}\n<div class="wide">{drawn}</div>\n</section>\n'
+            if cells[row, column]
+        ],
+    )
 
 
-def _cell(rows: Sequence[CampaignRow], folder: Path, measure: Measure, span: tuple[float, float], x: float, y: float) -> str:
+def _worst(
+    rows: Sequence[CampaignRow], folder: Path, measure: Measure, span: tuple[float, float]
+) -> tuple[str, str, str, str | None]:
+    """Return the text, the tone, the tip and the address of the worst of some runs."""
     there = [row for row in rows if row.error is None]
     known = [row for row in there if measure.name in row.results]
-    box = f'x="{x + 1.5:g}" y="{y + 1.5:g}" width="{_CELL - 3}" height="{_HIGH - 3}" rx="5"'
-    middle = f'x="{x + _CELL / 2:g}" y="{y + _HIGH / 2 + 5:g}" text-anchor="middle"'
     if not there:
-        tip = f"{_run_text(rows[0])}: {rows[0].error}"
-        return f'<g class="none"><title>{_text(tip)}</title><rect {box}/><text {middle}>failed</text></g>'
+        return "failed", "none", f"{_run_text(rows[0])}: {rows[0].error}", None
     worst = min(known, key=lambda row: severity(row.results, measure)) if known else there[0]
+    unit, tone, said = "", "unknown", "none"
     if known:
         value = worst.results[measure.name].value
         low, high = span
         share = 0.0 if high <= low else (value - low) / (high - low)
         share = 1.0 - share if measure.extreme == "least" else share
         unit, tone, said = measure.unit, f"tone-{min(int(share * _TONES), _TONES - 1) if high > low else 0}", f"{value:.3g}"
-    else:
-        unit, tone, said = "", "unknown", "none"
     others = f", the worst of {len(rows)} runs" if len(rows) > 1 else ""
-    tip = f"{_run_text(worst)}: {said} {unit}".rstrip() + others
-    inner = f"<title>{_text(tip)}</title><rect {box}/><text {middle}>{said}</text>"
-    return f'<a class="{tone}" href="{_href(address_from(folder, worst))}">{inner}</a>'
+    return said, tone, f"{_run_text(worst)}: {said} {unit}".rstrip() + others, address_from(folder, worst)
 
 
 def _short(label: str) -> str:
-    return _text(label if len(label) <= _LONGEST else f"{label[: _LONGEST - 1]}…")
+    return label if len(label) <= _LONGEST else f"{label[: _LONGEST - 1]}…"
 
 
 # --- tables --------------------------------------------------------------------------------------------------------------
 
 
-def _table(rows: Sequence[CampaignRow], folder: Path, shown: Sequence[Measure], *, has_rules: bool) -> str:
-    """Return the table of the runs that have a recording, the worst first."""
-    ordered = worst_first(rows, shown[0])
-    if not ordered:
-        return ""
-    names = list(dict.fromkeys(name for row in ordered for name in row.parameters))
-    columns = [each for each in shown if each is not BROKEN_RULES]
-    titles = ["seed", *names, *(each.title for each in columns)]
-    head = "".join(f'<th scope="col" class="number">{_text(title)}</th>' for title in titles)
-    head += '<th scope="col">rules</th>' * has_rules + '<th scope="col">watch</th>'
-    body = "".join(_row(row, names, folder, columns, has_rules=has_rules) for row in ordered[:_MOST_ROWS])
-    more = len(ordered) - _MOST_ROWS
-    rest = f'<p class="nothing">and {more:,} more in {RUNS}</p>\n' if more > 0 else ""
-    return (
-        f"<section>\n<h2>Runs <span>{len(ordered):,}, the worst first</span></h2>\n"
-        f'<div class="wide"><table class="runs">\n<tr>{head}</tr>\n{body}</table></div>\n{rest}</section>\n'
-    )
-
-
-def _row(row: CampaignRow, names: Iterable[str], folder: Path, columns: Iterable[Measure], *, has_rules: bool) -> str:
+def _cells(row: CampaignRow, names: Iterable[str], columns: Iterable[Measure]) -> list[str]:
+    """Return the cells of a run in the table, without its rules and its link."""
     cells = [str(row.seed), *(_label(row.parameters[name]) if name in row.parameters else "" for name in names)]
     for measure in columns:
         found = row.results.get(measure.name)
         cells.append("none" if found is None else f"{found.value:.3g} {measure.unit}".rstrip())
-    numbers = "".join(f'<td class="number">{_text(cell[:40])}</td>' for cell in cells)
-    rules = f'<td class="fail"><span class="rule">{_text(", ".join(row.broken or ()))}</span></td>' if has_rules else ""
-    if row.page is not None:
-        link = f'<a class="when" href="{_href(row.page)}">Incident page</a>'
-    else:
-        link = f'<a href="{_href(address_from(folder, row))}" download>Recording</a>'
-    return f"<tr>{numbers}{rules}<td>{link}</td></tr>\n"
-
-
-def _failed(rows: Sequence[CampaignRow]) -> str:
-    """Return the runs that failed, with their errors and what they printed."""
-    failed = [row for row in rows if row.error is not None]
-    if not failed:
-        return ""
-    cards = []
-    for row in failed[:_MOST_FAILED]:
-        details = (
-            f"<details><summary>Details</summary><pre>{escape(_lines(row.details))}</pre></details>" if row.details else ""
-        )
-        name = _text(_run_text(row))
-        cards.append(f'<li class="card error">\n<h3>{name}</h3><p class="meta">{_text(row.error or "")}</p>{details}</li>\n')
-    more = len(failed) - _MOST_FAILED
-    rest = f'<p class="nothing">and {more:,} more in {RUNS}</p>\n' if more > 0 else ""
-    listed = "".join(cards)
-    return f'<section>\n<h2>Failed <span>{len(failed):,}</span></h2>\n<ul class="cards">\n{listed}</ul>\n{rest}</section>\n'
-
-
-def _lines(text: str) -> str:
-    return "\n".join(map(visible, text.split("\n")))
+    return [cell[:40] for cell in cells]
 
 
 def _run_text(row: CampaignRow) -> str:
     return ", ".join(f"{name}={_label(value)[:60]}" for name, value in {SEED: row.seed, **row.parameters}.items())[:300]
 
 
-def _href(address: str) -> str:
-    return escape(address if "://" in address else quote(address))
-
-
-def _text(text: str) -> str:
-    return escape(visible(text))
+def _address(address: str) -> str:
+    return address if "://" in address else quote(address)
