@@ -440,6 +440,24 @@ def test_that_a_recording_ends_another_or_a_replay_is_logged(
     inside.world.close()
 
 
+def test_a_replayed_vehicle_has_the_physics_that_were_recorded(
+    client: carla.Client, world: carla.World, tmp_path: Path
+) -> None:
+    recorded = World(load_town(), date=0)
+    car = recorded.spawn("vehicle.audi.tt", recorded.town.spawn_points[3])
+    assert isinstance(car, Vehicle)
+    car.physics_control = replace(car.physics_control, mass=4321.0, final_ratio=7.5)
+    recorded.start_recorder(tmp_path / "heavy.log", additional_data=True)
+    recorded.run(1.0)
+    recorded.close()
+    client.replay_file(str(tmp_path / "heavy.log"), 0.0, 0.0, 0)
+    world.tick()
+    (replayed,) = world.get_actors().filter("vehicle.audi.tt")
+    assert isinstance(replayed, carla.Vehicle)
+    control = replayed.get_physics_control()
+    assert (control.mass, control.final_ratio) == (4321.0, 7.5)
+
+
 def test_replayed_actors_are_seen_and_go(client: carla.Client, world: carla.World) -> None:
     before = {actor.id for actor in world.get_actors()}
     client.replay_file("drive", 0.0, 0.0, 0)
