@@ -172,11 +172,7 @@ class Takeover:
         self._is_logged = False
 
     def take(self, vehicles: Iterable[Vehicle]) -> bool:
-        """End the server's autopilot of vehicles; vehicles that follow a recording do so until the replay ends.
-
-        Returns:
-            Whether it drove any of them.
-        """
+        """End the server's autopilot, and return whether it drove any; those that follow a recording go on with that."""
         is_taken = False
         for vehicle in vehicles:
             if not vehicle.simulates_physics and self._world.replayer.follows(vehicle):

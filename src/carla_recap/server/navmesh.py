@@ -116,8 +116,7 @@ _MARGIN = 1.0  # m: between the outermost corner and the edge of the tile
 def navigation_mesh(town: Town) -> bytes:
     """Return the sidewalks and crossings of a town, and some paths across its roads, as a navigation mesh.
 
-    Returns:
-        The bytes; none if the town has no sidewalks, or more than such a mesh can hold.
+    It is empty if the town has no sidewalks, or more than such a mesh can hold.
     """
     if len(town.walks.nodes) > _MOST_NODES:
         return b""

@@ -84,8 +84,7 @@ class WorldSampler:
     def sample(self, delta: float) -> SnapshotBatch:
         """Take a snapshot of the world at the end of a tick of some s; the first one is at 0 s, however long its tick was.
 
-        Returns:
-            The batch that contains the snapshot, and that later ones may be added to; the one before is complete.
+        The batch that is returned contains it, and later ones may be added to that; the one before is complete.
         """
         return self._add(self._events(), delta)
 

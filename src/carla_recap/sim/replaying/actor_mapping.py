@@ -187,8 +187,7 @@ def blueprint_for(actor: ActorLife, library: BlueprintLibrary) -> tuple[Blueprin
     one: of the same kind, with as many wheels if possible, with a similar id, and of a similar size if that is recorded; or
     a box, if there is none of its kind.
 
-    Returns:
-        The blueprint, and the id of the one in the library that it was made from; "" for a box.
+    The second value is the id of the one in the library that it was made from; "" for a box.
     """
     name = other_names().get(actor.type_id, actor.type_id)
     known = name in library and name == actor.type_id

@@ -372,20 +372,12 @@ class Reservations:
             self._leaving[stop_line.exits[0][0]].pop(id, None)
 
     def grant(self, requests: list[ReservationRequest], now: float, free_length: FreeLength) -> list[ReservationRequest]:
-        """Decide which vehicles get a reservation, and reserve.
+        """Decide which vehicles get a reservation at a time in s, reserve, and return the requests that are granted.
 
         The vehicles are considered in the order in which they first asked. One that has to wait holds up no others at first,
         so that a junction is used as long as any path through it is free. After `_PATIENCE`, it no longer yields to vehicles
         with priority, and those that asked later no longer go before it: once it is at its line, they get no lane that is in
         conflict with its own lanes; where its exit is full, they get no room there. So each vehicle gets its turn.
-
-        Args:
-            requests: The requests of all vehicles that wait.
-            now: The time in s.
-            free_length: Returns the free length behind the junction of a stop line, in m.
-
-        Returns:
-            The requests that are granted.
         """
         granted: list[ReservationRequest] = []
         claimed: set[int] = set()
