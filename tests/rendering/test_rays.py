@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -72,6 +75,10 @@ def actors(*rows: tuple[int, int, tuple[float, float, float], float, tuple[float
     )
 
 
+def models(*meshes: Mesh) -> list[Any]:
+    return [SimpleNamespace(mesh=mesh) for mesh in meshes]
+
+
 def test_a_ray_meets_the_ground_at_its_distance_and_angle() -> None:
     scene = RayScene([ground()], [])
     sloped = np.array([0.8, 0.0, -0.6])
@@ -84,7 +91,7 @@ def test_a_ray_meets_the_ground_at_its_distance_and_angle() -> None:
 
 
 def test_rays_end_at_their_reach() -> None:
-    scene = RayScene([ground()], [cube()])
+    scene = RayScene([ground()], models(cube()))
     car = actors((7, 0, (10.0, 0.0, 1.0), 0.0, (2.0, 1.0, 1.0)))
     assert not len(scene.cast(np.array([0.0, 0.0, 3.0]), np.array([DOWN]), 2.9, car).ray)
     assert not len(scene.cast(np.array([0.0, 0.0, 1.0]), np.array([AHEAD]), 7.9, car).ray)
@@ -92,7 +99,7 @@ def test_rays_end_at_their_reach() -> None:
 
 
 def test_an_actor_is_hit_where_its_model_is_with_its_id_tag_and_normal() -> None:
-    scene = RayScene([ground()], [cube()])
+    scene = RayScene([ground()], models(cube()))
     turned = actors((7, 0, (10.0, 0.0, 1.0), 90.0, (2.0, 1.0, 1.0)))
     hits = scene.cast(np.array([0.0, 0.0, 1.0]), np.array([AHEAD]), 50.0, turned)
     assert hits.distance == pytest.approx([9.0], abs=1e-4)
@@ -101,7 +108,7 @@ def test_an_actor_is_hit_where_its_model_is_with_its_id_tag_and_normal() -> None
 
 
 def test_a_ray_passes_the_box_of_an_actor_where_its_model_leaves_room() -> None:
-    scene = RayScene([ground()], [pyramid()])
+    scene = RayScene([ground()], models(pyramid()))
     tent = actors((7, 0, (10.0, 0.0, 1.0), 0.0, (1.0, 1.0, 1.0)))
     over = np.array([0.9, 0.0, -0.1])
     hits = scene.cast(np.array([0.0, 0.9, 1.9]), np.array([AHEAD, tuple(over / np.linalg.norm(over))]), 40.0, tent)
@@ -113,7 +120,7 @@ def test_a_ray_passes_the_box_of_an_actor_where_its_model_leaves_room() -> None:
 
 def test_the_nearest_of_actors_and_walls_is_hit() -> None:
     wall = quad([(15.0, -5.0, 0.0), (15.0, 5.0, 0.0), (15.0, 5.0, 9.0), (15.0, -5.0, 9.0)], Material.CONCRETE)
-    scene = RayScene([ground(), wall], [cube(), pyramid()])
+    scene = RayScene([ground(), wall], models(cube(), pyramid()))
     both = actors((3, 1, (20.0, 0.0, 1.0), 0.0, (1.0, 1.0, 1.0)), (8, 0, (10.0, 0.0, 1.0), 0.0, (1.0, 1.0, 1.0)))
     assert scene.cast(np.array([0.0, 0.0, 1.0]), np.array([AHEAD]), 40.0, both).actor.tolist() == [8]
     behind = actors((3, 1, (20.0, 0.0, 1.0), 0.0, (1.0, 1.0, 1.0)))
@@ -122,7 +129,7 @@ def test_the_nearest_of_actors_and_walls_is_hit() -> None:
 
 
 def test_actors_without_size_or_with_impossible_poses_are_no_harm() -> None:
-    scene = RayScene([], [cube()])
+    scene = RayScene([], models(cube()))
     odd = actors(
         (1, 0, (np.nan, 0.0, 0.0), 0.0, (1.0, 1.0, 1.0)),
         (2, 0, (10.0, 0.0, 0.0), 0.0, (0.0, 0.0, 0.0)),
@@ -133,4 +140,4 @@ def test_actors_without_size_or_with_impossible_poses_are_no_harm() -> None:
 
 
 def test_no_rays_hit_nothing() -> None:
-    assert not len(RayScene([ground()], [cube()]).cast(np.zeros(3), np.empty((0, 3)), 40.0, actors()).ray)
+    assert not len(RayScene([ground()], models(cube())).cast(np.zeros(3), np.empty((0, 3)), 40.0, actors()).ray)

@@ -421,6 +421,24 @@ def test_hard_braking_and_long_stops_are_in_the_log(crossing) -> None:
     assert told == [(pytest.approx(time), text) for time, text in expected]
 
 
+def test_the_spawns_are_read_once_for_all_cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    counts, asked = [], []
+    for cameras in (None, tmp_path / "cameras"):
+        asked.clear()
+        with open_recording(CROSSING) as recording:
+            frames = recording.reader.frames
+
+            def counted(names=(), *, read=frames, **how):
+                asked.append(names)
+                return read(names, **how)
+
+            monkeypatch.setattr(recording.reader, "frames", counted)
+            export_rerun(recording, tmp_path / "out.rrd", cameras=cameras, duration=1, force=True)
+        counts.append(asked.count(("spawned",)))
+    assert len(list((tmp_path / "cameras").iterdir())) > 3
+    assert counts[0] == counts[1] > 0
+
+
 def test_incidents_are_lanes_of_states(crossing) -> None:
     seconds = np.array([frame.elapsed for frame in crossing.recording])
     for incident in crossing.recording.incidents():

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from threading import Lock
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.rendering.buffers import ModelShape
     from carla_recap.scene.instances import Instances
     from carla_recap.util.arrays import Floats, Integers
 
@@ -142,14 +143,6 @@ class SurfaceHits:
         )
 
 
-class NumberedMeshes(Protocol):
-    """Meshes by their numbers."""
-
-    def __getitem__(self, number: int, /) -> Mesh:
-        """Return a mesh."""
-        ...
-
-
 class RayScene:
     """A town and the models of actors for rays: those whose instances are at the moment that is asked for.
 
@@ -157,18 +150,17 @@ class RayScene:
 
     Args:
         tiles: The meshes of the town.
-        models: The meshes of the models, by the numbers that instances have; each fills the box from -1 to 1, and is asked
-            for when a ray first meets that box.
+        models: The models, by the numbers that instances have; each is asked for when a ray first meets its box.
 
     Raises:
         MissingExtra: Embree is not installed.
     """
 
-    def __init__(self, tiles: Sequence[Mesh], models: NumberedMeshes) -> None:
+    def __init__(self, tiles: Sequence[Mesh], models: Sequence[ModelShape]) -> None:
         self._device = _device()
         town = Mesh.concatenate(tiles)
         self._town = _RayShape(self._device, town) if len(town.triangles) else None
-        self._meshes = models
+        self._shapes = models
         self._models: dict[int, _RayShape] = {}
         self._lock = Lock()  # for the models that are read
 
@@ -228,7 +220,7 @@ class RayScene:
     def _model(self, number: int) -> _RayShape:
         with self._lock:
             if number not in self._models:
-                self._models[number] = _RayShape(self._device, self._meshes[number])
+                self._models[number] = _RayShape(self._device, self._shapes[number].mesh)
             return self._models[number]
 
 

@@ -91,17 +91,6 @@ _FILES: Final = sorted((viewer_folder() / "models").glob("*.glb"))
 MODELS: Final = Models(_FILES)
 """All models of this package, then those of users; `Instances.models` are indices of them."""
 
-
-class _Meshes:
-    """The meshes of the models by their indices."""
-
-    def __getitem__(self, index: int, /) -> Mesh:
-        return MODELS[index].mesh
-
-
-MODEL_MESHES: Final = _Meshes()
-"""The meshes of the models, each of which is read when it is first asked for; `Instances.models` are indices of them."""
-
 INDEX: Final[dict[str, int]] = {file.stem.replace("_", " "): index for index, file in enumerate(_FILES)}
 """The indices of this package's models by their names."""
 

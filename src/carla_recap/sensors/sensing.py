@@ -382,10 +382,10 @@ class _Sensing:
 
     def _ray_sensors(self) -> _RayCaster:
         from carla_recap.rendering.rays import RayScene
-        from carla_recap.scene.models import MODEL_MESHES
+        from carla_recap.scene.models import MODELS
 
         town = self._town.mesh()
-        scene = RayScene(town.tiles if town is not None else (), MODEL_MESHES)
+        scene = RayScene(town.tiles if town is not None else (), MODELS)
         return _RayCaster(scene, {spec.id: _RAY_SENSORS[spec.kind](spec) for spec in self._rig if spec.kind in _RAY_KINDS})
 
     def _begin(self, scene: Scene, before: Scene | None) -> Callable[[], SensedFrame]:

@@ -59,7 +59,7 @@ def export_rerun(
         RecapError: There is no such actor or time, or the destination cannot be written.
         FormatError: The file contradicts its format.
     """
-    from carla_recap.show.rerun.blueprint import blueprint
+    from carla_recap.show.rerun.blueprint import blueprint, sizes_of
     from carla_recap.show.rerun.ghosts import write_ghosts
     from carla_recap.show.rerun.sinks import piped, rbl
     from carla_recap.show.rerun.writer import filmed, write
@@ -73,15 +73,15 @@ def export_rerun(
         if Path(cameras).absolute() == Path(destination).absolute():
             raise RecapError(f"{cameras}: is the destination itself; a folder was expected")
     player = Player(reader, start=start, duration=duration, follow=follow)
-    cameras_of = [] if cameras is None else filmed(player)
+    cameras_of, sizes = ([], None) if cameras is None else (filmed(player), sizes_of(player))
     with (
         nullcontext(Path()) if cameras is None else new_folder(cameras) as folder,
         WholeFile(destination, force=force) as file,
     ):
-        with piped(blueprint(player, view=view), file.write) as stream:
+        with piped(blueprint(player, view=view, sizes=sizes), file.write) as stream:
             played = write(stream, player, road_map=road_map, incidents=incidents, progress=progress, cameras=cameras_of)
             if other is not None:
                 write_ghosts(stream, reader, other, start=player.start, duration=played.seconds, follow=player.followed)
         for id in cameras_of:
-            (folder / f"follow_{id}.rbl").write_bytes(rbl(blueprint(player, view=view, followed=id)))
+            (folder / f"follow_{id}.rbl").write_bytes(rbl(blueprint(player, view=view, followed=id, sizes=sizes)))
     return played

@@ -143,6 +143,6 @@ def _load(town: Town) -> TownMesh:
 
 def _ray_scene(mesh: Future[TownMesh]) -> RayScene:
     from carla_recap.rendering.rays import RayScene
-    from carla_recap.scene.models import MODEL_MESHES
+    from carla_recap.scene.models import MODELS
 
-    return RayScene(mesh.result().tiles, MODEL_MESHES)
+    return RayScene(mesh.result().tiles, MODELS)

@@ -45,7 +45,13 @@ _ACCELERATIONS: Final = (-10.0, 6.0)  # m/s²; those of a collision are beyond
 _EYE_SPEED: Final = 20.0  # m/s, by the keyboard
 
 
-def blueprint(player: Player, *, view: View = "chase", followed: int | None = None) -> rrb.Blueprint:
+def blueprint(
+    player: Player,
+    *,
+    view: View = "chase",
+    followed: int | None = None,
+    sizes: Mapping[int, Triple | None] | None = None,
+) -> rrb.Blueprint:
     """Return the arrangement of views for a recording.
 
     Args:
@@ -53,9 +59,10 @@ def blueprint(player: Player, *, view: View = "chase", followed: int | None = No
         view: The camera that is shown first; the other one is a tab beside it.
         followed: The actor that they follow; None: the one that the player follows, and without one, they stand still.
             Any other actor needs the axes that `write` adds with `cameras`.
+        sizes: What `sizes_of` returns, where it is known.
     """
     found = sensors(player.reader)
-    return arranged(camera_views(player, followed=followed), view, player.followed, images=image_views(found))
+    return arranged(camera_views(player, followed=followed, sizes=sizes), view, player.followed, images=image_views(found))
 
 
 def image_views(sensors: Iterable[RecordedSensor]) -> list[rrb.Spatial2DView]:
@@ -138,26 +145,29 @@ def live_blueprint(
     return arranged(overviews(locations), view, None, live=True)
 
 
-def camera_views(player: Player, *, followed: int | None = None) -> dict[View, rrb.Spatial3DView]:
+def camera_views(
+    player: Player, *, followed: int | None = None, sizes: Mapping[int, Triple | None] | None = None
+) -> dict[View, rrb.Spatial3DView]:
     """Return the views of both cameras; see `blueprint`."""
     followed = player.followed if followed is None else followed
     hidden = [path for path, kind in _image_paths(sensors(player.reader)) if kind not in _COLORED]
     if followed is None:
         return overviews(first_locations(player), hidden)
-    size = _half_extents(player, followed)
+    size = (sizes_of(player) if sizes is None else sizes).get(followed)
     if followed == player.followed:
         return follow_views(entities.CHASE, "", player.followed, size, hidden)
     return follow_views(entities.camera(followed), f" {followed}", player.followed, size, hidden)
 
 
-def _half_extents(player: Player, id: int) -> Triple | None:
-    """Return half the size of an actor's box; None if it is unknown."""
+def sizes_of(player: Player) -> dict[int, Triple | None]:
+    """Return half the sizes of the actors' boxes by id; None where a size is unknown."""
+    found: dict[int, Triple | None] = {}
     for frame in player.reader.frames(("spawned",), sparse=True, stop=player.stop):
         for spawn in frame["spawned"]:
-            if spawn.id == id:
+            if spawn.id not in found:
                 look = look_of_present(ActorLife.of(spawn, frame.elapsed))
-                return None if look is None else look.half_extents
-    return None
+                found[spawn.id] = None if look is None else look.half_extents
+    return found
 
 
 def overviews(locations: NDArray[np.float64], hidden: Sequence[str] = ()) -> dict[View, rrb.Spatial3DView]:
