@@ -1,7 +1,7 @@
 // The list of all actors, with a search, from which one is chosen to be followed.
 
 import { buttonOf, byId, element, letterMark, moveFocus, press, swatch } from "./elements.js";
-import { rank } from "./recorded.js";
+import { moves, rank } from "./recorded.js";
 
 const MOST = 200; // actors that are listed at once
 
@@ -15,8 +15,9 @@ export class Actors {
     this.list = byId("actor-list");
     this.panels = [byId("incidents-panel"), byId("actors-panel")];
     this.entries = recordings.flatMap((recording) => {
-      const { actors } = recording.tracks;
-      const listed = recording.order.filter((actor) => actors[actor].kind !== "sensor" && (!recording.index || recording.twin(actor) < 0));
+      const { actors, own } = recording.tracks;
+      const isAlone = (/** @type {number} */ actor) => !recording.index || (moves(actors[actor]) && recording.twin(actor) < 0);
+      const listed = recording.order.filter((actor) => own[actor].length && actors[actor].kind !== "sensor" && isAlone(actor));
       listed.sort((a, b) => rank(actors[b]) - rank(actors[a]) || a - b);
       return listed.map((actor) => this.entry(recording, actor, recordings.length > 1));
     });

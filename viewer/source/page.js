@@ -83,7 +83,7 @@ class Replay {
 
   summarise() {
     const reports = this.recordings.map(({ report }) => report);
-    const [{ map, program }] = reports;
+    const [{ map, program, duration, frames, version, kinds }] = reports;
     document.title = `${map || "Recording"} · ${reports.map(({ source }) => source).join(" and ")}`;
     byId("map").textContent = map || "No map name";
     const origin = byId("origin");
@@ -101,7 +101,6 @@ class Replay {
     const add = (name, ...values) => {
       facts.append(element("div", name === "Actors" ? "" : "minor", "", [element("dt", "", name), element("dd", "", "", values)]));
     };
-    const [{ duration, frames, version, kinds }] = reports;
     if (reports.length === 1) {
       add("Duration", duration === null ? "unknown" : clockTime(duration));
       add("Frames", frames.toLocaleString("en"));
@@ -143,7 +142,7 @@ class Replay {
     this.ends = this.recordings.map(() => element("span", "ended"));
     const names = this.recordings.map(({ letter, report }, i) => [letterMark(letter), element("span", "", report.source), this.ends[i]]);
     byId("pane-name").replaceChildren(...(beside ? names[0] : names.flat()));
-    byId("other-pane-name").replaceChildren(...names[1]);
+    byId("other-pane-name").replaceChildren(...(beside ? names[1] : []));
     this.link(this.stage);
     this.resize();
   }
@@ -291,11 +290,9 @@ class Replay {
   /** Follow an actor that was chosen from the list, from its beginning if it is absent. @param {Recorded} recording @param {number} actor */
   choose(recording, actor) {
     const { tracks } = recording;
-    const { id, since } = tracks.actors[actor];
-    const first = tracks.own[actor][0];
-    const begin = Math.max(since ?? 0, first === undefined ? 0 : tracks.times[tracks.first[first]]);
-    if (tracks.trackAt(actor, tracks.sampleAt(this.clock.time)) < 0) this.clock.seek(begin);
-    this.follow(id, { recording });
+    const isThere = tracks.trackAt(actor, tracks.sampleAt(this.clock.time)) >= 0;
+    if (!isThere) this.clock.seek(tracks.times[tracks.firsts[actor][0]]);
+    this.follow(tracks.actors[actor].id, { recording });
     for (const { camera } of this.stages) camera.show(CLOSE_VIEW);
   }
 

@@ -191,7 +191,7 @@ export class Plots {
     for (let number = Math.ceil(start / step - 1e-6); number * step <= stop; number++) {
       const x = this.left(number * step);
       line(context, theme.colors.line, Math.round(x) + 0.5, 0, Math.round(x) + 0.5, height - FOOT + 2);
-      if (x < this.width - 14) context.fillText(clockTime(number * step, step < 1 ? 1 : 0), Math.max(14, x), height - 4);
+      if (x < this.width - 14) context.fillText(clockTime(number * step, step < 1 ? 1 : 0), Math.max(step < 1 ? 18 : 14, x), height - 4);
     }
   }
 

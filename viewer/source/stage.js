@@ -136,10 +136,9 @@ export class Stage {
     if (!run) return;
     run.push(x, y);
     const long = length > TRAIL;
-    const walks = tracks.actors[actor].kind === "walker";
     context.lineCap = "butt";
     context.strokeStyle = color;
-    context.lineWidth = Math.max(walks ? 0.3 : 0.6, (long ? 2.5 : 1.5) / camera.scale);
+    context.lineWidth = Math.max(tracks.actors[actor].kind === "walker" ? 0.3 : 0.6, (long ? 2.5 : 1.5) / camera.scale);
     const points = run.length / 2;
     const stride = Math.max(1, Math.ceil(points / FADES));
     for (let from = 0; from < points - 1; from += stride) {

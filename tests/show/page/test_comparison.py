@@ -92,7 +92,9 @@ def test_the_switch_lays_one_over_the_other(chromium: Chrome, compared: Path) ->
     page.until(lambda: page.ask("replay.stage.ghosts.length") == 1)
     assert page.ask("replay.stage.ghosts.map(one => replay.stage.ghost.tracks.actors[one.actor].id)") == [8]
     assert page.ask("[...document.querySelectorAll('.pane')].map(pane => pane.hidden)") == [False, True]
+    assert page.text("pane-name") == "Acrash.mcapBavoided.mcap"
     page.press("c")
+    assert [page.text(name) for name in ("pane-name", "other-pane-name")] == ["Acrash.mcap", "Bavoided.mcap"]
     assert page.ask("[...document.querySelectorAll('.pane')].map(pane => pane.hidden)") == [False, False]
     page.until(lambda: page.browser.current_url.endswith("#t=3&follow=5"))
     assert Page(chromium, compared, "#t=3&view=over").ask("replay.mode") == "over"
@@ -147,5 +149,6 @@ def test_given_differences_say_which_actors_are_the_same(chromium: Chrome, tmp_p
         "[replay.recordings[0].tracks.actors[own].id, replay.recordings[1].tracks.actors[other].id])"
     )
     assert sorted(twins) == [[5, 8], [6, 9], [7, 10]]
+    assert page.ask("replay.actors.entries.map(({recording}) => recording.letter).join('')") == "AAA"  # each is listed once
     assert page.ask("document.querySelectorAll('#covered .difference').length") == 1
     assert page.errors == []
