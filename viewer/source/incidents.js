@@ -79,7 +79,7 @@ export class Incidents {
     const drawn = recording.report.drawn && replayed;
     if (incident.picture || drawn) button.prepend(this.pictures.image(recording, incident));
     const other = this.recordings.find((each) => each !== recording);
-    if (other?.report.incidents.length && !other.has(incident)) badge.after(element("span", "only", `only in ${recording.letter}`));
+    if (other?.report.incidents.length && !other.has(incident)) badge.append(element("span", "only", `only in ${recording.letter}`));
     const row = element("li", "", "", [button]);
     return { row, button, replayed, recording, incident, kind: incident.kind, index, start: incident.start ?? 0 };
   }
