@@ -206,9 +206,10 @@ class Batch:
     @staticmethod
     def of(frame: Frame) -> Batch:
         """Return the batch of a single frame."""
-        id, times = np.array([frame.id], np.uint64), np.array(((frame.elapsed,), (frame.duration,)), np.float64)
+        id = read_only(np.array([frame.id], np.uint64))
+        elapsed, duration = read_only(np.array(((frame.elapsed,), (frame.duration,)), np.float64))
         columns = [ConstantColumn(packet) for packet in frame.packets]
-        return Batch(frame.index, id, times[0], times[1], columns, preamble=frame.preamble)
+        return Batch(frame.index, id, elapsed, duration, columns, preamble=frame.preamble)
 
     def __len__(self) -> int:
         return len(self.id)
