@@ -180,6 +180,42 @@ def test_physics_begins_anew_after_it_was_off() -> None:
     assert not np.any([fleet.throttle_input[0], fleet.steer_input[0], *fleet.omega[0]])
 
 
+@pytest.mark.parametrize("autopilot", [False, True])
+def test_a_vehicle_without_physics_stands_and_forgets_its_motion(autopilot: bool) -> None:
+    world = flat_world()
+    car = spawn_car(world, at(10.0), speed=12.0)
+    car.apply_control(VehicleControl(throttle=0.5, steer=0.01))
+    world.run(1.0)
+    car.set_simulate_physics(False)
+    assert (car.velocity, world.vehicles.turning[0]) == (Vector(), 0.0)
+    car.set_target_velocity(Vector(20.0, 0.0, 0.0))
+    car.set_autopilot(autopilot)
+    car.set_simulate_physics(True)
+    np.testing.assert_allclose(world.vehicles.omega[0] * 0.355, 20.0, rtol=0.1)
+    assert bool(in_gear(car)[0]) == autopilot
+
+
+def test_the_wheels_of_a_car_that_stands_alone_steer() -> None:
+    world = flat_world()
+    car = spawn_car(world, at(10.0))
+    world.run(1.0)
+    car.apply_control(VehicleControl(steer=1.0, hand_brake=True))
+    world.run(1.0)
+    assert world.vehicles.steer_input[0] == 1.0
+
+
+@pytest.mark.parametrize("driven_by", ["client", "autopilot"])
+@pytest.mark.parametrize("drag", [3e4, 1e9])
+def test_air_may_stop_a_vehicle_but_not_throw_it_back(drag: float, driven_by: str) -> None:
+    world = flat_world()
+    car = spawn_car(world, at(10.0), speed=20.0)
+    change(car, {"drag_coefficient": drag})
+    car.set_autopilot(driven_by == "autopilot")
+    for _ in range(20):
+        world.tick()
+        assert -1e-9 < world.vehicles.speed[0] < 20.0
+
+
 @pytest.mark.parametrize(("given", "corners"), [(1, [0, 0, 0, 0]), (2, [0, 0, 1, 1]), (4, [0, 1, 2, 3])])
 def test_each_wheel_acts_at_its_own_corners(given: int, corners: list[int]) -> None:
     control = spawn_car(flat_world(), at(10.0)).physics_control

@@ -911,3 +911,68 @@ def test_what_is_being_replayed_is_not_recorded_over(tmp_path: Path) -> None:
     world.stop_replayer()
     world.start_recorder(path)
     world.close()
+
+
+def test_a_vehicle_without_a_valid_mass_is_replayed(tmp_path: Path) -> None:
+    world = flat_world()
+    car = spawn_car(world, at(20.0), speed=5.0)
+    car.physics_control = replace(car.physics_control, mass=-5.0)
+    world.recorder.start(tmp_path / "a.log", True, in_process=True)
+    world.run(0.5)
+    world.close()
+    again = flat_world()
+    play(again, tmp_path / "a.log", 2)
+    assert again.vehicles.mass.tolist() == [1.0]
+
+
+def test_a_replay_goes_on_when_an_actor_is_destroyed_before_all_are_spawned(tmp_path: Path) -> None:
+    world = flat_world()
+    car = spawn_car(world, at(20.0), speed=5.0)
+    cone = "static.prop.trafficcone01"
+    for transform, parent in ((at(150.0, 10.0), None), (at(-5.0, z=3.0), car)):
+        world.spawn(cone, transform, parent=parent)
+    world.recorder.start(tmp_path / "a.log", in_process=True)
+    world.run(0.5)
+    world.close()
+    for victim in (car.id, car.id + 1):
+        again = flat_world()
+        steps = again.begin_replay(again.replayer.open(tmp_path / "a.log"), keep_town=True)
+        for _ in steps:
+            if victim in again.actors:
+                again.actors[victim].destroy()
+        again.tick()
+        assert again.replayer.is_playing
+        assert victim not in again.actors
+
+
+def test_a_replay_that_was_given_up_does_not_end_the_next_one(tmp_path: Path) -> None:
+    world = flat_world()
+    spawn_car(world, at(20.0), speed=5.0)
+    spawn_car(world, at(60.0), speed=5.0)
+    world.recorder.start(tmp_path / "a.log", in_process=True)
+    world.run(0.5)
+    world.close()
+    again = flat_world()
+    given_up = again.begin_replay(again.replayer.open(tmp_path / "a.log"), keep_town=True)
+    next(given_up)
+    again.replay_file(tmp_path / "a.log", keep_town=True)
+    given_up.close()
+    again.tick()
+    assert again.replayer.is_playing
+
+
+def test_a_replayed_walker_that_meets_a_car_does_not_fall(tmp_path: Path) -> None:
+    world = flat_world()
+    walker = spawn_walker(world, at(100.0, 10.0, z=1.0))
+    walker.apply_control(WalkerControl(Vector(1.0, 0.0, 0.0), 1.5))
+    world.recorder.start(tmp_path / "a.log", in_process=True)
+    world.run(5.0)
+    world.close()
+    again = flat_world()
+    again.replay_file(tmp_path / "a.log", keep_town=True)
+    spawn_car(again, at(105.0, 10.0))
+    replayed = again.walkers.actors[0]
+    while again.replayer.is_playing:
+        again.tick()
+        assert not replayed.has_fallen
+        assert replayed.transform.rotation.pitch == 0.0

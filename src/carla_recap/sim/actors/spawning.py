@@ -13,6 +13,7 @@ from carla_recap.sim.actors.moving import MovingActor, Vehicle, Walker
 from carla_recap.sim.actors.props import Prop, Sensor
 from carla_recap.sim.actors.triggers import FrictionTrigger
 from carla_recap.sim.errors import SpawnError
+from carla_recap.sim.physics.physics_control import LEAST_MASS
 from carla_recap.sim.physics.plane import PROP, VEHICLE, WALKER, WALL
 from carla_recap.sim.town.junctions import SignalKind
 from carla_recap.sim.town.loading import POLE_RADIUS
@@ -168,7 +169,7 @@ def _add_row(mover: MovingActor, transform: Transform) -> None:
     if isinstance(mover, Vehicle):
         physics = mover.blueprint.physics
         assert physics is not None
-        body = _own(mover, plane.add_box(VEHICLE, _corners(mover.blueprint), physics.mass))
+        body = _own(mover, plane.add_box(VEHICLE, _corners(mover.blueprint), max(physics.mass, LEAST_MASS)))
         sticky = mover.attributes.get("sticky_control", "true").lower() not in _FALSE
         row = mover.rows.add(mover, body, **columns, sticky=sticky)
         mover.rows.set_physics(row, physics, mover.box)

@@ -36,6 +36,7 @@ class ActorMotion:
     def advance(self, delta: float) -> list[Collision]:
         """Move all vehicles and walkers for a tick of a length in s, and return their collisions."""
         vehicles, walkers, plane = self._episode.vehicles, self._episode.walkers, self._episode.plane
+        self._collisions.clear()
         groups = [group for group in (vehicles, walkers) if len(group)]
         moving = [group.begin_tick(delta) for group in groups]
         if any(moving) or plane.disturbed:
@@ -83,6 +84,11 @@ class CollisionDetector:
         self._watched: dict[int, bool] = {}
         self._number = 0
 
+    def clear(self) -> None:
+        """Forget what a tick has left that failed."""
+        self._pushes.clear()
+        self._watched.clear()
+
     def add(self, contacts: Iterable[BodyContact]) -> None:
         """Add the contacts of a step; walkers that are hit hard by a vehicle fall."""
         for contact in contacts:
@@ -95,10 +101,7 @@ class CollisionDetector:
 
     def take(self) -> list[Collision]:
         """Return the collisions of the tick, in the order in which they began, and begin the next one."""
-        self._watched.clear()
-        collisions = [self._collision(pair, push) for pair, push in self._pushes.items()]
-        self._pushes = {}
-        return collisions
+        return [self._collision(pair, push) for pair, push in self._pushes.items()]
 
     def _pushed(
         self, actor: Actor | None, by: Actor | None, impulse: tuple[float, float], point: tuple[float, float]
@@ -111,7 +114,7 @@ class CollisionDetector:
             push.y += impulse[1]
         if isinstance(actor, Walker) and isinstance(by, Vehicle):
             walkers, row = actor.rows, actor.row
-            if hypot(*impulse) / walkers.mass[row] > FALL:
+            if walkers.simulated[row] and hypot(*impulse) / walkers.mass[row] > FALL:
                 walkers.fall(row, impulse)
 
     def _collision(self, pair: tuple[int, int | None], push: _Push) -> Collision:

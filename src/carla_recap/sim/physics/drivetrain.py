@@ -342,7 +342,7 @@ class _Drive:
         self.omega = new
 
         pull_x, push_y = pull * self.cos - push * self.sin, pull * self.sin + push * self.cos
-        force_x = _sum(pull_x) - self.air * forward * np.abs(forward)
+        force_x = _sum(pull_x) - np.minimum(self.air * np.abs(forward), self.mass / np.maximum(seconds, _TINY)) * forward
         force_y, torque = _sum(push_y), _sum(own.x * push_y - own.y * pull_x)
         ax, ay, spin = force_x / self.mass * seconds, force_y / self.mass * seconds, torque / self.moment * seconds
         if implicit.any():
@@ -363,7 +363,7 @@ class _Drive:
         strength * (engine - ratio * mean of the wheels) after the step, it is a fraction.
         """
         own, torques = self.own, self.fleet.tables.torques
-        turned = self.engine * own.per_turn
+        turned = np.minimum(self.engine * own.per_turn, TORQUES)
         index = np.minimum(turned.astype(np.int64), TORQUES - 1)
         low = torques[self.table, index]
         drive = self.accelerator * (low + (torques[self.table, index + 1] - low) * (turned - index))

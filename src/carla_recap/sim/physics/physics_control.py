@@ -39,6 +39,7 @@ _REVERSE: Final = -4.0  # the ratio of the reverse gear in UE4, which no physics
 _NEUTRAL_UP: Final = 0.15  # of the most revolutions, above which the gearbox leaves neutral, in PhysX and UE4
 _NEVER: Final = 1e9  # a share of the most revolutions that no engine reaches
 _WHEEL_MASS: Final = 20.0  # kg, in UE4; no physics control has it
+LEAST_MASS: Final = 1.0  # kg, that a vehicle has at least
 _WHEEL_SHARE: Final = 0.05  # of the vehicle's mass that a wheel has at most
 _USUAL_SWITCH_TIME: Final = 0.5  # s, of UE4
 _USUAL_LATENCY, _QUICK_LATENCY = 2.0, 0.5
@@ -163,7 +164,7 @@ def expect_physics(what: str, control: PhysicsControl) -> None:
 def columns(control: PhysicsControl, box: Box) -> dict[str, float]:
     """Return the columns of `Vehicles` that follow from a physics control, which may be incomplete."""
     x = _corners(control, box)[0]
-    mass = max(control.mass, 1.0)
+    mass = max(control.mass, LEAST_MASS)
     return {
         "mass": mass,
         "moment": mass * ((2 * box.extent.x) ** 2 + (2 * box.extent.y) ** 2) / 12,
@@ -180,7 +181,7 @@ def parameters(control: PhysicsControl, box: Box, *, weightless: bool = False) -
     Wheels without places stand where it suits the box. Without gravity, the tyres have no grip.
     """
     x, y = _corners(control, box)
-    base, mass = x[0] - x[2], max(control.mass, 1.0)
+    base, mass = x[0] - x[2], max(control.mass, LEAST_MASS)
     centre = min(max(control.center_of_mass.x, x[2] + 0.05 * base), x[0] - 0.05 * base)
     weight = mass * GRAVITY / base / 2
     loads = [weight * (centre - x[2]), weight * (centre - x[2]), weight * (x[0] - centre), weight * (x[0] - centre)]

@@ -87,19 +87,17 @@ class Vehicles(Drivetrains):
             self.engage(row)
 
     def set_simulated(self, row: int, simulated: bool) -> None:
-        """See `MovingBodies.set_simulated`; physics begins with an engine at rest in neutral, and with free pedals."""
+        """See `MovingBodies.set_simulated`; physics begins with an engine at rest in neutral and wheels that roll."""
         if simulated and not self.simulated[row]:
-            for name in (
-                "throttle_input",
-                "steer_input",
-                "brake_input",
-                "gear",
-                "target_gear",
-                "engine",
-                "omega",
-                "slow_time",
-            ):
-                getattr(self, name)[row] = 0
+            inputs = (self.throttle_input, self.steer_input, self.brake_input)
+            for values in (*inputs, self.gear, self.target_gear, self.engine, self.slow_time):
+                values[row] = 0
+            self.omega[row] = self.speed[row] / self.tables.wheels[self.table[row], _RADIUS]
+            if self.autopilot[row]:
+                self.engage(row)
+        elif self.simulated[row] and not simulated:
+            for values in (self.velocity, self.angular_velocity, self.speed, self.sideways, self.turning):
+                values[row] = 0
         super().set_simulated(row, simulated)
 
     def engage(self, row: int) -> None:
@@ -160,7 +158,7 @@ class Vehicles(Drivetrains):
         self.awake = self._in_motion() | slow & self.simulated
         self._before = self.velocity.copy()
         self._moved = self.awake | self.unsettled & self.simulated
-        return bool(self.awake.any())
+        return bool(self.awake.any() or (self.steer_input != self.steer).any())
 
     def _release_controls(self) -> None:
         """Reset the controls that held for the latest tick alone."""

@@ -135,7 +135,7 @@ class ActorMapping:
         id = actor.parent if actor.attached else None
         parent = None if id is None else self.released.get(id) or self.replayed.get(id)
         pose = scene.pose_of(actor.id) if parent is None else actor.spawn_pose
-        if pose is None:  # its parent is left out
+        if pose is None or not (parent is None or parent.is_alive):  # its parent is left out, or gone meanwhile
             return None
         spawned = place(self._episode, blueprint, transform(pose), parent, wanted_id=actor.id)
         self._spawned.add(actor.id)

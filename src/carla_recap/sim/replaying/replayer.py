@@ -239,7 +239,7 @@ class Replayer:
         self.error = None
         path, player = opened.path, opened.player
         player.time_factor = self._time_factor
-        self._close = weakref.finalize(self, player.reader.close)
+        close = self._close = weakref.finalize(self, player.reader.close)
         try:
             self._follow = player.followed if opened.follows else None
             self._offset = offset or CHASE
@@ -252,8 +252,9 @@ class Replayer:
                 if self._player is not player:
                     raise SimError(f"{path}: its replay was stopped before it had begun")
         except BaseException:
-            self.stop()
-            self._close()
+            if self._close is close:
+                self.stop()
+            close()
             raise
         return Replay(
             path,
@@ -366,6 +367,7 @@ class Replayer:
             self._mapping.forget_dead()
         if scene.spawned:
             yield from self._mapping.add({came.actor.id: came.actor for came in scene.spawned}.values(), scene)
+            self._mapping.forget_dead()  # what clients have destroyed between two steps
         self._kinematic.move(scene, delta, seconds)
         self._collisions.report()
         self._move_doors(scene)
