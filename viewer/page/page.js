@@ -1,21 +1,21 @@
-"use strict";(()=>{var f=h=>document.getElementById(h);function L(h,t){h.textContent!==t&&(h.textContent=t)}function $(h,t){return(Math.abs(h)<.5*10**-t?0:h).toFixed(t).
-replace("-","−")}var A=(h,t)=>f(h).setAttribute("aria-pressed",String(t));function dt(h){let t="http://www.w3.org/2000/svg",s=document.createElementNS(
-t,"svg"),e=document.createElementNS(t,"path");return s.setAttribute("viewBox","0 0 16 16"),s.setAttribute("aria-hidden","true"),e.setAttribute("d",h),
-s.append(e),s}function P(h){let t=u("i","swatch");return t.style.background=h,t}var T=h=>u("i",`letter of-${h}`,h);function u(h,t="",s="",e=[]){let i=document.
-createElement(h);return t&&(i.className=t),s&&(i.textContent=s),i.append(...e),i}function C(h,t,s){let e=u("button",h,"",t);return e.type="button",e.addEventListener(
-"click",s),e}function q(h,t){let s=t.findIndex(i=>i===document.activeElement),e={ArrowDown:s+1,ArrowUp:s-1,Home:0,End:t.length-1}[h.key];e===void 0||s<
-0||(h.preventDefault(),h.stopPropagation(),t[e]?.focus())}function Yt(h,[t,s,e,i,n]){let a=new Int32Array(s);for(let o=0;o<e;o++){let r=t+o*s;for(let c=0;c<s;c++)a[c]|=h[r+c]<<8*o}for(let o=0;o<s;o++)a[o]=a[o]>>>
-1^-(a[o]&1);for(let o=0;o<n;o++){let r=0;for(let c=0;c<s;c++)a[c]=r=r+a[c]|0}return i===1?a:Float64Array.from(a,o=>o*i)}function mt(h){let t=atob(h),s=new Uint8Array(
-t.length);for(let e=0;e<t.length;e++)s[e]=t.charCodeAt(e);return s}async function ft(h){let t=new Blob([mt(h)]).stream().pipeThrough(new DecompressionStream(
+"use strict";(()=>{var f=c=>document.getElementById(c);function L(c,t){c.textContent!==t&&(c.textContent=t)}function $(c,t){return(Math.abs(c)<.5*10**-t?0:c).toFixed(t).
+replace("-","−")}var A=(c,t)=>f(c).setAttribute("aria-pressed",String(t));function dt(c){let t="http://www.w3.org/2000/svg",s=document.createElementNS(
+t,"svg"),e=document.createElementNS(t,"path");return s.setAttribute("viewBox","0 0 16 16"),s.setAttribute("aria-hidden","true"),e.setAttribute("d",c),
+s.append(e),s}function P(c){let t=u("i","swatch");return t.style.background=c,t}var T=c=>u("i",`letter of-${c}`,c);function u(c,t="",s="",e=[]){let i=document.
+createElement(c);return t&&(i.className=t),s&&(i.textContent=s),i.append(...e),i}function C(c,t,s){let e=u("button",c,"",t);return e.type="button",e.addEventListener(
+"click",s),e}function q(c,t){let s=t.findIndex(i=>i===document.activeElement),e={ArrowDown:s+1,ArrowUp:s-1,Home:0,End:t.length-1}[c.key];e===void 0||s<
+0||(c.preventDefault(),c.stopPropagation(),t[e]?.focus())}function Yt(c,[t,s,e,i,n]){let a=new Int32Array(s);for(let o=0;o<e;o++){let r=t+o*s;for(let h=0;h<s;h++)a[h]|=c[r+h]<<8*o}for(let o=0;o<s;o++)a[o]=a[o]>>>
+1^-(a[o]&1);for(let o=0;o<n;o++){let r=0;for(let h=0;h<s;h++)a[h]=r=r+a[h]|0}return i===1?a:Float64Array.from(a,o=>o*i)}function mt(c){let t=atob(c),s=new Uint8Array(
+t.length);for(let e=0;e<t.length;e++)s[e]=t.charCodeAt(e);return s}async function ft(c){let t=new Blob([mt(c)]).stream().pipeThrough(new DecompressionStream(
 "deflate")),s=await new Response(t).arrayBuffer(),e=new DataView(s).getUint32(0,!0),i=new TextDecoder().decode(new Uint8Array(s,4,e)),n=new Uint8Array(
-s,4+e);return JSON.parse(i,(a,o)=>o&&o.column?Yt(n,o.column):o)}function b(h,t){let s=0,e=h.length;for(;s<e;){let i=s+e>>1;h[i]<=t?s=i+1:e=i}return s}var Zt=["acceleration","gap","ttc","throttle","brake","steer","light","distance"],_=class{constructor(t,s){this.tracks=t,this.measured=new Map(s.map(e=>[
+s,4+e);return JSON.parse(i,(a,o)=>o&&o.column?Yt(n,o.column):o)}function b(c,t){let s=0,e=c.length;for(;s<e;){let i=s+e>>1;c[i]<=t?s=i+1:e=i}return s}var Zt=["acceleration","gap","ttc","throttle","brake","steer","light","distance"],_=class{constructor(t,s){this.tracks=t,this.measured=new Map(s.map(e=>[
 e.id,e])),this.known=new Map}series(t){let s=this.known.get(t)??this.measure(t);return this.known.set(t,s),s}measure(t){let{times:s}=this.tracks,e=this.
-measured.get(this.tracks.actors[t].id),i=Float64Array.from(s,(r,c)=>this.tracks.speedAt(t,c)),n=Uint8Array.from(s,(r,c)=>this.tracks.trackAt(t,c)<0?0:
-1),a={speed:i};for(let r of Zt){let c=e?.[r];a[r]=Float64Array.from(s,(l,d)=>c&&n[d]&&c[d]>-127?c[d]:NaN)}let o=Int32Array.from(s,(r,c)=>e&&a.gap[c]>=
-0?this.tracks.indexOf(e.leader[c],r):-1);return{times:s,values:a,leader:o,isMeasured:e!==void 0}}};var At=2*Math.PI/16384,V=class{constructor(t){this.times=t.times,this.spans=t.spans,this.starts=this.spans.map(([o])=>o),this.actors=t.actors,this.x=t.
+measured.get(this.tracks.actors[t].id),i=Float64Array.from(s,(r,h)=>this.tracks.speedAt(t,h)),n=Uint8Array.from(s,(r,h)=>this.tracks.trackAt(t,h)<0?0:
+1),a={speed:i};for(let r of Zt){let h=e?.[r];a[r]=Float64Array.from(s,(l,d)=>h&&n[d]&&h[d]>-127?h[d]:NaN)}let o=Int32Array.from(s,(r,h)=>e&&a.gap[h]>=
+0?this.tracks.indexOf(e.leader[h],r):-1);return{times:s,values:a,leader:o,isMeasured:e!==void 0}}};var At=2*Math.PI/16384,V=class{constructor(t){this.times=t.times,this.spans=t.spans,this.starts=this.spans.map(([o])=>o),this.actors=t.actors,this.x=t.
 x,this.y=t.y,this.yaw=t.yaw,this.speeds=t.speed;let[s,e,i,n,a]=t.tracks;this.first=e,this.last=i,this.begin=n,this.count=a,this.own=this.actors.map(()=>[]),
-s.forEach((o,r)=>this.own[o].push(r)),this.firsts=this.own.map(o=>o.map(r=>this.first[r])),this.byId=new Map,this.actors.forEach(({id:o,since:r},c)=>{
-let l=this.byId.get(o)??{indices:[],since:[]};this.byId.set(o,l),l.indices.push(c),l.since.push(r??0)}),this.lights=pt(t.lights),this.falls=pt(t.lying),
+s.forEach((o,r)=>this.own[o].push(r)),this.firsts=this.own.map(o=>o.map(r=>this.first[r])),this.byId=new Map,this.actors.forEach(({id:o,since:r},h)=>{
+let l=this.byId.get(o)??{indices:[],since:[]};this.byId.set(o,l),l.indices.push(h),l.since.push(r??0)}),this.lights=pt(t.lights),this.falls=pt(t.lying),
 this.lamps=pt(t.lamps),this.marks=t.marks,this.marked=this.marks.map(([o])=>o)}lightState(t,s){return ut(this.lights.get(t),s)}lying(t,s){let e=ut(this.
 falls.get(t),s);return e===null||e<0?null:e*Math.PI/180}lampsOf(t,s){return ut(this.lamps.get(t),s)??0}marksAt(t){return this.marks[b(this.marked,t+1e-4)-
 1]?.[1]??[]}covers(t){let s=this.spans[b(this.starts,t)-1];return s!==void 0&&t<=s[1]}sampleAt(t){return Math.max(0,b(this.times,t+1e-5)-1)}pose(t,s,e,i){
@@ -24,31 +24,32 @@ this.yaw[o]*At,this.count[a]>1&&e<this.last[a]){let r=Math.max(0,s-this.times[e]
 y[o+1]-i.y),i.yaw+=r*(this.yaw[o+1]-this.yaw[o])*At}return!0}trackAt(t,s){let e=this.own[t][b(this.firsts[t],s)-1];return e!==void 0&&this.last[e]>=s?
 e:-1}row(t,s){return this.begin[t]+(this.count[t]===1?0:s-this.first[t])}speedAt(t,s){let e=this.trackAt(t,s),i=e<0?-1:this.speeds[this.row(e,s)];return i<
 0?NaN:i}speed(t,s){return this.speedAt(t,this.sampleAt(s))}path(t,s,e){let[i,n]=[this.sampleAt(s),this.sampleAt(e)],a=[];for(let o of this.own[t]){let[
-r,c,l]=[this.first[o],this.last[o],this.begin[o]];if(this.count[o]===1||c<=i||r>n)continue;let d=[];for(let m=Math.max(i,r);m<=Math.min(n,c);m++)d.push(
+r,h,l]=[this.first[o],this.last[o],this.begin[o]];if(this.count[o]===1||h<=i||r>n)continue;let d=[];for(let m=Math.max(i,r);m<=Math.min(n,h);m++)d.push(
 this.x[l+m-r],this.y[l+m-r]);a.push(d)}return a}indexOf(t,s){let e=this.byId.get(t??-1);return e?e.indices[Math.max(0,b(e.since,s+1e-4)-1)]:-1}};function pt({
-actor:h,time:t,value:s}){let e=new Map;return h.forEach((i,n)=>{let a=e.get(i)??{times:[],values:[]};e.set(i,a),a.times.push(t[n]),a.values.push(s[n])}),
-e}function ut(h,t){let s=h?b(h.times,t+1e-4):0;return h&&s?h.values[s-1]:null}var Y=.5,Et=.15,Tt=["other","sensor","traffic sign","traffic light","walker","vehicle"],K=({kind:h})=>h==="vehicle"||h==="walker",B=({kind:h,hero:t})=>Tt.
-indexOf(h)+(t?Tt.length:0),J=class{constructor(t,s,e){this.index=t,this.letter="AB"[t],this.report=s,this.tracks=new V(e),this.motion=new _(this.tracks,
+actor:c,time:t,value:s}){let e=new Map;return c.forEach((i,n)=>{let a=e.get(i)??{times:[],values:[]};e.set(i,a),a.times.push(t[n]),a.values.push(s[n])}),
+e}function ut(c,t){let s=c?b(c.times,t+1e-4):0;return c&&s?c.values[s-1]:null}var Y=.5,Et=.15,Tt=["other","sensor","traffic sign","traffic light","walker","vehicle"],K=({kind:c})=>c==="vehicle"||c==="walker",B=({kind:c,hero:t})=>Tt.
+indexOf(c)+(t?Tt.length:0),J=class{constructor(t,s,e){this.index=t,this.letter="AB"[t],this.report=s,this.tracks=new V(e),this.motion=new _(this.tracks,
 e.measured);let{actors:i}=this.tracks;this.order=i.map((a,o)=>o).sort((a,o)=>B(i[a])-B(i[o])),this.twins=new Map;let n=s.incidents.flatMap(a=>a.start===
 null?[]:[{incident:a,start:a.start}]);this.timed=n.sort((a,o)=>a.start-o.start),this.starts=this.timed.map(({start:a})=>a)}incidentsIn(t,s){return this.
 timed.slice(b(this.starts,t),b(this.starts,s))}actor(t,s){return this.tracks.actors[this.tracks.indexOf(t,s)]??null}poseOf(t,s){let[e,i]=[{x:0,y:0,yaw:0},
 this.tracks.indexOf(t,s)];return i>=0&&this.tracks.pose(i,s,this.tracks.sampleAt(s),e)?e:null}twin(t){return this.twins.get(t)??-1}has({kind:t,start:s,
-types:e}){return this.incidentsIn((s??NaN)-1,(s??NaN)+1).some(({incident:n})=>n.kind===t&&n.types.join()===e.join())}};function Lt(h,t){for(let[s,e,i,
-n]of h.report.differences?.pairs??[]){let[a,o]=[h.tracks.indexOf(s,e??0),t.tracks.indexOf(i,n??0)];a<0||o<0||t.twins.has(o)||(h.twins.set(a,o),t.twins.
-set(o,a))}}var gt=200,Z=class{constructor(t,s){this.choose=s,this.search=f("search"),this.list=f("actor-list"),this.panels=[f("incidents-panel"),f("actors-panel")],
-this.entries=t.flatMap(e=>{let{actors:i,own:n}=e.tracks,a=r=>!e.index||K(i[r])&&e.twin(r)<0,o=e.order.filter(r=>n[r].length&&i[r].kind!=="sensor"&&a(r));
-return o.sort((r,c)=>B(i[c])-B(i[r])||r-c),o.map(r=>this.entry(e,r,t.length>1))}),this.shown=[],this.search.addEventListener("input",()=>this.find()),
-this.search.addEventListener("keydown",e=>this.key(e)),this.list.addEventListener("keydown",e=>q(e,this.shown.map(({button:i})=>i))),["incidents-tab",
-"actors-tab"].forEach((e,i)=>f(e).addEventListener("click",()=>this.open(i===1))),f("actors-count").textContent=String(this.entries.length),this.find()}entry(t,s,e){
-let{id:i,type:n,kind:a,label:o,role:r,color:c}=t.tracks.actors[s],l=[...e?[T(t.letter)]:[],P(c),u("span","",o),u("small","",n||a)],d=C("actor",l,()=>this.
-choose(t,s));return d.title=`Follow ${o}`,{recording:t,actor:s,button:d,words:`${o} ${n} ${a} ${r} ${i}`.toLowerCase()}}get isOpen(){return!this.panels[1].
-hidden}open(t){this.panels.forEach((s,e)=>s.hidden=t!==(e===1)),A("actors-tab",t),A("incidents-tab",!t)}startSearch(){this.open(!0),this.search.focus(),
-this.search.select()}find(){let t=this.search.value.toLowerCase().split(/\s+/),s=this.entries.filter(i=>t.every(n=>i.words.includes(n)));this.shown=s.
-slice(0,gt),this.list.replaceChildren(...this.shown.map(({button:i})=>u("li","","",[i])));let e=s.length>gt?`and ${s.length-gt} more`:"";f("actors-not\
-e").textContent=s.length?e:"No actor is found."}key(t){if(t.stopPropagation(),t.key==="ArrowDown")this.shown[0]?.button.focus();else if(t.key==="Enter")
-this.shown[0]?.button.click();else if(t.key==="Escape"&&this.search.value)this.search.value="";else if(t.key==="Escape")this.open(!1);else return;t.preventDefault(),
-t.key==="Escape"&&this.find()}show(t,s){if(this.isOpen)for(let{recording:e,actor:i,button:n}of this.shown){let{tracks:a}=e,o=s?.[e.index];n.ariaCurrent=
-o!==void 0&&a.indexOf(o,t)===i?"true":null,n.classList.toggle("absent",a.trackAt(i,a.sampleAt(t))<0)}}};var E=Math.PI/2,R=class{constructor(){this.x=0,this.y=0,this.scale=6,this.up=E,this.width=1,this.height=1,this.turns=!1,this.followed=null}step(t,s,e){
+types:e}){return this.incidentsIn((s??NaN)-1,(s??NaN)+1).some(({incident:n})=>n.kind===t&&n.types.join()===e.join())}};function Lt(c,t){for(let[s,e,i,
+n]of c.report.differences?.pairs??[]){let[a,o]=[c.tracks.indexOf(s,e??0),t.tracks.indexOf(i,n??0)];a<0||o<0||t.twins.has(o)||(c.twins.set(a,o),t.twins.
+set(o,a))}}var gt=200,Z=class{constructor(t,s,e){this.choose=s,this.changed=e,this.search=f("search"),this.list=f("actor-list"),this.panels=[f("incidents-panel"),
+f("actors-panel")],this.entries=t.flatMap(i=>{let{actors:n,own:a}=i.tracks,o=h=>!i.index||K(n[h])&&i.twin(h)<0,r=i.order.filter(h=>a[h].length&&n[h].kind!==
+"sensor"&&o(h));return r.sort((h,l)=>B(n[l])-B(n[h])||h-l),r.map(h=>this.entry(i,h,t.length>1))}),this.shown=[],this.search.addEventListener("input",()=>this.
+find()),this.search.addEventListener("keydown",i=>this.key(i)),this.list.addEventListener("keydown",i=>q(i,this.shown.map(({button:n})=>n))),["inciden\
+ts-tab","actors-tab"].forEach((i,n)=>f(i).addEventListener("click",()=>this.open(n===1))),f("actors-count").textContent=String(this.entries.length),this.
+find()}entry(t,s,e){let{id:i,type:n,kind:a,label:o,role:r,color:h}=t.tracks.actors[s],l=[...e?[T(t.letter)]:[],P(h),u("span","",o),u("small","",n||a)],
+d=C("actor",l,()=>this.choose(t,s));return d.title=`Follow ${o}`,{recording:t,actor:s,button:d,words:`${o} ${n} ${a} ${r} ${i}`.toLowerCase()}}get isOpen(){
+return!this.panels[1].hidden}open(t){this.panels.forEach((s,e)=>s.hidden=t!==(e===1)),A("actors-tab",t),A("incidents-tab",!t),this.changed()}startSearch(){
+this.open(!0),this.search.focus(),this.search.select()}find(){let t=this.search.value.toLowerCase().split(/\s+/),s=this.entries.filter(i=>t.every(n=>i.
+words.includes(n)));this.shown=s.slice(0,gt),this.list.replaceChildren(...this.shown.map(({button:i})=>u("li","","",[i])));let e=s.length>gt?`and ${s.
+length-gt} more`:"";f("actors-note").textContent=s.length?e:"No actor is found.",this.changed()}key(t){if(t.stopPropagation(),t.key==="ArrowDown")this.
+shown[0]?.button.focus();else if(t.key==="Enter")this.shown[0]?.button.click();else if(t.key==="Escape"&&this.search.value)this.search.value="";else if(t.
+key==="Escape")this.open(!1);else return;t.preventDefault(),t.key==="Escape"&&this.find()}show(t,s){if(this.isOpen)for(let{recording:e,actor:i,button:n}of this.
+shown){let{tracks:a}=e,o=s?.[e.index];n.ariaCurrent=o!==void 0&&a.indexOf(o,t)===i?"true":null,n.classList.toggle("absent",a.trackAt(i,a.sampleAt(t))<
+0)}}};var E=Math.PI/2,R=class{constructor(){this.x=0,this.y=0,this.scale=6,this.up=E,this.width=1,this.height=1,this.turns=!1,this.followed=null}step(t,s,e){
 t&&(this.x=t.x,this.y=t.y);let i=this.turns&&t?t.yaw:this.turns&&this.followed!==null?this.up:E,n=Math.atan2(Math.sin(i-this.up),Math.cos(i-this.up));
 return this.up+=e?n:n*-Math.expm1(-s/.5),Math.abs(n)>.001}apply(t,s,e){t.setTransform(s,0,0,s,0,0),t.translate(this.width/2,this.height/2),t.rotate(this.
 up-E),t.scale(this.scale,-this.scale),t.translate(e.x-this.x,e.y-this.y)}toScreen(t,s){let[e,i]=[(t-this.x)*this.scale,(s-this.y)*this.scale],[n,a]=[Math.
@@ -65,8 +66,8 @@ stops,t-1e-9)];return s?Math.max(s[0],t):this.stop}step(t){this.playing&&this.pa
 stop&&this.seek(this.start),this.playing=!0,this.dispatchEvent(new Event("state")))}playThrough(t,s){this.seek(t),this.goal=Math.min(s,this.stop),this.
 time<this.goal&&this.play()}pause(){this.playing=!1,this.goal=null,this.dispatchEvent(new Event("state"))}toggle(){this.playing?this.pause():this.play()}setPace(t){
 this.pace=t,this.dispatchEvent(new Event("state"))}tick(t){let s=this.time+t*this.pace,e=this.nearest(s);e>s&&this.jumps++,this.time=this.goal===null?
-e:Math.min(e,this.goal),this.time>=(this.goal??this.stop)&&this.pause()}};function Ot(h){let t=[];for(let[s,e]of h.flat().sort((i,n)=>i[0]-n[0])){let i=t.
-at(-1);i&&s<=i[1]?i[1]=Math.max(e,i[1]):t.push([s,e])}return t}function M(h,t=1){let s=10**t,e=Math.round(h*s)/s,i=Math.floor(e/60),n=(e-i*60).toFixed(
+e:Math.min(e,this.goal),this.time>=(this.goal??this.stop)&&this.pause()}};function Ot(c){let t=[];for(let[s,e]of c.flat().sort((i,n)=>i[0]-n[0])){let i=t.
+at(-1);i&&s<=i[1]?i[1]=Math.max(e,i[1]):t.push([s,e])}return t}function M(c,t=1){let s=10**t,e=Math.round(c*s)/s,i=Math.floor(e/60),n=(e-i*60).toFixed(
 t).padStart(t?t+3:2,"0");return i<60?`${i}:${n}`:`${Math.floor(i/60)}:${String(i%60).padStart(2,"0")}:${n}`}var Xt=["map","grid","median","sidewalk","shoulder","bike","road","crossing","white","yellow","text","quiet","halo","edge","shade","window","accent","\
 other","line"],Nt="carla-recap-theme",wt=class extends EventTarget{constructor(){super(),this.name=null,this.fallback=null,this.system=window.matchMedia(
 "(prefers-color-scheme: light)"),this.system.addEventListener("change",()=>this.apply());let t=window.matchMedia("print");this.printing=t.matches,t.addEventListener(
@@ -75,15 +76,15 @@ other","line"],Nt="carla-recap-theme",wt=class extends EventTarget{constructor()
 this.name==="dark"?"light":"dark")}apply(){let t=this.printing?"light":this.chosen??(this.system.matches?"light":"dark");if(t===this.name)return;this.
 name=t,this.tones=Object.fromEntries(Object.entries(KINDS).map(([e,i])=>[e,i[t]])),document.documentElement.dataset.theme=t;let s=getComputedStyle(document.
 documentElement);this.colors=Object.fromEntries(Xt.map(e=>[e,s.getPropertyValue(`--${e}`).trim()])),document.querySelector('meta[name="theme-color"]')?.
-setAttribute("content",this.colors.map),this.dispatchEvent(new Event("change"))}};function Qt(){let h=new CSSStyleSheet,t=Object.entries(KINDS).map(([
-s,{dark:e,light:i}])=>{let n=`[data-kind="${s}"]`;return`${n} { --tone: ${e}; } [data-theme="light"] ${n} { --tone: ${i}; }`});return h.replaceSync(t.
+setAttribute("content",this.colors.map),this.dispatchEvent(new Event("change"))}};function Qt(){let c=new CSSStyleSheet,t=Object.entries(KINDS).map(([
+s,{dark:e,light:i}])=>{let n=`[data-kind="${s}"]`;return`${n} { --tone: ${e}; } [data-theme="light"] ${n} { --tone: ${i}; }`});return c.replaceSync(t.
 join(`
-`)),h}var k=new wt;document.adoptedStyleSheets=[Qt()];var ts={crossing:1.2,white:1.2,yellow:1.2,bike:.5,median:.5},Q=class{constructor({x:t,y:s,lengths:e},i,n=null){this.groups=[];let[a,o]=[0,0],r=n??new Uint8Array(
-e.length).fill(1);for(let c of r){let l=new Path2D,[d,m,p,g]=[1/0,1/0,-1/0,-1/0];for(let y=a+c;a<y;a++){for(let x=0;x<e[a];x++,o++){let[w,v]=[t[o],s[o]];
+`)),c}var k=new wt;document.adoptedStyleSheets=[Qt()];var ts={crossing:1.2,white:1.2,yellow:1.2,bike:.5,median:.5},Q=class{constructor({x:t,y:s,lengths:e},i,n=null){this.groups=[];let[a,o]=[0,0],r=n??new Uint8Array(
+e.length).fill(1);for(let h of r){let l=new Path2D,[d,m,p,g]=[1/0,1/0,-1/0,-1/0];for(let y=a+h;a<y;a++){for(let x=0;x<e[a];x++,o++){let[w,v]=[t[o],s[o]];
 x?l.lineTo(w-i.x,v-i.y):l.moveTo(w-i.x,v-i.y),[d,m,p,g]=[Math.min(d,w),Math.min(m,v),Math.max(p,w),Math.max(g,v)]}n&&l.closePath()}this.groups.push({path:l,
-left:d,low:m,right:p,high:g,layer:""})}}},$t=({x:h,y:t,reach:s},{left:e,low:i,right:n,high:a})=>e<h+s&&n>h-s&&i<t+s&&a>t-s,tt=class{constructor({width:t,
+left:d,low:m,right:p,high:g,layer:""})}}},$t=({x:c,y:t,reach:s},{left:e,low:i,right:n,high:a})=>e<c+s&&n>c-s&&i<t+s&&a>t-s,tt=class{constructor({width:t,
 paths:s,layers:e,layer:i,rings:n,surfaces:a},o){this.origin=o,this.width=t,this.paths=new Q(s,o).groups,this.surfaces=new Q(a,o,n).groups,this.surfaces.
-forEach((r,c)=>r.layer=e[i[c]])}get bounds(){return[...this.paths,...this.surfaces].reduce((t,s)=>[Math.min(t[0],s.left),Math.min(t[1],s.low),Math.max(
+forEach((r,h)=>r.layer=e[i[h]])}get bounds(){return[...this.paths,...this.surfaces].reduce((t,s)=>[Math.min(t[0],s.left),Math.min(t[1],s.low),Math.max(
 t[2],s.right),Math.max(t[3],s.high)],[1/0,1/0,-1/0,-1/0])}draw(t,s){let{colors:e}=k;this.surfaces.length||this.drawGrid(t,s),t.lineJoin=t.lineCap="rou\
 nd",t.strokeStyle=e.road,t.lineWidth=Math.max(this.width,2/s.scale);for(let i of this.paths)$t(s,i)&&t.stroke(i.path);t.lineWidth=1.1/s.scale,t.lineJoin=
 "bevel";for(let i of this.surfaces)s.scale<(ts[i.layer]??0)||!$t(s,i)||(t.fillStyle=t.strokeStyle=e[i.layer==="junction"?"road":i.layer],t.fill(i.path),
@@ -109,11 +110,11 @@ n)}for(let i of s){let n=this.item(t,i,this.items.length);this.items.push(n),e.a
 a.omitted,0),e=[];this.recordings.every(({report:n})=>n.whole)||e.push("A long recording: the replay has the time around incidents."),t&&e.push(`${t} \
 of ${this.items.length} incidents are listed without a replay.`),s&&e.push(`${s} more are not listed.`);let i=f("note");i.textContent=e.join(" "),i.hidden=
 !e.length}item(t,s,e){let{name:i,icon:n}=KINDS[s.kind],a=s.start!==null&&t.tracks.covers(s.start),o=u("span","badge","",[dt(n),u("span","",i)]),r=u("s\
-pan","top","",[o,u("time","",ss(s))]),c=u("span","body","",[r,u("span","text","",es(s.text)),this.meta(t,s)]),l=C("incident",[c],()=>this.open(e));l.title=
+pan","top","",[o,u("time","",ss(s))]),h=u("span","body","",[r,u("span","text","",es(s.text)),this.meta(t,s)]),l=C("incident",[h],()=>this.open(e));l.title=
 `Play from ${G} s before it`,l.dataset.kind=s.kind,l.disabled=!a;let d=t.report.drawn&&a;(s.picture||d)&&l.prepend(this.pictures.image(t,s));let m=this.
 recordings.find(g=>g!==t);return m?.report.incidents.length&&!m.has(s)&&o.append(u("span","only",`only in ${t.letter}`)),{row:u("li","","",[l]),button:l,
-replayed:a,recording:t,incident:s,kind:s.kind,index:e,start:s.start??0}}meta(t,{actors:s,types:e,place:i}){let n=s.map((r,c)=>this.name(t,r,e[c]??"")),
-a=i?`x ${$(i[0],1)}  y ${$(i[1],1)} m`:"",o=n.map(({text:r,color:c})=>u("span","chip","",[P(c),u("span","",r)]));return u("span","meta","",[...o,...a?
+replayed:a,recording:t,incident:s,kind:s.kind,index:e,start:s.start??0}}meta(t,{actors:s,types:e,place:i}){let n=s.map((r,h)=>this.name(t,r,e[h]??"")),
+a=i?`x ${$(i[0],1)}  y ${$(i[1],1)} m`:"",o=n.map(({text:r,color:h})=>u("span","chip","",[P(h),u("span","",r)]));return u("span","meta","",[...o,...a?
 [u("span","place",a)]:[]])}name({tracks:t},s,e){let i=t.actors[t.indexOf(s,1/0)];return i?{text:i.label,color:i.color}:{text:s===4294967295?"no actor":
 `${e||"actor"} ${s}`,color:"#969696"}}addFilters(){let t=f("filters");for(let[s,{many:e,icon:i}]of Object.entries(KINDS)){let n=this.items.filter(r=>r.
 kind===s).length;if(!n)continue;let a=[dt(i),u("span","",e),u("b","",String(n))],o=C("filter",a,()=>{this.hidden.delete(s)||this.hidden.add(s),o.ariaPressed=
@@ -125,8 +126,8 @@ getBoundingClientRect()];this.scroller.scrollHeight>this.scroller.clientHeight&&
 t&&(t.button.ariaCurrent=s?"true":null,this.pictures.enlarge(t.button.querySelector("img"),s))}latestIn(t,s){let[e,i]=[t,s].map(n=>b(this.starts,n));return this.
 played.slice(e,i).at(-1)}neighbour(t){let s=({index:e,replayed:i,row:n})=>i&&!n.hidden&&(e-this.current)*t>0;return(t>0?this.items.find(s):this.items.
 findLast(s))?.index??-1}key(t){let s=this.items.filter(({row:e,replayed:i})=>i&&!e.hidden).map(({button:e})=>e);q(t,s)}},Ct="There are no incidents.";
-function yt(h){return h===1?"1 incident":`${h||"no"} incidents`}function ss({start:h,stop:t}){return h===null?"–":t!==null&&t-h>=1?`${M(h)} – ${M(
-t)}`:M(h)}function es(h){return h.split(/(?<=[a-z]\.)(?=\w)/).flatMap((t,s)=>s?[u("wbr",""),t]:[t])}var O=class{constructor(t,s){this.node=t,this.on=s,this.down=new Map,this.moved=0,t.addEventListener("pointerdown",e=>this.press(e)),t.addEventListener(
+function yt(c){return c===1?"1 incident":`${c||"no"} incidents`}function ss({start:c,stop:t}){return c===null?"–":t!==null&&t-c>=1?`${M(c)} – ${M(
+t)}`:M(c)}function es(c){return c.split(/(?<=[a-z]\.)(?=\w)/).flatMap((t,s)=>s?[u("wbr",""),t]:[t])}var O=class{constructor(t,s){this.node=t,this.on=s,this.down=new Map,this.moved=0,t.addEventListener("pointerdown",e=>this.press(e)),t.addEventListener(
 "pointermove",e=>this.move(e)),t.addEventListener("pointerup",e=>this.release(e,!0)),t.addEventListener("pointercancel",e=>this.release(e,!1)),t.addEventListener(
 "pointerleave",()=>s.hover?.(null,0)),t.addEventListener("wheel",e=>this.wheel(e),{passive:!1})}place({clientX:t,clientY:s}){let{left:e,top:i}=this.node.
 getBoundingClientRect();return[t-e,s-i]}press(t){t.button||(this.on.drag&&this.node.setPointerCapture(t.pointerId),this.down.set(t.pointerId,this.place(
@@ -135,24 +136,24 @@ pointerType==="mouse"&&(!e||!this.on.click)&&this.on.hover?.(...s),!e)return;let
 hypot(s[0]-e[0],s[1]-e[1]),this.down.set(t.pointerId,s),!(this.on.click&&this.moved<5))if(i){let n=a=>Math.max(1,Math.hypot(a[0]-i[0],a[1]-i[1]));this.
 on.zoom?.(n(s)/n(e),(s[0]+i[0])/2,(s[1]+i[1])/2)}else this.on.drag?.(s[0]-e[0],s[1]-e[1],s[0])}release(t,s){this.down.delete(t.pointerId),s&&!this.down.
 size&&this.moved<5&&this.on.click?.(...this.place(t))}wheel(t){t.preventDefault();let s=t.deltaMode?30:1,e=t.deltaX||(t.shiftKey?t.deltaY:0);this.on.pan&&
-Math.abs(e)>=Math.abs(t.deltaY)?this.on.pan(e*s):this.on.zoom?.(Math.exp(-t.deltaY*s*(t.ctrlKey?.01:.0015)),...this.place(t))}};var is=.5,It=.08,it=class extends EventTarget{constructor(t){super(),this.length=Math.max(t,.1),this.start=0,this.stop=this.length}get isWhole(){return this.
-stop-this.start>=this.length}share(t){return(t-this.start)/(this.stop-this.start)}timeAt(t){return this.start+Math.min(1,Math.max(0,t))*(this.stop-this.
-start)}zoom(t,s){let e=Math.max(Math.min(is,this.length),(this.stop-this.start)/t);this.set(s-this.share(s)*e,e)}move(t){this.set(this.start+t*(this.stop-
-this.start),this.stop-this.start)}show(t,s){let e=this.share(t),i=s&&this.stop<this.length?1-It:1;this.isWhole||e>=0&&e<=i||(e>1||e<0?this.centre(t):this.
-move(i-It))}centre(t){this.move(this.share(t)-.5)}set(t,s){let[e,i]=[this.start,this.stop-this.start],n=Math.min(s,this.length);this.start=Math.min(Math.
-max(0,t),this.length-n),this.stop=this.start+n,(this.start!==e||n!==i)&&this.dispatchEvent(new Event("change"))}};function nt(h,t,s,e={}){let i=a=>t.timeAt(
-a/s()),n=a=>t.move(a/s());new O(h,{zoom:(a,o)=>t.zoom(a,i(o)),pan:n,...e}),h.addEventListener("dblclick",({target:a})=>a.closest("button")||t.set(0,t.
-length))}var Pt=9,Rt=.9,D={head:134,brake:8,right:16,left:32,reverse:64};function Dt(h,t,s,e){if(t==="walker")h.ellipse(0,0,s,e,0,0,7);else if(t==="cycle")h.roundRect(
--s,-e*.5,2*s,e,e*.5);else if(t==="car"){let[i,n]=[e*.62,e*.42];h.moveTo(-s+n,-e),h.lineTo(s-i,-e),h.bezierCurveTo(s-i*.3,-e,s,-e*.75,s,-e*.3),h.lineTo(
-s,e*.3),h.bezierCurveTo(s,e*.75,s-i*.3,e,s-i,e),h.lineTo(-s+n,e),h.quadraticCurveTo(-s,e,-s,e-n),h.lineTo(-s,-e+n),h.quadraticCurveTo(-s,-e,-s+n,-e),h.
-closePath()}else h.roundRect(-s,-e,2*s,2*e,Math.min(s,e)*(t==="truck"?.18:.3))}function Ft(h,t,s,e,i){let{colors:n}=k;if(t==="cycle"||t==="walker"){h.
-fillStyle=n.window,h.beginPath(),t==="cycle"?h.ellipse(-s*.1,0,e*.5,e*.95,0,0,7):h.arc(0,0,Math.min(s,e)*.55,0,7),h.fill();return}let a=(c,l,d,m)=>{h.
-moveTo(c*s,-d*e),h.lineTo(l*s,-m*e),h.lineTo(l*s,m*e),h.lineTo(c*s,d*e),h.closePath()};h.fillStyle=n.window,h.beginPath(),t==="truck"?(a(.93,.84,.86,.86),
-h.fill(),h.fillStyle="rgba(255, 255, 255, 0.16)",h.fillRect(-.96*s,-.88*e,1.68*s,1.76*e),h.fillStyle=n.window,h.fillRect(.72*s,-e,Math.max(1,.02*s),2*
-e)):(a(.47,.2,.82,.68),a(-.52,-.74,.66,.76),h.rect(-.48*s,-.86*e,.66*s,.12*e),h.rect(-.48*s,.74*e,.66*s,.12*e),h.fill());let o=Math.max(1,.16*e),r=(c,l,d,m)=>{
-h.shadowColor=d,h.shadowBlur=m?5*o:0,h.fillStyle=d,h.globalAlpha=m?1:.6,h.fillRect(c,l,o*(m?1:.6),2*o),h.shadowBlur=0};for(let[c,l]of[[-1,D.left],[1,D.
-right]]){let d=c*.68*e-o;if(r(.955*s-o*.5,d,"#fff6d5",!!(i&D.head)),r(-.99*s,d,i&D.reverse?"#ffffff":"#ff4d4d",!!(i&(D.brake|D.reverse))),!!(i&l))for(let m of[
-.9,-.96])r(m*s,c*.92*e-o,"#ffa726",!0)}h.globalAlpha=1}function jt(h){let t=[1,3,5].map(o=>parseInt(h.slice(o,o+2),16)),s=.2126*t[0]+.7152*t[1]+.0722*
+Math.abs(e)>=Math.abs(t.deltaY)?this.on.pan(e*s):this.on.zoom?.(Math.exp(-t.deltaY*s*(t.ctrlKey?.01:.0015)),...this.place(t))}};var is=.5,It=.08,it=class extends EventTarget{constructor(t){super(),this.length=Math.max(t,.1),this.start=0,this.stop=this.length,this.shown=-1}get isWhole(){
+return this.stop-this.start>=this.length}share(t){return(t-this.start)/(this.stop-this.start)}timeAt(t){return this.start+Math.min(1,Math.max(0,t))*(this.
+stop-this.start)}zoom(t,s){let e=Math.max(Math.min(is,this.length),(this.stop-this.start)/t);this.set(s-this.share(s)*e,e)}move(t){this.set(this.start+
+t*(this.stop-this.start),this.stop-this.start)}show(t,s){if(t===this.shown)return;this.shown=t;let e=this.share(t),i=s&&this.stop<this.length?1-It:1;this.
+isWhole||e>=0&&e<=i||(e>1||e<0?this.centre(t):this.move(i-It))}centre(t){this.move(this.share(t)-.5)}set(t,s){let[e,i]=[this.start,this.stop-this.start],
+n=Math.min(s,this.length);this.start=Math.min(Math.max(0,t),this.length-n),this.stop=this.start+n,(this.start!==e||n!==i)&&this.dispatchEvent(new Event(
+"change"))}};function nt(c,t,s,e={}){let i=a=>t.timeAt(a/s()),n=a=>t.move(a/s());new O(c,{zoom:(a,o)=>t.zoom(a,i(o)),pan:n,...e}),c.addEventListener("\
+dblclick",({target:a})=>a.closest("button")||t.set(0,t.length))}var Pt=9,Rt=.9,D={head:134,brake:8,right:16,left:32,reverse:64};function Dt(c,t,s,e){if(t==="walker")c.ellipse(0,0,s,e,0,0,7);else if(t==="cycle")c.roundRect(
+-s,-e*.5,2*s,e,e*.5);else if(t==="car"){let[i,n]=[e*.62,e*.42];c.moveTo(-s+n,-e),c.lineTo(s-i,-e),c.bezierCurveTo(s-i*.3,-e,s,-e*.75,s,-e*.3),c.lineTo(
+s,e*.3),c.bezierCurveTo(s,e*.75,s-i*.3,e,s-i,e),c.lineTo(-s+n,e),c.quadraticCurveTo(-s,e,-s,e-n),c.lineTo(-s,-e+n),c.quadraticCurveTo(-s,-e,-s+n,-e),c.
+closePath()}else c.roundRect(-s,-e,2*s,2*e,Math.min(s,e)*(t==="truck"?.18:.3))}function Ft(c,t,s,e,i){let{colors:n}=k;if(t==="cycle"||t==="walker"){c.
+fillStyle=n.window,c.beginPath(),t==="cycle"?c.ellipse(-s*.1,0,e*.5,e*.95,0,0,7):c.arc(0,0,Math.min(s,e)*.55,0,7),c.fill();return}let a=(h,l,d,m)=>{c.
+moveTo(h*s,-d*e),c.lineTo(l*s,-m*e),c.lineTo(l*s,m*e),c.lineTo(h*s,d*e),c.closePath()};c.fillStyle=n.window,c.beginPath(),t==="truck"?(a(.93,.84,.86,.86),
+c.fill(),c.fillStyle="rgba(255, 255, 255, 0.16)",c.fillRect(-.96*s,-.88*e,1.68*s,1.76*e),c.fillStyle=n.window,c.fillRect(.72*s,-e,Math.max(1,.02*s),2*
+e)):(a(.47,.2,.82,.68),a(-.52,-.74,.66,.76),c.rect(-.48*s,-.86*e,.66*s,.12*e),c.rect(-.48*s,.74*e,.66*s,.12*e),c.fill());let o=Math.max(1,.16*e),r=(h,l,d,m)=>{
+c.shadowColor=d,c.shadowBlur=m?5*o:0,c.fillStyle=d,c.globalAlpha=m?1:.6,c.fillRect(h,l,o*(m?1:.6),2*o),c.shadowBlur=0};for(let[h,l]of[[-1,D.left],[1,D.
+right]]){let d=h*.68*e-o;if(r(.955*s-o*.5,d,"#fff6d5",!!(i&D.head)),r(-.99*s,d,i&D.reverse?"#ffffff":"#ff4d4d",!!(i&(D.brake|D.reverse))),!!(i&l))for(let m of[
+.9,-.96])r(m*s,h*.92*e-o,"#ffa726",!0)}c.globalAlpha=1}function jt(c){let t=[1,3,5].map(o=>parseInt(c.slice(o,o+2),16)),s=.2126*t[0]+.7152*t[1]+.0722*
 t[2],[e,i]=k.name==="dark"?[105,240]:[80,240],[n,a]=s<e?[(e-s)/255,255]:[Math.max(0,s-i)/255,0];return`rgb(${t.map(o=>Math.round(o+n*(a-o))).join(", ")}\
 )`}var Wt=3,ns=40,os=16,Ut=8,ot=1.5,bt=7,F=new Set(["other","sensor","traffic sign"]),N="system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-\
 serif",j=class{constructor(t,s,e,i){this.canvas=t,this.context=t.getContext("2d",{alpha:!1}),this.camera=e,this.ground=i,this.origin=i.origin,this.labels=
@@ -172,27 +173,27 @@ a))}return i}differs(t,{actor:s,x:e,y:i}){if(!K(t.tracks.actors[s]))return!1;let
 Et*this.tracks.speed(n,this.time)}drawTrails(){let{ghost:t}=this,s=new Set(this.ghosts.map(({actor:e})=>t?.twin(e)));for(let e of this.ghosts)t&&this.
 drawTrail(t.tracks,e,k.colors.other,Ut);for(let e of this.shown){let{id:i,kind:n,color:a}=this.tracks.actors[e.actor];if(F.has(n)||n==="traffic light")
 continue;let o=i===this.camera.followed||s.has(e.actor);this.drawTrail(this.tracks,e,a,o?Ut:Wt)}this.context.globalAlpha=1}drawTrail(t,{actor:s,x:e,y:i,
-left:n,top:a},o,r){let{context:c,camera:l,time:d}=this,m=r*ns*l.scale;if(Math.max(-n,-a,n-l.width,a-l.height)>m)return;let p=t.path(s,d-r,d).pop();if(!p)
-return;p.push(e,i);let g=r>Wt;c.lineCap="butt",c.strokeStyle=o,c.lineWidth=Math.max(t.actors[s].kind==="walker"?.3:.6,(g?2.5:1.5)/l.scale);let y=p.length/
-2,x=Math.max(1,Math.ceil(y/os));for(let w=0;w<y-1;w+=x){let v=Math.min(y-1,w+x);c.beginPath();for(let S=w;S<=v;S++)c.lineTo(p[2*S]-this.origin.x,p[2*S+
-1]-this.origin.y);c.globalAlpha=(g?.75:.4)*(v/y)**1.5,c.stroke()}}drawPaths(t,s,e,i){let{context:n,camera:a}=this;a.apply(n,this.ratio,this.origin),n.
-lineCap="round";for(let o of t){n.strokeStyle=this.tracks.actors[o].color,n.lineWidth=3/a.scale;for(let[r,c,l,d]of[[e,i,!0,.6],[s,e,!1,.9]]){n.setLineDash(
-l?[.1,1.2]:[]),n.globalAlpha=d;for(let m of this.tracks.path(o,r,c)){n.beginPath();for(let p=0;p<m.length;p+=2)n.lineTo(m[p]-this.origin.x,m[p+1]-this.
+left:n,top:a},o,r){let{context:h,camera:l,time:d}=this,m=r*ns*l.scale;if(Math.max(-n,-a,n-l.width,a-l.height)>m)return;let p=t.path(s,d-r,d).pop();if(!p)
+return;p.push(e,i);let g=r>Wt;h.lineCap="butt",h.strokeStyle=o,h.lineWidth=Math.max(t.actors[s].kind==="walker"?.3:.6,(g?2.5:1.5)/l.scale);let y=p.length/
+2,x=Math.max(1,Math.ceil(y/os));for(let w=0;w<y-1;w+=x){let v=Math.min(y-1,w+x);h.beginPath();for(let S=w;S<=v;S++)h.lineTo(p[2*S]-this.origin.x,p[2*S+
+1]-this.origin.y);h.globalAlpha=(g?.75:.4)*(v/y)**1.5,h.stroke()}}drawPaths(t,s,e,i){let{context:n,camera:a}=this;a.apply(n,this.ratio,this.origin),n.
+lineCap="round";for(let o of t){n.strokeStyle=this.tracks.actors[o].color,n.lineWidth=3/a.scale;for(let[r,h,l,d]of[[e,i,!0,.6],[s,e,!1,.9]]){n.setLineDash(
+l?[.1,1.2]:[]),n.globalAlpha=d;for(let m of this.tracks.path(o,r,h)){n.beginPath();for(let p=0;p<m.length;p+=2)n.lineTo(m[p]-this.origin.x,m[p+1]-this.
 origin.y);n.stroke()}}}n.setLineDash([]),n.globalAlpha=1,n.setTransform(this.ratio,0,0,this.ratio,0,0)}drawCollisions(){for(let t of this.ghost?[this.
 ghost,this.recording]:[this.recording])for(let[s,e]of t.tracks.marksAt(this.time))this.drawCross(...this.camera.toScreen(s,e),.75)}drawCross(t,s,e){let{
 context:i,camera:n}=this,a=Math.max(4,.9*n.scale);i.globalAlpha=e,i.strokeStyle=k.tones.collision,i.lineWidth=Math.max(2,.3*n.scale),i.lineCap="round",
 i.beginPath(),i.moveTo(t-a,s-a),i.lineTo(t+a,s+a),i.moveTo(t+a,s-a),i.lineTo(t-a,s+a),i.stroke(),i.globalAlpha=1}drawIncidents(){let{context:t,camera:s,
 time:e}=this;for(let i of this.ghost?[this.ghost,this.recording]:[this.recording])for(let{incident:n,start:a}of i.incidentsIn(e-ot,e+ot)){let{kind:o,place:r}=n,
-c=e-a;if(c>=ot||c<0&&o!=="collision"||!r)continue;let[l,d]=s.toScreen(...r);t.globalAlpha=1-Math.abs(c)/ot,t.lineWidth=2,t.strokeStyle=k.tones[o],t.fillStyle=
-k.tones[o]+"24",this.circle(l,d,Math.max(14,3.4*s.scale)*(c<0?1+.6*-c:1)),t.fill(),t.stroke()}t.globalAlpha=1}drawActor({actor:t,left:s,top:e,yaw:i}){
-let{context:n,camera:a}=this,{id:o,kind:r,color:c,paint:l,hero:d,shape:m}=this.tracks.actors[t],[,,p,g]=this.extent(this.recording,t),y=this.tracks.lying(
+h=e-a;if(h>=ot||h<0&&o!=="collision"||!r)continue;let[l,d]=s.toScreen(...r);t.globalAlpha=1-Math.abs(h)/ot,t.lineWidth=2,t.strokeStyle=k.tones[o],t.fillStyle=
+k.tones[o]+"24",this.circle(l,d,Math.max(14,3.4*s.scale)*(h<0?1+.6*-h:1)),t.fill(),t.stroke()}t.globalAlpha=1}drawActor({actor:t,left:s,top:e,yaw:i}){
+let{context:n,camera:a}=this,{id:o,kind:r,color:h,paint:l,hero:d,shape:m}=this.tracks.actors[t],[,,p,g]=this.extent(this.recording,t),y=this.tracks.lying(
 t,this.time)??i,x=a.scale*Math.max(p,g);if(Math.max(-s,-e,s-a.width,e-a.height)>x+30)return;if(r==="traffic light"){this.drawLamp(t,s,e);return}let w=o===
-a.followed||t===this.hovered,v=K(this.tracks.actors[t]);n.save(),n.translate(s,e),(w||d)&&this.drawGlow(c,Math.max(x,bt)+12);let[S,U,z]=this.outline(this.
+a.followed||t===this.hovered,v=K(this.tracks.actors[t]);n.save(),n.translate(s,e),(w||d)&&this.drawGlow(h,Math.max(x,bt)+12);let[S,U,z]=this.outline(this.
 recording,{actor:t,heading:y},F.has(r)?2:bt,m==="walker"?3:0);n.globalAlpha=F.has(r)?.5:1,n.shadowColor=v?k.colors.shade:"transparent",[n.shadowBlur,n.
-shadowOffsetY]=[.5*z*this.ratio,.12*z*this.ratio],n.fillStyle=jt(l??c),n.fill(S),n.shadowColor="transparent";let Jt=U>Pt||m==="walker"&&U>4;v&&Jt&&Ft(
-n,m,U,z,this.tracks.lampsOf(t,this.time)),n.lineWidth=w?2:1,n.strokeStyle=w?k.colors.text:d?c:k.colors.edge,(w||d||r==="vehicle")&&n.stroke(S),n.restore()}outline(t,{
-actor:s,heading:e},i,n){let{context:a,camera:o}=this,[r,c,l,d]=this.extent(t,s),m=o.scale*Math.max(1,i/2/(o.scale*Math.max(l,d))),p=new Path2D,g=[Math.
-max(n,l*m),Math.max(n,d*m)];return a.rotate(o.up-E-e),a.translate(r*m,-c*m),Dt(p,t.tracks.actors[s].shape,...g),[p,...g]}extent({tracks:t},s){let{kind:e,
+shadowOffsetY]=[.5*z*this.ratio,.12*z*this.ratio],n.fillStyle=jt(l??h),n.fill(S),n.shadowColor="transparent";let Jt=U>Pt||m==="walker"&&U>4;v&&Jt&&Ft(
+n,m,U,z,this.tracks.lampsOf(t,this.time)),n.lineWidth=w?2:1,n.strokeStyle=w?k.colors.text:d?h:k.colors.edge,(w||d||r==="vehicle")&&n.stroke(S),n.restore()}outline(t,{
+actor:s,heading:e},i,n){let{context:a,camera:o}=this,[r,h,l,d]=this.extent(t,s),m=o.scale*Math.max(1,i/2/(o.scale*Math.max(l,d))),p=new Path2D,g=[Math.
+max(n,l*m),Math.max(n,d*m)];return a.rotate(o.up-E-e),a.translate(r*m,-h*m),Dt(p,t.tracks.actors[s].shape,...g),[p,...g]}extent({tracks:t},s){let{kind:e,
 box:i}=t.actors[s];return t.lying(s,this.time)!==null?[0,0,Math.max(Rt,i[2]),Math.max(.28,i[3])]:e==="walker"?[i[0],i[1],Math.min(.22,i[2]),Math.max(.28,
 i[3])]:i}drawGlow(t,s){let{context:e}=this,i=e.createRadialGradient(0,0,s*.4,0,0,s);i.addColorStop(0,t+(k.name==="dark"?"66":"99")),i.addColorStop(1,t+
 "00"),e.fillStyle=i,this.circle(0,0,s),e.fill()}circle(t,s,e){this.context.beginPath(),this.context.arc(t,s,e,0,7)}drawLamp(t,s,e){let{context:i,camera:n}=this,
@@ -202,23 +203,23 @@ let{context:a}=this;a.save(),a.translate(e,i);let[o]=this.outline(t,{actor:s,hea
 "40",a.strokeStyle=k.colors.other,a.lineWidth=2,a.setLineDash([4,3]),a.fill(o),a.stroke(o),a.restore()}drawDistance(){let{context:t,camera:s}=this,e=this.
 places.get(this.tracks.indexOf(s.followed,this.time)),i=e&&this.ghosts.find(({actor:n})=>this.ghost?.twin(n)===e.actor);!e||!i||(t.strokeStyle=k.colors.
 other,t.lineWidth=1.5,t.setLineDash([2,4]),t.beginPath(),t.moveTo(e.left,e.top),t.lineTo(i.left,i.top),t.stroke(),t.setLineDash([]))}drawLabels(){let{
-camera:t,tracks:s}=this,e=[],i=({actor:a})=>{let{id:o,kind:r,hero:c}=s.actors[a];return a===this.hovered?5:o===t.followed?4:c?3:r==="vehicle"?2:r==="w\
-alker"?1:0},n=this.shown.map(a=>({...a,importance:i(a)}));n.sort((a,o)=>o.importance-a.importance);for(let{actor:a,left:o,top:r,importance:c}of n){if(c<
-(t.scale>3.5?1:3))break;o<0||r<0||o>t.width||r>t.height||this.label(a,o,r,e,c>3)}this.context.globalAlpha=1}label(t,s,e,i,n){let{context:a,camera:o}=this,
-{label:r,box:c}=this.tracks.actors[t];a.font=`600 12px ${N}`;let l=t===this.hovered?this.tracks.speed(t,this.time)*3.6:NaN,d=(r.length>26?`${r.slice(0,
-25)}…`:r)+(Number.isNaN(l)?"":` · ${l.toFixed(0)} km/h`),m=a.measureText(d).width/2+4,p=Math.max(m,Math.min(o.width-m,s)),g=Math.max(9,Math.max(c[2],
-c[3])*o.scale),y=v=>i.some(([S,U,z])=>Math.abs(S-p)<z+m&&Math.abs(U-v)<15),x=[e-g-8,e+g+17].filter(v=>v>=14&&v<=o.height-6),w=x.find(v=>!y(v))??(n?x[0]:
+camera:t,tracks:s}=this,e=[],i=({actor:a})=>{let{id:o,kind:r,hero:h}=s.actors[a];return a===this.hovered?5:o===t.followed?4:h?3:r==="vehicle"?2:r==="w\
+alker"?1:0},n=this.shown.map(a=>({...a,importance:i(a)}));n.sort((a,o)=>o.importance-a.importance);for(let{actor:a,left:o,top:r,importance:h}of n){if(h<
+(t.scale>3.5?1:3))break;o<0||r<0||o>t.width||r>t.height||this.label(a,o,r,e,h>3)}this.context.globalAlpha=1}label(t,s,e,i,n){let{context:a,camera:o}=this,
+{label:r,box:h}=this.tracks.actors[t];a.font=`600 12px ${N}`;let l=t===this.hovered?this.tracks.speed(t,this.time)*3.6:NaN,d=(r.length>26?`${r.slice(0,
+25)}…`:r)+(Number.isNaN(l)?"":` · ${l.toFixed(0)} km/h`),m=a.measureText(d).width/2+4,p=Math.max(m,Math.min(o.width-m,s)),g=Math.max(9,Math.max(h[2],
+h[3])*o.scale),y=v=>i.some(([S,U,z])=>Math.abs(S-p)<z+m&&Math.abs(U-v)<15),x=[e-g-8,e+g+17].filter(v=>v>=14&&v<=o.height-6),w=x.find(v=>!y(v))??(n?x[0]:
 void 0);w!==void 0&&(i.push([p,w,m]),a.globalAlpha=n?1:.8,this.text(d,p,w,k.colors.text))}text(t,s,e,i){let{context:n}=this;n.font=`600 12px ${N}`,n.textAlign=
 "center",n.lineJoin="round",n.lineWidth=4,n.strokeStyle=k.colors.halo,n.fillStyle=i,n.strokeText(t,s,e),n.fillText(t,s,e)}hover(t,s){let e=this.hovered;
 return this.hovered=t===null?-1:this.actorAt(t,s),this.canvas.classList.toggle("over",this.hovered>=0),this.hovered!==e}actorAt(t,s){let[e,i]=[-1,18];
-for(let n of this.shown){let{kind:a,box:o}=this.tracks.actors[n.actor],r=F.has(a)?6:.6*Math.max(o[2],o[3])*this.camera.scale,c=Math.hypot(n.left-t,n.top-
-s)-r+(F.has(a)?14:0);c<i&&([e,i]=[n.actor,c])}return e}};var I=[480,300],zt=36,as=400,Bt=5,at=class{constructor(t){this.ground=t,this.entries=new Map,this.stages=new Map,this.observer=new IntersectionObserver(
+for(let n of this.shown){let{kind:a,box:o}=this.tracks.actors[n.actor],r=F.has(a)?6:.6*Math.max(o[2],o[3])*this.camera.scale,h=Math.hypot(n.left-t,n.top-
+s)-r+(F.has(a)?14:0);h<i&&([e,i]=[n.actor,h])}return e}};var I=[480,300],zt=36,as=400,Bt=5,at=class{constructor(t){this.ground=t,this.entries=new Map,this.stages=new Map,this.observer=new IntersectionObserver(
 s=>this.see(s),{rootMargin:"300px"}),k.addEventListener("change",()=>this.redraw())}image(t,s){let e=u("img","picture");return Object.assign(e,{alt:"",
 width:I[0],height:I[1]}),s.picture?(Object.assign(e,{src:s.picture,loading:"lazy",decoding:"async"}),e):(this.entries.set(e,{recording:t,incident:s,large:!1,
 drawn:null}),this.observer.observe(e),e)}see(t){for(let{target:s,isIntersecting:e}of t)e&&this.fill(s)}redraw(){for(let[t,s]of this.entries)(s.drawn||
 k.printing)&&this.fill(t)}fill(t){let s=this.entries.get(t),e=`${k.name} ${s?.large}`;!s||s.drawn===e||(s.drawn=e,t.src=this.draw(s.recording,s.incident,
 s.large))}enlarge(t,s){let e=t&&this.entries.get(t);e&&(e.large=s,e.drawn&&this.fill(t))}draw(t,{kind:s,start:e,actors:i,place:n},a){let o=e??0,r=this.
-stage(t),{tracks:c}=t,l=i.map(w=>c.indexOf(w,o)).filter(w=>w>=0),d=i.flatMap(w=>t.poseOf(w,o)??[]).map(({x:w,y:v})=>[w,v]);n&&d.push(n),d.length||d.push(
+stage(t),{tracks:h}=t,l=i.map(w=>h.indexOf(w,o)).filter(w=>w>=0),d=i.flatMap(w=>t.poseOf(w,o)??[]).map(({x:w,y:v})=>[w,v]);n&&d.push(n),d.length||d.push(
 [0,0]);let[m,p]=[d.map(([w])=>w),d.map(([,w])=>w)],{camera:g}=r;[g.x,g.y]=[(Math.min(...m)+Math.max(...m))/2,(Math.min(...p)+Math.max(...p))/2];let y=Math.
 max(Math.max(...m)-Math.min(...m),(Math.max(...p)-Math.min(...p))*I[0]/I[1]);g.scale=I[0]/Math.min(as,Math.max(a?zt:zt*.6,1.6*y)),r.draw(o),r.drawPaths(
 l,o-Bt,o,o+Bt);for(let w of r.shown)l.includes(w.actor)&&r.drawActor(w);s==="collision"&&n&&r.drawCross(...g.toScreen(...n),1);let x=[];for(let{actor:w,
@@ -235,48 +236,48 @@ hover:i=>{this.pointed=i===null?null:s.timeAt(i/this.width),e.changed()}}),k.add
 recordings.map(()=>u("output")),i=u("small"),n=e.map((o,r)=>u("span",`of-${this.recordings[r].letter}`,"",[o])),a=u("div","","",[u("dt","",t),u("dd","",
 "",[...n,u("small","",s),i])]);return f("readings").append(a),{node:a,values:e,note:i}}get isOpen(){return!this.frame.hidden}refresh(){this.drawn="",this.
 isOpen&&this.draw(this.time,this.followed)}get width(){return f("marks").clientWidth||this.canvas.clientWidth}draw(t,s){if(this.time=t,this.followed=s,
-!this.isOpen)return;let e=this.recordings.map(r=>{let c=s?r.tracks.indexOf(s[r.index],t):-1;return{recording:r,actor:c,series:c<0?null:r.motion.series(
-c)}}),i=Math.min(3,window.devicePixelRatio||1),n=e.map(({actor:r})=>r).join(),a=[this.canvas.clientWidth,this.canvas.clientHeight,this.width,this.part.
+!this.isOpen)return;let e=this.recordings.map(r=>{let h=s?r.tracks.indexOf(s[r.index],t):-1;return{recording:r,actor:h,series:h<0?null:r.motion.series(
+h)}}),i=Math.min(3,window.devicePixelRatio||1),n=e.map(({actor:r})=>r).join(),a=[this.canvas.clientWidth,this.canvas.clientHeight,this.width,this.part.
 start,this.part.stop,n,i].join();if(a!==this.drawn){this.showRows(e),this.drawn=a;for(let r of[this.canvas,this.base])r.width=Math.max(1,Math.round(this.
 canvas.clientWidth*i)),r.height=Math.max(1,Math.round(this.canvas.clientHeight*i));this.drawBase(e,i)}let{context:o}=this;o.setTransform(1,0,0,1,0,0),
 o.clearRect(0,0,this.canvas.width,this.canvas.height),o.drawImage(this.base,0,0),o.setTransform(i,0,0,i,0,0),this.drawLine(t,.7),this.pointed!==null&&
 this.drawPointed(this.pointed),this.showValues(e,this.pointed??t)}showRows(t){let s=({of:e,always:i})=>i||t.some(({series:n})=>n?.values[e].some(a=>!Number.
 isNaN(a)));this.rows=H.filter(s),H.forEach((e,i)=>this.readings[i].node.hidden=!this.rows.includes(e)),this.frame.style.setProperty("--rows",String(this.
 rows.length))}color(t){return t.index?k.colors.other:k.colors.accent}left(t){return this.part.share(t)*this.width}drawBase(t,s){let e=this.base.getContext(
-"2d"),{clientWidth:i,clientHeight:n}=this.canvas,{colors:a}=k,o=this.width;e.setTransform(s,0,0,s,0,0);let r=(n-W)/this.rows.length,c=i>o+20;this.drawTimes(
-e,n),e.save(),e.beginPath(),e.rect(0,0,o,n),e.clip(),this.scales=this.rows.map((l,d)=>{let m=this.scale(l,t),[p,g]=[d*r+(c?5:18),(d+1)*r-4],y=w=>g-(Math.
+"2d"),{clientWidth:i,clientHeight:n}=this.canvas,{colors:a}=k,o=this.width;e.setTransform(s,0,0,s,0,0);let r=(n-W)/this.rows.length,h=i>o+20;this.drawTimes(
+e,n),e.save(),e.beginPath(),e.rect(0,0,o,n),e.clip(),this.scales=this.rows.map((l,d)=>{let m=this.scale(l,t),[p,g]=[d*r+(h?5:18),(d+1)*r-4],y=w=>g-(Math.
 max(m[0],Math.min(m[1],w))-m[0])/(m[1]-m[0])*(g-p),x=Math.round(l.band?(p+g)/2:y(0))+.5;rt(e,a.line,0,x,o,x),d||this.drawIncidents(e,t,n);for(let w of[
 ...t].reverse())w.series&&l.band?this.drawBand(e,w,(p+g)/2):w.series&&this.drawCurve(e,l,w.series,this.color(w.recording),y);return{level:y,scale:m}}),
-e.restore(),e.font=`11px ${N}`,e.fillStyle=a.quiet,e.textAlign=c?"left":"right",this.rows.forEach((l,d)=>{let m=`${l.signed?"±":""}${this.scales[d].scale[1]}`;
-l.band||e.fillText(m,c?o+8:o-2,d*r+13)})}drawIncidents(t,s,e){t.setLineDash([2,3]);for(let{recording:i,actor:n}of s){let a=i.tracks.actors[n]?.id;for(let{
+e.restore(),e.font=`11px ${N}`,e.fillStyle=a.quiet,e.textAlign=h?"left":"right",this.rows.forEach((l,d)=>{let m=`${l.signed?"±":""}${this.scales[d].scale[1]}`;
+l.band||e.fillText(m,h?o+8:o-2,d*r+13)})}drawIncidents(t,s,e){t.setLineDash([2,3]);for(let{recording:i,actor:n}of s){let a=i.tracks.actors[n]?.id;for(let{
 incident:o,start:r}of i.incidentsIn(this.part.start-1e-6,this.part.stop))o.actors.includes(a)&&rt(t,k.tones[o.kind],this.left(r),0,this.left(r),e-W+2,
 1.5)}t.setLineDash([])}drawTimes(t,s){let{start:e,stop:i}=this.part,a=[.1,.2,.5,1,2,5,10,15,30,60,120,300,600,900,1800,3600].find(o=>o/(i-e)*this.width>
 64)??7200;t.font=`11px ${N}`,t.textAlign="center",t.fillStyle=k.colors.quiet;for(let o=Math.ceil(e/a-1e-6);o*a<=i;o++){let r=this.left(o*a);rt(t,k.colors.
 line,Math.round(r)+.5,0,Math.round(r)+.5,s-W+2),r<this.width-14&&t.fillText(M(o*a,a<1?1:0),Math.max(a<1?18:14,r),s-4)}}scale({of:t,factor:s=1,least:e,
 most:i,signed:n},a){let o=0;for(let{series:l}of a){if(!l)continue;let[d,m]=[b(l.times,this.part.start),b(l.times,this.part.stop)];for(let p=d;p<m;p++)
-o=Math.max(o,Math.abs(l.values[t][p])||0)}let r=Math.max(e,Math.min(o*s,i)),c=rs.find(l=>l>=r-1e-9)??r;return[n?-c:0,c]}eachSample({times:t},s){let{start:e,
+o=Math.max(o,Math.abs(l.values[t][p])||0)}let r=Math.max(e,Math.min(o*s,i)),h=rs.find(l=>l>=r-1e-9)??r;return[n?-h:0,h]}eachSample({times:t},s){let{start:e,
 stop:i}=this.part,[n,a]=[Math.max(0,b(t,e)-1),Math.min(t.length,b(t,i)+1)];for(let o=n;o<a;o++)s(o,o+1<a&&t[o+1]-t[o]<=1?o+1:-1)}drawCurve(t,s,e,i,n){
-for(let{name:a,factor:o}of Kt(s)){let r=e.values[a],[c,l]=[new Path2D,new Path2D],d=-1;this.eachSample(e,(m,p)=>{if(Number.isNaN(r[m]))return;let[g,y]=[
-this.left(e.times[m]),n(r[m]*o)];d<0&&l.moveTo(g,n(0)),d<0&&c.moveTo(g,y),c.lineTo(g,y),l.lineTo(g,y),d=p<0||Number.isNaN(r[p])?-1:m,d<0&&l.lineTo(g,n(
-0))}),t.fillStyle=t.strokeStyle=i,t.globalAlpha=.12,(!s.signed||s.below)&&t.fill(l),t.globalAlpha=1,t.lineWidth=1.6,t.lineJoin="round",t.stroke(c)}}drawBand(t,{
+for(let{name:a,factor:o}of Kt(s)){let r=e.values[a],[h,l]=[new Path2D,new Path2D],d=-1;this.eachSample(e,(m,p)=>{if(Number.isNaN(r[m]))return;let[g,y]=[
+this.left(e.times[m]),n(r[m]*o)];d<0&&l.moveTo(g,n(0)),d<0&&h.moveTo(g,y),h.lineTo(g,y),l.lineTo(g,y),d=p<0||Number.isNaN(r[p])?-1:m,d<0&&l.lineTo(g,n(
+0))}),t.fillStyle=t.strokeStyle=i,t.globalAlpha=.12,(!s.signed||s.below)&&t.fill(l),t.globalAlpha=1,t.lineWidth=1.6,t.lineJoin="round",t.stroke(h)}}drawBand(t,{
 recording:s,series:e},i){let n=i-xt+(this.recordings.length>1?(s.index-.5)*2*xt:0);this.eachSample(e,(a,o)=>{let r=e?.values.light[a]??NaN;if(!e||Number.
-isNaN(r)||o<0)return;t.fillStyle=s.report.lights[r]?.[1]??k.colors.quiet;let c=this.left(e.times[a]);t.fillRect(c,n,this.left(e.times[o])-c+.5,2*xt)})}drawLine(t,s){
+isNaN(r)||o<0)return;t.fillStyle=s.report.lights[r]?.[1]??k.colors.quiet;let h=this.left(e.times[a]);t.fillRect(h,n,this.left(e.times[o])-h+.5,2*xt)})}drawLine(t,s){
 let e=this.left(t);this.context.globalAlpha=s,e>=0&&e<=this.width&&rt(this.context,k.colors.text,e,0,e,this.canvas.clientHeight-W+2),this.context.globalAlpha=
 1}drawPointed(t){let{context:s}=this;this.drawLine(t,.4),s.font=`600 11px ${N}`,s.textAlign="center";let[e,i]=[M(t,2),this.canvas.clientHeight],n=s.measureText(
 e).width/2+6,a=Math.max(n,Math.min(this.width-n,this.left(t)));s.fillStyle=k.colors.text,s.beginPath(),s.roundRect(a-n,i-W+1,2*n,W-2,4),s.fill(),s.fillStyle=
 k.colors.halo,s.fillText(e,a,i-5)}showValues(t,s){this.rows.forEach((e,i)=>{let{values:n,note:a}=this.readings[H.indexOf(e)],o=[];t.forEach(({recording:r,
-series:c},l)=>{let d=c?Math.max(0,b(c.times,s+1e-5)-1):0,m=c&&r.tracks.covers(s)&&!Number.isNaN(c.values[e.of][d]);if(c&&!c.isMeasured&&e.of!=="speed"&&
-o.push("not measured"),L(n[l],m?this.text(e,r,c,d):"–"),!!m){o.push(this.note(e,r,c,d));for(let{name:p,factor:g}of Kt(e))this.context.fillStyle=this.
-color(r),this.context.beginPath(),this.context.arc(this.left(s),this.scales[i].level(c.values[p][d]*g),3.2,0,7),this.left(s)>=0&&this.left(s)<=this.width&&
-this.context.fill()}}),L(a,[...new Set(o)].filter(Boolean).join(", "))})}text({of:t,below:s,factor:e=1,digits:i,band:n},a,o,r){let c=o.values[t][r];if(n)
-return a.report.lights[c]?.[0]??"unknown";let l=$(t==="steer"?Math.abs(c*e):c*e,i);return s?`${l} / ${$(o.values[s][r]*e,i)}`:l}note({of:t},s,e,i){return t===
+series:h},l)=>{let d=h?Math.max(0,b(h.times,s+1e-5)-1):0,m=h&&r.tracks.covers(s)&&!Number.isNaN(h.values[e.of][d]);if(h&&!h.isMeasured&&e.of!=="speed"&&
+o.push("not measured"),L(n[l],m?this.text(e,r,h,d):"–"),!!m){o.push(this.note(e,r,h,d));for(let{name:p,factor:g}of Kt(e))this.context.fillStyle=this.
+color(r),this.context.beginPath(),this.context.arc(this.left(s),this.scales[i].level(h.values[p][d]*g),3.2,0,7),this.left(s)>=0&&this.left(s)<=this.width&&
+this.context.fill()}}),L(a,[...new Set(o)].filter(Boolean).join(", "))})}text({of:t,below:s,factor:e=1,digits:i,band:n},a,o,r){let h=o.values[t][r];if(n)
+return a.report.lights[h]?.[0]??"unknown";let l=$(t==="steer"?Math.abs(h*e):h*e,i);return s?`${l} / ${$(o.values[s][r]*e,i)}`:l}note({of:t},s,e,i){return t===
 "steer"?Math.abs(e.values.steer[i])<.005?"":e.values.steer[i]<0?"left":"right":t==="light"?Number.isNaN(e.values.distance[i])?"":`${$(e.values.distance[i],
-0)} m`:t==="gap"&&e.leader[i]>=0?`to ${s.tracks.actors[e.leader[i]].label}`:""}};function Kt({of:h,below:t,factor:s=1,band:e}){return e?[]:[{name:h,factor:s},
-...t?[{name:t,factor:-s}]:[]]}function rt(h,t,s,e,i,n,a=1){h.strokeStyle=t,h.lineWidth=a,h.beginPath(),h.moveTo(s,e),h.lineTo(i,n),h.stroke()}async function Gt(h){try{return await navigator.clipboard.writeText(h),!0}catch{let t=Object.assign(document.createElement("textarea"),{value:h,className:"\
-unseen"});document.body.append(t),t.select();let s=document.execCommand("copy");return t.remove(),s}}async function Ht(h,t,s){let e=h.map(({canvas:g})=>g.
+0)} m`:t==="gap"&&e.leader[i]>=0?`to ${s.tracks.actors[e.leader[i]].label}`:""}};function Kt({of:c,below:t,factor:s=1,band:e}){return e?[]:[{name:c,factor:s},
+...t?[{name:t,factor:-s}]:[]]}function rt(c,t,s,e,i,n,a=1){c.strokeStyle=t,c.lineWidth=a,c.beginPath(),c.moveTo(s,e),c.lineTo(i,n),c.stroke()}async function Gt(c){try{return await navigator.clipboard.writeText(c),!0}catch{let t=Object.assign(document.createElement("textarea"),{value:c,className:"\
+unseen"});document.body.append(t),t.select();let s=document.execCommand("copy");return t.remove(),s}}async function Ht(c,t,s){let e=c.map(({canvas:g})=>g.
 getBoundingClientRect()),[i,n]=[Math.min(...e.map(g=>g.left)),Math.min(...e.map(g=>g.top))],[a,o]=[Math.max(...e.map(g=>g.right)),Math.max(...e.map(g=>g.
-bottom))],[r,c]=[h[0].ratio,34],l=document.createElement("canvas");[l.width,l.height]=[Math.round((a-i)*r),Math.round((o-n+c)*r)];let d=l.getContext("\
-2d",{alpha:!1});d.fillStyle=k.colors.halo,d.fillRect(0,0,l.width,l.height),h.forEach((g,y)=>d.drawImage(g.canvas,(e[y].left-i)*r,(e[y].top-n)*r)),d.setTransform(
+bottom))],[r,h]=[c[0].ratio,34],l=document.createElement("canvas");[l.width,l.height]=[Math.round((a-i)*r),Math.round((o-n+h)*r)];let d=l.getContext("\
+2d",{alpha:!1});d.fillStyle=k.colors.halo,d.fillRect(0,0,l.width,l.height),c.forEach((g,y)=>d.drawImage(g.canvas,(e[y].left-i)*r,(e[y].top-n)*r)),d.setTransform(
 r,0,0,r,0,0),d.font=`13px ${N}`,d.fillStyle=k.colors.text,d.fillText(t,12,o-n+22,a-i-24);let m=await new Promise(g=>l.toBlob(g)),p=Object.assign(document.
 createElement("a"),{href:URL.createObjectURL(m),download:s});p.click(),setTimeout(()=>URL.revokeObjectURL(p.href),1e4)}var ct=class{constructor(t,s){this.frame=f("space"),this.button=f("solid"),this.sign=f("loading"),this.button.hidden=!t.viewer,document.body.classList.
 toggle("with-viewer",t.viewer),this.changed=s,this.shown="",location.protocol==="file:"?(this.button.disabled=!0,this.button.title="The view in 3D nee\
@@ -293,16 +294,16 @@ clientWidth*s.length)}),t.addEventListener("state",()=>this.showState()),s.addEv
 marks.clientWidth),new ResizeObserver(()=>this.addMarks()).observe(this.marks),this.showPart(),this.showState()}share(t){return`${(100*Math.min(1,Math.
 max(0,this.part.share(t)))).toFixed(3)}%`}showPart(){let{start:t,stop:s,length:e,isWhole:i}=this.part;[this.slider.min,this.slider.max]=[String(t),String(
 s)],this.overview.hidden=i;let n=this.overview.firstElementChild;n.style.left=`${100*t/e}%`,n.style.width=`${100*(s-t)/e}%`;let a=this.clock.spans.filter(
-([o,r])=>o<s&&r>t);if(this.covered.replaceChildren(...a.map(([o,r])=>{let c=u("i");return c.style.left=this.share(o),c.style.width=`${100*(Math.min(1,
-this.part.share(r))-Math.max(0,this.part.share(o)))}%`,c})),this.difference!==null&&t<=this.difference&&this.difference<=s){let o=u("i","difference");
+([o,r])=>o<s&&r>t);if(this.covered.replaceChildren(...a.map(([o,r])=>{let h=u("i");return h.style.left=this.share(o),h.style.width=`${100*(Math.min(1,
+this.part.share(r))-Math.max(0,this.part.share(o)))}%`,h})),this.difference!==null&&t<=this.difference&&this.difference<=s){let o=u("i","difference");
 o.style.left=this.share(this.difference),this.covered.append(o)}this.addMarks(),this.showTime()}addMarks(){let t=this.marks.clientWidth,{start:s,stop:e}=this.
 part,i=[t,s,e,...this.incidents.hidden].join();if(t&&i===this.drawn)return;this.drawn=i;let n=document.activeElement instanceof HTMLElement?document.activeElement.
 dataset.incident:void 0;this.marks.replaceChildren();let a=this.incidents.played.filter(o=>!o.row.hidden&&o.start>=s&&o.start<=e);for(let{index:o}of this.
-incidents.recordings){let r=a.filter(({recording:m})=>m.index===o),c=r.map(m=>this.part.share(m.start)*t),l=[],d=0;r.forEach((m,p)=>{let g=c[p+1]-c[p]<
-(qt+_t)/2,y=[l.length>1,g].map(x=>x?_t:qt);l.length&&c[p]-c[d]>=(y[0]+y[1])/2&&(this.addMark(l),l=[]),l.length||(d=p),l.push(m)}),l.length&&this.addMark(
-l)}n&&this.marks.querySelector(`[data-incident="${n}"]`)?.focus()}addMark(t){let s=Object.keys(KINDS).find(r=>t.some(c=>c.kind===r)),e=t.map(({index:r})=>r),
+incidents.recordings){let r=a.filter(({recording:m})=>m.index===o),h=r.map(m=>this.part.share(m.start)*t),l=[],d=0;r.forEach((m,p)=>{let g=h[p+1]-h[p]<
+(qt+_t)/2,y=[l.length>1,g].map(x=>x?_t:qt);l.length&&h[p]-h[d]>=(y[0]+y[1])/2&&(this.addMark(l),l=[]),l.length||(d=p),l.push(m)}),l.length&&this.addMark(
+l)}n&&this.marks.querySelector(`[data-incident="${n}"]`)?.focus()}addMark(t){let s=Object.keys(KINDS).find(r=>t.some(h=>h.kind===r)),e=t.map(({index:r})=>r),
 i=t.length>1?t.length>99?"99+":String(t.length):"",n=C("mark",[i],()=>{this.open(e[(e.indexOf(this.incidents.current)+1)%e.length])}),a=t.slice(0,8).map(
-({incident:r,start:c})=>`${M(c)} ${r.text}`),o=`${t.length} incidents; a click plays one after the other:`;n.title=[...t.length>1?[o]:[],...a,...t.length>
+({incident:r,start:h})=>`${M(h)} ${r.text}`),o=`${t.length} incidents; a click plays one after the other:`;n.title=[...t.length>1?[o]:[],...a,...t.length>
 8?[`and ${t.length-8} more`]:[]].join(`
 `),n.setAttribute("aria-label",t.length>1?`${t.length} incidents`:n.title),n.classList.toggle("cluster",t.length>1),n.classList.toggle("below",t[0].recording.
 index>0),n.dataset.kind=s,n.dataset.incident=String(t[0].index),n.style.left=this.share(t[0].start),this.marks.append(n)}changePace(t){let{options:s}=this.
@@ -311,44 +312,44 @@ clock;this.button.classList.toggle("playing",t),this.button.setAttribute("aria-l
 M(t),this.slider.value=String(t),this.slider.style.setProperty("--share",this.share(t)),this.slider.setAttribute("aria-valuetext",`${t.toFixed(1)} sec\
 onds`)}};var hs=3,cs=6,ls=2,vt=-1,Mt=56,ds=2500,Vt=window.matchMedia("(max-width: 700px)"),St=class{constructor(t,s,e){this.recordings=t,this.recording=t[0],this.
 tracks=this.recording.tracks;let i=[...new Set(t.flatMap(({tracks:o})=>[...o.times]))].sort((o,r)=>o-r);this.clock=new X(Ot(t.map(({tracks:o})=>o.spans)),
-i);let{x:n,y:a}=this.tracks;this.ground=new tt(s,n.length?{x:n[0],y:a[0]}:{x:0,y:0}),this.stages=t.map((o,r)=>{let c=f(["canvas","other-canvas"][r]);return new j(
-c,[o],new R,this.ground)}),this.stage=this.stages[0],this.camera=this.stage.camera,this.help=f("help"),this.mode="",this.ends=[],this.part=new it(Math.
+i);let{x:n,y:a}=this.tracks;this.ground=new tt(s,n.length?{x:n[0],y:a[0]}:{x:0,y:0}),this.stages=t.map((o,r)=>{let h=f(["canvas","other-canvas"][r]);return new j(
+h,[o],new R,this.ground)}),this.stage=this.stages[0],this.camera=this.stage.camera,this.help=f("help"),this.mode="",this.ends=[],this.part=new it(Math.
 max(this.clock.stop,...t.map(({report:o})=>o.duration??0))),this.incidents=new et(t,new at(this.ground),o=>this.open(o),()=>this.transport.addMarks()),
 this.transport=new lt(this.clock,this.part,this.incidents,o=>this.open(o)),this.plots=new ht(t,this.part,{seek:o=>this.clock.seek(o),changed:()=>this.
 changed()}),this.space=new ct(this.recording.report,()=>this.changed()),this.images=new st(e,t,()=>this.changed()),this.jumps=-1,this.last=0,this.stale=
-!0,this.linked="",this.begun="",this.linking=this.toasting=0;for(let o of this.stages){let r=c=>{c(),this.link(o)};new O(o.canvas,{drag:(c,l)=>r(()=>o.
-camera.pan(c,l)),zoom:(c,l,d)=>r(()=>o.camera.zoom(c,l,d)),hover:(c,l)=>o.hover(c,l)&&this.changed(),click:(c,l)=>{let d=o.actorAt(c,l);d>=0&&this.follow(
+!0,this.linked="",this.begun="",this.linking=this.toasting=0;for(let o of this.stages){let r=h=>{h(),this.link(o)};new O(o.canvas,{drag:(h,l)=>r(()=>o.
+camera.pan(h,l)),zoom:(h,l,d)=>r(()=>o.camera.zoom(h,l,d)),hover:(h,l)=>o.hover(h,l)&&this.changed(),click:(h,l)=>{let d=o.actorAt(h,l);d>=0&&this.follow(
 o.tracks.actors[d].id,{recording:o.recording})}})}Vt.matches&&this.togglePlots(),this.summarise(),t.length>1&&this.compare(),this.actors=new Z(t,(o,r)=>this.
-choose(o,r)),this.listen()}summarise(){let t=this.recordings.map(({report:p})=>p),[{map:s,program:e,duration:i,frames:n,version:a,kinds:o}]=t;document.
-title=`${s||"Recording"} · ${t.map(({source:p})=>p).join(" and ")}`,f("map").textContent=s||"No map name";let r=f("origin");t.length>1?this.recordings.
-forEach(({letter:p,report:g})=>{let y=g.duration===null?"":` · ${M(g.duration)}`,x=u("span","",`${g.source}${y} · ${yt(g.incidents.length)}`);r.append(
-u("span","source","",[T(p),x]))}):r.textContent=`${t[0].source} · ${ms(t[0].date)}`;let c=f("facts"),l=(p,...g)=>{c.append(u("div",p==="Actors"?"":"m\
-inor","",[u("dt","",p),u("dd","","",g)]))};t.length===1&&(l("Duration",i===null?"unknown":M(i)),l("Frames",n.toLocaleString("en")),l("CARLA format",String(
-a)));let d=o.map(([p,g,y])=>u("span","kind","",[P(y),u("b","",String(g)),` ${p}${g===1||p==="other"?"":"s"}`]));l("Actors",...d.length?d:["none"]),f("\
-program").textContent=e;let m=this.recording.report.opening?.notes??[];f("notes").append(...m.map(p=>u("li","",p))),f("notes").hidden=!m.length}compare(){
-let[t,s]=this.recordings;Lt(t,s);let{differences:e}=t.report;f("difference").textContent=`${e?.text}.`,this.transport.difference=e?.since??null,this.transport.
-showPart(),f("compare").hidden=!1,document.body.classList.add("compares"),f("other-speed-line").hidden=!1,this.setMode(e?.over||Vt.matches?"over":"bes\
-ide")}setMode(t){if(this.recordings.length<2)return;this.mode=t;let s=t==="beside";f("other-pane").hidden=!s,f("panes").classList.toggle("two",s);for(let i of[
-"beside","over"])A(i,i===t);this.stage.show(s?[this.recordings[0]]:this.recordings),this.ends=this.recordings.map(()=>u("span","ended"));let e=this.recordings.
-map(({letter:i,report:n},a)=>[T(i),u("span","",n.source),this.ends[a]]);f("pane-name").replaceChildren(...s?e[0]:e.flat()),f("other-pane-name").replaceChildren(
-...s?e[1]:[]),this.link(this.stage),this.resize()}get active(){return this.mode==="beside"?this.stages:[this.stage]}get actions(){let{camera:t,clock:s,
-help:e,images:i,part:n,space:a,transport:o}=this;return[{id:"play",keys:["Space","k"],name:"Play or pause",run:()=>s.toggle()},{keys:["←"],name:"1 s\
-econd back; with Shift a tenth",run:()=>{}},{keys:["→"],name:"1 second on; with Shift a tenth",run:()=>{}},{id:"back",keys:[","],name:"One frame bac\
-k",run:()=>s.step(-1)},{id:"forth",keys:["."],name:"One frame on",run:()=>s.step(1)},{id:"previous",keys:["p"],name:"Previous incident",run:()=>this.step(
--1)},{id:"next",keys:["n"],name:"Next incident",run:()=>this.step(1)},{keys:["<"],name:"Slower",run:()=>o.changePace(-1)},{keys:[">"],name:"Faster",run:()=>o.
-changePace(1)},{keys:["z"],name:"Zoom into the timeline",run:()=>n.zoom(2,s.time)},{keys:["x"],name:"Zoom out of the timeline",run:()=>n.zoom(.5,s.time)},
-{keys:["a","/"],name:"Search actors",run:()=>this.actors.startSearch()},{id:"release",keys:["Escape"],name:"Stop following",run:()=>this.follow(null)},
-{id:"heading",keys:["h"],name:"Turn with the followed actor",run:()=>this.toggle("heading",t.turns)},{id:"closer",keys:["+","="],name:"Zoom in",run:()=>this.
-zoom(1.25)},{id:"farther",keys:["-","−"],name:"Zoom out",run:()=>this.zoom(.8)},{id:"fit",keys:["f"],name:"Show everything",run:()=>this.fit()},{id:"\
-labels",keys:["l"],name:"Names",run:()=>this.toggle("labels",this.stage.labels)},{id:"trails",keys:["t"],name:"Trails",run:()=>this.toggle("trails",this.
-stage.trails)},{id:"curves",keys:["g"],name:"Plots",run:()=>this.togglePlots()},{id:"images",keys:["i"],name:"Camera",run:()=>i.toggle(),off:i.button.
-hidden},{id:"copy",keys:["y"],name:"Copy a link to this moment",run:()=>this.copyLink()},{id:"save",keys:["s"],name:"Save a picture of the view",run:()=>this.
-savePicture()},{id:"theme",keys:["d"],name:"Light or dark",run:()=>k.toggle()},{id:"beside",keys:[],name:"Side by side (C)",run:()=>this.setMode("besi\
-de")},{id:"over",keys:[],name:"Overlaid (C)",run:()=>this.setMode("over")},{keys:["c"],name:"Side by side or overlaid",run:()=>this.setMode(this.mode===
-"beside"?"over":"beside"),off:!this.mode},{id:"solid",keys:["v"],name:"View in 3D",run:()=>a.toggle(),off:a.button.hidden},{id:"keys",keys:["?"],name:"\
-Keyboard shortcuts",run:()=>e.showModal()}].filter(({off:c})=>!c)}listen(){let t={Escape:"Esc","-":"−"};for(let{id:e,keys:[i],name:n,run:a}of this.actions){
-let o=i&&(t[i]??(i.length===1?i.toUpperCase():i));if(o&&f("shortcuts").append(u("div","","",[u("dt","","",[u("kbd","",o)]),u("dd","",n)])),!e)continue;
-let r=f(e);r.addEventListener("click",a),r.textContent?.trim()||r.setAttribute("aria-label",n),r.title||=o?`${n} (${o})`:n}this.clock.addEventListener(
+choose(o,r),()=>this.changed()),this.listen()}summarise(){let t=this.recordings.map(({report:p})=>p),[{map:s,program:e,duration:i,frames:n,version:a,kinds:o}]=t;
+document.title=`${s||"Recording"} · ${t.map(({source:p})=>p).join(" and ")}`,f("map").textContent=s||"No map name";let r=f("origin");t.length>1?this.
+recordings.forEach(({letter:p,report:g})=>{let y=g.duration===null?"":` · ${M(g.duration)}`,x=u("span","",`${g.source}${y} · ${yt(g.incidents.length)}`);
+r.append(u("span","source","",[T(p),x]))}):r.textContent=`${t[0].source} · ${ms(t[0].date)}`;let h=f("facts"),l=(p,...g)=>{h.append(u("div",p==="Acto\
+rs"?"":"minor","",[u("dt","",p),u("dd","","",g)]))};t.length===1&&(l("Duration",i===null?"unknown":M(i)),l("Frames",n.toLocaleString("en")),l("CARLA f\
+ormat",String(a)));let d=o.map(([p,g,y])=>u("span","kind","",[P(y),u("b","",String(g)),` ${p}${g===1||p==="other"?"":"s"}`]));l("Actors",...d.length?d:
+["none"]),f("program").textContent=e;let m=this.recording.report.opening?.notes??[];f("notes").append(...m.map(p=>u("li","",p))),f("notes").hidden=!m.
+length}compare(){let[t,s]=this.recordings;Lt(t,s);let{differences:e}=t.report;f("difference").textContent=`${e?.text}.`,this.transport.difference=e?.since??
+null,this.transport.showPart(),f("compare").hidden=!1,document.body.classList.add("compares"),f("other-speed-line").hidden=!1,this.setMode(e?.over||Vt.
+matches?"over":"beside")}setMode(t){if(this.recordings.length<2)return;this.mode=t;let s=t==="beside";f("other-pane").hidden=!s,f("panes").classList.toggle(
+"two",s);for(let i of["beside","over"])A(i,i===t);this.stage.show(s?[this.recordings[0]]:this.recordings),this.ends=this.recordings.map(()=>u("span","\
+ended"));let e=this.recordings.map(({letter:i,report:n},a)=>[T(i),u("span","",n.source),this.ends[a]]);f("pane-name").replaceChildren(...s?e[0]:e.flat()),
+f("other-pane-name").replaceChildren(...s?e[1]:[]),this.link(this.stage),this.resize()}get active(){return this.mode==="beside"?this.stages:[this.stage]}get actions(){
+let{camera:t,clock:s,help:e,images:i,part:n,space:a,transport:o}=this;return[{id:"play",keys:["Space","k"],name:"Play or pause",run:()=>s.toggle()},{keys:[
+"←"],name:"1 second back; with Shift a tenth",run:()=>{}},{keys:["→"],name:"1 second on; with Shift a tenth",run:()=>{}},{id:"back",keys:[","],name:"\
+One frame back",run:()=>s.step(-1)},{id:"forth",keys:["."],name:"One frame on",run:()=>s.step(1)},{id:"previous",keys:["p"],name:"Previous incident",run:()=>this.
+step(-1)},{id:"next",keys:["n"],name:"Next incident",run:()=>this.step(1)},{keys:["<"],name:"Slower",run:()=>o.changePace(-1)},{keys:[">"],name:"Faste\
+r",run:()=>o.changePace(1)},{keys:["z"],name:"Zoom into the timeline",run:()=>n.zoom(2,s.time)},{keys:["x"],name:"Zoom out of the timeline",run:()=>n.
+zoom(.5,s.time)},{keys:["a","/"],name:"Search actors",run:()=>this.actors.startSearch()},{id:"release",keys:["Escape"],name:"Stop following",run:()=>this.
+follow(null)},{id:"heading",keys:["h"],name:"Turn with the followed actor",run:()=>this.toggle("heading",t.turns)},{id:"closer",keys:["+","="],name:"Z\
+oom in",run:()=>this.zoom(1.25)},{id:"farther",keys:["-","−"],name:"Zoom out",run:()=>this.zoom(.8)},{id:"fit",keys:["f"],name:"Show everything",run:()=>this.
+fit()},{id:"labels",keys:["l"],name:"Names",run:()=>this.toggle("labels",this.stage.labels)},{id:"trails",keys:["t"],name:"Trails",run:()=>this.toggle(
+"trails",this.stage.trails)},{id:"curves",keys:["g"],name:"Plots",run:()=>this.togglePlots()},{id:"images",keys:["i"],name:"Camera",run:()=>i.toggle(),
+off:i.button.hidden},{id:"copy",keys:["y"],name:"Copy a link to this moment",run:()=>this.copyLink()},{id:"save",keys:["s"],name:"Save a picture of th\
+e view",run:()=>this.savePicture()},{id:"theme",keys:["d"],name:"Light or dark",run:()=>k.toggle()},{id:"beside",keys:[],name:"Side by side (C)",run:()=>this.
+setMode("beside")},{id:"over",keys:[],name:"Overlaid (C)",run:()=>this.setMode("over")},{keys:["c"],name:"Side by side or overlaid",run:()=>this.setMode(
+this.mode==="beside"?"over":"beside"),off:!this.mode},{id:"solid",keys:["v"],name:"View in 3D",run:()=>a.toggle(),off:a.button.hidden},{id:"keys",keys:[
+"?"],name:"Keyboard shortcuts",run:()=>e.showModal()}].filter(({off:h})=>!h)}listen(){let t={Escape:"Esc","-":"−"};for(let{id:e,keys:[i],name:n,run:a}of this.
+actions){let o=i&&(t[i]??(i.length===1?i.toUpperCase():i));if(o&&f("shortcuts").append(u("div","","",[u("dt","","",[u("kbd","",o)]),u("dd","",n)])),!e)
+continue;let r=f(e);r.addEventListener("click",a),r.textContent?.trim()||r.setAttribute("aria-label",n),r.title||=o?`${n} (${o})`:n}this.clock.addEventListener(
 "seek",()=>this.changed()),this.clock.addEventListener("state",()=>this.changed()),this.part.addEventListener("change",()=>this.changed()),k.addEventListener(
 "change",()=>this.drawStages()),document.addEventListener("keydown",e=>this.key(e)),document.addEventListener("click",({detail:e,target:i})=>{let n=i.
 closest("button");e&&n?.blur()}),window.addEventListener("hashchange",()=>this.readLink());let s=new ResizeObserver(()=>this.resize());for(let e of this.
@@ -359,8 +360,8 @@ this.showOpening(),this.begun=this.address(),this.readLink(),this.changed()}show
 {};if(t===null)return;let e=this.incidents.items.findIndex(({start:i,incident:n})=>Math.abs(i-t)<.01&&n.actors.join()===s.join());if(this.incidents.items[e]?.
 replayed){this.open(e,{play:!1});return}this.clock.seek(Math.max(0,t-G)),s.length&&this.tracks.byId.has(s[0])&&this.follow(s[0],{quiet:!0})}open(t,{play:s=!0}={}){
 let e=this.incidents.items[t];if(!e||!e.replayed)return;let{incident:i,recording:n}=e;this.incidents.choose(t);let[a,o]=this.shownAround(e);s?this.clock.
-playThrough(a,o):this.clock.seek(a);let r=i.actors.find(c=>n.poseOf(c,this.clock.time)!==null);this.follow(r??null,{recording:n,quiet:!0});for(let{camera:c}of this.
-stages)r===void 0&&i.place&&([c.x,c.y]=i.place),c.show(Mt);this.say(`Incident ${t+1} of ${this.incidents.items.length}: ${i.text}`)}shownAround({start:t,
+playThrough(a,o):this.clock.seek(a);let r=i.actors.find(h=>n.poseOf(h,this.clock.time)!==null);this.follow(r??null,{recording:n,quiet:!0});for(let{camera:h}of this.
+stages)r===void 0&&i.place&&([h.x,h.y]=i.place),h.show(Mt);this.say(`Incident ${t+1} of ${this.incidents.items.length}: ${i.text}`)}shownAround({start:t,
 incident:s}){return[Math.max(0,t-G),Math.min(s.stop??t,t+cs)+hs]}step(t){let s=this.incidents.neighbour(t);s>=0&&this.open(s)}choose(t,s){let{tracks:e}=t;
 e.trackAt(s,e.sampleAt(this.clock.time))>=0||this.clock.seek(e.times[e.firsts[s][0]]),this.follow(e.actors[s].id,{recording:t});for(let{camera:n}of this.
 stages)n.show(Mt)}follow(t,{recording:s=this.recording,quiet:e=!1}={}){let i=t===null?-1:s.tracks.indexOf(t,this.clock.time);for(let{camera:n,recording:a}of this.
@@ -375,7 +376,7 @@ ves",this.plots.isOpen),this.plots.refresh(),this.changed()}key(t){if(t.ctrlKey|
 60*i[0],60*i[1]),this.link(this.stage);else if(i?.[0])this.clock.seek(Math.max(0,this.clock.time-i[0]*(t.shiftKey?.1:1)));else if(a)a.run();else return;
 t.preventDefault()}followedPoses(){let{followed:t}=this;return this.recordings.map((s,e)=>t&&s.poseOf(t[e],this.clock.time))}focus(t){let s=this.followedPoses(),
 e=s[t.recording.index],i=s.length>1?s[1-t.recording.index]:null;if(!e||!i||this.mode==="beside")return e??i;let[n,a]=[(i.x-e.x)/2,(i.y-e.y)/2],{width:o,
-height:r,scale:c}=t.camera,l=Math.min(1,.3*Math.min(o,r)/c/Math.max(1e-6,Math.hypot(n,a)));return{x:e.x+l*n,y:e.y+l*a,yaw:e.yaw}}changed(){this.stale||
+height:r,scale:h}=t.camera,l=Math.min(1,.3*Math.min(o,r)/h/Math.max(1e-6,Math.hypot(n,a)));return{x:e.x+l*n,y:e.y+l*a,yaw:e.yaw}}changed(){this.stale||
 (this.stale=!0,requestAnimationFrame(t=>this.draw(t)))}draw(t){let s=Math.min(.1,Math.max(0,(t-this.last)/1e3));this.last=t,this.stale=!1,this.clock.playing&&
 this.clock.tick(s);let e=this.jumps!==this.clock.jumps;this.jumps=this.clock.jumps;let i=!1;for(let n of this.active)i=n.camera.step(this.focus(n),s,e)||
 i;if(this.space.isOpen)this.space.show(this.clock.time,this.followedActor());else for(let n of this.active)n.draw(this.clock.time);this.plots.draw(this.
@@ -383,11 +384,11 @@ clock.time,this.followed),this.images.show(this.clock.time),this.transport.showT
 this.clock.time,this.followed),this.showFollowed(),this.showCaption(),this.showRule(),this.showEnds(),this.writeLink(),(this.clock.playing||i)&&this.changed()}showFollowed(){
 let{time:t}=this.clock,s=this.followedActor();if(f("followed").hidden=!s,f("heading").disabled=!s,!s)return;let e=(a,o)=>L(f(a),o);f("followed-color").
 style.background=s.color,e("followed-name",s.label),e("followed-type",[s.type||s.kind,s.role&&s.role!=="hero"?s.role:""].filter(Boolean).join(" · "));
-let i=this.followedPoses();this.recordings.forEach(({tracks:a},o)=>{let c=i[o]&&a.covers(t)?a.speed(a.indexOf(this.followed?.[o],t),t)*3.6:NaN;e(o?"ot\
-her-speed":"speed",Number.isNaN(c)?"–":c.toFixed(0))});let n=i.length>1&&i[0]&&i[1]?Math.hypot(i[0].x-i[1].x,i[0].y-i[1].y):0;e("apart",n>Y?`${n.toFixed(
+let i=this.followedPoses();this.recordings.forEach(({tracks:a},o)=>{let h=i[o]&&a.covers(t)?a.speed(a.indexOf(this.followed?.[o],t),t)*3.6:NaN;e(o?"ot\
+her-speed":"speed",Number.isNaN(h)?"–":h.toFixed(0))});let n=i.length>1&&i[0]&&i[1]?Math.hypot(i[0].x-i[1].x,i[0].y-i[1].y):0;e("apart",n>Y?`${n.toFixed(
 1)} m apart`:"")}followedActor(){return this.recordings.map((s,e)=>s.actor(this.followed?.[e],this.clock.time)).find(s=>s!==null)??null}showCaption(){
 let{time:t}=this.clock,s=this.incidents.items[this.incidents.current],i=s?.replayed&&s.start-G-.05<=t&&t<=this.shownAround(s)[1]+.05?s:this.incidents.
-latestIn(t-ls-.05,t+.05),n=f("caption");if(n.hidden=!i,!i)return;let a=i.start-t,o=this.recordings.find(c=>c!==i.recording),r=(o&&!o.has(i.incident)?`${i.
+latestIn(t-ls-.05,t+.05),n=f("caption");if(n.hidden=!i,!i)return;let a=i.start-t,o=this.recordings.find(h=>h!==i.recording),r=(o&&!o.has(i.incident)?`${i.
 recording.letter}: `:"")+i.incident.text;L(f("caption-text"),r),L(f("caption-when"),a>.05?`in ${a.toFixed(1)} s`:""),n.dataset.kind=i.kind}showRule(){
 let t=[1,2,5,10,20,50,100,200,500,1e3,2e3,5e3].find(s=>s*this.camera.scale>=56)??1e4;f("rule").style.width=`${t*this.camera.scale}px`,f("rule-length").
 textContent=t<1e3?`${t} m`:`${t/1e3} km`}showEnds(){this.ends.forEach((t,s)=>{let e=this.recordings[s].tracks.times.at(-1)??0;L(t,this.clock.time>e+.1?
@@ -403,7 +404,7 @@ a)&&this.setMode(a),e!==null&&this.open(e-1,{play:i===null}),i!==null&&this.cloc
 current:i}=this.incidents,n=[`t=${Number(s.toFixed(2))}`];if(e[i]){let[a,o]=this.shownAround(e[i]);a-.1<=s&&s<=o+.1&&n.unshift(`incident=${i+1}`)}return t!==
 null&&t!==vt&&n.push(`follow=${t}`),this.mode==="over"&&n.push("view=over"),`#${n.join("&")}`}writeLink(){let t=this.address();this.clock.playing||t===
 this.linked||t===this.begun&&!this.linked||(this.linked=t,clearTimeout(this.linking),this.linking=window.setTimeout(()=>history.replaceState(null,"",t),
-250))}};function ms(h){let t=h&&new Date(h);return!t||!Number.isFinite(t.getTime())?"no date":`${t.toLocaleString("en-GB",{dateStyle:"long",timeStyle:"\
-short",timeZone:"UTC"})} UTC`}Promise.all([ft(GROUND),...RECORDINGS.map(ft)]).then(([h,...t])=>{let s=new St(t.map((e,i)=>new J(i,REPORTS[i],e)),h,IMAGES);
-Object.assign(globalThis,{replay:s,theme:k}),s.stale=!1,s.start(),s.draw(performance.now()),performance.mark("recap-first-frame")}).catch(h=>{let t=f(
-"nothing");throw t.textContent=`This page cannot be shown: ${h.message}. A browser from 2023 or later was expected.`,t.hidden=!1,h});})();
+250))}};function ms(c){let t=c&&new Date(c);return!t||!Number.isFinite(t.getTime())?"no date":`${t.toLocaleString("en-GB",{dateStyle:"long",timeStyle:"\
+short",timeZone:"UTC"})} UTC`}Promise.all([ft(GROUND),...RECORDINGS.map(ft)]).then(([c,...t])=>{let s=new St(t.map((e,i)=>new J(i,REPORTS[i],e)),c,IMAGES);
+Object.assign(globalThis,{replay:s,theme:k}),s.stale=!1,s.start(),s.draw(performance.now()),performance.mark("recap-first-frame")}).catch(c=>{let t=f(
+"nothing");throw t.textContent=`This page cannot be shown: ${c.message}. A browser from 2023 or later was expected.`,t.hidden=!1,c});})();

@@ -8,9 +8,11 @@ const MOST = 200; // actors that are listed at once
 /** @typedef {{ recording: Recorded, actor: number, words: string, button: HTMLButtonElement }} Entry */
 
 export class Actors {
-  /** @param {Recorded[]} recordings @param {(recording: Recorded, actor: number) => void} choose */
-  constructor(recordings, choose) {
+  /** @param {Recorded[]} recordings @param {(recording: Recorded, actor: number) => void} choose
+   * @param {() => void} changed is called when other actors are listed */
+  constructor(recordings, choose, changed) {
     this.choose = choose;
+    this.changed = changed;
     this.search = /** @type {HTMLInputElement} */ (byId("search"));
     this.list = byId("actor-list");
     this.panels = [byId("incidents-panel"), byId("actors-panel")];
@@ -48,6 +50,7 @@ export class Actors {
     this.panels.forEach((panel, index) => (panel.hidden = actors !== (index === 1)));
     press("actors-tab", actors);
     press("incidents-tab", !actors);
+    this.changed();
   }
 
   startSearch() {
@@ -64,6 +67,7 @@ export class Actors {
     this.list.replaceChildren(...this.shown.map(({ button }) => element("li", "", "", [button])));
     const more = found.length > MOST ? `and ${found.length - MOST} more` : "";
     byId("actors-note").textContent = found.length ? more : "No actor is found.";
+    this.changed();
   }
 
   /** @param {KeyboardEvent} event */

@@ -77,7 +77,7 @@ class Replay {
     if (NARROW.matches) this.togglePlots();
     this.summarise();
     if (recordings.length > 1) this.compare();
-    this.actors = new Actors(recordings, (recording, actor) => this.choose(recording, actor));
+    this.actors = new Actors(recordings, (recording, actor) => this.choose(recording, actor), () => this.changed());
     this.listen();
   }
 

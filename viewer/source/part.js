@@ -12,6 +12,7 @@ export class Part extends EventTarget {
     this.length = Math.max(length, 0.1);
     this.start = 0;
     this.stop = this.length;
+    this.shown = -1; // the time that it followed last
   }
 
   get isWhole() {
@@ -39,9 +40,11 @@ export class Part extends EventTarget {
     this.set(this.start + share * (this.stop - this.start), this.stop - this.start);
   }
 
-  /** Move on or back to a time that is outside the part; while it plays, by most of the part, so that it moves seldom.
+  /** Move on or back to another time, if that is outside the part; while it plays, by most of it, so that it moves seldom.
    * @param {number} time @param {boolean} playing */
   show(time, playing) {
+    if (time === this.shown) return;
+    this.shown = time;
     const share = this.share(time);
     const edge = playing && this.stop < this.length ? 1 - MARGIN : 1;
     if (this.isWhole || (share >= 0 && share <= edge)) return;

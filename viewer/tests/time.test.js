@@ -88,6 +88,16 @@ test("the part follows the time, seldom while it plays, and is still where the t
   assert.deepEqual([part.start, part.stop], [45, 55]);
 });
 
+test("the part may be elsewhere while the time stands still", () => {
+  const part = new Part(60);
+  part.show(0, false);
+  part.zoom(4, 48);
+  part.show(0, false);
+  assert.deepEqual([part.start, part.stop], [36, 51]);
+  part.show(1, false);
+  assert.ok(part.start <= 1);
+});
+
 test("a recording of no length has a part", () => {
   const part = new Part(0);
   part.zoom(2, 0);

@@ -77,11 +77,14 @@ def kept(content: bytes, what: str, sources: Sequence[str], make: Callable[[], A
             return _unpacked(data)
         except Exception:  # whatever an invalid entry causes
             remove_entry(key)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        made = make()
-    for each in caught:
-        warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+    caught: list[warnings.WarningMessage] = []
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            made = make()
+    finally:
+        for each in caught:
+            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
     if not caught:
         write_entry(key, _packed(made))
     return made

@@ -145,3 +145,18 @@ def test_each_change_of_a_light_is_recorded_once() -> None:
         (45, 0),
     ]
     assert replay.light_states(13)[lamp] == 1
+
+
+def test_the_leaders_of_one_life_stay_when_its_id_is_used_again(tmp_path: Path) -> None:
+    frames: list[dict[str, Any]] = []
+    for n in range(300):
+        at = [(2, n * 50.0 + 2000, 0, 0, 0, 0, 0)]
+        at += [(1, n * 50.0, 0, 0, 0, 0, 0)] if n < 150 else [(1, n * 50.0, 50000, 0, 0, 0, 0)] if n >= 200 else []
+        frames.append({"transforms": at})
+    frames[0]["spawned"], frames[150]["destroyed"], frames[200]["spawned"] = [spawn(1), spawn(2)], [(1,)], [spawn(1)]
+    with open_recording(record(tmp_path / "a.mcap", frames)) as recording:
+        replay, _ = sample(recording, [], 5, 3, None)
+        (measured,) = measure(recording, [1], replay.times)
+    first = (replay.times > 0.1) & (replay.times < 7.4)  # s, of its first life
+    assert np.all(measured.leader[first] == 2)
+    assert np.isfinite(measured.values["gap"][first]).all()

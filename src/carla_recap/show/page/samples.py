@@ -521,9 +521,11 @@ class _Measurer:
         frames += table.first
         for measured in self.measured:
             for position in np.flatnonzero(table.ids[subjects] == measured.id).tolist():
-                measured.values["gap"][samples] = found.distance_headway[position, frames]
-                measured.values["ttc"][samples] = found.time_to_collision[position, frames]
-                measured.leader[samples] = found.leader[position, frames]
+                there = ~np.isnan(table.x[subjects[position], frames])  # in this life of the actor
+                at, rows = samples[there], frames[there]
+                measured.values["gap"][at] = found.distance_headway[position, rows]
+                measured.values["ttc"][at] = found.time_to_collision[position, rows]
+                measured.leader[at] = found.leader[position, rows]
 
     def _samples_in(self, moments: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the samples that are among some moments, ascending, and which of these they are of."""

@@ -233,7 +233,7 @@ def recording_data(replay: SampledReplay, measured: Iterable[MeasuredActor], pac
         "lights": _changes(replay.lights, packer),
         "lying": _changes(replay.lying, packer),
         "lamps": _changes(replay.lamps, packer),
-        "marks": [[number(time), places.round(2).tolist()] for time, places in replay.marks],
+        "marks": [[number(time, 5), places.round(2).tolist()] for time, places in replay.marks],
     }
 
 
