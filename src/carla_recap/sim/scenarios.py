@@ -93,8 +93,8 @@ def spawn_on_lane(world: World, blueprint: str, lane: Lane, s: float, role_name:
 START: Final = 5.0  # s: the simulated time at which the hero starts
 _TO_WALKER: Final = 70.0  # m, from the hero to the walker
 _TO_VAN: Final = 45.0  # m, from the walker to the van
-_THROTTLE: Final = 0.6
-_CRUISE: Final = 14.0  # m/s
+_THROTTLE: Final = 0.67  # at most
+_CRUISE: Final = 14.25  # m/s, at which it would no longer press the throttle; it holds half a metre per second less
 _STEP_OUT: Final = 4.5  # m, from the middle of the lane to where the walker waits
 _WALKING_SPEED: Final = 2.0  # m/s, across the street
 
@@ -147,7 +147,7 @@ class Crash:
         if distance < -_TO_VAN - _MARGIN or (distance < -_TO_VAN / 2 and speed < _CRUISE / 2):
             hero.apply_control(VehicleControl(brake=1.0))
             return
-        hero.apply_control(VehicleControl(throttle=_THROTTLE if speed < _CRUISE else 0.0))
+        hero.apply_control(VehicleControl(throttle=min(max(_CRUISE - speed, 0.0), _THROTTLE)))
         seconds = _STEP_OUT / _WALKING_SPEED
         if not self._is_crossing and 0.0 < distance <= speed * seconds + hero.box.extent.x:
             self._is_crossing = True
