@@ -16,7 +16,7 @@ record() {
 }
 
 record crash.mcap --crash --vehicles 3 --walkers 3 --duration 60 --seed 1
-record blocked.mcap --blocked --vehicles 2 --walkers 3 --duration 60 --seed 2
+record blocked.mcap --blocked --vehicles 2 --walkers 3 --duration 60 --seed 5
 record junction.mcap --junction --hero --vehicles 16 --walkers 8 --duration 30 --seed 33
 
 # the crash, with the autopilot in all cars from 11 s on

@@ -193,7 +193,7 @@ def on_collision_course(pairs: PairFrames, times: Floats) -> Booleans:
     counts = np.asarray(times == 0)
     open_pairs = np.flatnonzero(~counts & ~table.thrown[pairs.one, frame] & ~table.thrown[pairs.other, frame])
     open_pairs = open_pairs[np.argsort(times[open_pairs], kind="stable")]  # those with as many steps together
-    few = ELEMENTS // _STEPS
+    few = max(1, ELEMENTS // _STEPS)
     for some in (open_pairs[start : start + few] for start in range(0, len(open_pairs), few)):
         counts[some] = paths_meet(table, pairs.one[some], pairs.other[some], frame[some], times[some])
     return counts
