@@ -96,7 +96,7 @@ def test_lane_invasions_of_a_replayed_car_come_where_it_changes_lanes(client: ca
 
 
 def test_a_paused_or_slow_replay_has_data_in_each_tick(client: carla.Client, world: carla.World) -> None:
-    hero, way = replayed(client, CRASH, HERO, 6.0), way_of(CRASH, HERO)
+    hero, way = replayed(client, CRASH, HERO, 8.0), way_of(CRASH, HERO)
     camera = Data(sensor(world, "camera.rgb", hero, image_size_x="64", image_size_y="48"))
     imu = Data(sensor(world, "other.imu", hero))
     start(world, camera, imu)
@@ -109,9 +109,9 @@ def test_a_paused_or_slow_replay_has_data_in_each_tick(client: carla.Client, wor
             assert of_frame(camera, frame).frame == frame
             measured = of_frame(imu, frame)
         gone = before.distance(hero.get_location())
-        assert gone == pytest.approx(4 * DELTA * factor * 5.0, abs=0.6 * factor)
-        assert measured.accelerometer.x == pytest.approx(3.7 * factor**2, abs=0.1)
-    assert place_at(way, 6.4).distance(hero.get_location()) < 2.0
+        assert gone == pytest.approx(4 * DELTA * factor * 10.5, abs=0.6 * factor)
+        assert measured.accelerometer.x == pytest.approx(2.75 * factor**2, abs=0.1)
+    assert place_at(way, 8.4).distance(hero.get_location()) < 2.0
 
 
 @pytest.fixture
