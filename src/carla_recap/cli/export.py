@@ -18,7 +18,6 @@ from carla_recap.cli.writing import WriteRequest, writes
 from carla_recap.exports import FORMATS, find_format, write_part
 from carla_recap.exports import export as write_export
 from carla_recap.fleet.outcomes import WrittenFile
-from carla_recap.tables.arrow import spare_pandas
 from carla_recap.util.text import number
 
 if TYPE_CHECKING:
@@ -114,6 +113,8 @@ def _export(name: str, shown: dict[str, Any], source: str, destination: str, for
 
     accepted = FORMATS[name].options
     if FORMATS[name].extra in ("rerun", "arrow"):
+        from carla_recap.tables.arrow import spare_pandas
+
         spare_pandas()
     if "start" in accepted:
         source, shown = opening.timed(source, shown)
@@ -219,9 +220,9 @@ def view(
         roads = opening.road_map_of(recording, road_map, part["start"], part["duration"])
         if port is None:
             from carla_recap.show.viewer import view as open_viewer
+            from carla_recap.tables.arrow import spare_pandas
 
             spare_pandas()
-
             how: dict[str, Any] = {"view": view, "web": web or web_port is not None, "web_port": web_port or 0, **part}
             open_viewer(recording, road_map=roads, progress=watch_scenes("exporting"), ready=_announce, **how)
         else:
