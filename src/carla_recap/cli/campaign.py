@@ -291,7 +291,7 @@ def _watched(runs: Generator[FinishedRun], total: int, most: float) -> Generator
     for error, count in errors.items():
         if count > 1:
             fail(f"{count} runs: {error}")
-    if done < total:
+    if failed >= most and done < total:
         note(f"ended after {failed} failed runs in a row; --keep-going makes the others, too")
 
 
