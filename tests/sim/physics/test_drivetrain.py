@@ -180,6 +180,22 @@ def test_physics_begins_anew_after_it_was_off() -> None:
     assert not np.any([fleet.throttle_input[0], fleet.steer_input[0], *fleet.omega[0]])
 
 
+@pytest.mark.parametrize("delta", [0.05, 0.1, 0.2])
+@pytest.mark.parametrize("blueprint", ["vehicle.yamaha.yzf", "vehicle.ford.mustang"])
+def test_the_autopilot_sets_off_evenly_in_ticks_of_any_length(blueprint: str, delta: float) -> None:
+    world = flat_world()
+    world.settings.substepping = False
+    spawn_car(world, at(100.0), blueprint).set_autopilot(True)
+    speeds = []
+    for _ in range(round(4 / delta)):
+        world.tick(delta)
+        speeds.append(world.vehicles.speed[0])
+    changes = np.diff(speeds)
+    swings = (np.minimum(np.abs(changes[1:]), np.abs(changes[:-1])) > 0.2) & (changes[1:] * changes[:-1] < 0)
+    assert swings.sum() <= 2  # down and up again, as it sets off
+    assert speeds[-1] > 5
+
+
 @pytest.mark.parametrize("autopilot", [False, True])
 def test_a_vehicle_without_physics_stands_and_forgets_its_motion(autopilot: bool) -> None:
     world = flat_world()

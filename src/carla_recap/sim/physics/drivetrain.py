@@ -8,8 +8,8 @@ Michigan model: it grows by its stiffnesses, and saturates at its friction. Load
 PhysX takes the force of a tyre from before the step, which makes stiff tyres oscillate at 5 to 15 m/s in steps of 0.01 s; so
 they do in CARLA's recordings, whose cars accelerate less there. `advance` does so, too, in CARLA's own steps, 0.01 s at
 most, a third of it below 5 m/s. For the vehicles of the autopilot, whose drives need not be CARLA's to the point, it takes
-one step, with tyres that follow the change of their slips within it, which is stable in a step of any length. So do those
-of vehicles that roll slowly without throttle: they come to rest.
+steps of 0.05 s at most, with tyres that follow the change of their slips within a step. So do those of vehicles that roll
+slowly without throttle: they come to rest.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from carla_recap.util.arrays import Booleans, Floats, Integers
 
 _STEP: Final = 0.01  # s: CARLA's default of the longest step of physics
+_LONG_STEP: Final = 0.05  # s: the longest step of the autopilot's vehicles; motorcycles swing in ones of 0.1 s
 _ROUNDING: Final = 1e-6
 _SLOW: Final = 5.0  # m/s: below, PhysX divides a step by three
 _SLOW_STEPS: Final = 3
@@ -217,19 +218,19 @@ def _follow(values: Floats, wanted: Floats, rates: tuple[float, float], seconds:
 
 
 def advance(fleet: Drivetrains, rows: Integers, seconds: float, *, exactly: bool) -> tuple[Floats, Floats, Floats]:
-    """Drive the vehicles of some rows for a time in s, `exactly` as CARLA does, in its steps, or in one.
+    """Drive the vehicles of some rows for a time in s, `exactly` as CARLA does, in its steps, or in longer ones.
 
     Returns:
         How far their origins have moved, ahead and to the right of how they stood at first, in m, and their turn in radians.
     """
     drive = _Drive(fleet, rows)
-    steps = max(ceil(seconds / _STEP - _ROUNDING), 1) if exactly else 1
+    steps = max(ceil(seconds / (_STEP if exactly else _LONG_STEP) - _ROUNDING), 1)
     for _ in range(steps):
         drive.begin(seconds / steps)
         if exactly:
             drive.step_exactly(seconds / steps)
         else:
-            drive.step(np.full(len(rows), seconds), np.ones(len(rows), np.bool_))
+            drive.step(np.full(len(rows), seconds / steps), np.ones(len(rows), np.bool_))
     return drive.write(seconds)
 
 
