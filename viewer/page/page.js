@@ -1,8 +1,8 @@
 "use strict";(()=>{var f=c=>document.getElementById(c);function L(c,t){c.textContent!==t&&(c.textContent=t)}function $(c,t){return(Math.abs(c)<.5*10**-t?0:c).toFixed(t).
 replace("-","−")}var A=(c,t)=>f(c).setAttribute("aria-pressed",String(t));function dt(c){let t="http://www.w3.org/2000/svg",s=document.createElementNS(
 t,"svg"),e=document.createElementNS(t,"path");return s.setAttribute("viewBox","0 0 16 16"),s.setAttribute("aria-hidden","true"),e.setAttribute("d",c),
-s.append(e),s}function P(c){let t=u("i","swatch");return t.style.background=c,t}var T=c=>u("i",`letter of-${c}`,c);function u(c,t="",s="",e=[]){let i=document.
-createElement(c);return t&&(i.className=t),s&&(i.textContent=s),i.append(...e),i}function C(c,t,s){let e=u("button",c,"",t);return e.type="button",e.addEventListener(
+s.append(e),s}function P(c){let t=p("i","swatch");return t.style.background=c,t}var T=c=>p("i",`letter of-${c}`,c);function p(c,t="",s="",e=[]){let i=document.
+createElement(c);return t&&(i.className=t),s&&(i.textContent=s),i.append(...e),i}function C(c,t,s){let e=p("button",c,"",t);return e.type="button",e.addEventListener(
 "click",s),e}function q(c,t){let s=t.findIndex(i=>i===document.activeElement),e={ArrowDown:s+1,ArrowUp:s-1,Home:0,End:t.length-1}[c.key];e===void 0||s<
 0||(c.preventDefault(),c.stopPropagation(),t[e]?.focus())}function Yt(c,[t,s,e,i,n]){let a=new Int32Array(s);for(let o=0;o<e;o++){let r=t+o*s;for(let h=0;h<s;h++)a[h]|=c[r+h]<<8*o}for(let o=0;o<s;o++)a[o]=a[o]>>>
 1^-(a[o]&1);for(let o=0;o<n;o++){let r=0;for(let h=0;h<s;h++)a[h]=r=r+a[h]|0}return i===1?a:Float64Array.from(a,o=>o*i)}function mt(c){let t=atob(c),s=new Uint8Array(
@@ -15,9 +15,9 @@ measured.get(this.tracks.actors[t].id),i=Float64Array.from(s,(r,h)=>this.tracks.
 0?this.tracks.indexOf(e.leader[h],r):-1);return{times:s,values:a,leader:o,isMeasured:e!==void 0}}};var At=2*Math.PI/16384,V=class{constructor(t){this.times=t.times,this.spans=t.spans,this.starts=this.spans.map(([o])=>o),this.actors=t.actors,this.x=t.
 x,this.y=t.y,this.yaw=t.yaw,this.speeds=t.speed;let[s,e,i,n,a]=t.tracks;this.first=e,this.last=i,this.begin=n,this.count=a,this.own=this.actors.map(()=>[]),
 s.forEach((o,r)=>this.own[o].push(r)),this.firsts=this.own.map(o=>o.map(r=>this.first[r])),this.byId=new Map,this.actors.forEach(({id:o,since:r},h)=>{
-let l=this.byId.get(o)??{indices:[],since:[]};this.byId.set(o,l),l.indices.push(h),l.since.push(r??0)}),this.lights=pt(t.lights),this.falls=pt(t.lying),
-this.lamps=pt(t.lamps),this.marks=t.marks,this.marked=this.marks.map(([o])=>o)}lightState(t,s){return ut(this.lights.get(t),s)}lying(t,s){let e=ut(this.
-falls.get(t),s);return e===null||e<0?null:e*Math.PI/180}lampsOf(t,s){return ut(this.lamps.get(t),s)??0}marksAt(t){return this.marks[b(this.marked,t+1e-4)-
+let l=this.byId.get(o)??{indices:[],since:[]};this.byId.set(o,l),l.indices.push(h),l.since.push(r??0)}),this.lights=ut(t.lights),this.falls=ut(t.lying),
+this.lamps=ut(t.lamps),this.marks=t.marks,this.marked=this.marks.map(([o])=>o)}lightState(t,s){return pt(this.lights.get(t),s)}lying(t,s){let e=pt(this.
+falls.get(t),s);return e===null||e<0?null:e*Math.PI/180}lampsOf(t,s){return pt(this.lamps.get(t),s)??0}marksAt(t){return this.marks[b(this.marked,t+1e-4)-
 1]?.[1]??[]}covers(t){let s=this.spans[b(this.starts,t)-1];return s!==void 0&&t<=s[1]}sampleAt(t){return Math.max(0,b(this.times,t+1e-5)-1)}pose(t,s,e,i){
 let{until:n}=this.actors[t];if(n!==null&&n<=s)return!1;let a=this.trackAt(t,e);if(a<0)return!1;let o=this.row(a,e);if(i.x=this.x[o],i.y=this.y[o],i.yaw=
 this.yaw[o]*At,this.count[a]>1&&e<this.last[a]){let r=Math.max(0,s-this.times[e])/(this.times[e+1]-this.times[e]);i.x+=r*(this.x[o+1]-i.x),i.y+=r*(this.
@@ -25,9 +25,9 @@ y[o+1]-i.y),i.yaw+=r*(this.yaw[o+1]-this.yaw[o])*At}return!0}trackAt(t,s){let e=
 e:-1}row(t,s){return this.begin[t]+(this.count[t]===1?0:s-this.first[t])}speedAt(t,s){let e=this.trackAt(t,s),i=e<0?-1:this.speeds[this.row(e,s)];return i<
 0?NaN:i}speed(t,s){return this.speedAt(t,this.sampleAt(s))}path(t,s,e){let[i,n]=[this.sampleAt(s),this.sampleAt(e)],a=[];for(let o of this.own[t]){let[
 r,h,l]=[this.first[o],this.last[o],this.begin[o]];if(this.count[o]===1||h<=i||r>n)continue;let d=[];for(let m=Math.max(i,r);m<=Math.min(n,h);m++)d.push(
-this.x[l+m-r],this.y[l+m-r]);a.push(d)}return a}indexOf(t,s){let e=this.byId.get(t??-1);return e?e.indices[Math.max(0,b(e.since,s+1e-4)-1)]:-1}};function pt({
+this.x[l+m-r],this.y[l+m-r]);a.push(d)}return a}indexOf(t,s){let e=this.byId.get(t??-1);return e?e.indices[Math.max(0,b(e.since,s+1e-4)-1)]:-1}};function ut({
 actor:c,time:t,value:s}){let e=new Map;return c.forEach((i,n)=>{let a=e.get(i)??{times:[],values:[]};e.set(i,a),a.times.push(t[n]),a.values.push(s[n])}),
-e}function ut(c,t){let s=c?b(c.times,t+1e-4):0;return c&&s?c.values[s-1]:null}var Y=.5,Et=.15,Tt=["other","sensor","traffic sign","traffic light","walker","vehicle"],K=({kind:c})=>c==="vehicle"||c==="walker",B=({kind:c,hero:t})=>Tt.
+e}function pt(c,t){let s=c?b(c.times,t+1e-4):0;return c&&s?c.values[s-1]:null}var Y=.5,Et=.15,Tt=["other","sensor","traffic sign","traffic light","walker","vehicle"],K=({kind:c})=>c==="vehicle"||c==="walker",B=({kind:c,hero:t})=>Tt.
 indexOf(c)+(t?Tt.length:0),J=class{constructor(t,s,e){this.index=t,this.letter="AB"[t],this.report=s,this.tracks=new V(e),this.motion=new _(this.tracks,
 e.measured);let{actors:i}=this.tracks;this.order=i.map((a,o)=>o).sort((a,o)=>B(i[a])-B(i[o])),this.twins=new Map;let n=s.incidents.flatMap(a=>a.start===
 null?[]:[{incident:a,start:a.start}]);this.timed=n.sort((a,o)=>a.start-o.start),this.starts=this.timed.map(({start:a})=>a)}incidentsIn(t,s){return this.
@@ -40,16 +40,16 @@ f("actors-panel")],this.entries=t.flatMap(i=>{let{actors:n,own:a}=i.tracks,o=h=>
 "sensor"&&o(h));return r.sort((h,l)=>B(n[l])-B(n[h])||h-l),r.map(h=>this.entry(i,h,t.length>1))}),this.shown=[],this.search.addEventListener("input",()=>this.
 find()),this.search.addEventListener("keydown",i=>this.key(i)),this.list.addEventListener("keydown",i=>q(i,this.shown.map(({button:n})=>n))),["inciden\
 ts-tab","actors-tab"].forEach((i,n)=>f(i).addEventListener("click",()=>this.open(n===1))),f("actors-count").textContent=String(this.entries.length),this.
-find()}entry(t,s,e){let{id:i,type:n,kind:a,label:o,role:r,color:h}=t.tracks.actors[s],l=[...e?[T(t.letter)]:[],P(h),u("span","",o),u("small","",n||a)],
+find()}entry(t,s,e){let{id:i,type:n,kind:a,label:o,role:r,color:h}=t.tracks.actors[s],l=[...e?[T(t.letter)]:[],P(h),p("span","",o),p("small","",n||a)],
 d=C("actor",l,()=>this.choose(t,s));return d.title=`Follow ${o}`,{recording:t,actor:s,button:d,words:`${o} ${n} ${a} ${r} ${i}`.toLowerCase()}}get isOpen(){
 return!this.panels[1].hidden}open(t){this.panels.forEach((s,e)=>s.hidden=t!==(e===1)),A("actors-tab",t),A("incidents-tab",!t),this.changed()}startSearch(){
 this.open(!0),this.search.focus(),this.search.select()}find(){let t=this.search.value.toLowerCase().split(/\s+/),s=this.entries.filter(i=>t.every(n=>i.
-words.includes(n)));this.shown=s.slice(0,gt),this.list.replaceChildren(...this.shown.map(({button:i})=>u("li","","",[i])));let e=s.length>gt?`and ${s.
+words.includes(n)));this.shown=s.slice(0,gt),this.list.replaceChildren(...this.shown.map(({button:i})=>p("li","","",[i])));let e=s.length>gt?`and ${s.
 length-gt} more`:"";f("actors-note").textContent=s.length?e:"No actor is found.",this.changed()}key(t){if(t.stopPropagation(),t.key==="ArrowDown")this.
 shown[0]?.button.focus();else if(t.key==="Enter")this.shown[0]?.button.click();else if(t.key==="Escape"&&this.search.value)this.search.value="";else if(t.
-key==="Escape")this.open(!1);else return;t.preventDefault(),t.key==="Escape"&&this.find()}show(t,s){if(this.isOpen)for(let{recording:e,actor:i,button:n}of this.
-shown){let{tracks:a}=e,o=s?.[e.index];n.ariaCurrent=o!==void 0&&a.indexOf(o,t)===i?"true":null,n.classList.toggle("absent",a.trackAt(i,a.sampleAt(t))<
-0)}}};var E=Math.PI/2,R=class{constructor(){this.x=0,this.y=0,this.scale=6,this.up=E,this.width=1,this.height=1,this.turns=!1,this.followed=null}step(t,s,e){
+key==="Escape")this.open(!1),f("incidents-tab").focus();else return;t.preventDefault(),t.key==="Escape"&&this.find()}show(t,s){if(this.isOpen)for(let{
+recording:e,actor:i,button:n}of this.shown){let{tracks:a}=e,o=s?.[e.index];n.ariaCurrent=o!==void 0&&a.indexOf(o,t)===i?"true":null,n.classList.toggle(
+"absent",a.trackAt(i,a.sampleAt(t))<0)}}};var E=Math.PI/2,R=class{constructor(){this.x=0,this.y=0,this.scale=6,this.up=E,this.width=1,this.height=1,this.turns=!1,this.followed=null}step(t,s,e){
 t&&(this.x=t.x,this.y=t.y);let i=this.turns&&t?t.yaw:this.turns&&this.followed!==null?this.up:E,n=Math.atan2(Math.sin(i-this.up),Math.cos(i-this.up));
 return this.up+=e?n:n*-Math.expm1(-s/.5),Math.abs(n)>.001}apply(t,s,e){t.setTransform(s,0,0,s,0,0),t.translate(this.width/2,this.height/2),t.rotate(this.
 up-E),t.scale(this.scale,-this.scale),t.translate(e.x-this.x,e.y-this.y)}toScreen(t,s){let[e,i]=[(t-this.x)*this.scale,(s-this.y)*this.scale],[n,a]=[Math.
@@ -80,9 +80,9 @@ setAttribute("content",this.colors.map),this.dispatchEvent(new Event("change"))}
 s,{dark:e,light:i}])=>{let n=`[data-kind="${s}"]`;return`${n} { --tone: ${e}; } [data-theme="light"] ${n} { --tone: ${i}; }`});return c.replaceSync(t.
 join(`
 `)),c}var k=new wt;document.adoptedStyleSheets=[Qt()];var ts={crossing:1.2,white:1.2,yellow:1.2,bike:.5,median:.5},Q=class{constructor({x:t,y:s,lengths:e},i,n=null){this.groups=[];let[a,o]=[0,0],r=n??new Uint8Array(
-e.length).fill(1);for(let h of r){let l=new Path2D,[d,m,p,g]=[1/0,1/0,-1/0,-1/0];for(let y=a+h;a<y;a++){for(let x=0;x<e[a];x++,o++){let[w,v]=[t[o],s[o]];
-x?l.lineTo(w-i.x,v-i.y):l.moveTo(w-i.x,v-i.y),[d,m,p,g]=[Math.min(d,w),Math.min(m,v),Math.max(p,w),Math.max(g,v)]}n&&l.closePath()}this.groups.push({path:l,
-left:d,low:m,right:p,high:g,layer:""})}}},$t=({x:c,y:t,reach:s},{left:e,low:i,right:n,high:a})=>e<c+s&&n>c-s&&i<t+s&&a>t-s,tt=class{constructor({width:t,
+e.length).fill(1);for(let h of r){let l=new Path2D,[d,m,u,g]=[1/0,1/0,-1/0,-1/0];for(let y=a+h;a<y;a++){for(let x=0;x<e[a];x++,o++){let[w,v]=[t[o],s[o]];
+x?l.lineTo(w-i.x,v-i.y):l.moveTo(w-i.x,v-i.y),[d,m,u,g]=[Math.min(d,w),Math.min(m,v),Math.max(u,w),Math.max(g,v)]}n&&l.closePath()}this.groups.push({path:l,
+left:d,low:m,right:u,high:g,layer:""})}}},$t=({x:c,y:t,reach:s},{left:e,low:i,right:n,high:a})=>e<c+s&&n>c-s&&i<t+s&&a>t-s,tt=class{constructor({width:t,
 paths:s,layers:e,layer:i,rings:n,surfaces:a},o){this.origin=o,this.width=t,this.paths=new Q(s,o).groups,this.surfaces=new Q(a,o,n).groups,this.surfaces.
 forEach((r,h)=>r.layer=e[i[h]])}get bounds(){return[...this.paths,...this.surfaces].reduce((t,s)=>[Math.min(t[0],s.left),Math.min(t[1],s.low),Math.max(
 t[2],s.right),Math.max(t[3],s.high)],[1/0,1/0,-1/0,-1/0])}draw(t,s){let{colors:e}=k;this.surfaces.length||this.drawGrid(t,s),t.lineJoin=t.lineCap="rou\
@@ -94,30 +94,30 @@ e)t.rect(n,o-this.origin.y,2*i,0);t.strokeStyle=k.colors.grid,t.lineWidth=1/s.sc
 flatMap((n,a)=>n?[new kt(n,i[a])]:[]),this.frame.append(...this.views.map(({figure:n})=>n)),this.frame.hidden=this.button.hidden=!this.views.length,document.
 body.classList.toggle("with-images",!this.frame.hidden)}toggle(){this.frame.hidden=!this.frame.hidden,A("images",!this.frame.hidden),document.body.classList.
 toggle("with-images",!this.frame.hidden),this.changed()}show(t){if(!this.frame.hidden)for(let s of this.views)s.show(t)}},kt=class{constructor({camera:t,
-size:s,longest:e,times:i,images:n},a){this.longest=e,this.times=i,this.images=n,this.canvas=u("canvas","image"),[this.canvas.width,this.canvas.height]=
+size:s,longest:e,times:i,images:n},a){this.longest=e,this.times=i,this.images=n,this.canvas=p("canvas","image"),[this.canvas.width,this.canvas.height]=
 s,this.canvas.setAttribute("role","img"),this.canvas.setAttribute("aria-label",`The image of the camera ${t}`),this.context=this.canvas.getContext("2d",
-{alpha:!1}),this.absence=u("span","absence","No image at this time");let o=u("span","",t),r=u("figcaption","","",[...a?[T(a)]:[],o,this.absence]);this.
-figure=u("figure","camera","",[this.canvas,r]),this.wanted=-2,this.drawn=-1,this.busy=!1}show(t){let s=b(this.times,t+.001)-1,e=s>=0&&t-this.times[s]<=
+{alpha:!1}),this.absence=p("span","absence","No image at this time");let o=p("span","",t),r=p("figcaption","","",[...a?[T(a)]:[],o,this.absence]);this.
+figure=p("figure","camera","",[this.canvas,r]),this.wanted=-2,this.drawn=-1,this.busy=!1}show(t){let s=b(this.times,t+.001)-1,e=s>=0&&t-this.times[s]<=
 this.longest?s:-1;e!==this.wanted&&(this.wanted=e,this.absence.hidden=e>=0,this.figure.classList.toggle("blank",e<0),this.busy||this.draw())}async draw(){
 for(this.busy=!0;this.wanted>=0&&this.drawn!==this.wanted;){let t=this.wanted,s=await createImageBitmap(new Blob([mt(this.images[t])],{type:"image/web\
 p"}));this.context.drawImage(s,0,0,this.canvas.width,this.canvas.height),s.close(),this.drawn=t}this.busy=!1}};var G=3,et=class{constructor(t,s,e,i){this.recordings=t,this.pictures=s,this.open=e,this.filtered=i,this.current=-1,this.hidden=new Set,this.items=[],
 this.nothing=f("nothing"),this.scroller=f("lists");for(let n of t)this.addList(n);this.scroller.addEventListener("keydown",n=>this.key(n)),this.played=
 this.items.filter(({replayed:n})=>n).sort((n,a)=>n.start-a.start),this.starts=this.played.map(({start:n})=>n),f("incidents-count").textContent=String(
-this.items.length),this.addFilters(),this.filter(),this.addNote()}addList(t){let{incidents:s}=t.report,e=u("ol","list");if(e.id=t.index?"other-list":"\
-list",this.recordings.length>1){let i=u("b","",t.report.source),n=u("h3","","",[T(t.letter),i]);n.append(u("span","",yt(s.length))),this.scroller.append(
+this.items.length),this.addFilters(),this.filter(),this.addNote()}addList(t){let{incidents:s}=t.report,e=p("ol","list");if(e.id=t.index?"other-list":"\
+list",this.recordings.length>1){let i=p("b","",t.report.source),n=p("h3","","",[T(t.letter),i]);n.append(p("span","",yt(s.length))),this.scroller.append(
 n)}for(let i of s){let n=this.item(t,i,this.items.length);this.items.push(n),e.append(n.row)}this.scroller.append(e),!s.length&&this.recordings.length>
-1&&this.scroller.append(u("p","nothing small",Ct))}addNote(){let t=this.items.filter(({replayed:n})=>!n).length,s=this.recordings.reduce((n,{report:a})=>n+
+1&&this.scroller.append(p("p","nothing small",Ct))}addNote(){let t=this.items.filter(({replayed:n})=>!n).length,s=this.recordings.reduce((n,{report:a})=>n+
 a.omitted,0),e=[];this.recordings.every(({report:n})=>n.whole)||e.push("A long recording: the replay has the time around incidents."),t&&e.push(`${t} \
 of ${this.items.length} incidents are listed without a replay.`),s&&e.push(`${s} more are not listed.`);let i=f("note");i.textContent=e.join(" "),i.hidden=
-!e.length}item(t,s,e){let{name:i,icon:n}=KINDS[s.kind],a=s.start!==null&&t.tracks.covers(s.start),o=u("span","badge","",[dt(n),u("span","",i)]),r=u("s\
-pan","top","",[o,u("time","",ss(s))]),h=u("span","body","",[r,u("span","text","",es(s.text)),this.meta(t,s)]),l=C("incident",[h],()=>this.open(e));l.title=
+!e.length}item(t,s,e){let{name:i,icon:n}=KINDS[s.kind],a=s.start!==null&&t.tracks.covers(s.start),o=p("span","badge","",[dt(n),p("span","",i)]),r=p("s\
+pan","top","",[o,p("time","",ss(s))]),h=p("span","body","",[r,p("span","text","",es(s.text)),this.meta(t,s)]),l=C("incident",[h],()=>this.open(e));l.title=
 `Play from ${G} s before it`,l.dataset.kind=s.kind,l.disabled=!a;let d=t.report.drawn&&a;(s.picture||d)&&l.prepend(this.pictures.image(t,s));let m=this.
-recordings.find(g=>g!==t);return m?.report.incidents.length&&!m.has(s)&&o.append(u("span","only",`only in ${t.letter}`)),{row:u("li","","",[l]),button:l,
+recordings.find(g=>g!==t);return m?.report.incidents.length&&!m.has(s)&&o.append(p("span","only",`only in ${t.letter}`)),{row:p("li","","",[l]),button:l,
 replayed:a,recording:t,incident:s,kind:s.kind,index:e,start:s.start??0}}meta(t,{actors:s,types:e,place:i}){let n=s.map((r,h)=>this.name(t,r,e[h]??"")),
-a=i?`x ${$(i[0],1)}  y ${$(i[1],1)} m`:"",o=n.map(({text:r,color:h})=>u("span","chip","",[P(h),u("span","",r)]));return u("span","meta","",[...o,...a?
-[u("span","place",a)]:[]])}name({tracks:t},s,e){let i=t.actors[t.indexOf(s,1/0)];return i?{text:i.label,color:i.color}:{text:s===4294967295?"no actor":
+a=i?`x ${$(i[0],1)}  y ${$(i[1],1)} m`:"",o=n.map(({text:r,color:h})=>p("span","chip","",[P(h),p("span","",r)]));return p("span","meta","",[...o,...a?
+[p("span","place",a)]:[]])}name({tracks:t},s,e){let i=t.actors[t.indexOf(s,1/0)];return i?{text:i.label,color:i.color}:{text:s===4294967295?"no actor":
 `${e||"actor"} ${s}`,color:"#969696"}}addFilters(){let t=f("filters");for(let[s,{many:e,icon:i}]of Object.entries(KINDS)){let n=this.items.filter(r=>r.
-kind===s).length;if(!n)continue;let a=[dt(i),u("span","",e),u("b","",String(n))],o=C("filter",a,()=>{this.hidden.delete(s)||this.hidden.add(s),o.ariaPressed=
+kind===s).length;if(!n)continue;let a=[dt(i),p("span","",e),p("b","",String(n))],o=C("filter",a,()=>{this.hidden.delete(s)||this.hidden.add(s),o.ariaPressed=
 String(!this.hidden.has(s)),this.filter(),this.filtered()});o.dataset.kind=s,o.ariaPressed="true",t.append(o)}t.hidden=t.children.length<2}filter(){for(let{
 row:s,kind:e}of this.items)s.hidden=this.hidden.has(e);let t=this.items.some(({row:s})=>!s.hidden)||this.recordings.length>1&&!this.items.length;this.
 nothing.hidden=t,this.nothing.textContent=this.items.length?"All kinds of incidents are hidden.":Ct}choose(t){if(t===this.current)return;this.mark(this.
@@ -127,7 +127,7 @@ t&&(t.button.ariaCurrent=s?"true":null,this.pictures.enlarge(t.button.querySelec
 played.slice(e,i).at(-1)}neighbour(t){let s=({index:e,replayed:i,row:n})=>i&&!n.hidden&&(e-this.current)*t>0;return(t>0?this.items.find(s):this.items.
 findLast(s))?.index??-1}key(t){let s=this.items.filter(({row:e,replayed:i})=>i&&!e.hidden).map(({button:e})=>e);q(t,s)}},Ct="There are no incidents.";
 function yt(c){return c===1?"1 incident":`${c||"no"} incidents`}function ss({start:c,stop:t}){return c===null?"–":t!==null&&t-c>=1?`${M(c)} – ${M(
-t)}`:M(c)}function es(c){return c.split(/(?<=[a-z]\.)(?=\w)/).flatMap((t,s)=>s?[u("wbr",""),t]:[t])}var O=class{constructor(t,s){this.node=t,this.on=s,this.down=new Map,this.moved=0,t.addEventListener("pointerdown",e=>this.press(e)),t.addEventListener(
+t)}`:M(c)}function es(c){return c.split(/(?<=[a-z]\.)(?=\w)/).flatMap((t,s)=>s?[p("wbr",""),t]:[t])}var O=class{constructor(t,s){this.node=t,this.on=s,this.down=new Map,this.moved=0,t.addEventListener("pointerdown",e=>this.press(e)),t.addEventListener(
 "pointermove",e=>this.move(e)),t.addEventListener("pointerup",e=>this.release(e,!0)),t.addEventListener("pointercancel",e=>this.release(e,!1)),t.addEventListener(
 "pointerleave",()=>s.hover?.(null,0)),t.addEventListener("wheel",e=>this.wheel(e),{passive:!1})}place({clientX:t,clientY:s}){let{left:e,top:i}=this.node.
 getBoundingClientRect();return[t-e,s-i]}press(t){t.button||(this.on.drag&&this.node.setPointerCapture(t.pointerId),this.down.set(t.pointerId,this.place(
@@ -173,12 +173,12 @@ a))}return i}differs(t,{actor:s,x:e,y:i}){if(!K(t.tracks.actors[s]))return!1;let
 Et*this.tracks.speed(n,this.time)}drawTrails(){let{ghost:t}=this,s=new Set(this.ghosts.map(({actor:e})=>t?.twin(e)));for(let e of this.ghosts)t&&this.
 drawTrail(t.tracks,e,k.colors.other,Ut);for(let e of this.shown){let{id:i,kind:n,color:a}=this.tracks.actors[e.actor];if(F.has(n)||n==="traffic light")
 continue;let o=i===this.camera.followed||s.has(e.actor);this.drawTrail(this.tracks,e,a,o?Ut:Wt)}this.context.globalAlpha=1}drawTrail(t,{actor:s,x:e,y:i,
-left:n,top:a},o,r){let{context:h,camera:l,time:d}=this,m=r*ns*l.scale;if(Math.max(-n,-a,n-l.width,a-l.height)>m)return;let p=t.path(s,d-r,d).pop();if(!p)
-return;p.push(e,i);let g=r>Wt;h.lineCap="butt",h.strokeStyle=o,h.lineWidth=Math.max(t.actors[s].kind==="walker"?.3:.6,(g?2.5:1.5)/l.scale);let y=p.length/
-2,x=Math.max(1,Math.ceil(y/os));for(let w=0;w<y-1;w+=x){let v=Math.min(y-1,w+x);h.beginPath();for(let S=w;S<=v;S++)h.lineTo(p[2*S]-this.origin.x,p[2*S+
+left:n,top:a},o,r){let{context:h,camera:l,time:d}=this,m=r*ns*l.scale;if(Math.max(-n,-a,n-l.width,a-l.height)>m)return;let u=t.path(s,d-r,d).pop();if(!u)
+return;u.push(e,i);let g=r>Wt;h.lineCap="butt",h.strokeStyle=o,h.lineWidth=Math.max(t.actors[s].kind==="walker"?.3:.6,(g?2.5:1.5)/l.scale);let y=u.length/
+2,x=Math.max(1,Math.ceil(y/os));for(let w=0;w<y-1;w+=x){let v=Math.min(y-1,w+x);h.beginPath();for(let S=w;S<=v;S++)h.lineTo(u[2*S]-this.origin.x,u[2*S+
 1]-this.origin.y);h.globalAlpha=(g?.75:.4)*(v/y)**1.5,h.stroke()}}drawPaths(t,s,e,i){let{context:n,camera:a}=this;a.apply(n,this.ratio,this.origin),n.
 lineCap="round";for(let o of t){n.strokeStyle=this.tracks.actors[o].color,n.lineWidth=3/a.scale;for(let[r,h,l,d]of[[e,i,!0,.6],[s,e,!1,.9]]){n.setLineDash(
-l?[.1,1.2]:[]),n.globalAlpha=d;for(let m of this.tracks.path(o,r,h)){n.beginPath();for(let p=0;p<m.length;p+=2)n.lineTo(m[p]-this.origin.x,m[p+1]-this.
+l?[.1,1.2]:[]),n.globalAlpha=d;for(let m of this.tracks.path(o,r,h)){n.beginPath();for(let u=0;u<m.length;u+=2)n.lineTo(m[u]-this.origin.x,m[u+1]-this.
 origin.y);n.stroke()}}}n.setLineDash([]),n.globalAlpha=1,n.setTransform(this.ratio,0,0,this.ratio,0,0)}drawCollisions(){for(let t of this.ghost?[this.
 ghost,this.recording]:[this.recording])for(let[s,e]of t.tracks.marksAt(this.time))this.drawCross(...this.camera.toScreen(s,e),.75)}drawCross(t,s,e){let{
 context:i,camera:n}=this,a=Math.max(4,.9*n.scale);i.globalAlpha=e,i.strokeStyle=k.tones.collision,i.lineWidth=Math.max(2,.3*n.scale),i.lineCap="round",
@@ -186,14 +186,14 @@ i.beginPath(),i.moveTo(t-a,s-a),i.lineTo(t+a,s+a),i.moveTo(t+a,s-a),i.lineTo(t-a
 time:e}=this;for(let i of this.ghost?[this.ghost,this.recording]:[this.recording])for(let{incident:n,start:a}of i.incidentsIn(e-ot,e+ot)){let{kind:o,place:r}=n,
 h=e-a;if(h>=ot||h<0&&o!=="collision"||!r)continue;let[l,d]=s.toScreen(...r);t.globalAlpha=1-Math.abs(h)/ot,t.lineWidth=2,t.strokeStyle=k.tones[o],t.fillStyle=
 k.tones[o]+"24",this.circle(l,d,Math.max(14,3.4*s.scale)*(h<0?1+.6*-h:1)),t.fill(),t.stroke()}t.globalAlpha=1}drawActor({actor:t,left:s,top:e,yaw:i}){
-let{context:n,camera:a}=this,{id:o,kind:r,color:h,paint:l,hero:d,shape:m}=this.tracks.actors[t],[,,p,g]=this.extent(this.recording,t),y=this.tracks.lying(
-t,this.time)??i,x=a.scale*Math.max(p,g);if(Math.max(-s,-e,s-a.width,e-a.height)>x+30)return;if(r==="traffic light"){this.drawLamp(t,s,e);return}let w=o===
+let{context:n,camera:a}=this,{id:o,kind:r,color:h,paint:l,hero:d,shape:m}=this.tracks.actors[t],[,,u,g]=this.extent(this.recording,t),y=this.tracks.lying(
+t,this.time)??i,x=a.scale*Math.max(u,g);if(Math.max(-s,-e,s-a.width,e-a.height)>x+30)return;if(r==="traffic light"){this.drawLamp(t,s,e);return}let w=o===
 a.followed||t===this.hovered,v=K(this.tracks.actors[t]);n.save(),n.translate(s,e),(w||d)&&this.drawGlow(h,Math.max(x,bt)+12);let[S,U,z]=this.outline(this.
 recording,{actor:t,heading:y},F.has(r)?2:bt,m==="walker"?3:0);n.globalAlpha=F.has(r)?.5:1,n.shadowColor=v?k.colors.shade:"transparent",[n.shadowBlur,n.
 shadowOffsetY]=[.5*z*this.ratio,.12*z*this.ratio],n.fillStyle=jt(l??h),n.fill(S),n.shadowColor="transparent";let Jt=U>Pt||m==="walker"&&U>4;v&&Jt&&Ft(
 n,m,U,z,this.tracks.lampsOf(t,this.time)),n.lineWidth=w?2:1,n.strokeStyle=w?k.colors.text:d?h:k.colors.edge,(w||d||r==="vehicle")&&n.stroke(S),n.restore()}outline(t,{
-actor:s,heading:e},i,n){let{context:a,camera:o}=this,[r,h,l,d]=this.extent(t,s),m=o.scale*Math.max(1,i/2/(o.scale*Math.max(l,d))),p=new Path2D,g=[Math.
-max(n,l*m),Math.max(n,d*m)];return a.rotate(o.up-E-e),a.translate(r*m,-h*m),Dt(p,t.tracks.actors[s].shape,...g),[p,...g]}extent({tracks:t},s){let{kind:e,
+actor:s,heading:e},i,n){let{context:a,camera:o}=this,[r,h,l,d]=this.extent(t,s),m=o.scale*Math.max(1,i/2/(o.scale*Math.max(l,d))),u=new Path2D,g=[Math.
+max(n,l*m),Math.max(n,d*m)];return a.rotate(o.up-E-e),a.translate(r*m,-h*m),Dt(u,t.tracks.actors[s].shape,...g),[u,...g]}extent({tracks:t},s){let{kind:e,
 box:i}=t.actors[s];return t.lying(s,this.time)!==null?[0,0,Math.max(Rt,i[2]),Math.max(.28,i[3])]:e==="walker"?[i[0],i[1],Math.min(.22,i[2]),Math.max(.28,
 i[3])]:i}drawGlow(t,s){let{context:e}=this,i=e.createRadialGradient(0,0,s*.4,0,0,s);i.addColorStop(0,t+(k.name==="dark"?"66":"99")),i.addColorStop(1,t+
 "00"),e.fillStyle=i,this.circle(0,0,s),e.fill()}circle(t,s,e){this.context.beginPath(),this.context.arc(t,s,e,0,7)}drawLamp(t,s,e){let{context:i,camera:n}=this,
@@ -207,21 +207,21 @@ camera:t,tracks:s}=this,e=[],i=({actor:a})=>{let{id:o,kind:r,hero:h}=s.actors[a]
 alker"?1:0},n=this.shown.map(a=>({...a,importance:i(a)}));n.sort((a,o)=>o.importance-a.importance);for(let{actor:a,left:o,top:r,importance:h}of n){if(h<
 (t.scale>3.5?1:3))break;o<0||r<0||o>t.width||r>t.height||this.label(a,o,r,e,h>3)}this.context.globalAlpha=1}label(t,s,e,i,n){let{context:a,camera:o}=this,
 {label:r,box:h}=this.tracks.actors[t];a.font=`600 12px ${N}`;let l=t===this.hovered?this.tracks.speed(t,this.time)*3.6:NaN,d=(r.length>26?`${r.slice(0,
-25)}…`:r)+(Number.isNaN(l)?"":` · ${l.toFixed(0)} km/h`),m=a.measureText(d).width/2+4,p=Math.max(m,Math.min(o.width-m,s)),g=Math.max(9,Math.max(h[2],
-h[3])*o.scale),y=v=>i.some(([S,U,z])=>Math.abs(S-p)<z+m&&Math.abs(U-v)<15),x=[e-g-8,e+g+17].filter(v=>v>=14&&v<=o.height-6),w=x.find(v=>!y(v))??(n?x[0]:
-void 0);w!==void 0&&(i.push([p,w,m]),a.globalAlpha=n?1:.8,this.text(d,p,w,k.colors.text))}text(t,s,e,i){let{context:n}=this;n.font=`600 12px ${N}`,n.textAlign=
+25)}…`:r)+(Number.isNaN(l)?"":` · ${l.toFixed(0)} km/h`),m=a.measureText(d).width/2+4,u=Math.max(m,Math.min(o.width-m,s)),g=Math.max(9,Math.max(h[2],
+h[3])*o.scale),y=v=>i.some(([S,U,z])=>Math.abs(S-u)<z+m&&Math.abs(U-v)<15),x=[e-g-8,e+g+17].filter(v=>v>=14&&v<=o.height-6),w=x.find(v=>!y(v))??(n?x[0]:
+void 0);w!==void 0&&(i.push([u,w,m]),a.globalAlpha=n?1:.8,this.text(d,u,w,k.colors.text))}text(t,s,e,i){let{context:n}=this;n.font=`600 12px ${N}`,n.textAlign=
 "center",n.lineJoin="round",n.lineWidth=4,n.strokeStyle=k.colors.halo,n.fillStyle=i,n.strokeText(t,s,e),n.fillText(t,s,e)}hover(t,s){let e=this.hovered;
 return this.hovered=t===null?-1:this.actorAt(t,s),this.canvas.classList.toggle("over",this.hovered>=0),this.hovered!==e}actorAt(t,s){let[e,i]=[-1,18];
 for(let n of this.shown){let{kind:a,box:o}=this.tracks.actors[n.actor],r=F.has(a)?6:.6*Math.max(o[2],o[3])*this.camera.scale,h=Math.hypot(n.left-t,n.top-
 s)-r+(F.has(a)?14:0);h<i&&([e,i]=[n.actor,h])}return e}};var I=[480,300],zt=36,as=400,Bt=5,at=class{constructor(t){this.ground=t,this.entries=new Map,this.stages=new Map,this.observer=new IntersectionObserver(
-s=>this.see(s),{rootMargin:"300px"}),k.addEventListener("change",()=>this.redraw())}image(t,s){let e=u("img","picture");return Object.assign(e,{alt:"",
+s=>this.see(s),{rootMargin:"300px"}),k.addEventListener("change",()=>this.redraw())}image(t,s){let e=p("img","picture");return Object.assign(e,{alt:"",
 width:I[0],height:I[1]}),s.picture?(Object.assign(e,{src:s.picture,loading:"lazy",decoding:"async"}),e):(this.entries.set(e,{recording:t,incident:s,large:!1,
 drawn:null}),this.observer.observe(e),e)}see(t){for(let{target:s,isIntersecting:e}of t)e&&this.fill(s)}redraw(){for(let[t,s]of this.entries)(s.drawn||
 k.printing)&&this.fill(t)}fill(t){let s=this.entries.get(t),e=`${k.name} ${s?.large}`;!s||s.drawn===e||(s.drawn=e,t.src=this.draw(s.recording,s.incident,
 s.large))}enlarge(t,s){let e=t&&this.entries.get(t);e&&(e.large=s,e.drawn&&this.fill(t))}draw(t,{kind:s,start:e,actors:i,place:n},a){let o=e??0,r=this.
 stage(t),{tracks:h}=t,l=i.map(w=>h.indexOf(w,o)).filter(w=>w>=0),d=i.flatMap(w=>t.poseOf(w,o)??[]).map(({x:w,y:v})=>[w,v]);n&&d.push(n),d.length||d.push(
-[0,0]);let[m,p]=[d.map(([w])=>w),d.map(([,w])=>w)],{camera:g}=r;[g.x,g.y]=[(Math.min(...m)+Math.max(...m))/2,(Math.min(...p)+Math.max(...p))/2];let y=Math.
-max(Math.max(...m)-Math.min(...m),(Math.max(...p)-Math.min(...p))*I[0]/I[1]);g.scale=I[0]/Math.min(as,Math.max(a?zt:zt*.6,1.6*y)),r.draw(o),r.drawPaths(
+[0,0]);let[m,u]=[d.map(([w])=>w),d.map(([,w])=>w)],{camera:g}=r;[g.x,g.y]=[(Math.min(...m)+Math.max(...m))/2,(Math.min(...u)+Math.max(...u))/2];let y=Math.
+max(Math.max(...m)-Math.min(...m),(Math.max(...u)-Math.min(...u))*I[0]/I[1]);g.scale=I[0]/Math.min(as,Math.max(a?zt:zt*.6,1.6*y)),r.draw(o),r.drawPaths(
 l,o-Bt,o,o+Bt);for(let w of r.shown)l.includes(w.actor)&&r.drawActor(w);s==="collision"&&n&&r.drawCross(...g.toScreen(...n),1);let x=[];for(let{actor:w,
 left:v,top:S}of a?r.shown:[])l.includes(w)&&r.label(w,v,S,x,!0);return r.canvas.toDataURL("image/webp",.85)}stage(t){let s=this.stages.get(t);if(s)return s;
 let e=document.createElement("canvas");[e.width,e.height]=I;let i=new R;[i.width,i.height]=I;let n=new j(e,[t],i,this.ground);return Object.assign(n,{
@@ -233,8 +233,8 @@ name:"Steering",unit:"%",of:"steer",digits:0,least:20,most:100,factor:100,signed
 f("plot"),this.context=this.canvas.getContext("2d"),this.base=document.createElement("canvas"),this.readings=H.map(i=>this.reading(i)),this.rows=H,this.
 scales=[],this.drawn="",this.time=0,this.followed=null,this.pointed=null,nt(this.canvas,s,()=>this.width,{drag:(i,n,a)=>e.seek(s.timeAt(a/this.width)),
 hover:i=>{this.pointed=i===null?null:s.timeAt(i/this.width),e.changed()}}),k.addEventListener("change",()=>this.refresh())}reading({name:t,unit:s}){let e=this.
-recordings.map(()=>u("output")),i=u("small"),n=e.map((o,r)=>u("span",`of-${this.recordings[r].letter}`,"",[o])),a=u("div","","",[u("dt","",t),u("dd","",
-"",[...n,u("small","",s),i])]);return f("readings").append(a),{node:a,values:e,note:i}}get isOpen(){return!this.frame.hidden}refresh(){this.drawn="",this.
+recordings.map(()=>p("output")),i=p("small"),n=e.map((o,r)=>p("span",`of-${this.recordings[r].letter}`,"",[o])),a=p("div","","",[p("dt","",t),p("dd","",
+"",[...n,p("small","",s),i])]);return f("readings").append(a),{node:a,values:e,note:i}}get isOpen(){return!this.frame.hidden}refresh(){this.drawn="",this.
 isOpen&&this.draw(this.time,this.followed)}get width(){return f("marks").clientWidth||this.canvas.clientWidth}draw(t,s){if(this.time=t,this.followed=s,
 !this.isOpen)return;let e=this.recordings.map(r=>{let h=s?r.tracks.indexOf(s[r.index],t):-1;return{recording:r,actor:h,series:h<0?null:r.motion.series(
 h)}}),i=Math.min(3,window.devicePixelRatio||1),n=e.map(({actor:r})=>r).join(),a=[this.canvas.clientWidth,this.canvas.clientHeight,this.width,this.part.
@@ -245,20 +245,20 @@ this.drawPointed(this.pointed),this.showValues(e,this.pointed??t)}showRows(t){le
 isNaN(a)));this.rows=H.filter(s),H.forEach((e,i)=>this.readings[i].node.hidden=!this.rows.includes(e)),this.frame.style.setProperty("--rows",String(this.
 rows.length))}color(t){return t.index?k.colors.other:k.colors.accent}left(t){return this.part.share(t)*this.width}drawBase(t,s){let e=this.base.getContext(
 "2d"),{clientWidth:i,clientHeight:n}=this.canvas,{colors:a}=k,o=this.width;e.setTransform(s,0,0,s,0,0);let r=(n-W)/this.rows.length,h=i>o+20;this.drawTimes(
-e,n),e.save(),e.beginPath(),e.rect(0,0,o,n),e.clip(),this.scales=this.rows.map((l,d)=>{let m=this.scale(l,t),[p,g]=[d*r+(h?5:18),(d+1)*r-4],y=w=>g-(Math.
-max(m[0],Math.min(m[1],w))-m[0])/(m[1]-m[0])*(g-p),x=Math.round(l.band?(p+g)/2:y(0))+.5;rt(e,a.line,0,x,o,x),d||this.drawIncidents(e,t,n);for(let w of[
-...t].reverse())w.series&&l.band?this.drawBand(e,w,(p+g)/2):w.series&&this.drawCurve(e,l,w.series,this.color(w.recording),y);return{level:y,scale:m}}),
+e,n),e.save(),e.beginPath(),e.rect(0,0,o,n),e.clip(),this.scales=this.rows.map((l,d)=>{let m=this.scale(l,t),[u,g]=[d*r+(h?5:18),(d+1)*r-4],y=w=>g-(Math.
+max(m[0],Math.min(m[1],w))-m[0])/(m[1]-m[0])*(g-u),x=Math.round(l.band?(u+g)/2:y(0))+.5;rt(e,a.line,0,x,o,x),d||this.drawIncidents(e,t,n);for(let w of[
+...t].reverse())w.series&&l.band?this.drawBand(e,w,(u+g)/2):w.series&&this.drawCurve(e,l,w.series,this.color(w.recording),y);return{level:y,scale:m}}),
 e.restore(),e.font=`11px ${N}`,e.fillStyle=a.quiet,e.textAlign=h?"left":"right",this.rows.forEach((l,d)=>{let m=`${l.signed?"±":""}${this.scales[d].scale[1]}`;
 l.band||e.fillText(m,h?o+8:o-2,d*r+13)})}drawIncidents(t,s,e){t.setLineDash([2,3]);for(let{recording:i,actor:n}of s){let a=i.tracks.actors[n]?.id;for(let{
 incident:o,start:r}of i.incidentsIn(this.part.start-1e-6,this.part.stop))o.actors.includes(a)&&rt(t,k.tones[o.kind],this.left(r),0,this.left(r),e-W+2,
 1.5)}t.setLineDash([])}drawTimes(t,s){let{start:e,stop:i}=this.part,a=[.1,.2,.5,1,2,5,10,15,30,60,120,300,600,900,1800,3600].find(o=>o/(i-e)*this.width>
 64)??7200;t.font=`11px ${N}`,t.textAlign="center",t.fillStyle=k.colors.quiet;for(let o=Math.ceil(e/a-1e-6);o*a<=i;o++){let r=this.left(o*a);rt(t,k.colors.
 line,Math.round(r)+.5,0,Math.round(r)+.5,s-W+2),r<this.width-14&&t.fillText(M(o*a,a<1?1:0),Math.max(a<1?18:14,r),s-4)}}scale({of:t,factor:s=1,least:e,
-most:i,signed:n},a){let o=0;for(let{series:l}of a){if(!l)continue;let[d,m]=[b(l.times,this.part.start),b(l.times,this.part.stop)];for(let p=d;p<m;p++)
-o=Math.max(o,Math.abs(l.values[t][p])||0)}let r=Math.max(e,Math.min(o*s,i)),h=rs.find(l=>l>=r-1e-9)??r;return[n?-h:0,h]}eachSample({times:t},s){let{start:e,
+most:i,signed:n},a){let o=0;for(let{series:l}of a){if(!l)continue;let[d,m]=[b(l.times,this.part.start),b(l.times,this.part.stop)];for(let u=d;u<m;u++)
+o=Math.max(o,Math.abs(l.values[t][u])||0)}let r=Math.max(e,Math.min(o*s,i)),h=rs.find(l=>l>=r-1e-9)??r;return[n?-h:0,h]}eachSample({times:t},s){let{start:e,
 stop:i}=this.part,[n,a]=[Math.max(0,b(t,e)-1),Math.min(t.length,b(t,i)+1)];for(let o=n;o<a;o++)s(o,o+1<a&&t[o+1]-t[o]<=1?o+1:-1)}drawCurve(t,s,e,i,n){
-for(let{name:a,factor:o}of Kt(s)){let r=e.values[a],[h,l]=[new Path2D,new Path2D],d=-1;this.eachSample(e,(m,p)=>{if(Number.isNaN(r[m]))return;let[g,y]=[
-this.left(e.times[m]),n(r[m]*o)];d<0&&l.moveTo(g,n(0)),d<0&&h.moveTo(g,y),h.lineTo(g,y),l.lineTo(g,y),d=p<0||Number.isNaN(r[p])?-1:m,d<0&&l.lineTo(g,n(
+for(let{name:a,factor:o}of Kt(s)){let r=e.values[a],[h,l]=[new Path2D,new Path2D],d=-1;this.eachSample(e,(m,u)=>{if(Number.isNaN(r[m]))return;let[g,y]=[
+this.left(e.times[m]),n(r[m]*o)];d<0&&l.moveTo(g,n(0)),d<0&&h.moveTo(g,y),h.lineTo(g,y),l.lineTo(g,y),d=u<0||Number.isNaN(r[u])?-1:m,d<0&&l.lineTo(g,n(
 0))}),t.fillStyle=t.strokeStyle=i,t.globalAlpha=.12,(!s.signed||s.below)&&t.fill(l),t.globalAlpha=1,t.lineWidth=1.6,t.lineJoin="round",t.stroke(h)}}drawBand(t,{
 recording:s,series:e},i){let n=i-xt+(this.recordings.length>1?(s.index-.5)*2*xt:0);this.eachSample(e,(a,o)=>{let r=e?.values.light[a]??NaN;if(!e||Number.
 isNaN(r)||o<0)return;t.fillStyle=s.report.lights[r]?.[1]??k.colors.quiet;let h=this.left(e.times[a]);t.fillRect(h,n,this.left(e.times[o])-h+.5,2*xt)})}drawLine(t,s){
@@ -267,8 +267,8 @@ let e=this.left(t);this.context.globalAlpha=s,e>=0&&e<=this.width&&rt(this.conte
 e).width/2+6,a=Math.max(n,Math.min(this.width-n,this.left(t)));s.fillStyle=k.colors.text,s.beginPath(),s.roundRect(a-n,i-W+1,2*n,W-2,4),s.fill(),s.fillStyle=
 k.colors.halo,s.fillText(e,a,i-5)}showValues(t,s){this.rows.forEach((e,i)=>{let{values:n,note:a}=this.readings[H.indexOf(e)],o=[];t.forEach(({recording:r,
 series:h},l)=>{let d=h?Math.max(0,b(h.times,s+1e-5)-1):0,m=h&&r.tracks.covers(s)&&!Number.isNaN(h.values[e.of][d]);if(h&&!h.isMeasured&&e.of!=="speed"&&
-o.push("not measured"),L(n[l],m?this.text(e,r,h,d):"–"),!!m){o.push(this.note(e,r,h,d));for(let{name:p,factor:g}of Kt(e))this.context.fillStyle=this.
-color(r),this.context.beginPath(),this.context.arc(this.left(s),this.scales[i].level(h.values[p][d]*g),3.2,0,7),this.left(s)>=0&&this.left(s)<=this.width&&
+o.push("not measured"),L(n[l],m?this.text(e,r,h,d):"–"),!!m){o.push(this.note(e,r,h,d));for(let{name:u,factor:g}of Kt(e))this.context.fillStyle=this.
+color(r),this.context.beginPath(),this.context.arc(this.left(s),this.scales[i].level(h.values[u][d]*g),3.2,0,7),this.left(s)>=0&&this.left(s)<=this.width&&
 this.context.fill()}}),L(a,[...new Set(o)].filter(Boolean).join(", "))})}text({of:t,below:s,factor:e=1,digits:i,band:n},a,o,r){let h=o.values[t][r];if(n)
 return a.report.lights[h]?.[0]??"unknown";let l=$(t==="steer"?Math.abs(h*e):h*e,i);return s?`${l} / ${$(o.values[s][r]*e,i)}`:l}note({of:t},s,e,i){return t===
 "steer"?Math.abs(e.values.steer[i])<.005?"":e.values.steer[i]<0?"left":"right":t==="light"?Number.isNaN(e.values.distance[i])?"":`${$(e.values.distance[i],
@@ -278,8 +278,8 @@ unseen"});document.body.append(t),t.select();let s=document.execCommand("copy");
 getBoundingClientRect()),[i,n]=[Math.min(...e.map(g=>g.left)),Math.min(...e.map(g=>g.top))],[a,o]=[Math.max(...e.map(g=>g.right)),Math.max(...e.map(g=>g.
 bottom))],[r,h]=[c[0].ratio,34],l=document.createElement("canvas");[l.width,l.height]=[Math.round((a-i)*r),Math.round((o-n+h)*r)];let d=l.getContext("\
 2d",{alpha:!1});d.fillStyle=k.colors.halo,d.fillRect(0,0,l.width,l.height),c.forEach((g,y)=>d.drawImage(g.canvas,(e[y].left-i)*r,(e[y].top-n)*r)),d.setTransform(
-r,0,0,r,0,0),d.font=`13px ${N}`,d.fillStyle=k.colors.text,d.fillText(t,12,o-n+22,a-i-24);let m=await new Promise(g=>l.toBlob(g)),p=Object.assign(document.
-createElement("a"),{href:URL.createObjectURL(m),download:s});p.click(),setTimeout(()=>URL.revokeObjectURL(p.href),1e4)}var ct=class{constructor(t,s){this.frame=f("space"),this.button=f("solid"),this.sign=f("loading"),this.button.hidden=!t.viewer,document.body.classList.
+r,0,0,r,0,0),d.font=`13px ${N}`,d.fillStyle=k.colors.text,d.fillText(t,12,o-n+22,a-i-24);let m=await new Promise(g=>l.toBlob(g)),u=Object.assign(document.
+createElement("a"),{href:URL.createObjectURL(m),download:s});u.click(),setTimeout(()=>URL.revokeObjectURL(u.href),1e4)}var ct=class{constructor(t,s){this.frame=f("space"),this.button=f("solid"),this.sign=f("loading"),this.button.hidden=!t.viewer,document.body.classList.
 toggle("with-viewer",t.viewer),this.changed=s,this.shown="",location.protocol==="file:"?(this.button.disabled=!0,this.button.title="The view in 3D nee\
 ds a server: carla-recap report --serve"):this.button.title="View in 3D (V)",window.addEventListener("message",({data:e,source:i,origin:n})=>{i!==this.
 frame.contentWindow||n!==location.origin||(Number.isFinite(e.loaded)&&(this.sign.querySelector("progress").value=e.loaded),!(!e.ready&&!e.failed)&&(this.
@@ -294,13 +294,13 @@ clientWidth*s.length)}),t.addEventListener("state",()=>this.showState()),s.addEv
 marks.clientWidth),new ResizeObserver(()=>this.addMarks()).observe(this.marks),this.showPart(),this.showState()}share(t){return`${(100*Math.min(1,Math.
 max(0,this.part.share(t)))).toFixed(3)}%`}showPart(){let{start:t,stop:s,length:e,isWhole:i}=this.part;[this.slider.min,this.slider.max]=[String(t),String(
 s)],this.overview.hidden=i;let n=this.overview.firstElementChild;n.style.left=`${100*t/e}%`,n.style.width=`${100*(s-t)/e}%`;let a=this.clock.spans.filter(
-([o,r])=>o<s&&r>t);if(this.covered.replaceChildren(...a.map(([o,r])=>{let h=u("i");return h.style.left=this.share(o),h.style.width=`${100*(Math.min(1,
-this.part.share(r))-Math.max(0,this.part.share(o)))}%`,h})),this.difference!==null&&t<=this.difference&&this.difference<=s){let o=u("i","difference");
+([o,r])=>o<s&&r>t);if(this.covered.replaceChildren(...a.map(([o,r])=>{let h=p("i");return h.style.left=this.share(o),h.style.width=`${100*(Math.min(1,
+this.part.share(r))-Math.max(0,this.part.share(o)))}%`,h})),this.difference!==null&&t<=this.difference&&this.difference<=s){let o=p("i","difference");
 o.style.left=this.share(this.difference),this.covered.append(o)}this.addMarks(),this.showTime()}addMarks(){let t=this.marks.clientWidth,{start:s,stop:e}=this.
 part,i=[t,s,e,...this.incidents.hidden].join();if(t&&i===this.drawn)return;this.drawn=i;let n=document.activeElement instanceof HTMLElement?document.activeElement.
 dataset.incident:void 0;this.marks.replaceChildren();let a=this.incidents.played.filter(o=>!o.row.hidden&&o.start>=s&&o.start<=e);for(let{index:o}of this.
-incidents.recordings){let r=a.filter(({recording:m})=>m.index===o),h=r.map(m=>this.part.share(m.start)*t),l=[],d=0;r.forEach((m,p)=>{let g=h[p+1]-h[p]<
-(qt+_t)/2,y=[l.length>1,g].map(x=>x?_t:qt);l.length&&h[p]-h[d]>=(y[0]+y[1])/2&&(this.addMark(l),l=[]),l.length||(d=p),l.push(m)}),l.length&&this.addMark(
+incidents.recordings){let r=a.filter(({recording:m})=>m.index===o),h=r.map(m=>this.part.share(m.start)*t),l=[],d=0;r.forEach((m,u)=>{let g=h[u+1]-h[u]<
+(qt+_t)/2,y=[l.length>1,g].map(x=>x?_t:qt);l.length&&h[u]-h[d]>=(y[0]+y[1])/2&&(this.addMark(l),l=[]),l.length||(d=u),l.push(m)}),l.length&&this.addMark(
 l)}n&&this.marks.querySelector(`[data-incident="${n}"]`)?.focus()}addMark(t){let s=Object.keys(KINDS).find(r=>t.some(h=>h.kind===r)),e=t.map(({index:r})=>r),
 i=t.length>1?t.length>99?"99+":String(t.length):"",n=C("mark",[i],()=>{this.open(e[(e.indexOf(this.incidents.current)+1)%e.length])}),a=t.slice(0,8).map(
 ({incident:r,start:h})=>`${M(h)} ${r.text}`),o=`${t.length} incidents; a click plays one after the other:`;n.title=[...t.length>1?[o]:[],...a,...t.length>
@@ -320,18 +320,18 @@ changed()}),this.space=new ct(this.recording.report,()=>this.changed()),this.ima
 !0,this.linked="",this.begun="",this.linking=this.toasting=0;for(let o of this.stages){let r=h=>{h(),this.link(o)};new O(o.canvas,{drag:(h,l)=>r(()=>o.
 camera.pan(h,l)),zoom:(h,l,d)=>r(()=>o.camera.zoom(h,l,d)),hover:(h,l)=>o.hover(h,l)&&this.changed(),click:(h,l)=>{let d=o.actorAt(h,l);d>=0&&this.follow(
 o.tracks.actors[d].id,{recording:o.recording})}})}Vt.matches&&this.togglePlots(),this.summarise(),t.length>1&&this.compare(),this.actors=new Z(t,(o,r)=>this.
-choose(o,r),()=>this.changed()),this.listen()}summarise(){let t=this.recordings.map(({report:p})=>p),[{map:s,program:e,duration:i,frames:n,version:a,kinds:o}]=t;
-document.title=`${s||"Recording"} · ${t.map(({source:p})=>p).join(" and ")}`,f("map").textContent=s||"No map name";let r=f("origin");t.length>1?this.
-recordings.forEach(({letter:p,report:g})=>{let y=g.duration===null?"":` · ${M(g.duration)}`,x=u("span","",`${g.source}${y} · ${yt(g.incidents.length)}`);
-r.append(u("span","source","",[T(p),x]))}):r.textContent=`${t[0].source} · ${ms(t[0].date)}`;let h=f("facts"),l=(p,...g)=>{h.append(u("div",p==="Acto\
-rs"?"":"minor","",[u("dt","",p),u("dd","","",g)]))};t.length===1&&(l("Duration",i===null?"unknown":M(i)),l("Frames",n.toLocaleString("en")),l("CARLA f\
-ormat",String(a)));let d=o.map(([p,g,y])=>u("span","kind","",[P(y),u("b","",String(g)),` ${p}${g===1||p==="other"?"":"s"}`]));l("Actors",...d.length?d:
-["none"]),f("program").textContent=e;let m=this.recording.report.opening?.notes??[];f("notes").append(...m.map(p=>u("li","",p))),f("notes").hidden=!m.
+choose(o,r),()=>this.changed()),this.listen()}summarise(){let t=this.recordings.map(({report:u})=>u),[{map:s,program:e,duration:i,frames:n,version:a,kinds:o}]=t;
+document.title=`${s||"Recording"} · ${t.map(({source:u})=>u).join(" and ")}`,f("map").textContent=s||"No map name";let r=f("origin");t.length>1?this.
+recordings.forEach(({letter:u,report:g})=>{let y=g.duration===null?"":` · ${M(g.duration)}`,x=p("span","",`${g.source}${y} · ${yt(g.incidents.length)}`);
+r.append(p("span","source","",[T(u),x]))}):r.textContent=`${t[0].source} · ${ms(t[0].date)}`;let h=f("facts"),l=(u,...g)=>{h.append(p("div",u==="Acto\
+rs"?"":"minor","",[p("dt","",u),p("dd","","",g)]))};t.length===1&&(l("Duration",i===null?"unknown":M(i)),l("Frames",n.toLocaleString("en")),l("CARLA f\
+ormat",String(a)));let d=o.map(([u,g,y])=>p("span","kind","",[P(y),p("b","",String(g)),` ${u}${g===1||u==="other"?"":"s"}`]));l("Actors",...d.length?d:
+["none"]),f("program").textContent=e;let m=this.recording.report.opening?.notes??[];f("notes").append(...m.map(u=>p("li","",u))),f("notes").hidden=!m.
 length}compare(){let[t,s]=this.recordings;Lt(t,s);let{differences:e}=t.report;f("difference").textContent=`${e?.text}.`,this.transport.difference=e?.since??
 null,this.transport.showPart(),f("compare").hidden=!1,document.body.classList.add("compares"),f("other-speed-line").hidden=!1,this.setMode(e?.over||Vt.
 matches?"over":"beside")}setMode(t){if(this.recordings.length<2)return;this.mode=t;let s=t==="beside";f("other-pane").hidden=!s,f("panes").classList.toggle(
-"two",s);for(let i of["beside","over"])A(i,i===t);this.stage.show(s?[this.recordings[0]]:this.recordings),this.ends=this.recordings.map(()=>u("span","\
-ended"));let e=this.recordings.map(({letter:i,report:n},a)=>[T(i),u("span","",n.source),this.ends[a]]);f("pane-name").replaceChildren(...s?e[0]:e.flat()),
+"two",s);for(let i of["beside","over"])A(i,i===t);this.stage.show(s?[this.recordings[0]]:this.recordings),this.ends=this.recordings.map(()=>p("span","\
+ended"));let e=this.recordings.map(({letter:i,report:n},a)=>[T(i),p("span","",n.source),this.ends[a]]);f("pane-name").replaceChildren(...s?e[0]:e.flat()),
 f("other-pane-name").replaceChildren(...s?e[1]:[]),this.link(this.stage),this.resize()}get active(){return this.mode==="beside"?this.stages:[this.stage]}get actions(){
 let{camera:t,clock:s,help:e,images:i,part:n,space:a,transport:o}=this;return[{id:"play",keys:["Space","k"],name:"Play or pause",run:()=>s.toggle()},{keys:[
 "←"],name:"1 second back; with Shift a tenth",run:()=>{}},{keys:["→"],name:"1 second on; with Shift a tenth",run:()=>{}},{id:"back",keys:[","],name:"\
@@ -348,7 +348,7 @@ e view",run:()=>this.savePicture()},{id:"theme",keys:["d"],name:"Light or dark",
 setMode("beside")},{id:"over",keys:[],name:"Overlaid (C)",run:()=>this.setMode("over")},{keys:["c"],name:"Side by side or overlaid",run:()=>this.setMode(
 this.mode==="beside"?"over":"beside"),off:!this.mode},{id:"solid",keys:["v"],name:"View in 3D",run:()=>a.toggle(),off:a.button.hidden},{id:"keys",keys:[
 "?"],name:"Keyboard shortcuts",run:()=>e.showModal()}].filter(({off:h})=>!h)}listen(){let t={Escape:"Esc","-":"−"};for(let{id:e,keys:[i],name:n,run:a}of this.
-actions){let o=i&&(t[i]??(i.length===1?i.toUpperCase():i));if(o&&f("shortcuts").append(u("div","","",[u("dt","","",[u("kbd","",o)]),u("dd","",n)])),!e)
+actions){let o=i&&(t[i]??(i.length===1?i.toUpperCase():i));if(o&&f("shortcuts").append(p("div","","",[p("dt","","",[p("kbd","",o)]),p("dd","",n)])),!e)
 continue;let r=f(e);r.addEventListener("click",a),r.textContent?.trim()||r.setAttribute("aria-label",n),r.title||=o?`${n} (${o})`:n}this.clock.addEventListener(
 "seek",()=>this.changed()),this.clock.addEventListener("state",()=>this.changed()),this.part.addEventListener("change",()=>this.changed()),k.addEventListener(
 "change",()=>this.drawStages()),document.addEventListener("keydown",e=>this.key(e)),document.addEventListener("click",({detail:e,target:i})=>{let n=i.
@@ -407,4 +407,4 @@ this.linked||t===this.begun&&!this.linked||(this.linked=t,clearTimeout(this.link
 250))}};function ms(c){let t=c&&new Date(c);return!t||!Number.isFinite(t.getTime())?"no date":`${t.toLocaleString("en-GB",{dateStyle:"long",timeStyle:"\
 short",timeZone:"UTC"})} UTC`}Promise.all([ft(GROUND),...RECORDINGS.map(ft)]).then(([c,...t])=>{let s=new St(t.map((e,i)=>new J(i,REPORTS[i],e)),c,IMAGES);
 Object.assign(globalThis,{replay:s,theme:k}),s.stale=!1,s.start(),s.draw(performance.now()),performance.mark("recap-first-frame")}).catch(c=>{let t=f(
-"nothing");throw t.textContent=`This page cannot be shown: ${c.message}. A browser from 2023 or later was expected.`,t.hidden=!1,c});})();
+"nothing");throw t.textContent=`This page cannot be shown: ${c.message}. It needs a browser from 2023 or later.`,t.hidden=!1,c});})();

@@ -76,8 +76,10 @@ export class Actors {
     if (event.key === "ArrowDown") this.shown[0]?.button.focus();
     else if (event.key === "Enter") this.shown[0]?.button.click();
     else if (event.key === "Escape" && this.search.value) this.search.value = "";
-    else if (event.key === "Escape") this.open(false);
-    else return;
+    else if (event.key === "Escape") {
+      this.open(false);
+      byId("incidents-tab").focus();
+    } else return;
     event.preventDefault();
     if (event.key === "Escape") this.find();
   }

@@ -562,7 +562,7 @@ Promise.all([unpack(GROUND), ...RECORDINGS.map(unpack)]).then(([ground, ...data]
   performance.mark("recap-first-frame");
 }).catch((error) => {
   const sign = byId("nothing");
-  sign.textContent = `This page cannot be shown: ${error.message}. A browser from 2023 or later was expected.`;
+  sign.textContent = `This page cannot be shown: ${error.message}. It needs a browser from 2023 or later.`;
   sign.hidden = false;
   throw error;
 });

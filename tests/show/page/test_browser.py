@@ -409,3 +409,13 @@ def test_it_opens_shortly_before_a_moment_without_an_incident(chromium: Chrome, 
     assert page.ask("[replay.incidents.current, replay.camera.followed, document.getElementById('notes').hidden]") == [
         *(-1, actor, True),
     ]
+
+
+def test_the_slider_reaches_the_last_sample_and_escape_leads_from_the_search_to_the_incidents(crossing: Page) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    crossing.browser.execute_script("document.getElementById('time').focus()")
+    crossing.press(Keys.END)
+    assert crossing.ask("replay.clock.time === replay.clock.stop")
+    crossing.press("a", Keys.ESCAPE)
+    assert crossing.ask("document.activeElement.id") == "incidents-tab"

@@ -401,8 +401,8 @@ def _incident(incident: Incident, picture: str | None) -> dict[str, Any]:
     place = incident.x, incident.y
     return {
         "kind": incident.kind,
-        "start": script.number(incident.start),
-        "stop": script.number(incident.stop),
+        "start": script.number(incident.start, 6),
+        "stop": script.number(incident.stop, 6),
         "actors": list(incident.actors),
         "types": [script.shortened(type_id) for type_id in incident.type_ids],
         "place": [round(value, 2) for value in place] if all(map(math.isfinite, place)) else None,
