@@ -38,6 +38,11 @@ LAYERS: Final = {
 }
 """The surfaces of a map, from the lowest to the highest; those that are raised hide the edges of others."""
 
+_LAYER_OF: Final = np.full(max(Material) + 1, -1)
+"""The number of the layer of each material; -1 for none."""
+for _number, _materials in enumerate(LAYERS.values()):
+    _LAYER_OF[list(_materials)] = _number
+
 _UPWARDS: Final = 0.3  # of the normal of a surface that is seen from above
 _GRID: Final = 100  # corners per m, to find those that triangles share
 _TOLERANCE: Final = 0.02  # m
@@ -87,23 +92,23 @@ def base_map(town: TownMesh | None, replays: Sequence[SampledReplay]) -> BaseMap
 
 def outlines(town: TownMesh) -> list[Outlines]:
     """Return the outlines of the surfaces of a town, by layer and tile."""
+    tiles = [_corners(tile) for tile in town.tiles]
     found = []
-    for layer, materials in LAYERS.items():
-        for tile in town.tiles:
-            corners = _corners(tile, materials)
-            if len(corners):
-                found.append(Outlines(layer, [ring / _GRID for ring in _rings(corners)]))
+    for number, layer in enumerate(LAYERS):
+        for numbers, corners in tiles:
+            chosen = corners[numbers == number]
+            if len(chosen):
+                found.append(Outlines(layer, [ring / _GRID for ring in _rings(chosen)]))
     return [each for each in found if each.rings]
 
 
-def _corners(mesh: Mesh, materials: Sequence[Material]) -> Integers:
-    """Return the corners of the triangles of some materials that are seen from above, (triangles, 3, 2), on a grid."""
+def _corners(mesh: Mesh) -> tuple[Integers, Integers]:
+    """Return the corners of triangles seen from above, (triangles, 3, 2), on a grid; before them the layer of each."""
     first = mesh.triangles[:, 0]
-    chosen = np.isin(mesh.materials[first], materials) & (mesh.normals[first, 2] > _UPWARDS)
-    points = mesh.vertices[mesh.triangles[chosen]][:, :, :2].astype(np.float64)
-    points = points[np.isfinite(points).all(axis=(1, 2))]
-    corners: Integers = np.rint(points * _GRID).astype(np.int64)
-    return corners
+    numbers = _LAYER_OF[mesh.materials[first]]
+    points = mesh.vertices[:, :2][mesh.triangles].astype(np.float64)
+    seen = (numbers >= 0) & (mesh.normals[first, 2] > _UPWARDS) & np.isfinite(points).all(axis=(1, 2))
+    return numbers[seen], np.rint(points[seen] * _GRID).astype(np.int64)
 
 
 def _rings(corners: Integers) -> Iterator[Floats]:
