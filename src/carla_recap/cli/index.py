@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import math
-import os
 import sys
 from dataclasses import asdict
 from datetime import date, datetime, time
@@ -103,7 +102,7 @@ def index(sources: tuple[str, ...], index_file: str, dask: str | None, **how: An
 @click.argument("query")
 @options.json
 @options.form("csv", "Print CSV, as in a pipe.")
-def sql(index_file: str, query: str, form: Form | None) -> NoReturn:
+def sql(index_file: str, query: str, form: Form | None) -> None:
     """Answer QUERY, in SQL, from the tables of INDEX.
 
     The tables are recordings, actors, collisions, stationary, incidents and measures. A QUERY of - is read from stdin.
@@ -118,8 +117,6 @@ def sql(index_file: str, query: str, form: Form | None) -> NoReturn:
         what = "near misses, measures and incidents of the road, which 'carla-recap index --measures' adds"
         warn(f"{index_file}: {counted(missing, 'recording')} without {what}")
     show_rows(rows, form or ("table" if sys.stdout.isatty() else "csv"))
-    sys.stdout.flush()
-    os._exit(0)  # ending the interpreter takes longer than most queries
 
 
 def _read_query() -> str:
