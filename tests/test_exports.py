@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -14,11 +15,15 @@ from carla_recap import MissingExtra, RecapError, export, open_recording
 from carla_recap.cli import cli
 from carla_recap.exports import FORMATS, ExportFormat, find_format
 from carla_recap.util.files import AtomicFile
-from tests.samples import ROOT
+from tests.samples import ROOT, names_in
+from tests.show.conftest import limited
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
     from pathlib import Path
+
+    from carla_recap import Recording
 
 CROSSING = ROOT / "samples" / "crossing.log"
 PACKAGES = {
@@ -34,34 +39,120 @@ RIG = ROOT / "samples" / "rigs" / "front_camera.json"
 every_format = pytest.mark.parametrize("form", FORMATS.values(), ids=FORMATS)
 
 
-@every_format
-@pytest.mark.filterwarnings("ignore:.*the map Crossing is not found")
-def test_a_recording_is_exported(request: pytest.FixtureRequest, tmp_path: Path, form: ExportFormat) -> None:
-    destination = tmp_path / f"out{form.suffix}"
+every_file = pytest.mark.parametrize("form", [form for form in FORMATS.values() if form.suffix], ids=lambda form: form.name)
+pytestmark = pytest.mark.filterwarnings("ignore:.*the map Crossing is not found")
+
+
+@pytest.fixture
+def part(request: pytest.FixtureRequest, form: ExportFormat) -> dict[str, Any]:
+    """Options of an export of a second, if the format has parts; skips the test if the format cannot be written here."""
     if form.extra:
         pytest.importorskip(PACKAGES[form.extra], reason=f"the extra {form.extra} is not installed")
     part: dict[str, Any] = {"start": 20, "duration": 1} if "start" in form.options else {}
     if form.dataset:
         request.getfixturevalue("driver")
         part |= {"rig": RIG, "actor": 100, "rate": 10, "quality": "low"}
+    return part
+
+
+@pytest.fixture(scope="module")
+def recording() -> Iterator[Recording]:
     with open_recording(CROSSING) as recording:
-        done = export(recording, destination, to=form.name, **part)
-        with pytest.raises(RecapError, match=r"exists already|is not empty"):
-            export(recording, destination, to=form.name, **part)
-        with pytest.raises(RecapError, match=f"wings does not go with an export to {form.name}"):
-            export(recording, destination, to=form.name, force=True, wings=2)
-    assert done.frames == (11 if part else 531)
+        yield recording
+
+
+@every_format
+def test_a_recording_is_exported(tmp_path: Path, recording: Recording, form: ExportFormat, part: dict[str, Any]) -> None:
+    destination, seen = tmp_path / f"out{form.suffix}", []
+
+    def progress(scenes: Any, _: object) -> Any:
+        for scene in scenes:
+            seen.extend([scene] * (len(scene) if form.name == "parquet" else 1))
+            yield scene
+
+    done = export(recording, destination, to=form.name, progress=progress, **part)
+    assert done.frames == len(seen) == (11 if part else 531)
+    with pytest.raises(RecapError, match=r"exists already|is not empty"):
+        export(recording, destination, to=form.name, **part)
+    with pytest.raises(RecapError, match=f"wings does not go with an export to {form.name}"):
+        export(recording, destination, to=form.name, force=True, wings=2)
     if done.files is None:
         assert destination.stat().st_size > 0
     else:
         assert sorted(done.files) == sorted(path for path in destination.rglob("*") if path.is_file())
+        (destination / "mine.txt").write_text("mine")
+    assert export(recording, destination, to=form.name, force=True, **part).frames == done.frames
+    assert done.files is None or (destination / "mine.txt").read_text() == "mine"
 
 
-@pytest.mark.parametrize("form", [form for form in FORMATS.values() if form.suffix], ids=lambda form: form.name)
-@pytest.mark.filterwarnings("ignore:.*the map Crossing is not found")
-def test_a_file_made_meanwhile_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: ExportFormat) -> None:
-    if form.extra:
-        pytest.importorskip(PACKAGES[form.extra], reason=f"the extra {form.extra} is not installed")
+@every_format
+def test_a_failure_leaves_nothing(tmp_path: Path, recording: Recording, form: ExportFormat, part: dict[str, Any]) -> None:
+    def interrupted(scenes: Any, _: object) -> Any:
+        yield next(iter(scenes))
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export(recording, tmp_path / f"out{form.suffix}", to=form.name, progress=interrupted, **part)
+    assert list(tmp_path.iterdir()) == []
+
+
+@every_format
+def test_what_is_not_in_the_recording(
+    tmp_path: Path, recording: Recording, form: ExportFormat, part: dict[str, Any]
+) -> None:
+    wrong: dict[str, tuple[Any, str]] = {
+        "follow": (7, "no actor 7 to follow; known ids are"),
+        "actor": (7, "no actor 7 to carry the rig; known ids are"),
+        "start": (99, "nothing at 99 s; the recording ends at 53 s"),
+    }
+    for name in wrong.keys() & form.options:
+        if name != "actor" or form.dataset:
+            with pytest.raises(RecapError, match=wrong[name][1]):
+                export(recording, tmp_path / f"out{form.suffix}", to=form.name, **part | {name: wrong[name][0]})
+    assert list(tmp_path.iterdir()) == []
+
+
+@every_format
+def test_a_place_that_cannot_be_written(
+    tmp_path: Path, recording: Recording, form: ExportFormat, part: dict[str, Any]
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / f"folder{form.suffix}").mkdir()
+    for place in (f"missing/x{form.suffix}", f"folder{form.suffix}") if form.suffix else ("file/x", "file"):
+        with pytest.raises(RecapError, match=r"cannot be written|is a file"):
+            export(recording, tmp_path / place, to=form.name, force=True, **part)
+    assert names_in(tmp_path) == ["file", f"folder{form.suffix}"]
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@every_file
+@pytest.mark.skipif(os.name != "posix", reason="there are no such limits")
+def test_a_full_disk(tmp_path: Path, recording: Recording, form: ExportFormat, part: dict[str, Any]) -> None:
+    path = tmp_path / f"out{form.suffix}"
+    export(recording, path, to=form.name, **part)
+    sizes = 0, 1_000, path.stat().st_size - 2_000
+    path.unlink()
+    code = (
+        f"import carla_recap\nwith carla_recap.open_recording({str(CROSSING)!r}) as recording:\n"
+        f"    carla_recap.export(recording, {str(path)!r}, to={form.name!r}, **{part})"
+    )
+    assert limited(code, *sizes) == [f"RecapError: {path}: cannot be written: File too large"] * 3
+    assert list(tmp_path.iterdir()) == []
+
+
+@every_file
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere names are text")
+def test_a_name_that_is_not_utf8(tmp_path: Path, recording: Recording, form: ExportFormat, part: dict[str, Any]) -> None:
+    for name in ("\udcff", "text"):
+        export(recording, tmp_path / f"{name}{form.suffix}", to=form.name, **part)
+    odd, text = ((tmp_path / f"{name}{form.suffix}").stat().st_size for name in ("\udcff", "text"))
+    assert odd == pytest.approx(text, rel=0.01)
+
+
+@every_file
+def test_a_file_made_meanwhile_is_kept(
+    tmp_path: Path, recording: Recording, monkeypatch: pytest.MonkeyPatch, form: ExportFormat, part: dict[str, Any]
+) -> None:
     path, move = tmp_path / f"out{form.suffix}", AtomicFile._move
 
     def moved(file: AtomicFile) -> None:
@@ -69,8 +160,7 @@ def test_a_file_made_meanwhile_is_kept(tmp_path: Path, monkeypatch: pytest.Monke
         move(file)
 
     monkeypatch.setattr(AtomicFile, "_move", moved)
-    part: dict[str, Any] = {"start": 20, "duration": 1} if "start" in form.options else {}
-    with open_recording(CROSSING) as recording, pytest.raises(RecapError, match=r"cannot be written: File exists$"):
+    with pytest.raises(RecapError, match=r"cannot be written: File exists$"):
         export(recording, path, to=form.name, **part)
     assert path.read_bytes() == b"mine"
 

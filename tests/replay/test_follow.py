@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from carla_recap import RecapError
+from carla_recap import ActorKind, RecapError, Spawn, attributes
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.replay import Player, choose_followed
+from carla_recap.replay.follow import LiveChoice
 from tests.replay.scripts import pose, spawn, velocity
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ CAST = [
     spawn(14, role_name="hero"),
     spawn(15, "static.prop.box"),
 ]
+SENSOR = Spawn(1, ActorKind.SENSOR, type_id="sensor.camera.rgb", attributes=attributes(role_name="hero"))
 NO_HERO = [actor for actor in CAST if actor.id != 14]
 
 
@@ -163,3 +165,54 @@ def test_the_last_collision_counts(record: Record) -> None:
 
 def test_another_actor_can_be_followed_while_the_hero_is_ignored(record: Record) -> None:
     assert Player(record({"spawned": CAST}), follow=12, ignore_hero=True).followed == 12
+
+
+def drive(*places: float, **further: Any) -> dict[str, Any]:
+    """Return a frame with actors 1, 2, ... at places along x, and further records."""
+    return {"transforms": [pose(id, x) for id, x in enumerate(places, 1)], **further}
+
+
+LIVE: dict[str, tuple[int | str, list[dict[str, Any]], list[int | None]]] = {
+    "what moves until there is a hero": (
+        "hero",
+        [
+            drive(0, 0, 0, spawned=[spawn(1), spawn(2, "walker.pedestrian.0001"), spawn(3)]),
+            *(drive(0, 100 * n, 50 * n) for n in (1, 2, 3)),
+            drive(0, 400, 200, spawned=[spawn(4, role_name="hero")]),
+            drive(0, 500, 250),
+        ],
+        [None, 3, 3, 3, 4, 4],
+    ),
+    "a hero that is a vehicle": (
+        "hero",
+        [drive(0, 0, spawned=[SENSOR, spawn(2, role_name="hero")]), drive(0, 0)],
+        [2, 2],
+    ),
+    "another one when it disappears": (
+        "hero",
+        [
+            drive(0, 0, spawned=[spawn(1), spawn(2)]),
+            drive(100, 100),
+            drive(200, 200, destroyed=[(1,)]),
+            *(drive(100 * n, 100 * n) for n in (3, 4)),
+        ],
+        [None, 1, None, 2, 2],
+    ),
+    "a parked car where nothing moves": (
+        "hero",
+        [drive(0, spawned=[spawn(1)]), *(drive(0) for _ in range(5))],
+        [None, None, None, 1, 1, 1],
+    ),
+    "the one that is asked for": (
+        7,
+        [drive(0, spawned=[spawn(1)]), drive(100), drive(200, spawned=[spawn(7)]), drive(300)],
+        [None, None, 7, 7],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LIVE)
+def test_a_live_view_follows(record: Record, name: str) -> None:
+    follow, script, expected = LIVE[name]
+    choice = LiveChoice(follow)
+    assert [choice.choose(scene) for scene in Player(record(*script)).scenes()] == expected

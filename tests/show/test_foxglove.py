@@ -7,7 +7,6 @@ import math
 import re
 import shutil
 import subprocess
-import sys
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
@@ -16,12 +15,14 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from carla_recap import MissingExtra, NotARecording, RecapError, RecapWarning, Spawn, open_recording
-from carla_recap.model.records import UE4, ActorKind, attributes
+from carla_recap import NotARecording, RecapWarning, Spawn, open_recording
+from carla_recap.model.records import UE4, ActorKind
 from carla_recap.rendering.town import town_mesh_of
+from carla_recap.scene.ahead import NO_LIGHT, stop_points
+from carla_recap.scene.follow import followed_series
 from carla_recap.show.foxglove import export_foxglove, layout_files
-from tests.replay.scripts import light, pose, spawn, velocity, write
-from tests.samples import carla_log, names_in
+from tests.replay.scripts import light, pose, spawn, write
+from tests.samples import carla_log
 
 pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
 
@@ -172,66 +173,6 @@ def test_an_export_is_no_recording(tmp_path):
         open_recording(tmp_path / "export.mcap")
 
 
-def test_a_file_is_overwritten_only_by_force(tmp_path):
-    (tmp_path / "out.mcap").write_bytes(b"precious")
-    with pytest.raises(RecapError, match="exists already; --force"):
-        export(CROSSING, tmp_path / "out.mcap")
-    assert (tmp_path / "out.mcap").read_bytes() == b"precious"
-    export(CROSSING, tmp_path / "out.mcap", duration=1, force=True)
-    assert read(tmp_path / "out.mcap")["/scene/vehicles"]
-
-
-def test_a_failure_leaves_no_file(tmp_path):
-    def fail(scenes, player):
-        yield next(iter(scenes))
-        raise RuntimeError("enough")
-
-    with pytest.raises(RuntimeError, match="enough"):
-        export(CROSSING, tmp_path / "out.mcap", progress=fail)
-    assert names_in(tmp_path) == []
-
-
-def test_a_missing_folder_is_an_error(tmp_path):
-    with pytest.raises(RecapError, match=r"nowhere.*out\.mcap: cannot be written"):
-        export(CROSSING, tmp_path / "nowhere" / "out.mcap")
-
-
-def test_an_unknown_actor_to_follow_leaves_no_file(tmp_path):
-    with pytest.raises(RecapError, match="no actor 7 to follow; known ids are"):
-        export(CROSSING, tmp_path / "out.mcap", follow=7)
-    assert names_in(tmp_path) == []
-
-
-def test_progress_is_given_every_scene(tmp_path):
-    times = []
-
-    def watch(scenes, player):
-        for scene in scenes:
-            times.append(scene.time / player.total)
-            yield scene
-
-    played = export(CROSSING, tmp_path / "out.mcap", start=-2, progress=watch)
-    assert played == (21, pytest.approx(2))
-    assert (len(times), times[0], times[-1]) == (21, pytest.approx(51 / 53), 1)
-
-
-def test_without_the_extra_the_error_names_what_to_install(tmp_path):
-    code = f"""
-import sys
-sys.modules["foxglove_schemas_protobuf"] = None
-from carla_recap import MissingExtra, open_recording
-from carla_recap.show.foxglove import export_foxglove, layout_files
-assert layout_files()
-try:
-    export_foxglove(open_recording({str(CROSSING)!r}), {str(tmp_path / "out.mcap")!r})
-except MissingExtra as error:
-    print(error)
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE, check=True)
-    assert done.stdout.strip() == str(MissingExtra("an export to Foxglove", "foxglove"))
-    assert names_in(tmp_path) == []
-
-
 @pytest.mark.parametrize("name", ["crossing", *REAL])
 def test_messages_do_not_depend_on_how_many_are_made_at_once(tmp_path, monkeypatch, name):
     source = CROSSING if name == "crossing" else carla_log(name)
@@ -281,19 +222,6 @@ def test_actors_of_real_recordings_have_their_recorded_poses(exports, name):
     times = [message.elapsed for _, message in topics["/hero"]]
     np.testing.assert_allclose(times, trajectory.time[: len(times)])
     assert len(times) >= len(trajectory.time) - 1
-
-
-def test_a_box_with_a_center_turns_with_its_actor(record):
-    box = (1, 100, 50, 75, 200, 100, 75)  # cm, left-handed: the middle is 1 m ahead and 0.5 m to the right
-    frames = [{"spawned": [spawn(1)], "transforms": [pose(1)], "bounding_boxes": [box]}]
-    frames += [{"transforms": [pose(1, x=1000 * n, y=200, yaw=90)]} for n in range(1, 3)]
-    topics = record(*frames)
-    points = corners(bodies(topics)["actor 1"])
-    assert (points.min(axis=0) + points.max(axis=0)) / 2 == pytest.approx([1, -0.5, 0.75], abs=1e-3)
-    assert np.ptp(points, axis=0) == pytest.approx([4, 2, 1.5], abs=1e-3)
-    _, transform = moves(topics, 1)[-1]
-    assert xyz(transform.translation) == pytest.approx([20, -2, 0])
-    assert math.degrees(2 * math.atan2(transform.rotation.z, transform.rotation.w)) == pytest.approx(-90)
 
 
 def test_a_destroyed_actor_is_deleted_at_its_time(crossing):
@@ -396,11 +324,6 @@ def test_further_actors_of_a_crowd_are_boxes(record, monkeypatch):
     assert [len(entity.cubes) for entity in bodies(topics).values()] == [0, 0, 0, 1, 1]
 
 
-def test_an_actor_without_a_spawn_is_shown(record):
-    topics = record(*({"transforms": [pose(5, x=100 * n)]} for n in range(3)))
-    assert list(bodies(topics)) == ["actor 5"]
-
-
 def test_a_prop_without_a_recorded_box_is_solid(record):
     bag = Spawn(2, ActorKind.OTHER, type_id="static.prop.bag")
     entities = bodies(record({"spawned": [spawn(1), bag], "transforms": [pose(1), pose(2)]}))
@@ -408,41 +331,22 @@ def test_a_prop_without_a_recorded_box_is_solid(record):
         assert {shape.color.a for shape in entities[name].triangles} == {1.0}
 
 
-def test_an_attached_actor_moves_with_its_parent(record):
-    bag = Spawn(2, ActorKind.OTHER, x=-100, type_id="static.prop.bag")
-    frames = [{"spawned": [spawn(1), bag], "parented": [(2, 1)]}, {}, {}]
-    topics = record(*({**frame, "transforms": [pose(1, x=1000 * n)]} for n, frame in enumerate(frames)))
-    assert moves(topics, 2)[-1][1].translation.x == pytest.approx(19)
-
-
-def test_the_hero_is_a_vehicle_or_a_walker(record):
-    sensor = Spawn(1, ActorKind.SENSOR, type_id="sensor.camera.rgb", attributes=attributes(role_name="hero"))
-    car = Spawn(2, ActorKind.VEHICLE, type_id="vehicle.audi.tt", attributes=attributes(role_name="hero"))
-    topics = record({"spawned": [sensor, car], "transforms": [pose(1), pose(2, x=700)]})
-    frames = {transform.child_frame_id: transform for _, message in topics["/tf"] for transform in message.transforms}
-    assert frames["hero"].translation.x == 7
-
-
-def test_an_actor_at_nan_is_not_shown(record):
-    xs = [0, 100, math.nan, 300]
+@pytest.mark.parametrize(
+    ("xs", "shown", "known", "framed"),
+    [
+        ([0, 100, math.nan, 300], [True, True, False, True], [0, 1, 3], [0, 1, 1, 3]),
+        ([0, 1e9, 9.99e8], [True, False, True], [0, 1e7, 9.99e6], [0, 1e7, 9.99e6]),
+        ([math.nan, 100, 100], [False, True, True], [1, 1], [0, 1, 1]),
+    ],
+    ids=["nan", "ten thousand kilometres away", "still, once it is a number"],
+)
+def test_an_actor_at_no_place_is_not_shown(record, xs, shown, known, framed):
     topics = record(
         *({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)), follow=1
     )
-    assert [bool(bodies(topics, n / 10)) for n in range(4)] == [True, True, False, True]
-    assert [message.x for _, message in topics["/hero"]] == [0, 1, 3]
-    assert [message.transforms[0].translation.x for _, message in topics["/tf"]] == [0, 1, 1, 3]
-
-
-def test_an_actor_ten_thousand_kilometres_away_is_not_shown(record):
-    xs = [0, 1e9, 9.99e8]
-    topics = record(*({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)))
-    assert [bool(bodies(topics, n / 10)) for n in range(3)] == [True, False, True]
-
-
-def test_an_actor_that_stands_still_is_shown_once_its_location_is_a_number(record):
-    xs = [math.nan, 100, 100]
-    topics = record(*({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)))
-    assert [bool(bodies(topics, n / 10)) for n in range(3)] == [False, True, True]
+    assert [bool(bodies(topics, n / 10)) for n in range(len(xs))] == shown
+    assert [message.x for _, message in topics["/hero"]] == pytest.approx(known)
+    assert [message.transforms[0].translation.x for _, message in topics["/tf"]] == pytest.approx(framed)
 
 
 @pytest.mark.parametrize(
@@ -514,27 +418,6 @@ def test_lights_are_written_when_they_change_and_at_the_end(record):
     assert topics["/lights"][0][1].lights[0].entity in seen(topics["/scene/signals"])
 
 
-def test_the_light_ahead_is_the_nearest_in_front(record):
-    lights = [spawn(id, "traffic.traffic_light", x=x, yaw=90) for id, x in ((8, 3000), (9, 5000), (10, 30_000))]
-    states = [light(8, 0), light(9, 2), light(10, 1)]
-    frames = [
-        {"spawned": [spawn(1), *lights] if n == 0 else [], "transforms": [pose(1, x=x)], "light_states": states}
-        for n, x in enumerate((0, 2000, 4000, 6000))
-    ]
-    topics = record(*frames, follow=1)
-    told = [latest(topics["/lights"], n / 10).ahead for n in range(4)]
-    assert [(one.id, one.state) for one in told] == [(8, 0), (8, 0), (9, 2), (0, 4)]
-    assert [one.text for one in told] == ["light 8: red", "light 8: red", "light 9: green", "none"]
-    marked = [seen(topics["/scene/ahead"], n / 10) for n in range(4)]
-    assert [[entity.frame_id for entity in entities.values()] for entities in marked] == [
-        ["actor 8"],
-        ["actor 8"],
-        ["actor 9"],
-        [],
-    ]
-    assert marked[0]["light ahead"].texts[0].text == "light 8: red"
-
-
 def boxed(shape):
     """Return the middle and the size of the triangles of a shape."""
     points = np.array([xyz(point) for point in shape.points])
@@ -560,17 +443,6 @@ def test_lamps_of_a_vehicle_are_shown_while_they_are_lit(record):
     assert len(topics["/scene/lamps"]) == 4
 
 
-def test_the_brake_pedal_lights_the_brake_lamps(record):
-    controls = [(1, 0.0, 0.5, brake, 0, 1) for brake in (0.0, 0.7, *[0.0] * 6)]
-    topics = record(
-        *(
-            {"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1)], "vehicle_controls": [control]}
-            for n, control in enumerate(controls)
-        )
-    )
-    assert [bool(seen(topics["/scene/lamps"], n / 10)) for n in range(8)] == [False, *[True] * 5, False, False]
-
-
 def test_lamps_go_with_their_vehicle(record):
     topics = record(
         {"spawned": [spawn(1)], "transforms": [pose(1)], "vehicle_lights": [(1, 8)]},
@@ -583,38 +455,30 @@ def test_lamps_go_with_their_vehicle(record):
 # --- the followed actor --------------------------------------------------------------------------------------------
 
 
-def test_the_followed_actor_has_its_trajectory_and_controls(crossing):
+def test_the_followed_actor_has_its_trajectory_controls_and_series(crossing):
     with open_recording(CROSSING) as recording:
         trajectory, controls = recording.trajectory(HERO), recording.controls(HERO)
+        series = followed_series(recording, HERO, {})
     rows = [message for _, message in crossing["/hero"]]
     assert {(row.id, row.type_id) for row in rows} == {(HERO, "vehicle.tesla.model3")}
     for axis in ("x", "y", "z", "yaw"):
         np.testing.assert_allclose([getattr(row, axis) for row in rows], getattr(trajectory, axis), atol=1e-9)
     for name in ("throttle", "brake", "steer", "gear", "hand_brake"):
         assert [getattr(row, name) for row in rows] == getattr(controls, name).tolist()
-    speeds = np.array([row.speed for row in rows[1:]])
-    np.testing.assert_allclose(speeds, trajectory.speed[1:], atol=0.5)
-    np.testing.assert_allclose([row.speed_kmh for row in rows[1:]], speeds * 3.6)
+    expected = {"speed": series.speed, "speed_kmh": series.speed * 3.6, "acceleration": series.acceleration}
+    expected |= dict(zip(("shown_throttle", "shown_brake"), series.pedals.T, strict=True))
+    for name, values in expected.items():
+        found = [getattr(row, name) if row.HasField(name) else math.nan for row in rows]
+        assert found == pytest.approx(values.tolist(), abs=1e-6, nan_ok=True), name
 
 
-def test_the_recorded_speed_is_used(record):
-    topics = record(
-        *(
-            {"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=n)], "velocities": [velocity(1, 7.5)]}
-            for n in range(3)
-        ),
-        follow=1,
-    )
-    assert [message.speed for _, message in topics["/hero"]] == [7.5, 7.5, 7.5]
-
-
-def test_a_jump_is_no_speed(record):
-    xs = [0, 100, 90_000, 90_100]
-    topics = record(
-        *({"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1, x=x)]} for n, x in enumerate(xs)), follow=1
-    )
-    told = [message.speed if message.HasField("speed") else None for _, message in topics["/hero"]]
-    assert told == [pytest.approx(10), pytest.approx(10), pytest.approx(10), pytest.approx(10)]
+def test_the_light_ahead_is_marked(crossing):
+    with open_recording(CROSSING) as recording:
+        series = followed_series(recording, HERO, stop_points(recording.reader))
+    red, none = series.light_state.tolist().index(0), series.light.tolist().index(NO_LIGHT)
+    (mark,) = seen(crossing["/scene/ahead"], series.time[red]).values()
+    assert (mark.frame_id, mark.texts[0].text) == (f"actor {FIRST_LIGHT}", f"light {FIRST_LIGHT}: red")
+    assert seen(crossing["/scene/ahead"], series.time[none]) == {}
 
 
 def test_the_followed_frame_is_level_and_calm(record):
@@ -649,51 +513,19 @@ def test_another_actor_can_be_followed(tmp_path):
     assert xyz(view.translation) != pytest.approx(xyz(hero.translation), abs=1)
 
 
-def test_pedals_do_not_chatter_at_a_standstill(record):
-    pedals = [(0.8, 0.0)] * 5 + [(0.0, 0.6), (0.3, 0.0)] * 10
-    topics = record(
-        *(
-            {
-                "spawned": [spawn(1)] if n == 0 else [],
-                "transforms": [pose(1)],
-                "vehicle_controls": [(1, 0.0, throttle, brake, 0, 1)],
-                "velocities": [velocity(1, 0.0)],
-            }
-            for n, (throttle, brake) in enumerate(pedals)
-        ),
-        follow=1,
-    )
-    told = [message for _, message in topics["/hero"]]
-    assert [message.brake for message in told[5:9]] == pytest.approx([0.6, 0, 0.6, 0])
-    assert {round(message.shown_brake, 3) for message in told[5:]} == {0.6}
-    assert {message.shown_throttle for message in told[5:]} == {0}
-    assert {round(message.shown_throttle, 3) for message in told[:5]} == {0.8}
-
-
-def test_the_acceleration_is_that_of_the_speeds(record):
-    speeds = [5.0 + 0.2 * n for n in range(20)]
-    topics = record(
-        *(
-            {"spawned": [spawn(1)] if n == 0 else [], "transforms": [pose(1)], "velocities": [velocity(1, speed)]}
-            for n, speed in enumerate(speeds)
-        ),
-        follow=1,
-    )
-    told = [message.acceleration for _, message in topics["/hero"] if message.HasField("acceleration")]
-    assert told == pytest.approx([2.0] * 19)
-
-
 # --- events --------------------------------------------------------------------------------------------------------
 
 
-def test_the_log_has_each_contact_once(crossing):
-    told = [(round(time, 3), line.message) for time, line in crossing["/log"] if line.name == "collisions"]
-    assert told == [
-        (20.9, "vehicle.bh.crossbike (105) collides with walker.pedestrian.0004 (110)"),
-        (24.6, "hero collides with vehicle.audi.a2 (101)"),
-    ]
-    levels = {line.message: line.level for _, line in crossing["/log"]}
-    assert [levels[text] for _, text in told] == [3, 4]
+def test_the_log_has_actors_and_each_contact_once(crossing):
+    lines = [(round(time, 3), line.message, line.level) for time, line in crossing["/log"] if line.name != "incidents"]
+    assert lines[0] == (0, "10 actors are there: 4 traffic lights, 4 vehicles, 2 others", 2)
+    assert {
+        (10.0, "vehicle.bh.crossbike (105) appears", 2),
+        (20.9, "vehicle.bh.crossbike (105) collides with walker.pedestrian.0004 (110)", 3),
+        (24.6, "hero collides with vehicle.audi.a2 (101)", 4),
+        (27.0, "vehicle.nissan.micra (103) disappears", 2),
+    } <= set(lines)
+    assert sum("collides" in text for _, text, _ in lines) == 2
 
 
 def test_the_log_has_hard_braking_and_long_stops(tmp_path):
@@ -730,44 +562,12 @@ def test_a_collision_leaves_a_mark_for_some_seconds(record):
     assert np.abs(corners(entity)[:, :2]).max() == pytest.approx(1.1, abs=0.05)
 
 
-def test_a_walker_who_was_knocked_down_lies(record):
-    topics = record(*collision_of(12))
-    heights = [np.ptp(corners(bodies(topics, n / 10)["actor 2"]), axis=0)[2] for n in range(12)]
-    assert heights[:3] == pytest.approx([1.86] * 3, abs=0.05)
-    assert 0.7 < heights[6] < 1.8
-    assert all(height < 0.7 for height in heights[8:])
-
-
 def test_a_walker_who_walks_again_stands_from_that_scene_on(record):
     frames = collision_of(14)
     frames[11]["walker_controls"] = [(2, 140.0)]
     topics = record(*frames)
     heights = [np.ptp(corners(bodies(topics, n / 10)["actor 2"]), axis=0)[2] for n in range(14)]
     assert [height < 0.7 for height in heights] == [8 <= n < 11 for n in range(14)]
-
-
-def test_the_log_begins_with_the_present_actors(crossing):
-    assert crossing["/log"][0][1].message == "10 actors are there: 4 traffic lights, 4 vehicles, 2 others"
-
-
-def test_the_log_has_spawns_and_destructions(crossing):
-    lines = [(time, line.message) for time, line in crossing["/log"] if line.name == "actors" and line.level == 2]
-    assert (pytest.approx(10.0), "vehicle.bh.crossbike (105) appears") in lines
-    assert (pytest.approx(27.0), "vehicle.nissan.micra (103) disappears") in lines
-
-
-def test_many_spawns_and_destructions_are_counted(record):
-    crowd = range(10, 20)
-    topics = record(
-        {},
-        {"spawned": [spawn(id, "walker.pedestrian.0001") for id in crowd]},
-        {"destroyed": list(crowd)},
-    )
-    assert [line.message for _, line in topics["/log"]] == [
-        "0 actors are there",
-        "10 actors appear: 10 walkers",
-        "10 actors disappear: 10 walkers",
-    ]
 
 
 # --- the map -------------------------------------------------------------------------------------------------------

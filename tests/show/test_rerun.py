@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from collections import defaultdict
@@ -14,21 +13,19 @@ import numpy as np
 import psutil
 import pytest
 
-from carla_recap import ActorKind, MissingExtra, RecapError, RecapWarning, Spawn, attributes, open_recording
-from carla_recap.model.records import NO_ACTOR
+from carla_recap import ActorKind, MissingExtra, RecapError, RecapWarning, Spawn, open_recording
 from carla_recap.queries.kinds import KINDS
 from carla_recap.replay import Player
 from carla_recap.roads import RoadMap, load_map
 from carla_recap.scene import style
-from tests.replay.scripts import light, pose, spawn, velocity, write
+from carla_recap.scene.follow import followed_series
+from tests.replay.scripts import light, pose, spawn, write
 from tests.samples import CARLA_LOGS, carla_log, names_in
-from tests.show.conftest import limited
 
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
 from rerun.chunk import RrdReader
 
-from carla_recap.replay.follow import LiveChoice
 from carla_recap.scene.materials import MATERIALS, Material
 from carla_recap.show.rerun import APPLICATION, blueprint, bodies, meshes, stream, writer
 from carla_recap.show.rrd import export_rerun
@@ -237,33 +234,6 @@ def test_models_have_the_recorded_colour(tmp_path: Path) -> None:
         assert (painted[:, :3].argmax(axis=1) == strongest).mean() > 0.6
 
 
-def test_brake_lights_are_lit_while_it_brakes(tmp_path: Path) -> None:
-    frames = [
-        {"transforms": [pose(1, 100 * n)], "vehicle_controls": [(1, 0.0, 0.0, float(20 <= n < 30), 0, 1)]} for n in range(50)
-    ]
-    frames[0]["spawned"] = [spawn(1)]
-    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
-    changes = rrd.rows("/world/actors/1/lamps/brake_light", "Mesh3D:albedo_factor")
-    glow, dark = (MATERIALS[Material.BRAKE_LIGHT].glow, MATERIALS[Material.BRAKE_LIGHT].color)
-    assert [tuple(color.to_bytes(4, "big")[:3]) for _, (color,) in changes] == [glow, dark]
-    assert changes[0][0] == pytest.approx(2.0)
-    assert 2.9 < changes[1][0] < 3.6
-    assert not [path for path in rrd.entities if path.endswith("indicator")]
-
-
-def test_a_walker_who_was_hit_lies(tmp_path: Path) -> None:
-    frames = [{"transforms": [pose(1, 60 * n), pose(2, 1500, z=90)]} for n in range(50)]
-    frames[0]["spawned"] = [spawn(1), spawn(2, "walker.pedestrian.0001")]
-    frames[21]["collisions"] = [(0, 1, 2, 0, 0)]
-    frames[40]["walker_controls"] = [(2, 140.0)]
-    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
-    *falling, (lies, (lying,)), (rose, (standing,)) = rrd.rows("/world/actors/2", "InstancePoses3D:mat3x3")
-    assert (falling[0][0], lies, rose) == pytest.approx((2.2, 2.7, 4.0))
-    axis = np.array(lying).reshape(3, 3)[2]  # the matrix is stored by columns: where the head points
-    assert axis == pytest.approx((1, 0, 0), abs=1e-6)
-    assert np.array(standing).reshape(3, 3) == pytest.approx(np.eye(3))
-
-
 def test_the_followed_car_is_see_through_while_it_hides_another_actor(tmp_path: Path) -> None:
     frames = [{"transforms": [pose(1), pose(2, 300 if 10 <= n < 20 else 3000, z=90)]} for n in range(50)]
     frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2, "walker.pedestrian.0001")]
@@ -272,23 +242,6 @@ def test_the_followed_car_is_see_through_while_it_hides_another_actor(tmp_path: 
     assert (first & 255, second & 255) == (102, 255)
     assert hides == pytest.approx(1.0, abs=0.21)
     assert free == pytest.approx(2.9, abs=0.25)
-
-
-def test_what_is_between_the_camera_and_the_followed_car_is_see_through(tmp_path: Path) -> None:
-    frames = [{"transforms": [pose(1), pose(2, -600 if 10 <= n < 20 else -3000, z=100)]} for n in range(50)]
-    frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2, "vehicle.carlamotors.carlacola")]
-    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
-    (hides, (first,)), (free, (second,)) = rrd.rows("/world/actors/2", "Mesh3D:albedo_factor")
-    assert (first & 255, second & 255) == (64, 255)
-    assert (hides, free) == pytest.approx((1.0, 2.9), abs=0.25)
-    assert not rrd.rows("/world/actors/1", "Mesh3D:albedo_factor")
-
-
-def test_flat_debris_need_not_be_seen(tmp_path: Path) -> None:
-    frames = [{"transforms": [pose(1, 20 * n), pose(2, 400)]} for n in range(50)]
-    frames[0]["spawned"] = [spawn(1, role_name="hero"), spawn(2, "static.prop.dirtdebris02")]
-    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
-    assert not rrd.rows("/world/actors/1", "Mesh3D:albedo_factor")
 
 
 def test_a_sensor_is_fixed_to_its_car(crossing) -> None:
@@ -327,14 +280,19 @@ def test_the_camera_is_calm_and_level(crossing) -> None:
     assert np.abs(np.diff(np.unwrap(turns, period=360))).max() < quickest
 
 
-def test_plots_of_speed_and_controls(crossing) -> None:
-    way, controls = crossing.recording.trajectory(HERO), crossing.recording.controls(HERO)
-    assert way.velocity_recorded.all()
-    times, speeds = zip(*crossing.rrd.rows("/ego/speed_kmh", "Scalars:scalars"), strict=True)
-    assert times == pytest.approx(way.time)
-    assert np.ravel(speeds) == pytest.approx(way.speed * 3.6, abs=1e-3)
-    values = [value for _, value in crossing.rrd.rows("/ego/controls", "Scalars:scalars")]
-    assert np.array(values) == pytest.approx(np.stack((controls.throttle, controls.brake, controls.steer), axis=1))
+def test_plots_are_those_of_the_followed_actor(crossing) -> None:
+    series, controls = followed_series(crossing.recording, HERO, {}), crossing.recording.controls(HERO)
+    expected = {
+        "speed_kmh": series.speed * 3.6,
+        "acceleration": series.acceleration,
+        "pedals": series.pedals,
+        "controls": np.stack((controls.throttle, controls.brake, controls.steer), axis=1),
+    }
+    for name, values in expected.items():
+        known = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+        times, found = zip(*crossing.rrd.rows(f"/ego/{name}", "Scalars:scalars"), strict=True)
+        assert times == pytest.approx(series.time[known]), name
+        assert np.squeeze(found) == pytest.approx(values[known], abs=1e-3), name
     assert crossing.rrd.static["/ego/controls"]["SeriesLines:names"] == ["throttle", "brake", "steer"]
 
 
@@ -412,15 +370,6 @@ def test_a_contact_is_one_marker_and_one_line(crossing) -> None:
     assert max(heights) < 0.2
 
 
-def test_hard_braking_and_long_stops_are_in_the_log(crossing) -> None:
-    found = crossing.recording.incidents()
-    expected = [(incident.start, incident.text) for incident in found if incident.kind != "collision"]
-    assert {incident.kind for incident in found} > {"hard braking"}
-    texts = crossing.rrd.rows("/events", "TextLog:text")
-    told = [(time, text) for time, (text,) in texts if "brakes hard" in text or "stands still" in text]
-    assert told == [(pytest.approx(time), text) for time, text in expected]
-
-
 def test_the_spawns_are_read_once_for_all_cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     counts, asked = [], []
     for cameras in (None, tmp_path / "cameras"):
@@ -459,11 +408,6 @@ def test_incidents_outside_of_the_exported_part_are_left_out(crossing, tmp_path:
     for start, expected in ((hard - 2, [pytest.approx(hard)]), (hard + 3, [])):
         rrd = export(CROSSING, tmp_path / "part.rrd", start=start, duration=5, force=True)
         assert [time for time, (text,) in rrd.rows("/events", "TextLog:text") if "brakes hard" in text] == expected
-
-
-def test_many_events_at_once_are_counted(crossing) -> None:
-    time, (text,) = crossing.rrd.rows("/events", "TextLog:text")[0]
-    assert (time, text) == (0, "10 actors are there: 4 traffic lights, 4 vehicles, 2 others")
 
 
 def test_properties(crossing) -> None:
@@ -558,21 +502,6 @@ def test_an_id_that_is_used_again_in_the_same_frame(tmp_path: Path) -> None:
     assert [rrd.place("/world/actors/1", t) is not None for t in range(4)] == alive
 
 
-def test_the_camera_does_not_turn_slowly_after_a_jump(tmp_path: Path) -> None:
-    frames = [
-        {"spawned": [spawn(1)], "transforms": [pose(1, 100 * n)]} if n == 0 else {"transforms": [pose(1, 100 * n)]}
-        for n in range(5)
-    ]
-    frames += [{"transforms": [pose(1, 90_000 + 100 * n, yaw=90)]} for n in range(5)]
-    rrd = export(write(tmp_path / "jump.log", frames, tick=0.1), tmp_path / "jump.rrd")
-    assert near(rrd.angle("/world/chase", 0.4), 0)
-    assert near(rrd.angle("/world/chase", 0.5), -90)
-    strips = [strip for _, (strip,) in rrd.rows("/world/trail/1", "LineStrips3D:strips")]
-    assert max(abs(a[0] - b[0]) for a, b in strips) == pytest.approx(1)
-    speeds = [value[0] for _, value in rrd.rows("/ego/speed_kmh", "Scalars:scalars")]
-    assert speeds == pytest.approx([36] * 10, rel=1e-3)
-
-
 def test_the_camera_waits_where_the_actor_will_appear(tmp_path: Path) -> None:
     frames = [{"spawned": [spawn(2, "static.prop.bin")], "transforms": [pose(2)]}, {}, {"spawned": [spawn(1)]}]
     frames += [{"transforms": [pose(1, 700)]}]
@@ -581,26 +510,12 @@ def test_the_camera_waits_where_the_actor_will_appear(tmp_path: Path) -> None:
     assert rrd.place("/world/chase", 0) == pytest.approx([7, -3, 0])
 
 
-def test_speed_of_recorded_velocities_and_of_poses(tmp_path: Path) -> None:
-    frames = driven(4, spawned=[spawn(1)])
-    frames[2] |= {"velocities": [velocity(1, 20)]}
-    rrd = export(write(tmp_path / "speed.log", frames), tmp_path / "speed.rrd")
-    assert [value[0] for _, value in rrd.rows("/ego/speed_kmh", "Scalars:scalars")] == pytest.approx([3.6, 3.6, 72, 3.6])
-
-
 def test_invalid_numbers_are_left_out(tmp_path: Path) -> None:
     frames = driven(5, spawned=[spawn(1)])
     frames[2] = {"transforms": [pose(1, np.nan)]}
     rrd = export(write(tmp_path / "nan.log", frames), tmp_path / "nan.rrd")
     assert [rrd.place("/world/actors/1", t)[0] for t in range(5)] == [0, 1, 1, 3, 4]
     assert rrd.place("/world/chase", 4) == [4, 0, 0]
-
-
-def test_an_actor_that_was_never_spawned(tmp_path: Path) -> None:
-    rrd = export(write(tmp_path / "stranger.log", driven(3, of=9)), tmp_path / "stranger.rrd")
-    corners = np.array(rrd.at("/world/actors/9", "Mesh3D:vertex_positions", 0))
-    assert (corners.min(axis=0), corners.max(axis=0)) == (pytest.approx((-0.15, -0.15, 0)), pytest.approx((0.15, 0.15, 0.3)))
-    assert rrd.place("/world/actors/9", 2) == [2, 0, 0]
 
 
 def test_no_actor_to_follow(tmp_path: Path) -> None:
@@ -630,31 +545,6 @@ def test_a_light_that_is_destroyed_and_spawned_again(tmp_path: Path) -> None:
     assert [rrd.at("/signals/tl_10", "StateChange:state", t) for t in range(3)] == [["green"], None, ["green"]]
 
 
-def test_contacts_with_pauses(tmp_path: Path) -> None:
-    contacts = {0: (1, 2), 1: (2, 1), 5: (1, 2), 20: (1, 2), 21: (1, NO_ACTOR)}
-    frames = driven(30, spawned=[spawn(1), spawn(2)])
-    for number, (at, pair) in enumerate(contacts.items()):
-        frames[at] |= {"collisions": [(number, *pair, 0, 0)]}
-    rrd = export(write(tmp_path / "contacts.log", frames, tick=0.1), tmp_path / "contacts.rrd")
-    told = [text for _, (text,) in rrd.rows("/events", "TextLog:text") if "collides" in text]
-    assert told == [
-        "vehicle.audi.tt (1) collides with vehicle.audi.tt (2)",
-        "vehicle.audi.tt (1) collides with vehicle.audi.tt (2)",
-        "vehicle.audi.tt (1) collides with a static object",
-    ]
-
-
-def test_a_contact_in_adjacent_frames_far_apart_is_one_line(tmp_path: Path) -> None:
-    frames = driven(9, spawned=[spawn(1), spawn(2)])
-    for at in (1, 2, 3, 4, 6):
-        frames[at] |= {"collisions": [(at, 1, 2, 0, 0)]}
-    source = write(tmp_path / "contacts.log", frames, tick=2.0)
-    rrd = export(source, tmp_path / "contacts.rrd")
-    with open_recording(source) as recording:
-        assert recording.collisions().contacts == 2
-    assert [time for time, (text,) in rrd.rows("/events", "TextLog:text") if "collides" in text] == [2, 12]
-
-
 def test_part_of_a_recording(tmp_path: Path) -> None:
     rrd = export(CROSSING, tmp_path / "part.rrd", start=30.05, duration=5, follow=BLOCKING)
     times = [time for time, _ in rrd.rows("/map/actors", "Points2D:positions")]
@@ -664,18 +554,6 @@ def test_part_of_a_recording(tmp_path: Path) -> None:
         way = recording.trajectory(LATE)
     middle = (np.interp(30.05, way.time, way.x), np.interp(30.05, way.time, way.y))
     assert rrd.place(f"/world/actors/{LATE}", 30.05)[:2] == pytest.approx(middle, abs=1e-3)
-
-
-def test_progress_is_given_every_scene(tmp_path: Path) -> None:
-    seen = []
-
-    def progress(scenes, player):
-        for scene in scenes:
-            seen.append(scene.time / player.stop)
-            yield scene
-
-    export(write(tmp_path / "p.log", driven(5, spawned=[spawn(1)])), tmp_path / "p.rrd", progress=progress)
-    assert seen == [0, 0.25, 0.5, 0.75, 1]
 
 
 # --- large numbers ---
@@ -699,19 +577,6 @@ def test_cameras_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     with pytest.warns(RecapWarning, match="only 2 of 5 actors get a camera"):
         export(source, tmp_path / "many.rrd", cameras=tmp_path / "cameras")
     assert names_in(tmp_path / "cameras") == ["follow_1.rbl", "follow_2.rbl"]
-
-
-def test_only_the_latest_of_many_contacts_are_marked(tmp_path: Path) -> None:
-    ids = range(1, 61)
-    contacts = [(id, id, NO_ACTOR, 0, 0) for id in ids]
-    frames = [{"transforms": [pose(id, 100 * id) for id in ids], "spawned": [*map(spawn, ids)], "collisions": contacts}]
-    rrd = export(write(tmp_path / "crash.log", [*frames, *({} for _ in range(6))]), tmp_path / "crash.rrd")
-    ((time, strips),) = rrd.rows("/world/collisions", "LineStrips3D:strips")
-    assert time == 0
-    rings = [np.array(strip) for strip in strips if len(strip) > 2]
-    assert [(ring[:, 0].min() + ring[:, 0].max()) / 2 for ring in rings] == pytest.approx(range(11, 61), abs=1e-4)
-    assert rrd.at("/world/collisions", "LineStrips3D:strips", 5) is None
-    assert len(rrd.rows("/events", "TextLog:text")) == 61
 
 
 def test_threads_end_after_an_export(tmp_path: Path) -> None:
@@ -774,63 +639,11 @@ def test_a_map_of_another_town_is_left_out(tmp_path: Path) -> None:
 # --- bad input ---------------------------------------------------------------------------------------------
 
 
-def test_nothing_is_overwritten_without_force(tmp_path: Path) -> None:
-    path = tmp_path / "there.rrd"
-    path.write_text("precious")
-    with pytest.raises(RecapError, match="exists already"):
-        export(CROSSING, path)
-    with pytest.raises(RecapError, match="is not empty"):
-        export(CROSSING, tmp_path / "new.rrd", cameras=tmp_path)
-    assert [file.name for file in tmp_path.iterdir()] == ["there.rrd"]
-    export(CROSSING, path, force=True, duration=1, cameras=tmp_path)
-    verify(path)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [({"follow": 102_000}, "no actor 102000 to follow; known ids are"), ({"start": 99}, "nothing at 99 s")],
-)
-def test_unknown_actors_and_times(options, message: str, tmp_path: Path) -> None:
-    with pytest.raises(RecapError, match=message):
-        export(CROSSING, tmp_path / "x.rrd", **options)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_failed_export_leaves_no_files(tmp_path: Path) -> None:
-    def progress(scenes, player):
-        yield next(iter(scenes))
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        export(CROSSING, tmp_path / "x.rrd", progress=progress)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("place", ["missing/x.rrd", "."])
-def test_a_destination_that_cannot_be_written(place: str, tmp_path: Path) -> None:
-    with pytest.raises(RecapError, match="cannot be written"):
-        export(CROSSING, tmp_path / place, force=True)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.skipif(os.name != "posix", reason="there are no such limits")
-def test_a_full_disk(tmp_path: Path) -> None:
-    destination = tmp_path / "x.rrd"
-    export(CROSSING, destination, start=20, duration=2)
-    sizes = 0, 1_000, 60_000, destination.stat().st_size - 2_000
-    destination.unlink()
-    code = "\n".join(
-        (
-            "from carla_recap import export_rerun, open_recording",
-            f"with open_recording({str(CROSSING)!r}) as recording:",
-            f"    export_rerun(recording, {str(destination)!r}, start=20, duration=2)",
-        )
-    )
-    assert limited(code, *sizes) == [f"RecapError: {destination}: cannot be written: File too large"] * 4
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_cameras_and_rrd_are_written_together_or_not_at_all(tmp_path: Path) -> None:
+    (tmp_path / "full" / "mine").mkdir(parents=True)
+    with pytest.raises(RecapError, match="is not empty"):
+        export(CROSSING, tmp_path / "w.rrd", cameras=tmp_path / "full")
+    assert names_in(tmp_path) == ["full"]
     (tmp_path / "taken" / "follow_100.rbl").mkdir(parents=True)
     with pytest.raises(RecapError, match="taken: cannot be written: Is a directory"):
         export(CROSSING, tmp_path / "x.rrd", duration=1, cameras=tmp_path / "taken", force=True)
@@ -842,30 +655,10 @@ def test_cameras_and_rrd_are_written_together_or_not_at_all(tmp_path: Path) -> N
     assert not (tmp_path / "y.rrd").exists()
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere names are text")
-def test_a_destination_that_is_not_utf8(tmp_path: Path) -> None:
-    destination = tmp_path / "\udcff.rrd"
-    with open_recording(CROSSING) as recording:
-        export_rerun(recording, destination, duration=1)
-    verify(destination.rename(tmp_path / "text.rrd"))
-
-
 def test_names_that_are_not_utf8(tmp_path: Path) -> None:
     odd = Spawn(1, ActorKind.VEHICLE, type_id="vehicle.\udcff")
     rrd = export(write(tmp_path / "odd.log", driven(2, spawned=[odd])), tmp_path / "odd.rrd")
     assert rrd.at("/world/actors/1", "name", 0)[0].endswith(" 1")
-
-
-def test_the_missing_extra_is_named() -> None:
-    lines = (
-        "import sys",
-        "sys.modules['rerun'] = None",
-        "try: import carla_recap.show.rerun",
-        "except Exception as error: print(error)",
-    )
-    script = "\n".join(lines)
-    printed = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
-    assert printed == f"{MissingExtra('an export to Rerun', 'rerun')}\n"
 
 
 def test_a_blueprint_for_any_actor(tmp_path: Path) -> None:
@@ -879,32 +672,6 @@ def test_a_blueprint_for_any_actor(tmp_path: Path) -> None:
 
 
 # --- plots -------------------------------------------------------------------------------------------------
-
-
-def test_the_brake_is_shown_as_held_at_a_standstill(tmp_path: Path) -> None:
-    """The driver of a car that stands presses the brake and the throttle in turn."""
-    frames = []
-    for n in range(40):
-        stands = n >= 20
-        control = (1, 0.0, 0.0 if n % 4 else 0.3, 1.0 if n % 4 else 0.0, 0, 1) if stands else (1, 0.0, 0.3, 0.0, 0, 1)
-        frames.append({"transforms": [pose(1, 100.0 * min(n, 20))], "vehicle_controls": [control]})
-    frames[0]["spawned"] = [spawn(1)]
-    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
-    recorded = [value for _, value in rrd.rows("/ego/controls", "Scalars:scalars")]
-    assert [value[1] for value in recorded[24:28]] == [0.0, 1.0, 1.0, 1.0]
-    shown = [value for _, value in rrd.rows("/ego/pedals", "Scalars:scalars")]
-    assert shown[:20] == [pytest.approx([0.3, 0.0])] * 20
-    assert shown[22:] == [[0.0, 1.0]] * 18
-
-
-def test_the_plotted_acceleration_is_that_of_the_speed(tmp_path: Path) -> None:
-    frames = [{"transforms": [pose(1, 100 * n)], "velocities": [velocity(1, x=0.2 * n)]} for n in range(30)]
-    frames[0]["spawned"] = [spawn(1)]
-    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
-    times, values = zip(*rrd.rows("/ego/acceleration", "Scalars:scalars"), strict=True)
-    assert np.ravel(values) == pytest.approx(2.0, abs=1e-4)
-    assert times[0] < 0.2
-    assert times[-1] > 2.7
 
 
 # --- the light ahead ---------------------------------------------------------------------------------------
@@ -923,46 +690,6 @@ def test_the_light_ahead_is_named(crossing) -> None:
 
 
 # --- live --------------------------------------------------------------------------------------------------
-
-
-def chosen(follow: int | str, frames: list, tmp_path: Path) -> list[int | None]:
-    """Return the actor that a live view follows after each frame."""
-    choice = LiveChoice(follow)
-    with open_recording(write(tmp_path / "live.log", frames)) as recording:
-        return [choice.choose(scene) for scene in Player(recording).scenes()]
-
-
-def test_a_live_view_follows_what_moves_until_there_is_a_hero(tmp_path: Path) -> None:
-    frames = [{"transforms": [pose(1), pose(2, 100 * n), pose(3, 50 * n)]} for n in range(6)]
-    frames[0]["spawned"] = [spawn(1), spawn(2, "walker.pedestrian.0001"), spawn(3)]
-    frames[4]["spawned"] = [spawn(4, role_name="hero")]
-    assert chosen("hero", frames, tmp_path) == [None, 3, 3, 3, 4, 4]
-
-
-def test_the_hero_of_a_live_view_is_a_vehicle_or_a_walker(tmp_path: Path) -> None:
-    frames = [{"transforms": [pose(1), pose(2), pose(3)]} for _ in range(2)]
-    sensor = Spawn(1, ActorKind.SENSOR, type_id="sensor.camera.rgb", attributes=attributes(role_name="hero"))
-    frames[0]["spawned"] = [sensor, spawn(2, role_name="hero")]
-    assert chosen("hero", frames, tmp_path) == [2, 2]
-
-
-def test_a_live_view_follows_another_actor_when_the_followed_one_disappears(tmp_path: Path) -> None:
-    frames = [{"transforms": [pose(1, 100 * n), pose(2, 100 * n)]} for n in range(5)]
-    frames[0]["spawned"] = [spawn(1), spawn(2)]
-    frames[2]["destroyed"] = [(1,)]
-    assert chosen("hero", frames, tmp_path)[-1] == 2
-
-
-def test_a_live_view_follows_a_parked_car_where_nothing_moves(tmp_path: Path) -> None:
-    frames = [{"transforms": [pose(1)]} for n in range(6)]
-    frames[0]["spawned"] = [spawn(1)]
-    assert chosen("hero", frames, tmp_path) == [None, None, None, 1, 1, 1]
-
-
-def test_a_live_view_waits_for_the_actor_that_was_asked_for(tmp_path: Path) -> None:
-    frames = [{"transforms": [pose(1, 100 * n)]} for n in range(4)]
-    frames[0]["spawned"], frames[2]["spawned"] = [spawn(1)], [spawn(7)]
-    assert chosen(7, frames, tmp_path) == [None, None, 7, 7]
 
 
 def test_signs_are_drawn_where_no_map_has_them(tmp_path: Path) -> None:

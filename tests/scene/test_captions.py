@@ -1,0 +1,50 @@
+"""Events of a recording in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from carla_recap import Player, open_recording
+from carla_recap.model.records import NO_ACTOR
+from carla_recap.scene.captions import EventText, Line
+from tests.replay.scripts import pose, spawn, write
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def lines(path: Path, frames: list[dict[str, Any]], tick: float = 0.1) -> list[tuple[float, Line]]:
+    """Return the lines of a recording of some frames, with their times."""
+    words = EventText()
+    with open_recording(write(path, frames, tick=tick)) as recording:
+        return [(scene.time, line) for scene in Player(recording).scenes() for line in words.lines(scene)]
+
+
+def test_a_contact_is_a_line_again_after_a_pause(tmp_path: Path) -> None:
+    contacts = {0: (1, 2), 1: (2, 1), 5: (1, 2), 20: (1, 2), 21: (1, NO_ACTOR)}
+    frames = [{"transforms": [pose(1, 100 * n)]} for n in range(30)]
+    frames[0]["spawned"] = [spawn(1), spawn(2)]
+    for number, (at, pair) in enumerate(contacts.items()):
+        frames[at]["collisions"] = [(number, *pair, 0, 0)]
+    found = [(round(time, 1), line.text) for time, line in lines(tmp_path / "in.log", frames) if line.contact]
+    pair = "vehicle.audi.tt (1) collides with vehicle.audi.tt (2)"
+    assert found == [(0.0, pair), (2.0, pair), (2.1, "vehicle.audi.tt (1) collides with a static object")]
+
+
+def test_a_contact_in_adjacent_frames_far_apart_is_one_line(tmp_path: Path) -> None:
+    frames: list[dict[str, Any]] = [{"collisions": [(n, 1, 2, 0, 0)] * (n in (1, 2, 3, 4, 6))} for n in range(9)]
+    frames[0]["spawned"] = [spawn(1), spawn(2)]
+    found = lines(tmp_path / "in.log", frames, tick=2.0)
+    assert [time for time, line in found if line.contact] == [2, 12]
+    with open_recording(tmp_path / "in.log") as recording:
+        assert recording.collisions().contacts == 2
+
+
+def test_many_spawns_and_destructions_are_counted(tmp_path: Path) -> None:
+    crowd = range(10, 20)
+    frames = [{}, {"spawned": [spawn(id, "walker.pedestrian.0001") for id in crowd]}, {"destroyed": list(crowd)}]
+    assert [line.text for _, line in lines(tmp_path / "in.log", frames)] == [
+        "0 actors are there",
+        "10 actors appear: 10 walkers",
+        "10 actors disappear: 10 walkers",
+    ]
