@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import fields
 from datetime import UTC, datetime
 from importlib import import_module
@@ -13,7 +12,6 @@ import pytest
 from carla_recap import (
     ActorKind,
     Attribute,
-    MissingExtra,
     RecapError,
     Spawn,
     convert,
@@ -168,16 +166,6 @@ def test_boxes_without_a_size_are_left_out(recording):
     assert recording.actors[PROP].bounding_box is None
 
 
-def test_an_id_that_is_used_again_is_the_latest_actor(tmp_path):
-    with create_recording(tmp_path / "again.log", map_name="T") as recorder:
-        recorder.add_frame(0.0, spawned=[spawn(1, 1, "vehicle.a")])
-        recorder.add_frame(1.0, destroyed=[(1,)])
-        recorder.add_frame(2.0, spawned=[spawn(1, 2, "walker.b")])
-    with open_recording(tmp_path / "again.log") as recording:
-        actor = recording.actors[1]
-        assert (actor.type_id, actor.spawned_at, actor.destroyed_at) == ("walker.b", 2.0, None)
-
-
 # --- where they went -------------------------------------------------------------------------------------
 
 
@@ -191,14 +179,6 @@ def test_a_trajectory_is_in_metres_and_right_handed(recording):
     assert path.z == pytest.approx(np.full(20, 0.05))
     for angle, value in (("roll", 3.0), ("pitch", -4.0), ("yaw", -5.0)):
         assert getattr(path, angle).tolist() == [value] * 20
-
-
-def test_a_trajectory_in_the_axes_of_carla(recording):
-    path, other = recording.trajectory(HERO, axes="carla"), recording.trajectory(HERO)
-    for name in ("x", "z", "roll", "vx", "vz"):
-        assert getattr(path, name).tolist() == getattr(other, name).tolist()
-    for name in ("y", "pitch", "yaw", "vy"):
-        assert getattr(path, name).tolist() == (-getattr(other, name)).tolist()
 
 
 def test_velocities_are_recorded_or_derived(recording):
@@ -220,13 +200,6 @@ def test_an_actor_that_stands_has_no_speed(recording):
 def test_an_actor_without_transforms_has_an_empty_trajectory(recording):
     path = recording.trajectory(CAMERA)
     assert (len(path), path.speed.tolist(), path.velocity_recorded.dtype) == (0, [], np.bool_)
-
-
-def test_a_trajectory_of_one_sample_has_no_speed(tmp_path):
-    with create_recording(tmp_path / "one.log", map_name="T") as recorder:
-        recorder.add_frame(0.0, transforms={"id": 1, "x": 100})
-    with open_recording(tmp_path / "one.log") as recording:
-        assert np.isnan(recording.trajectory(1).vx).all()
 
 
 def test_a_trajectory_has_the_transforms_of_the_log():
@@ -317,28 +290,6 @@ def test_a_time_before_the_first_frame_is_an_error(recording):
 # --- as tables -------------------------------------------------------------------------------------------
 
 
-def test_answers_become_data_frames(recording):
-    path = recording.trajectory(HERO).to_pandas()
-    assert list(path.columns[:4]) == ["time", "x", "y", "z"]
-    assert path["velocity_recorded"].sum() == 10
-    assert recording.controls(HERO).to_pandas()["gear"].dtype == np.int32
-
-
-def test_answers_become_arrow_tables(recording):
-    table = recording.light_states(LIGHT).to_arrow()
-    assert table.column_names == ["time", "state", "elapsed", "frozen"]
-    assert table.num_rows == 20
-
-
-@pytest.mark.parametrize(
-    ("method", "package", "extra"), [("to_pandas", "pandas", "pandas"), ("to_arrow", "pyarrow", "arrow")]
-)
-def test_a_missing_extra_is_named(recording, monkeypatch, method, package, extra):
-    monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(MissingExtra, match=rf"pip install '\.\[{extra}\]'"):
-        getattr(recording.trajectory(HERO), method)()
-
-
 def test_both_formats_give_equal_answers(tmp_path):
     log, mcap = carla_log("carla-0.9.10-lane-center.log"), tmp_path / "there.mcap"
     convert(log, mcap)
@@ -350,14 +301,6 @@ def test_both_formats_give_equal_answers(tmp_path):
                 a, b = getattr(one, method)(id), getattr(other, method)(id)
                 for name in a.__dataclass_fields__:
                     np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
-
-
-def test_a_closed_recording_is_an_error(recording):
-    recording = open_recording(recording.path)
-    recording.close()
-    recording.close()
-    with pytest.raises(RecapError, match="the recording is closed"):
-        recording.frames()
 
 
 def test_unknown_axes_are_an_error(recording):

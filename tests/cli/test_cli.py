@@ -164,16 +164,6 @@ def test_text_cannot_control_a_terminal(evil, command):
     assert EVIL in answer(name, evil, "--text", *rest)  # in a pipe the bytes are as they are
 
 
-def test_errors_name_options(tmp_path):
-    (tmp_path / "there.log").touch()
-    message = error("convert", CROSSING, tmp_path / "there.log")
-    assert message == f"{tmp_path / 'there.log'}: exists already; --force replaces it"
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "folder" / "a").touch()
-    message = error("clips", CROSSING, tmp_path / "folder")
-    assert message == f"{tmp_path / 'folder'}: is not empty; --force writes over what it has of the same names"
-
-
 # --- JSON --------------------------------------------------------------------------------------------------
 
 
@@ -322,12 +312,6 @@ def test_max_rows_of_an_empty_answer():
 def test_a_file_that_is_not_a_recording(tmp_path, name):
     prepare_no_recordings(tmp_path)
     assert error("info", name, cwd=tmp_path).startswith(f"{name}: ")
-
-
-@pytest.mark.parametrize("command", ["collisions", "blocked", "actors"])
-def test_a_query_of_a_missing_recording(tmp_path, command):
-    prepare_no_recordings(tmp_path)
-    assert error(command, "text.log", cwd=tmp_path).startswith("text.log: ")
 
 
 @pytest.mark.parametrize("command", ["convert", "recover"])
@@ -609,7 +593,3 @@ def test_a_query_imports_only_what_it_uses(command):
     assert not imported(command, CROSSING) & (unused | threads | {"mcap", "zstandard"})
     ahead = threads if command == "incidents" else set()
     assert not imported(command, CROSSING.with_name("crash.mcap")) & ((unused | threads) - ahead)
-
-
-def test_collisions_of_a_log_import_only_what_they_use():
-    assert not imported("collisions", CROSSING) & {"google", "json", "mcap", "pandas", "pyarrow", "rich", "zstandard"}

@@ -8,11 +8,10 @@ import subprocess
 import urllib.request
 
 import pytest
-from mcap.reader import make_reader
 
 from carla_recap import open_recording
 from carla_recap.output.text import local_date
-from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, on_terminal, run, the_line, wrote
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, run, the_line, wrote
 from tests.roads.towns import town
 from tests.samples import carla_log, reading
 from tests.waiting import PATIENCE
@@ -31,34 +30,37 @@ def said(*arguments: object) -> str:
 # --- incidents -------------------------------------------------------------------------------------------------
 
 
-def test_incidents_as_json_and_with_max_rows():
-    done = run("incidents", CROSSING, "--json", "--max-rows", "3")
-    assert done.returncode == 1
-    rows = json.loads(done.stdout)["rows"]
-    assert [row["kind"] for row in rows] == ["blocked", "collision", "hard braking", "collision"]
-    assert rows[3]["actors"] == [100, 101]
-
-
 # --- export ----------------------------------------------------------------------------------------------------
 
 
-def test_export_to_rerun(tmp_path):
-    from rerun.chunk import RrdReader
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("out.rrd", ("--follow", "101")),
+        ("out.mcap", ("--to", "foxglove", "--follow", "hero")),
+        ("tracks.csv", ()),
+        ("run.xosc", ()),
+        ("trace.mcap", ("--to", "osi")),
+    ],
+)
+def test_an_export_says_how_much_it_wrote(tmp_path, name, options):
+    if "osi" in options:
+        pytest.importorskip("betterosi", reason="the extra `osi` is not installed")
+    done = run("export", CROSSING, tmp_path / name, "--start", "-20", "--duration", "2", *options, "--json")
+    assert done.returncode == 0
+    assert wrote(done.stderr) == [f"{tmp_path / name}: 21 frames, 2 s"]
+    (written,) = json.loads(done.stdout)["written"]
+    assert (written["path"], written["frames"]) == (str(tmp_path / name), 21)
+    assert written["bytes"] == (tmp_path / name).stat().st_size > 1000
+    assert done.stderr.startswith(b"the layout for Foxglove: ") == ("foxglove" in options)
 
-    target = tmp_path / "out.rrd"
-    message = said("export", CROSSING, target, "--start", "-20", "--duration", "2", "--follow", "101")
-    assert wrote(message) == [f"{target}: 21 frames, 2 s"]
-    paths = RrdReader(target).store().schema().entity_paths()
-    assert "/world/actors/101" in paths
 
-
-def test_export_to_foxglove(tmp_path):
-    target = tmp_path / "out.mcap"
-    words = said("export", CROSSING, target, "--to", "foxglove", "--duration", "1")
-    assert words.startswith("the layout for Foxglove: ")
-    assert wrote(words) == [f"{target}: 11 frames, 1 s"]
-    with target.open("rb") as file:
-        assert "foxglove.SceneUpdate" in {schema.name for schema in make_reader(file).get_summary().schemas.values()}
+def test_an_export_of_files_counts_them(tmp_path):
+    pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
+    done = run("export", CROSSING, tmp_path / "out", "--to", "parquet")
+    count = len(list((tmp_path / "out").iterdir()))
+    assert wrote(done.stderr) == [f"{tmp_path / 'out'}: 531 frames, 53 s, {count} files"]
+    assert "out: is not empty; --force writes over" in error("export", CROSSING, tmp_path / "out", "--to", "parquet")
 
 
 def test_export_draws_the_map(tmp_path):
@@ -82,6 +84,9 @@ def test_a_camera_for_each_actor(tmp_path):
         (("out.rrd", "--start", "54"), "nothing at 54 s; the recording ends at 53 s"),
         (("out.txt",), "'out.txt' does not end in .rrd, .mcap, .csv or .xosc"),
         (("out.mcap", "--to", "rerun"), "'out.mcap' does not end in .rrd"),
+        (("out.csv", "--follow", "hero"), "--follow does not go with --to csv"),
+        (("out.xosc", "--view", "top"), "--view does not go with --to xosc"),
+        (("out", "--to", "parquet", "--start", "0"), "--start does not go with --to parquet"),
         (("out.mcap", "--cameras", "cameras"), "--cameras"),
         (("out.rrd", "--map", "missing.xodr"), "missing.xodr: No such file or directory"),
         (("out.rrd", "--map", "broken.xodr"), "broken.xodr: "),
@@ -93,21 +98,6 @@ def test_invalid_arguments_of_export(tmp_path, arguments, message):
     (tmp_path / "broken.xodr").write_text("<html>")
     assert message in error("export", CROSSING, *arguments, cwd=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["broken.xodr"]
-
-
-def test_export_does_not_overwrite(tmp_path):
-    target = tmp_path / "out.rrd"
-    target.write_text("mine")
-    assert "--force" in error("export", CROSSING, target)
-    assert target.read_text() == "mine"
-    said("export", CROSSING, target, "--duration", "0.1", "--force")
-    assert target.read_bytes().startswith(b"RRF")
-
-
-def test_export_has_a_progress_bar(tmp_path):
-    code, shown, _ = on_terminal("export", CROSSING, tmp_path / "out.rrd", "--force", stream="stderr")
-    assert code == 0
-    assert "exporting" in shown
 
 
 # --- clips -----------------------------------------------------------------------------------------------------
@@ -234,30 +224,6 @@ def test_a_map_needs_no_extra(tmp_path):
     assert done.returncode == 0
     (written,) = done.stderr.decode().splitlines()
     assert written.startswith(f"wrote {tmp_path / 'out.rrd'}: ")
-
-
-@pytest.mark.parametrize(("name", "options"), [("tracks.csv", ()), ("run.xosc", ()), ("trace.mcap", ("--to", "osi"))])
-def test_exports_for_other_programs_say_how_much_they_wrote(tmp_path, name, options):
-    if "osi" in options:
-        pytest.importorskip("betterosi", reason="the extra `osi` is not installed")
-    done = run("export", CROSSING, tmp_path / name, "--start", "20", "--duration", "1", *options)
-    assert done.returncode == 0
-    assert wrote(done.stderr) == [f"{tmp_path / name}: 11 frames, 1 s"]
-    assert (tmp_path / name).stat().st_size > 1000
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("out.txt", "--to", "csv"), "does not end in .csv"),
-        (("out.rrd", "--to", "osi"), "does not end in .mcap"),
-        (("out.csv", "--follow", "hero"), "--follow does not go with --to csv"),
-        (("out.xosc", "--view", "top"), "--view does not go with --to xosc"),
-    ],
-)
-def test_wrong_exports_for_other_programs_are_errors(tmp_path, arguments, message):
-    assert message in error("export", CROSSING, tmp_path / arguments[0], *arguments[1:])
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_table_is_imported(tmp_path):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.command import COMMAND, ENVIRONMENT, answer, error, on_terminal, run, wrote
+from tests.cli.command import COMMAND, ENVIRONMENT, answer, on_terminal, run, wrote
 from tests.samples import SAMPLES
 from tests.waiting import PATIENCE
 
@@ -31,6 +31,8 @@ def test_a_run_ends_with_one_line_and_the_next_reads_nothing(tmp_path):
         done = run("index", SAMPLES / "crossing.log", tmp_path / "index")
         assert (done.returncode, done.stdout) == (0, b"")
         assert wrote(done.stderr) == [f"{tmp_path}/index: 1 recording ({counts}){hint}"]
+    done = run("index", "--prune", SAMPLES / "crash.mcap", tmp_path / "index")
+    assert b"1 recording (1 read, 0 failed, 0 unchanged, 1 removed)" in done.stderr
 
 
 def test_an_answer_without_near_misses_says_how_they_are_found(index):
@@ -63,34 +65,6 @@ def test_unknown_maps_are_a_warning(tmp_path):
     warning = done.stderr.decode().splitlines()[-1]
     assert warning.startswith("carla-recap: warning: unknown maps: 'Crossing'; ")
     assert "--map" in warning
-
-
-def test_a_list_of_recordings_comes_from_stdin(tmp_path):
-    command = [COMMAND, "index", "-", tmp_path / "index"]
-    done = subprocess.run(
-        command,
-        input=f"{SAMPLES}/crossing.log\n{SAMPLES}/crash.mcap\n".encode(),
-        capture_output=True,
-        env=ENVIRONMENT,
-        timeout=PATIENCE,
-        check=False,
-    )
-    assert b"2 recordings (2 read" in done.stderr
-
-
-def test_pruned_recordings_are_counted(tmp_path):
-    run("index", SAMPLES / "crossing.log", SAMPLES / "crash.mcap", tmp_path / "index")
-    done = run("index", "--prune", SAMPLES / "crossing.log", tmp_path / "index")
-    assert b"1 recording (0 read, 0 failed, 1 unchanged, 1 removed)" in done.stderr
-    assert answer("sql", tmp_path / "index", "select count(*) as n from recordings") == "n\n1\n"
-
-
-def test_a_terminal_shows_a_bar_which_is_removed(tmp_path):
-    code, shown, _ = on_terminal("index", SAMPLES / "crossing.log", tmp_path / "index", stream="stderr")
-    assert code == 0
-    assert wrote(shown) == [
-        f"{tmp_path}/index: 1 recording (1 read, 0 failed, 0 unchanged), events alone (--measures adds near misses)"
-    ]
 
 
 @pytest.mark.parametrize(
@@ -166,23 +140,6 @@ def test_names_of_recordings_cannot_control_the_terminal(index):
     assert r"\x1b[2J" in shown
 
 
-@pytest.mark.parametrize(
-    ("query", "message"),
-    {
-        "select nothing from recordings": "; at character 8: 'nothing'",
-        "select 'ä', map\nfrom\trecordings\nwhere 'ä' = nothing": "; at line 3, character 13: 'nothing'",
-        "select 1 fro recordings group": "; at character 14: 'recordings'",
-        "select 1 from nowhere": "; at character 15: 'nowhere'",
-        "select 1; drop view actors": "one query was expected, which begins with select, with, ",
-        "explain select 1": "table, pivot, unpivot, describe, show or summarize",
-        "select * from read_text('/etc/passwd')": "Permission Error",
-        "select error('a\nb')": "Invalid Input Error: a",
-    }.items(),
-)
-def test_a_wrong_query_is_an_error_in_one_line(index, query, message):
-    assert message in error("sql", index, query)
-
-
 def test_a_question_about_measures_that_the_index_does_not_have_is_answered_with_a_warning(index):
     done = run("sql", index, "select count(*) as n from measures")
     assert (done.returncode, done.stdout) == (0, b"n\n0\n")
@@ -224,24 +181,3 @@ def test_a_date_beyond_the_calendar_is_an_error(index, query, form):
     assert done.returncode == 2
     assert done.stderr.startswith(b"carla-recap: a date that is not between the years 1 and 9999 cannot be printed")
     assert done.stderr.count(b"\n") == 1
-
-
-@pytest.mark.parametrize("query", ["select range from range(2000000000)", "select repeat('x', 1900000000)"])
-def test_an_answer_that_is_too_large_for_the_memory_is_an_error(index, query):
-    assert "there is not enough memory for this query" in error("sql", index, query)
-
-
-def test_a_file_that_is_no_index_is_an_error(tmp_path):
-    assert "is a folder; an index is a file" in error("sql", tmp_path, "select 1")
-    assert "does not exist; 'carla-recap index' makes" in error("sql", tmp_path / "none", "select 1")
-    (tmp_path / "empty").touch()
-    assert "is empty; remove it, and 'carla-recap index" in error("sql", tmp_path / "empty", "select 1")
-
-
-def test_sources_without_recordings_are_an_error(tmp_path):
-    (tmp_path / "runs").mkdir()
-    assert "no recordings" in error("index", tmp_path / "runs", tmp_path / "index")
-
-
-def test_one_argument_is_not_enough(tmp_path):
-    assert "Missing argument" in error("index", tmp_path)

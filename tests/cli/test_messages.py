@@ -152,29 +152,6 @@ def test_no_json_is_printed_with_an_error(invoke):
     assert invoke("convert", "missing.log", "out.mcap", "--json").out == ""
 
 
-def test_json_of_what_failed_is_nothing(invoke):
-    assert invoke("clip", CROSSING, "out.log", "--start", "99", "--json")[:2] == (BAD_INPUT, "")
-
-
-def test_json_of_clips(invoke):
-    done = invoke("clips", CROSSING, "out", "--kinds", "collision", "--no-rrd", "--json")
-    written = json.loads(done.out)["written"]
-    assert [each["kind"] for each in written] == ["collision", "collision"]
-    assert all(Path(each["path"]).is_file() for each in written)
-    assert len(wrote(done.err)) == 2
-
-
-@pytest.mark.parametrize("to", ["csv", "osi", "parquet", "xosc"])
-def test_exports_to_other_programs_have_the_options_of_all_commands(invoke, to):
-    if to == "parquet":
-        pytest.importorskip("pyarrow")
-    name = {"csv": "out.csv", "osi": "out.mcap", "parquet": "out", "xosc": "out.xosc"}[to]
-    done = invoke("export", CROSSING, name, "--to", to, "--json", "-q", "-v")
-    assert done.code == 0, done.err
-    assert json.loads(done.out)["written"][0]["path"] == name
-    assert wrote(done.err) == []
-
-
 # --- colours -----------------------------------------------------------------------------------------------
 
 

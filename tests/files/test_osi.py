@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from carla_recap import ActorKind, RecapError, Spawn, attributes, create_recording, open_recording
+from carla_recap import ActorKind, Spawn, attributes, create_recording, open_recording
 
 pytest.importorskip("betterosi", reason="the extra `osi` is not installed")
 
@@ -153,13 +153,6 @@ def test_poses_that_are_no_numbers_are_left_out(tmp_path):
         warnings.simplefilter("error")
         assert export(path, tmp_path / "odd.mcap").frames == 3
     assert [len(truth.moving_object) for _, truth in messages(tmp_path / "odd.mcap")] == [0, 1, 1]
-
-
-def test_a_file_that_exists_is_kept(tmp_path, own):
-    (tmp_path / "own.mcap").write_bytes(b"kept")
-    with pytest.raises(RecapError, match="exists already"):
-        export(own, tmp_path / "own.mcap")
-    assert (tmp_path / "own.mcap").read_bytes() == b"kept"
 
 
 @pytest.mark.skipif(importlib.util.find_spec("omega_prime") is None, reason="omega-prime (1.2 GB) is not installed")

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from carla_recap import MissingExtra, RecapError, create_recording, export_parquet, open_recording
-from carla_recap.cli.export import export as export_command
 from carla_recap.files import parquet as exporter
 from carla_recap.model.records import UE4, Bone, Bones
-from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, on_terminal, run, the_line, wrote
+from tests.cli.command import CROSSING
 from tests.samples import log_header, names_in, packet, save, start
 
 pytest.importorskip("pyarrow", reason="the extra `arrow` is not installed")
 from pyarrow import parquet
-
-from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -122,35 +117,11 @@ def test_an_empty_recording_has_empty_files_of_queries(tmp_path: Path) -> None:
     assert (table.num_rows, str(table.schema.field("attributes").type).partition(" (")[0]) == (0, "map<string, string")
 
 
-def test_a_folder_that_is_not_empty_is_an_error(tmp_path: Path, small: Path) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "mine.txt").write_text("mine")
-    with open_recording(small) as recording:
-        with pytest.raises(RecapError, match=r"out: is not empty; .*force=True"):
-            export_parquet(recording, tmp_path / "out")
-        assert names_in(tmp_path / "out") == ["mine.txt"]
-        export_parquet(recording, tmp_path / "out", force=True)
-        assert {"mine.txt", "transforms.parquet"} < set(names_in(tmp_path / "out"))
-
-
 def test_a_failure_leaves_no_files(tmp_path: Path) -> None:
     broken = log_header() + start(1, 0.0) + packet(6, b"\1") + start(2, 1.0)
     with open_recording(save(tmp_path / "broken.log", broken)) as recording, pytest.raises(RecapError, match="transforms"):
         export_parquet(recording, tmp_path / "out")
     assert names_in(tmp_path) == ["broken.log"]
-
-
-def test_progress_sees_each_batch(tmp_path: Path) -> None:
-    seen = []
-
-    def progress(batches, reader):
-        for batch in batches:
-            seen.append(len(batch))
-            yield batch
-
-    with open_recording(CROSSING) as recording:
-        export_parquet(recording, tmp_path / "out", progress=progress)
-        assert sum(seen) == recording.info.frames
 
 
 @pytest.mark.parametrize("ask", ["table", "trajectories", "actors", "collisions"])
@@ -189,49 +160,6 @@ def test_a_table_as_a_data_frame() -> None:
 
 
 # --- the command ---------------------------------------------------------------------------------------------------------
-
-
-def test_the_command(tmp_path: Path, exported: Path) -> None:
-    done = run("export", CROSSING, tmp_path / "out", "--to", "parquet")
-    count = len(names_in(exported))
-    assert (done.returncode, done.stdout) == (0, b"")
-    assert wrote(done.stderr) == [f"{tmp_path / 'out'}: 531 frames, 53 s, {count} files"]
-    assert names_in(tmp_path / "out") == names_in(exported)
-    assert "out: is not empty; --force writes over" in error("export", CROSSING, tmp_path / "out", "--to", "parquet")
-    assert run("export", CROSSING, tmp_path / "out", "--to", "parquet", "--force").returncode == 0
-
-
-@pytest.mark.parametrize(
-    "option",
-    [("--follow", "100"), ("--start", "0"), ("--view", "top"), ("--cameras", "x"), ("--map", "x.xodr")],
-    ids=lambda o: o[0],
-)
-def test_options_of_the_viewers_are_refused(tmp_path: Path, option: tuple[str, str]) -> None:
-    done = CliRunner().invoke(export_command, [str(CROSSING), str(tmp_path / "out"), "--to", "parquet", *option])
-    assert (done.exit_code, f"{option[0]} does not go with --to parquet." in done.output) == (2, True)
-    assert names_in(tmp_path) == []
-
-
-def test_a_file_as_destination_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "out").write_text("mine")
-    assert "out: is a file; a folder was expected" in error(
-        "export", CROSSING, tmp_path / "out", "--to", "parquet", "--force"
-    )
-
-
-def test_the_command_shows_its_progress(tmp_path: Path) -> None:
-    code, shown, _ = on_terminal("export", CROSSING, tmp_path / "out", "--to", "parquet", stream="stderr")
-    assert (code, "exporting" in shown) == (0, True)
-
-
-def test_without_pyarrow_the_error_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "pyarrow.py").write_text("raise ImportError('no pyarrow here')")
-    environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path)}
-    command = [COMMAND, "export", CROSSING, tmp_path / "out", "--to", "parquet"]
-    done = subprocess.run(command, env=environment, capture_output=True, timeout=PATIENCE, check=False)
-    assert done.returncode == 2
-    assert "pip install '.[arrow]'" in the_line(done.stderr)
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("method", ["to_arrow", "to_parquet", "export_parquet"])

@@ -264,16 +264,3 @@ def carla_recap_spawn(id: int) -> Any:
     from tests.sensors.test_sensing import spawn
 
     return spawn(id, np.zeros(6))
-
-
-def test_folders_that_are_not_empty_are_kept(tmp_path: Path) -> None:
-    source, folder = drive(tmp_path / "cars.mcap"), tmp_path / "bag"
-    folder.mkdir()
-    (folder / "own.txt").write_text("mine")
-    with pytest.raises(RecapError, match="is not empty"):
-        exported(source, folder)
-    assert [path.name for path in folder.iterdir()] == ["own.txt"]
-    assert "/odom" in exported(source, folder, force=True)
-    with pytest.raises(RecapError, match=r"nowhere\.json"):
-        exported(source, tmp_path / "other", rig=tmp_path / "nowhere.json")
-    assert not (tmp_path / "other").exists()

@@ -99,12 +99,6 @@ def test_a_senseless_box_does_not_count(extent):
     assert look.half_extents[0] == pytest.approx(3.71 / 2)
 
 
-def test_older_names_have_the_same_size():
-    look = look_of("vehicle.lincoln.mkz2017", ActorKind.VEHICLE, {})
-    assert look is not None
-    assert look.half_extents[0] == pytest.approx(4.902 / 2)
-
-
 @pytest.mark.parametrize(
     ("attributes", "half", "expected"),
     [
@@ -309,18 +303,6 @@ def test_a_walker_who_was_knocked_down_lies_in_the_direction_of_the_hit(played, 
     assert lying.locations[1, 2] == pytest.approx(lying.half_extents[1, 0])  # on the ground
 
 
-def test_a_walker_who_was_touched_stands(played):
-    actors = SceneActors(marks=False)
-    found = [actors.at(scene) for scene in played(*accident(0.5)).scenes()]
-    assert found[-1].rotations[1, 2, 2] == pytest.approx(1)
-
-
-def test_a_walker_who_walks_on_has_got_up(played):
-    actors = SceneActors(marks=False)
-    found = [actors.at(scene) for scene in played(*accident(5, walking=120)).scenes()]
-    assert found[-1].rotations[1, 2, 2] == pytest.approx(1)
-
-
 def test_a_walker_who_is_recorded_lying_lies_as_recorded(played):
     (scene,) = played(frame(0, SPAWNS, poses(pose(CAR), pose(WALKER, 0, 0, 20, pitch=90)))).scenes()
     found = instances_of(scene)
@@ -364,13 +346,6 @@ def test_collisions_after_the_beginning_are_not_recalled(tmp_path):
         found = actors.at(player.at(0.0))
     assert found.ids.tolist() == [CAR, WALKER, LIGHT]
     assert found.rotations[1, 2, 2] == pytest.approx(1)
-
-
-def test_marks_are_forgotten_by_a_jump_back(played):
-    player = played(*accident(5))
-    actors = SceneActors()
-    actors.at(player.at(1.0))
-    assert instances_of(player.at(0.0)).ids.tolist() == actors.at(player.at(0.0)).ids.tolist() == [CAR, WALKER, LIGHT]
 
 
 def test_neighbouring_vehicles_without_a_recorded_colour_have_different_ones():

@@ -12,7 +12,7 @@ from carla_recap import IncidentOptions, RecapError, open_recording, write_repor
 from carla_recap.show.page.script import Packer
 from tests.replay.scripts import spawn
 from tests.samples import names_in
-from tests.show.page.conftest import CROSSING, NASTY, data, record, report, unpack
+from tests.show.page.conftest import CROSSING, data, record, report, unpack
 from tests.show.page.test_browser import Page
 from tests.waiting import wait_until
 
@@ -66,17 +66,6 @@ def test_a_notebook_shows_it_in_a_frame(chromium: Chrome, tmp_path: Path) -> Non
     chromium.switch_to.frame(0)
     wait_until(lambda: chromium.execute_script("return document.querySelectorAll('.incident').length") == 4)
     assert folder._repr_html_() == f"<p>{tmp_path / 'folder' / 'index.html'}</p>"
-
-
-def test_hostile_texts_stay_texts(chromium: Chrome, tmp_path: Path) -> None:
-    there = {"transforms": [(1, 0, 0, 0, 0, 0, 0), (2, 100, 0, 0, 0, 0, 0)]}
-    first = there | {"spawned": [spawn(1, f"vehicle.{NASTY}", role_name=NASTY), spawn(2, NASTY)]}
-    source = record(tmp_path / "a.log", [first, there | {"collisions": [(1, 1, 2, 0, 0)]}, there], map_name=NASTY)
-    page = Page(chromium, report(source, tmp_path / "page.html"))
-    assert "onerror" in page.text("map")
-    assert page.ask("document.querySelectorAll('img[src=x]').length") == 0
-    assert page.browser.title != "broken"
-    assert page.errors == []
 
 
 def test_a_minute_of_traffic_is_less_than_one_and_a_half_megabytes(tmp_path: Path) -> None:

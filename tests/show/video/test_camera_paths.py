@@ -152,28 +152,10 @@ def opacities(filmed: Subject, *others: tuple[float, float, float]) -> list[floa
     return [float(each) for each in Transparency().apply(taken, seen, 1, math.inf).opacity]
 
 
-def test_nothing_is_see_through_that_hides_nothing() -> None:
-    assert opacities(subject(), (30, 3.5, 0), (-30, 3.5, 0), (4, -3.5, 0)) == [1, 1, 1, 1]
-
-
 def test_the_followed_actor_is_see_through_where_it_hides_another() -> None:
     own, other = opacities(subject(), (6.0, 0, -0.7))
     assert own == pytest.approx(0.4)
     assert other == 1
-
-
-def test_what_is_flat_need_not_be_seen() -> None:
-    filmed = subject()
-    x, y, z = filmed.ground.tolist()
-    seen = instances((x, y, z + 0.75), (x + 6.0, y, z + 0.05), half=[CAR, (0.3, 0.3, 0.05)])
-    taken = camera("chase", filmed, seen=seen)
-    assert Transparency().apply(taken, seen, 1, math.inf).opacity.tolist() == [1, 1]
-
-
-@pytest.mark.parametrize("back", [5.0, 8.0, 10.0])
-def test_what_is_between_camera_and_actor_is_see_through(back: float) -> None:
-    own, other = opacities(subject(), (-back, 0, 1.5))
-    assert (own, other) == (1, pytest.approx(0.25))
 
 
 def test_opacity_changes_slowly() -> None:
