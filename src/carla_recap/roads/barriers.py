@@ -34,24 +34,14 @@ _SHORTEST: Final = 1.0  # m
 
 
 class Barrier(NamedTuple):
-    """A barrier.
+    """A barrier."""
 
-    Attributes:
-        line: Its points, (n, 3) in m, in CARLA's axes.
-        is_behind_sidewalk: Whether it is behind a sidewalk; else it is beside a road without one.
-    """
-
-    line: Floats
-    is_behind_sidewalk: bool
+    line: Floats  # its points, (n, 3) in m, in CARLA's axes
+    is_behind_sidewalk: bool  # whether it is behind a sidewalk; else it is beside a road without one
 
 
 class Ground:
-    """The ground that some lanes cover, as cells of a grid.
-
-    Args:
-        lanes: At least one lane.
-        margin: The width in m that is added on both sides.
-    """
+    """The ground that one or more lanes cover, as cells of a grid, with a margin in m on both sides."""
 
     def __init__(self, lanes: Iterable[LaneGeometry], margin: float = 0.0) -> None:
         borders = [_widened(left_handed(lane.left), left_handed(lane.right), margin) for lane in lanes]

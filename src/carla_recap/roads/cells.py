@@ -23,17 +23,11 @@ _MOST_PAIRS: Final = 1 << 16  # of places and things that are compared together,
 
 
 class Areas(NamedTuple):
-    """Areas of cells that are connected by their sides.
+    """Areas of cells that are connected by their sides."""
 
-    Attributes:
-        numbers: The number of the area of each cell, or `NO_AREA`, (columns, rows).
-        sizes: The number of cells of each area, (areas,).
-        enclosed: Whether an area does not touch the edge of the grid, (areas,).
-    """
-
-    numbers: Integers
-    sizes: Integers
-    enclosed: Booleans
+    numbers: Integers  # the number of the area of each cell, or `NO_AREA`, (columns, rows)
+    sizes: Integers  # the number of cells of each area, (areas,)
+    enclosed: Booleans  # whether an area does not touch the edge of the grid, (areas,)
 
     def cells(self, wanted: Booleans) -> Booleans:
         """Return the cells of some areas, (columns, rows), by whether each area is wanted, (areas,)."""
@@ -74,13 +68,9 @@ def _joined(count: int, one: Integers, other: Integers) -> Integers:
 
 
 class BoxGrid:
-    """Things by the cells of a grid, each in all cells within a margin of the box around it.
+    """Things by the cells of a grid, each in all cells within a margin of its box from `low` to `high`, (n, 2); all in m.
 
-    Args:
-        low: The least x and y of each thing, (n, 2), in m.
-        high: The greatest.
-        cell: The size of a cell in m; greater if there were too many.
-        margin: The distance from a place, in m, within which `pairs` finds all things.
+    `pairs` finds all things within the margin of a place. Cells are larger than wanted where there would be too many.
     """
 
     def __init__(self, low: Floats, high: Floats, cell: float, margin: float) -> None:

@@ -51,25 +51,15 @@ _ALONE: Final = 40.0  # m of the road where no vehicle has driven
 
 
 def corridor_opendrive(driven: Sequence[NDArray[np.void]], others: Iterable[NDArray[np.void]] = ()) -> str:
-    """Return an OpenDRIVE map whose roads are what vehicles have driven along, once each.
+    """Return an OpenDRIVE map whose roads, of one lane, are what vehicles have driven along, once each.
 
-    Each road has one lane. Where no vehicle has moved, there is one short road.
-
-    Args:
-        driven: The poses of each vehicle, of type `POSE`.
-        others: Those of other actors; the short road is at the first pose, if there is no vehicle.
+    Where no vehicle has moved, there is one short road, at the first pose of one or of another actor.
     """
     return _opendrive(_roads(driven, others))
 
 
 def corridor_map(name: str, driven: Sequence[NDArray[np.void]], others: Iterable[NDArray[np.void]] = ()) -> RoadMap:
-    """Return what vehicles have driven along as a road map; see `corridor_opendrive`.
-
-    Args:
-        name: The name of the map.
-        driven: The poses of each vehicle.
-        others: Those of other actors.
-    """
+    """Return what vehicles have driven along as a road map; see `corridor_opendrive`."""
     roads = _roads(driven, others)
     borders = []
     for road in roads:
@@ -88,13 +78,9 @@ def _roads(driven: Sequence[NDArray[np.void]], others: Iterable[NDArray[np.void]
 
 
 def fresh_parts(paths: Sequence[Floats], cell: float, most: int, fewest: int = 2) -> Iterator[Floats]:
-    """Yield paths without those parts where one is already.
+    """Yield paths, (n, 2) or more columns, without those parts in whose square `cell`, in m, one is already.
 
-    Args:
-        paths: The points of each path, (n, 2) or more columns.
-        cell: The side of a square in which one path is enough, in m.
-        most: The largest number of points; a warning says what is left out.
-        fewest: The smallest number of points of a part; a shorter one is left out.
+    Parts of fewer points than `fewest` are left out; a warning says what is left out after `most` points.
     """
     if not paths:
         return

@@ -40,11 +40,7 @@ _CUBIC_STEPS: Final = 5  # at least
 
 
 class Profile:
-    """A piecewise cubic function of the distance along a road.
-
-    Args:
-        records: The start of each piece, and its coefficients a, b, c, d.
-    """
+    """A piecewise cubic function of the distance along a road: the start and the coefficients of each piece."""
 
     def __init__(self, records: Iterable[tuple[float, Coefficients]]) -> None:
         ordered = sorted(records, key=lambda record: record[0])
@@ -73,27 +69,16 @@ class Profile:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A part of a reference line.
+    """A part of a reference line."""
 
-    Attributes:
-        start: The station at which it begins.
-        x: The position of its beginning.
-        y: The position of its beginning.
-        heading: The direction of its axis u; v is to the left of it.
-        length: The length.
-        kind: The name of its OpenDRIVE element; a key of `PARAMETERS`.
-        parameters: The values of its parameters.
-        end: The parameter at the end of a cubic.
-    """
-
-    start: float
+    start: float  # the station at which it begins
     x: float
     y: float
-    heading: float
+    heading: float  # the direction of its axis u; v is to the left of it
     length: float
-    kind: str
+    kind: str  # the name of its OpenDRIVE element; a key of `PARAMETERS`
     parameters: tuple[float, ...]
-    end: float
+    end: float  # the parameter at the end of a cubic
 
     def at(self, along: Floats, rounded: Rounding) -> tuple[Floats, Floats, Floats]:
         """Return x, y and heading at distances from the beginning, with rounded terms, as CARLA rounds them."""

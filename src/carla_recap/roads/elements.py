@@ -14,25 +14,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class DocumentShape:
-    """The elements that are read of a kind of XML file, and their limits.
+    """The elements that are read of a kind of XML file, and their limits."""
 
-    Attributes:
-        root: The root element.
-        content: The elements below it that are read.
-        known: The elements within these that are read.
-        file: The name of such a file in errors.
-        part: The name of an element of the content in errors.
-        most: The most elements of a file.
-        most_of_part: The most elements of a part.
-    """
-
-    root: str
-    content: frozenset[str]
-    known: frozenset[str]
-    file: str
-    part: str
-    most: int
-    most_of_part: int
+    root: str  # the root element
+    content: frozenset[str]  # the elements below it that are read
+    known: frozenset[str]  # the elements within these that are read
+    file: str  # the name of such a file in errors
+    part: str  # the name of an element of the content in errors
+    most: int  # the most elements of a file
+    most_of_part: int  # the most elements of a part
 
 
 OPENDRIVE: Final = DocumentShape(
@@ -64,11 +54,7 @@ _LONGEST_PART: Final = 16 << 20  # bytes
 
 
 def read_elements(text: str | Iterable[str], shape: DocumentShape = OPENDRIVE) -> Iterator[Element]:
-    """Yield the elements of a file's content, such as roads, with the known elements within them.
-
-    Args:
-        text: The text of the file, or its parts.
-        shape: The elements that are read.
+    """Yield the elements of the content of a file, such as roads, with the known elements within them.
 
     Raises:
         ValueError: It is no such file, or something in it is too large.

@@ -28,11 +28,7 @@ def read_text(path: Path) -> str:
 
 
 def read_parts(path: Path, what: str = "map") -> Iterator[str]:
-    """Yield the text of a file, part by part.
-
-    Args:
-        path: The file.
-        what: The kind of file, for errors.
+    """Yield the text of a file, part by part; errors name the kind of file.
 
     Raises:
         RecapError: The file cannot be read.
@@ -72,11 +68,7 @@ def _parts(path: Path, what: str = "map") -> Iterator[bytes]:
 
 @contextmanager
 def expecting(path: Path, what: str = "an OpenDRIVE map") -> Iterator[None]:
-    """Name the file in the errors about its content.
-
-    Args:
-        path: The file.
-        what: What was expected.
+    """Name the file, and what was expected, in the errors about its content.
 
     Raises:
         FormatError: The file is something else.

@@ -34,33 +34,19 @@ _STENCILS: Final = ("Stencil_STOP", "STATIC")
 
 @dataclass(frozen=True)
 class Landmark:
-    """A traffic light or sign at a position where it applies; it may apply at several.
+    """A traffic light or sign at a position where it applies; it may apply at several."""
 
-    Attributes:
-        id: The id in the file.
-        kind: The OpenDRIVE type, such as `opendrive.LIGHT`.
-        value: The value, such as a speed.
-        unit: The unit of the value.
-        road: The road along which it applies.
-        station: The distance along the road.
-        lanes: The ranges of lanes for which it applies: first and last lane.
-        is_for_all: Whether the file names no lanes; the ranges are CARLA's then, all lanes on one side.
-        ahead: Whether it applies in the direction of the road: True, False (against it), or None (in both directions).
-        location: The position, (3,).
-        heading: The direction that it faces.
-    """
-
-    id: str
-    kind: str
-    value: float
-    unit: str
-    road: int
-    station: float
-    lanes: tuple[tuple[int, int], ...]
-    is_for_all: bool
-    ahead: bool | None
-    location: Floats
-    heading: float
+    id: str  # the id in the file
+    kind: str  # the OpenDRIVE type, such as `opendrive.LIGHT`
+    value: float  # the value, such as a speed
+    unit: str  # the unit of the value
+    road: int  # the road along which it applies
+    station: float  # the distance along the road
+    lanes: tuple[tuple[int, int], ...]  # the ranges of lanes for which it applies: first and last lane
+    is_for_all: bool  # whether the file names no lanes; the ranges are CARLA's then, all lanes on one side
+    ahead: bool | None  # whether it applies in the direction of the road (True), against it (False), or both ways
+    location: Floats  # the position, (3,)
+    heading: float  # the direction that it faces
 
 
 def find_landmarks(roads: TownRoads) -> list[Landmark]:

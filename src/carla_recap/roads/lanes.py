@@ -17,11 +17,7 @@ import numpy as np
 
 from carla_recap.errors import RecapWarning
 from carla_recap.roads.curves import single
-from carla_recap.roads.opendrive import (
-    in_carlas_order,
-    lanes_length,
-    limit_lanes,
-)
+from carla_recap.roads.opendrive import in_carlas_order, lanes_length, limit_lanes
 from carla_recap.roads.speed_limits import lane_limits, limit_signs
 
 if TYPE_CHECKING:
@@ -43,54 +39,31 @@ _TO_DEGREES: Final = single(180.0) / single(np.pi)
 
 
 class Permission(NamedTuple):
-    """What the markings of a lane allow from a station on.
+    """What the markings of a lane allow from a station on."""
 
-    Attributes:
-        station: The distance along the road.
-        changes: Whether `carla.Map` allows to change to the lane on the left, and on the right; it does without a marking.
-        crossings: The same for CARLA's route planner, which changes only across a marking.
-    """
-
-    station: float
-    changes: tuple[bool, bool]
-    crossings: tuple[bool, bool]
+    station: float  # the distance along the road
+    changes: tuple[bool, bool]  # to the lanes on the left and right, by `carla.Map`: also without a marking
+    crossings: tuple[bool, bool]  # the same for CARLA's route planner, which changes only across a marking
 
 
 @dataclass(frozen=True, eq=False)
 class LaneGeometry:
-    """The course of a lane along a section of a road.
+    """The course of a lane along a section of a road."""
 
-    Attributes:
-        road: The id of the road.
-        section: The index of the section of the road.
-        id: The number of the lane, ascending to the left of the road's own direction; 0 is the line between 1 and -1.
-        kind: The OpenDRIVE type, such as `driving`, lower-case.
-        junction: The id of the junction, or `NO_JUNCTION`.
-        stations: The distances along the road, ascending, (n,).
-        centre: The points in the middle, (n, 3).
-        left: The points of the left border, as seen in driving direction, (n, 3).
-        right: The points of the border to the right.
-        headings: The driving directions, (n,).
-        reverse: Whether the driving direction is from the last point to the first, against that of the road.
-        permissions: What its markings allow, each from a station on, ascending.
-        successors: The road, section and id of each lane that follows.
-        limits: The speed limits at the stations in m/s, (n,); NaN where there is none.
-    """
-
-    road: int
-    section: int
-    id: int
-    kind: str
-    junction: int
-    stations: Floats
-    centre: Floats
-    left: Floats
-    right: Floats
-    headings: Floats
-    reverse: bool
-    permissions: tuple[Permission, ...]
-    successors: tuple[Name, ...]
-    limits: Floats
+    road: int  # the id of the road
+    section: int  # the index of the section of the road
+    id: int  # the number of the lane, ascending to the left of the road's own direction; 0 is the line between 1 and -1
+    kind: str  # the OpenDRIVE type, such as `driving`, lower-case
+    junction: int  # the id of the junction, or `NO_JUNCTION`
+    stations: Floats  # the distances along the road, ascending, (n,)
+    centre: Floats  # the points in the middle, (n, 3)
+    left: Floats  # the points of the left border, as seen in driving direction, (n, 3)
+    right: Floats  # the points of the border to the right
+    headings: Floats  # the driving directions, (n,)
+    reverse: bool  # whether the driving direction is from the last point to the first, against that of the road
+    permissions: tuple[Permission, ...]  # what its markings allow, each from a station on, ascending
+    successors: tuple[Name, ...]  # the road, section and id of each lane that follows
+    limits: Floats  # the speed limits at the stations in m/s, (n,); NaN where there is none
 
     @property
     def is_driving(self) -> bool:
@@ -110,18 +83,7 @@ class LaneGeometry:
 
 
 class TownRoads:
-    """The roads of a town.
-
-    Args:
-        content: The content of the OpenDRIVE file.
-        most_lanes: The largest number of lanes.
-
-    Attributes:
-        roads: The roads by their ids, in CARLA's order.
-
-    Raises:
-        ValueError: It has more lanes.
-    """
+    """The roads of a town by their ids, in CARLA's order, and their lanes; a town of more lanes is a `ValueError`."""
 
     def __init__(self, content: OpenDrive, most_lanes: int = _MOST_LANES) -> None:
         limit_lanes(content.roads, most_lanes)

@@ -71,65 +71,38 @@ _WHOLE_NUMBER: Final = re.compile(r"\s*([+-]?\d{1,10})", re.ASCII)
 
 
 class Marking(NamedTuple):
-    """A marking along the outer border of a lane.
+    """A marking along the outer border of a lane."""
 
-    Attributes:
-        start: The distance from the start of the section at which it begins.
-        kind: The OpenDRIVE type, such as `solid` or `broken`, lower-case.
-        color: The OpenDRIVE colour, such as `standard` or `yellow`, lower-case.
-        width: The width of a line.
-        changes: Between which lanes it allows to change: `increase`, `decrease`, `both` or `none`.
-    """
-
-    start: float
-    kind: str
-    color: str
-    width: float
-    changes: str = "both"
+    start: float  # the distance from the start of the section at which it begins
+    kind: str  # the OpenDRIVE type, such as `solid` or `broken`, lower-case
+    color: str  # the OpenDRIVE colour, such as `standard` or `yellow`, lower-case
+    width: float  # the width of a line
+    changes: str = "both"  # between which lanes it allows to change: `increase`, `decrease`, `both` or `none`
 
 
 @dataclass(frozen=True, eq=False)
 class RoadLane:
-    """A lane of a section.
+    """A lane of a section."""
 
-    Attributes:
-        id: Its number, ascending to the left of the road; 0 is the line between 1 and -1, without a width.
-        kind: The OpenDRIVE type, such as `driving`, lower-case.
-        width: The width by the distance from the start of the section.
-        markings: The markings along its outer border, in their order.
-        limits: Its speed limits in m/s, each with the distance from the start of the section from which on it applies.
-        predecessor: The number of the lane before it, in the direction of the road; 0 for none.
-        successor: That of the lane after it.
-    """
-
-    id: int
-    kind: str
-    width: Profile
-    markings: tuple[Marking, ...]
-    limits: tuple[tuple[float, float], ...]
-    predecessor: int
-    successor: int
+    id: int  # its number, ascending to the left of the road; 0 is the line between 1 and -1, without a width
+    kind: str  # the OpenDRIVE type, such as `driving`, lower-case
+    width: Profile  # the width by the distance from the start of the section
+    markings: tuple[Marking, ...]  # the markings along its outer border, in their order
+    limits: tuple[tuple[float, float], ...]  # the speed limits: from which distance on, and the limit in m/s
+    predecessor: int  # the number of the lane before it, in the direction of the road; 0 for none
+    successor: int  # that of the lane after it
 
 
 @dataclass(frozen=True, eq=False)
 class RoadSection:
-    """A part of a road along which the lanes are the same.
+    """A part of a road along which the lanes are the same."""
 
-    Attributes:
-        number: Which section of the road it is, counted from 0.
-        start: The distance along the road at which it begins.
-        end: That at which it ends.
-        left: The lanes to the left, from the inside.
-        right: The lanes to the right, from the inside.
-        centre: The lane without a width in between, or None.
-    """
-
-    number: int
-    start: float
-    end: float
-    left: tuple[RoadLane, ...]
-    right: tuple[RoadLane, ...]
-    centre: RoadLane | None
+    number: int  # which section of the road it is, counted from 0
+    start: float  # the distance along the road at which it begins
+    end: float  # that at which it ends
+    left: tuple[RoadLane, ...]  # the lanes to the left, from the inside
+    right: tuple[RoadLane, ...]  # the lanes to the right, from the inside
+    centre: RoadLane | None  # the lane without a width in between, or None
 
     @property
     def lanes(self) -> tuple[RoadLane, ...]:
@@ -148,35 +121,20 @@ class RoadSection:
 
 @dataclass(frozen=True, eq=False)
 class RoadObject:
-    """An object beside or on a road.
+    """An object beside or on a road."""
 
-    Attributes:
-        id: The id in the file.
-        kind: The OpenDRIVE type, such as `crosswalk`, lower-case.
-        name: The name, such as `StopLine`.
-        station: The distance along the road.
-        offset: The distance to the left of the reference line.
-        height: The height above the road.
-        heading: The direction relative to the road.
-        width: The extent across its direction.
-        length: The extent along its direction.
-        outline: The corners along its direction and to the left of it, (n, 2); relative to its position.
-        road_corners: The corners as distances along the road and to the left of it, (n, 2), of an outline that has these.
-        ahead: Whether it applies in the direction of the road: True, False (against it), or None (in both directions).
-    """
-
-    id: str
-    kind: str
-    name: str
-    station: float
-    offset: float
-    height: float
-    heading: float
-    width: float
-    length: float
-    outline: Floats
-    road_corners: Floats
-    ahead: bool | None
+    id: str  # the id in the file
+    kind: str  # the OpenDRIVE type, such as `crosswalk`, lower-case
+    name: str  # the name, such as `StopLine`
+    station: float  # the distance along the road
+    offset: float  # the distance to the left of the reference line
+    height: float  # the height above the road
+    heading: float  # the direction relative to the road
+    width: float  # the extent across its direction
+    length: float  # the extent along its direction
+    outline: Floats  # the corners along its direction and to the left of it, (n, 2); relative to its position
+    road_corners: Floats  # the corners, of an outline of distances along the road and to the left of it, (n, 2)
+    ahead: bool | None  # whether it applies in the direction of the road (True), against it (False), or both ways
 
     @property
     def speed_limit(self) -> float | None:
@@ -187,71 +145,40 @@ class RoadObject:
 
 @dataclass(frozen=True)
 class RoadSignal:
-    """A traffic light or sign, or a reference to one of another road.
+    """A traffic light or sign, or a reference to one of another road."""
 
-    Attributes:
-        id: The id in the file.
-        kind: The OpenDRIVE type, such as 1000001 for a traffic light.
-        value: The value, such as a speed.
-        station: The distance along the road.
-        offset: The distance to the left of the reference line.
-        height: The height above the road.
-        heading: The direction relative to that of the road, or against it.
-        ahead: Whether it applies in the direction of the road: True, False (against it), or None (in both directions).
-        lanes: The ranges of lanes for which it applies; none for all.
-        unit: The unit of the value, such as km/h; empty without one.
-        name: The name.
-        is_reference: Whether it is a reference.
-    """
-
-    id: str
-    kind: str
-    value: float
-    station: float
-    offset: float
-    height: float
-    heading: float
-    ahead: bool | None
-    lanes: tuple[tuple[int, int], ...]
-    unit: str = ""
+    id: str  # the id in the file
+    kind: str  # the OpenDRIVE type, such as 1000001 for a traffic light
+    value: float  # the value, such as a speed
+    station: float  # the distance along the road
+    offset: float  # the distance to the left of the reference line
+    height: float  # the height above the road
+    heading: float  # the direction relative to that of the road, or against it
+    ahead: bool | None  # whether it applies in the direction of the road (True), against it (False), or both ways
+    lanes: tuple[tuple[int, int], ...]  # the ranges of lanes for which it applies; none for all
+    unit: str = ""  # the unit of the value, such as km/h; empty without one
     name: str = ""
     is_reference: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Road:
-    """A road.
+    """A road."""
 
-    Attributes:
-        id: The id in the file.
-        junction: The id of its junction, or `OUTSIDE`.
-        length: The length of its reference line.
-        elevation: The height by the distance along the road.
-        lane_offset: How far the central line is to the left of the reference line.
-        sections: The sections, in their order.
-        objects: The objects.
-        signals: The signals, and references to signals.
-        links: Whether a junction precedes the road, and whether one succeeds it.
-        limits: The speed limits: the station from which on each applies, and the limit in m/s; NaN for none.
-        predecessor: The id of the road or junction before it; None for none.
-        successor: That of the one after it.
-        keeps_left: Whether traffic keeps left on it: lanes to the left lead in its direction, those to the right against it.
-    """
-
-    id: str
-    junction: str
-    length: float
-    elevation: Profile
-    lane_offset: Profile
-    sections: tuple[RoadSection, ...]
+    id: str  # the id in the file
+    junction: str  # the id of its junction, or `OUTSIDE`
+    length: float  # the length of its reference line
+    elevation: Profile  # the height by the distance along the road
+    lane_offset: Profile  # how far the central line is to the left of the reference line
+    sections: tuple[RoadSection, ...]  # the sections, in their order
     objects: tuple[RoadObject, ...]
-    signals: tuple[RoadSignal, ...]
+    signals: tuple[RoadSignal, ...]  # the signals, and references to signals
     curves: tuple[Curve, ...]
-    links: tuple[bool, bool]
-    limits: tuple[tuple[float, float], ...]
-    predecessor: int | None
-    successor: int | None
-    keeps_left: bool
+    links: tuple[bool, bool]  # whether a junction precedes the road, and whether one succeeds it
+    limits: tuple[tuple[float, float], ...]  # the speed limits: from which station on, and the limit in m/s; NaN for none
+    predecessor: int | None  # the id of the road or junction before it; None for none
+    successor: int | None  # that of the one after it
+    keeps_left: bool  # whether traffic keeps left on it: lanes to the left lead in its direction, others against it
 
     @property
     def number(self) -> int:
@@ -325,19 +252,12 @@ class Road:
 
 
 class Borders(NamedTuple):
-    """The borders of the lanes of a section as points.
+    """The borders of the lanes of a section as points."""
 
-    Attributes:
-        points: The points, from the left, (lanes + 1, n, 3).
-        offsets: How far to the left of the reference line each border is, (lanes + 1, n).
-        lefts: The directions to the left, (n, 3).
-        headings: The directions of the road, (n,).
-    """
-
-    points: Floats
-    offsets: Floats
-    lefts: Floats
-    headings: Floats
+    points: Floats  # the points, from the left, (lanes + 1, n, 3)
+    offsets: Floats  # how far to the left of the reference line each border is, (lanes + 1, n)
+    lefts: Floats  # the directions to the left, (n, 3)
+    headings: Floats  # the directions of the road, (n,)
 
 
 def borders_at(road: Road, section: RoadSection, stations: Floats) -> Borders:
@@ -349,29 +269,19 @@ def borders_at(road: Road, section: RoadSection, stations: Floats) -> Borders:
 
 
 class SparseSection(NamedTuple):
-    """A section with stations, between which its lanes are nearly straight.
+    """A section with stations, between which its lanes are nearly straight."""
 
-    Attributes:
-        number: The number of the road among all.
-        road: The road.
-        section: The section.
-        stations: The distances along the road, ascending, (n,).
-    """
-
-    number: int
+    number: int  # the number of the road among all
     road: Road
     section: RoadSection
-    stations: Floats
+    stations: Floats  # the distances along the road, ascending, (n,)
 
 
 def sparse_sections(roads: Sequence[Road], spacing: float, most_examined: int, most: int) -> list[SparseSection]:
     """Return the sections of roads that have lanes, with stations.
 
-    Args:
-        roads: The roads.
-        spacing: The distance in m between the points at which their course is examined.
-        most_examined: The number of such points, above which they are farther apart.
-        most: The number of lanes' parts between stations, above which the stations are farther apart.
+    Their course is examined each `spacing` m, farther apart where that were too many points. Where the parts of lanes
+    between stations were more than `most`, the stations are farther apart.
     """
     length = sum(road.length for road in roads)
     if length > most_examined * spacing:
@@ -439,26 +349,19 @@ def _listed(groups: Mapping[int, list[int]]) -> list[int]:
 
 @dataclass
 class OpenDrive:
-    """The content of an OpenDRIVE file.
-
-    Attributes:
-        roads: The roads.
-        connections: The ids of the roads through each junction, by its id, in CARLA's order.
-        priorities: Which connecting roads of a junction have priority over which.
-        controllers: The ids of the signals of each controller, in the order in which these follow each other.
-    """
+    """The content of an OpenDRIVE file."""
 
     roads: list[Road] = field(default_factory=list)
+    # The ids of the roads through each junction, by its id, in CARLA's order.
     connections: dict[int, list[int]] = field(default_factory=dict)
+    # Which connecting roads of a junction have priority over which.
     priorities: dict[int, set[tuple[int, int]]] = field(default_factory=lambda: defaultdict(set))
+    # The ids of the signals of each controller, in the order in which these follow each other.
     controllers: dict[str, list[str]] = field(default_factory=dict)
 
 
 def read_opendrive(text: str | Iterable[str]) -> OpenDrive:
-    """Return the content of an OpenDRIVE file.
-
-    Args:
-        text: The text of the file, or its parts.
+    """Return the content of the text of an OpenDRIVE file, or of its parts.
 
     Raises:
         ValueError: It is no OpenDRIVE file, or it is too large, or a number in it is none that a road can have.
@@ -682,12 +585,7 @@ def _limits(element: Element, path: str, start: str, speed: str) -> tuple[tuple[
 
 
 def in_metres_per_second(value: str | float | None, unit: str | None) -> float | None:
-    """Return a speed limit in m/s; None if there is no such limit.
-
-    Args:
-        value: A number, or a word such as `undefined`.
-        unit: `m/s`, `km/h` or `mph`; without one, OpenDRIVE means m/s.
-    """
+    """Return a speed limit in m/s, which is in m/s without a unit; None if there is none, as of the word `undefined`."""
     try:
         limit = float(value or "") * _UNITS.get(unit or "m/s", 1.0)
     except ValueError:
@@ -696,15 +594,9 @@ def in_metres_per_second(value: str | float | None, unit: str | None) -> float |
 
 
 def _profile(element: Element, path: str, start: str, end: float, most: float, steepest: float = inf) -> Profile:
-    """Return the function that some records of an element are.
+    """Return the function that some records of an element are, of which `end` is where the last one ends.
 
-    Args:
-        element: The element.
-        path: Where the records are.
-        start: The attribute that says where a record begins.
-        end: The end of the last one.
-        most: The largest absolute value of a term.
-        steepest: The largest absolute value of a term, but of the first one, for each m of the record and one more.
+    No term is larger than `most`, none but the first larger than `steepest` for each m of its record and one more.
     """
     records = []
     for each in _all(element, path):

@@ -42,30 +42,17 @@ _LONGEST: Final = 100_000  # points of a lane
 
 @dataclass(slots=True)
 class _Edge:
-    """A lane up to one that follows it, or a change to the lane beside it.
+    """A lane up to one that follows it, or a change to the lane beside it."""
 
-    Attributes:
-        points: The places between its ends.
-        first: The place at which it begins.
-        last: The place at which it ends.
-        length: The number of steps between its points and ends.
-        is_change: Whether it is a change of lane.
-    """
-
-    points: list[Place]
-    first: Place
-    last: Place
-    length: int
+    points: list[Place]  # the places between its ends
+    first: Place  # the place at which it begins
+    last: Place  # the place at which it ends
+    length: int  # the number of steps between its points and ends
     is_change: bool = False
 
 
 class RoutePlanner:
-    """Finds routes along the lanes of a town.
-
-    Args:
-        town: The lanes.
-        spacing: The distance between the points of a route, in m.
-    """
+    """Finds routes along the lanes of a town, whose points are `spacing` m apart."""
 
     def __init__(self, town: LaneMap, spacing: float = 1.0) -> None:
         self._town, self._spacing = town, spacing
@@ -81,11 +68,7 @@ class RoutePlanner:
             self._add_changes(node, lane, points)
 
     def route(self, places: Floats, name: str = "the route") -> Waypoints:
-        """Return the route that passes places in their order.
-
-        Args:
-            places: Two or more, (n, 3), in m.
-            name: What warnings call it.
+        """Return the route that passes two or more places in their order, (n, 3), in m; warnings call it by its name.
 
         Raises:
             ValueError: A place is far from all lanes, or there is no way to the next one.

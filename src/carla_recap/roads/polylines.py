@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     Corner = tuple[int, int]
 
 TOLERANCE: Final = 0.03  # m
-_MOST_ROUNDS: Final = 60  # of simplification; the lines of CARLA's towns need about 10
 _TINY: Final = np.finfo(float).tiny
 _TOUCH: Final = 0.05  # m between ends that are joined
 _CELL: Final = 0.25  # m
@@ -29,34 +28,19 @@ _SMALLEST_AREA: Final = 4.0  # square metres
 
 
 def simplify(line: Floats, tolerance: float = TOLERANCE) -> Floats:
-    """Return a line with fewer points (Douglas and Peucker).
-
-    Args:
-        line: The points, (n, 2) or (n, 3).
-        tolerance: The largest deviation, in m.
-    """
+    """Return a line, (n, 2) or (n, 3), with fewer points, others at most `tolerance` m away (Douglas-Peucker)."""
     keep = np.zeros(len(line), np.bool_)
     keep[[0, -1]] = True
-    firsts, lasts = np.array([0]), np.array([len(line) - 1])
-    for _ in range(_MOST_ROUNDS):  # over the parts of the line between points that are kept
-        if not len(firsts):
-            break
-        long = lasts - firsts > 1
-        firsts, lasts = firsts[long], lasts[long]
-        counts = lasts - firsts - 1
-        starts = np.cumsum(counts) - counts
-        inner = np.arange(counts.sum()) + np.repeat(firsts + 1 - starts, counts)
-        distances = distances_to(line[inner], np.repeat(line[firsts], counts, 0), np.repeat(line[lasts], counts, 0))
-        farthest = np.maximum.reduceat(distances, starts) if len(starts) else distances
-        far = np.flatnonzero(farthest > tolerance)
-        worst = np.flatnonzero(distances == np.repeat(farthest, counts))
-        worst = inner[worst[np.searchsorted(worst, starts[far])]]
-        keep[worst] = True
-        firsts, lasts = np.concatenate((firsts[far], worst)), np.concatenate((worst, lasts[far]))
-        order = np.argsort(firsts)
-        firsts, lasts = firsts[order], lasts[order]
-    for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True):
-        keep[first:last] = True
+    parts = [(0, len(line) - 1)]
+    while parts:
+        first, last = parts.pop()
+        if last - first > 1:
+            distances = distances_to(line[first + 1 : last], line[first], line[last])
+            worst = int(distances.argmax())
+            if distances[worst] > tolerance:
+                middle = first + 1 + worst
+                keep[middle] = True
+                parts += (first, middle), (middle, last)
     return line[keep]
 
 
@@ -113,11 +97,7 @@ def _grid_point(point: Floats) -> tuple[int, ...]:
 
 
 class Surface:
-    """The area that points cover, as cells of a grid; small holes are filled.
-
-    Args:
-        points: (n, 2), in m, less than half a cell apart except in holes.
-    """
+    """The area that points cover, (n, 2) in m, less than half a cell apart, as cells of a grid; small holes are filled."""
 
     def __init__(self, points: Floats) -> None:
         extent = float(np.ptp(points, axis=0).max())

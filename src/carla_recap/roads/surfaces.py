@@ -80,11 +80,7 @@ def find_road_network(
 
 
 def road_network_of(opendrive: str, name: str = "") -> RoadNetwork:
-    """Return the road network of the text of an OpenDRIVE file.
-
-    Args:
-        opendrive: The text.
-        name: The name of the map.
+    """Return the road network of the text of an OpenDRIVE file, with the name of the map.
 
     Raises:
         FormatError: It is no OpenDRIVE map with lanes for cars.
@@ -138,12 +134,7 @@ def _network(source: _Source) -> RoadNetwork:
 
 
 def build_network(text: str | Iterable[str], name: str = "", lane_types: frozenset[str] | None = None) -> RoadNetwork:
-    """Return the road network of the text of an OpenDRIVE file, or of its parts, made in this process.
-
-    Args:
-        text: The text.
-        name: The name of the map.
-        lane_types: See `load_road_network`.
+    """Return the road network of the text of an OpenDRIVE file, or of its parts; for the types, see `load_road_network`.
 
     Raises:
         ValueError: It is no OpenDRIVE file.

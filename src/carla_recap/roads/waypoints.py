@@ -49,23 +49,14 @@ def _lane_map(path: Path, digest: bytes) -> LaneMap:
 
 @dataclass(frozen=True, eq=False)
 class Waypoints:
-    """Places in the middle of lanes; arrays of (n,) and (n, 3).
+    """Places in the middle of lanes; arrays of (n,) and (n, 3)."""
 
-    Attributes:
-        lane: The index of the lane; `NONE` where there is none within `FARTHEST`.
-        station: The distance along the road, in m.
-        position: x, y and z in m.
-        heading: The driving direction in radians.
-        ahead: The driving direction as a vector of length 1, upwards where the lane climbs.
-        width: The width of the lane in m.
-    """
-
-    lane: Integers
-    station: Floats
-    position: Floats
-    heading: Floats
-    ahead: Floats
-    width: Floats
+    lane: Integers  # the index of the lane; `NONE` where there is none within `FARTHEST`
+    station: Floats  # the distance along the road, in m
+    position: Floats  # x, y and z in m
+    heading: Floats  # the driving direction in radians
+    ahead: Floats  # the driving direction as a vector of length 1, upwards where the lane climbs
+    width: Floats  # the width of the lane in m
 
     def __len__(self) -> int:
         return len(self.lane)
@@ -74,14 +65,7 @@ class Waypoints:
 class LaneMap:
     """The lanes of a town for cars and for parking, or of other kinds, and the places on them.
 
-    Args:
-        roads: The roads of the town.
-        kinds: The kinds of the lanes.
-
-    Attributes:
-        lanes: The lanes.
-        number: The index of each lane by its road, section and id.
-        in_junction: Whether each lane is in a junction, (lanes,).
+    `number` is the index of each lane by its road, section and id; `in_junction` whether each is in a junction, (lanes,).
     """
 
     def __init__(self, roads: TownRoads, kinds: Sequence[str] = (DRIVING, PARKING)) -> None:
@@ -204,12 +188,7 @@ class LaneMap:
 
 
 class _Segments:
-    """Straight parts of lanes, and which of them is nearest to a point.
-
-    Args:
-        points: The points of lanes.
-        starts: The indices of the points from which a part leads to the next point.
-    """
+    """Straight parts of lanes, from the points at `starts` to the next ones, and which of them is nearest to a place."""
 
     def __init__(self, points: Floats, starts: Integers) -> None:
         self._numbers = starts
