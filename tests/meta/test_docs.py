@@ -27,9 +27,8 @@ from carla_recap.model.layout import Framing, Layout, Many
 from carla_recap.model.records import NO_ACTOR, UE4, ActorKind, Group, Spawn, attributes
 from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures import MEASURES
-from carla_recap.rules.keys import PLACE_KEYS, SCOPE
 from carla_recap.rules.reading import Key, keys_of
-from carla_recap.rules.table import CONDITIONS
+from carla_recap.rules.table import CONDITIONS, PLACE_KEYS, SCOPE
 from carla_recap.sensors import SENSOR_TYPES
 from carla_recap.sensors.beams import MOST_LIDAR_RAYS, MOST_RADAR_RAYS
 from carla_recap.sensors.kinds import MOST_CHANNELS

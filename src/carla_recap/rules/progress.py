@@ -12,7 +12,7 @@ from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import HERO
 from carla_recap.model.motion import LONGEST_STEP, runs
 from carla_recap.rules.facts import Condition, Finding, Needs, Offence
-from carla_recap.rules.scope import WHOLE
+from carla_recap.rules.places import WHOLE
 from carla_recap.rules.values import ANY, ROLE, tolerated
 
 if TYPE_CHECKING:
@@ -20,17 +20,16 @@ if TYPE_CHECKING:
 
     from carla_recap.model.lives import ActorLife
     from carla_recap.rules.facts import Facts
-    from carla_recap.rules.places import Place
-    from carla_recap.rules.scope import Scope
+    from carla_recap.rules.places import Place, Scope
     from carla_recap.rules.values import Bounds, Quantity, Selector
 
 
 @dataclass(frozen=True, slots=True)
 class PlaceDemand(Condition):
-    """A demand that actors do something at a place; the base of `Reaches` and `Leaves`."""
+    """A demand that each of some actors does something at places; the base of `Reaches`, `Leaves` and `Passes`."""
 
     of: Selector
-    place: Place
+    places: tuple[Place, ...]
     before: Quantity | None = None
 
     verbs: ClassVar[tuple[str, str]]
@@ -38,7 +37,7 @@ class PlaceDemand(Condition):
 
     def needs(self) -> Needs:
         """See `Condition.needs`."""
-        return Needs(positions=(self.of,), places=(self.place,))
+        return Needs(positions=(self.of,), places=self.places)
 
     def __str__(self) -> str:
         return f"{_subject(self.of, *self.verbs)} {self._what}"
@@ -48,17 +47,23 @@ class PlaceDemand(Condition):
         subjects, offences, times = facts.subjects(self.of), [], []
         for life in subjects:
             time = self._time(facts, life)
-            if _is_before(time, self.before):
+            if time < math.inf if self.before is None else time <= self.before.value + SAME_TIME:
                 times.append(time)
             elif time < math.inf:
-                offences.append(Offence(f"{life.name} {self.verbs[1]} it at {time:.2f} s", time, (life.id,)))
+                offences.append(Offence(f"{life.name} {self.verbs[1]} {self._last} at {time:.2f} s", time, (life.id,)))
             else:
                 offences.append(self._never(facts, life))
         return _each(self.of, subjects, offences, self.verbs, self._what, facts, times)
 
     @property
     def _what(self) -> str:
-        return f"{self.place}{_before(self.before)}"
+        limit = "" if self.before is None else f" before {self.before}"
+        return f"{', then '.join(map(str, self.places))}{limit}"
+
+    @property
+    def _last(self) -> str:
+        """The last place in the text of an offence."""
+        return "it"
 
     def _time(self, facts: Facts, life: ActorLife) -> float:
         """Return the elapsed seconds at which an actor meets the demand; inf if it never does."""
@@ -76,10 +81,10 @@ class Reaches(PlaceDemand):
     verbs = ("reach", "reaches")
 
     def _time(self, facts: Facts, life: ActorLife) -> float:
-        return facts.first(self.place, life)
+        return facts.first(self.places[0], life)
 
     def _never(self, facts: Facts, life: ActorLife) -> Offence:
-        outside = facts.outside(self.place, life)
+        outside = facts.outside(self.places[0], life)
         nearest = int(outside.argmin())
         away, when = float(outside[nearest]), float(facts.positions(life).time[nearest])
         if away == math.inf:
@@ -94,14 +99,49 @@ class Leaves(PlaceDemand):
     verbs = ("leave", "leaves")
 
     def _time(self, facts: Facts, life: ActorLife) -> float:
-        time, outside = facts.positions(life).time, facts.outside(self.place, life)
-        after = np.flatnonzero((time > facts.first(self.place, life)) & (outside > 0))
+        time, outside = facts.positions(life).time, facts.outside(self.places[0], life)
+        after = np.flatnonzero((time > facts.first(self.places[0], life)) & (outside > 0))
         return float(time[after[0]]) if len(after) else math.inf
 
     def _never(self, facts: Facts, life: ActorLife) -> Offence:
-        if facts.first(self.place, life) == math.inf:
+        if facts.first(self.places[0], life) == math.inf:
             return Offence(f"{life.name} is never in it", None, (life.id,))
         return Offence(f"{life.name} is in it to the end", float(facts.positions(life).time[-1]), (life.id,))
+
+
+class Passes(PlaceDemand):
+    """A demand that actors come to places in their order."""
+
+    __slots__ = ()
+    verbs = ("pass", "passes")
+
+    @property
+    def _last(self) -> str:
+        return str(self.places[-1])
+
+    def _reached(self, facts: Facts, life: ActorLife) -> list[float]:
+        """Return when an actor comes to the places, one after another, up to the first one that it does not come to."""
+        time, found = facts.positions(life).time, list[float]()
+        for place in self.places:
+            later = np.flatnonzero((facts.outside(place, life) <= 0) & (time >= (found[-1] if found else -math.inf)))
+            if not len(later):
+                break
+            found.append(float(time[later[0]]))
+        return found
+
+    def _time(self, facts: Facts, life: ActorLife) -> float:
+        found = self._reached(facts, life)
+        return found[-1] if len(found) == len(self.places) else math.inf
+
+    def _never(self, facts: Facts, life: ActorLife) -> Offence:
+        found = self._reached(facts, life)
+        place = self.places[len(found)]
+        if not found:
+            return Offence(f"{life.name} does not pass {place}", None, (life.id,))
+        early = ", but before" if facts.first(place, life) < math.inf else ""
+        return Offence(
+            f"{life.name} does not pass {place} after {self.places[len(found) - 1]}{early}", found[-1], (life.id,)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,49 +183,6 @@ class Stays(Condition):
     @property
     def _within(self) -> str:
         return "in" if self.is_inside else "out of"
-
-
-@dataclass(frozen=True, slots=True)
-class Passes(Condition):
-    """A demand that actors come to places in their order."""
-
-    of: Selector
-    places: tuple[Place, ...]
-    before: Quantity | None = None
-
-    def needs(self) -> Needs:
-        """See `Condition.needs`."""
-        return Needs(positions=(self.of,), places=self.places)
-
-    def __str__(self) -> str:
-        return f"{_subject(self.of, 'pass', 'passes')} {self._order}"
-
-    def judge(self, facts: Facts) -> Finding:
-        """See `Condition.judge`."""
-        subjects, passed, offences = facts.subjects(self.of), [], []
-        for life in subjects:
-            time, reached = facts.positions(life).time, -math.inf
-            for number, place in enumerate(self.places):
-                before = reached
-                later = np.flatnonzero((facts.outside(place, life) <= 0) & (time >= before))
-                if not len(later):
-                    then = f" after {self.places[number - 1]}" if number else ""
-                    early = ", but before" if number and facts.first(place, life) < math.inf else ""
-                    when = before if number else None
-                    offences.append(Offence(f"{life.name} does not pass {place}{then}{early}", when, (life.id,)))
-                    break
-                reached = float(time[later[0]])
-            else:
-                if _is_before(reached, self.before):
-                    passed.append(reached)
-                else:
-                    text = f"{life.name} passes {self.places[-1]} at {reached:.2f} s"
-                    offences.append(Offence(text, reached, (life.id,)))
-        return _each(self.of, subjects, offences, ("pass", "passes"), self._order, facts, passed)
-
-    @property
-    def _order(self) -> str:
-        return f"{', then '.join(map(str, self.places))}{_before(self.before)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,12 +263,3 @@ def _subject(of: Selector, plural: str, singular: str) -> str:
     if of.text == ANY:
         return f"vehicles and walkers {plural}"
     return f"{of} {singular if of.text == HERO or of.text.startswith(ROLE) else plural}"
-
-
-def _before(limit: Quantity | None) -> str:
-    return "" if limit is None else f" before {limit}"
-
-
-def _is_before(time: float, limit: Quantity | None) -> bool:
-    """Return whether a time is finite, and at a limit or before it if there is one."""
-    return time < math.inf if limit is None else time <= limit.value + SAME_TIME

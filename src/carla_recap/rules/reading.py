@@ -43,6 +43,11 @@ class Reading:
     axes: Axes = "right-handed"  # of places
     places: Mapping[str, Place | None] = field(default_factory=dict)  # that have a name; None where one is wrong
 
+    @property
+    def sign(self) -> float:
+        """The factor by which y in the file becomes right-handed."""
+        return 1.0 if self.axes == "right-handed" else -1.0
+
     def of(self, prefix: str) -> Reading:
         """Return a reader of a part, whose prefix begins its faults."""
         return replace(self, prefix=prefix)

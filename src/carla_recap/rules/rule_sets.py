@@ -21,9 +21,8 @@ from carla_recap.errors import NotSetUp, RecapError
 from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.measures import SHORT_NAMES
 from carla_recap.rules.facts import Facts, Offence
-from carla_recap.rules.keys import PLACE
 from carla_recap.rules.reading import Reading, hint, shown
-from carla_recap.rules.table import CONDITIONS
+from carla_recap.rules.table import CONDITIONS, PLACE
 from carla_recap.tables.trajectories import Axes
 from carla_recap.util.files import read_document, reason_of
 from carla_recap.util.text import single_line, visible
