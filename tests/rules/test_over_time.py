@@ -14,9 +14,9 @@ from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import Spawn
 from carla_recap.queries.measures import MeasureValues
 from carla_recap.queries.measures.series import NO_OTHER
-from carla_recap.rules.facts import Facts
+from carla_recap.rules.facts import Facts, Scope
 from carla_recap.rules.measures import MeasureBounds
-from carla_recap.rules.places import Circle, Scope
+from carla_recap.rules.places import Circle
 from carla_recap.rules.progress import Stays
 from carla_recap.rules.values import Bounds, Quantity, Selector
 from tests.twins.conditions import SAME_TIME, first_time, longest_valid, offending, within

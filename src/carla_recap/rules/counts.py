@@ -15,16 +15,14 @@ from carla_recap.queries.differences import differences, metres, name_of
 from carla_recap.queries.kinds import KINDS
 from carla_recap.recording import open_recording
 from carla_recap.roads.find import map_key, plain_name
-from carla_recap.rules.facts import Condition, Finding, Needs, Offence, bounded
-from carla_recap.rules.places import WHOLE
+from carla_recap.rules.facts import WHOLE, Condition, Finding, Needs, Offence, bounded
 from carla_recap.rules.values import ANY, OBJECT, listed
 from carla_recap.util.text import number, readable
 
 if TYPE_CHECKING:
     from carla_recap.model.lives import ActorLife
     from carla_recap.queries.incidents import Incident
-    from carla_recap.rules.facts import Facts
-    from carla_recap.rules.places import Scope
+    from carla_recap.rules.facts import Facts, Scope
     from carla_recap.rules.values import Bounds, Quantity, Selector
 
 

@@ -13,8 +13,7 @@ from carla_recap.model.lives import ROAD_USERS
 from carla_recap.model.motion import LONGEST_STEP, runs
 from carla_recap.queries.measures import MEASURES
 from carla_recap.queries.measures.definitions import NO_OTHER
-from carla_recap.rules.facts import Condition, Finding, Needs, Offence
-from carla_recap.rules.places import WHOLE
+from carla_recap.rules.facts import WHOLE, Condition, Finding, Needs, Offence
 from carla_recap.rules.values import tolerated
 
 if TYPE_CHECKING:
@@ -22,8 +21,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.lives import ActorLife
     from carla_recap.queries.measures import MeasureValues
-    from carla_recap.rules.facts import Facts
-    from carla_recap.rules.places import Scope
+    from carla_recap.rules.facts import Facts, Scope
     from carla_recap.rules.values import Bounds, Quantity, Selector
     from carla_recap.util.arrays import Booleans
 

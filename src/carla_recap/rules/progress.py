@@ -11,16 +11,15 @@ import numpy as np
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import HERO
 from carla_recap.model.motion import LONGEST_STEP, runs
-from carla_recap.rules.facts import Condition, Finding, Needs, Offence
-from carla_recap.rules.places import WHOLE
+from carla_recap.rules.facts import WHOLE, Condition, Finding, Needs, Offence
 from carla_recap.rules.values import ANY, ROLE, tolerated
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from carla_recap.model.lives import ActorLife
-    from carla_recap.rules.facts import Facts
-    from carla_recap.rules.places import Place, Scope
+    from carla_recap.rules.facts import Facts, Scope
+    from carla_recap.rules.places import Place
     from carla_recap.rules.values import Bounds, Quantity, Selector
 
 

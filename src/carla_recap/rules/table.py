@@ -15,9 +15,10 @@ from carla_recap.model.lives import HERO
 from carla_recap.queries.kinds import KINDS, kind_named
 from carla_recap.queries.measures import MEASURES
 from carla_recap.rules.counts import ActorCount, IncidentCount, LongestStop, MapName, SameAs, Size
+from carla_recap.rules.facts import Scope
 from carla_recap.rules.functions import FunctionCondition
 from carla_recap.rules.measures import MeasureBounds
-from carla_recap.rules.places import LANE_TYPES, Circle, Lanes, Polygon, Scope
+from carla_recap.rules.places import LANE_TYPES, Circle, Lanes, Polygon
 from carla_recap.rules.progress import DistanceDriven, Leaves, Passes, PlaceDemand, Reaches, Stays
 from carla_recap.rules.reading import LARGEST_COUNT, SHOWN, Key, KeyGroup, Unexpected, ValueType, keys_of
 from carla_recap.rules.values import ANY, OBJECT, ROLE, UNITS, Bounds, Quantity, Selector
