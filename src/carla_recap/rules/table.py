@@ -372,7 +372,7 @@ def _at(demand: type[PlaceDemand]) -> Callable[..., PlaceDemand]:
     return lambda place, **others: demand(places=(place,), **others)
 
 
-def _function(function: tuple[str, str, str], parameters: Mapping[str, Any]) -> FunctionCondition:
+def _in_python(function: tuple[str, str, str], parameters: Mapping[str, Any]) -> FunctionCondition:
     condition = FunctionCondition(*function, parameters)
     try:
         condition.check()
@@ -461,7 +461,7 @@ _TABLE: Final = (
         "condition",
         "[a function in Python](#conditions-in-python) finds no offence; all other keys are its parameters",
         (_FUNCTION,),
-        _function,
+        _in_python,
         plain="function",
         others="parameters",
     ),
