@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
+from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -111,7 +111,7 @@ class MeasureSeries(Columns):
         return {"time": "s"} | {name: measure.unit for name, measure in MEASURES.items() if hasattr(self, name)}
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Measure:
     """A row of the table."""
 
@@ -119,7 +119,8 @@ class Measure:
     unit: str
     extreme: Literal["least", "greatest"]  # which value is critical
     text: str  # the definition, as in docs/measures.md
-    values: Callable[[MeasureSeries], Floats] | None = None  # that count, unless they are not found frame by frame
+    values: Callable[[MeasureSeries], Floats] | None = None  # that count, if they are not the column of its name
+    _: KW_ONLY
     other: str = ""  # the column with the ids of the actors that the values are in relation to
     needs_roads: bool = False  # of the map
     two_sided: bool = False  # whether every value counts, so that a bound on the other side makes sense, as a least speed
@@ -136,160 +137,134 @@ class Measure:
         """What sorts values, the most critical first."""
         return (lambda value: value) if self.extreme == "least" else (lambda value: -value)
 
-
-def _named(measures: Iterable[Measure]) -> Mapping[str, Measure]:
-    return {measure.name: measure for measure in measures}
-
-
-def _where(condition: Any, values: Any) -> Floats:
-    return np.where(condition, values, np.nan)
+    def values_of(self, series: MeasureSeries) -> Floats | None:
+        """Return the values that count; None if they are not found frame by frame."""
+        return self.values(series) if self.values else getattr(series, self.name, None)
 
 
 RELATIVE_SPEED: Final = Measure(
-    name="relative_speed",
-    unit="m/s",
-    extreme="greatest",
-    text="the magnitude of the difference of both velocities just before the contact",
+    "relative_speed", "m/s", "greatest", "the magnitude of the difference of both velocities just before the contact"
 )
-DURATION: Final = Measure(name="duration", unit="s", extreme="greatest", text="the duration")
+DURATION: Final = Measure("duration", "s", "greatest", "the duration")
 """Measures of incidents alone, which have no row in the answer of `measures`."""
 
-MEASURES: Final = _named(
-    (
-        Measure(
-            name="gap",
-            unit="m",
-            extreme="least",
-            text="the distance between the boxes; 0 if they overlap",
-            values=lambda series: series.gap,
-            other="nearest",
-            two_sided=True,
-        ),
-        Measure(
-            name="time_to_collision",
-            short="ttc",
-            unit="s",
-            extreme="least",
-            text="the time until the boxes touch if both keep their velocity, up to 10 s [1, 2]; it counts if both also "
-            "meet on the paths that they take, see below",
-            values=lambda series: series.time_to_collision,
-            other="threat",
-        ),
-        Measure(
-            name="distance_headway",
-            unit="m",
-            extreme="least",
-            text="the distance to the leader, from bumper to bumper along the heading",
-            values=lambda series: series.distance_headway,
-            other="leader",
-            two_sided=True,
-        ),
-        Measure(
-            name="time_headway",
-            short="thw",
-            unit="s",
-            extreme="least",
-            text="the same, divided by the speed; without a value at rest [1]",
-            values=lambda series: series.time_headway,
-            other="leader",
-            two_sided=True,
-        ),
-        Measure(
-            name="required_deceleration",
-            short="drac",
-            unit="m/s²",
-            extreme="greatest",
-            text="the squared difference of speeds over twice the distance to the leader (DRAC) [1]; it grows without "
-            "bound before a contact",
-            values=lambda series: _where(series.leader >= 0, series.required_deceleration),
-            other="leader",
-        ),
-        Measure(
-            name="post_encroachment_time",
-            short="pet",
-            unit="s",
-            extreme="least",
-            of_events=True,
-            text="where paths cross: the time between one leaving a spot and the other arriving there, up to 3 s; without a "
-            "value if both are there at once (they touch in the 3 s before, after, or between), or follow each other [1, 5]",
-        ),
-        Measure(
-            name="speed",
-            unit="m/s",
-            extreme="greatest",
-            text="the speed over the ground",
-            values=lambda series: series.speed,
-            two_sided=True,
-        ),
-        Measure(
-            name="acceleration",
-            unit="m/s²",
-            extreme="greatest",
-            text="the slope of a line through the speeds within 0.125 s before and after",
-            values=lambda series: _where(series.acceleration > 0, series.acceleration),
-        ),
-        Measure(
-            name="deceleration",
-            unit="m/s²",
-            extreme="greatest",
-            text="the same where the speed falls, without its sign",
-            values=lambda series: _where(series.acceleration < 0, -series.acceleration),
-        ),
-        Measure(
-            name="jerk",
-            unit="m/s³",
-            extreme="greatest",
-            text="the slope of a line through the accelerations within 0.25 s before and after, without its sign",
-            values=lambda series: np.abs(series.jerk),
-        ),
-        Measure(
-            name="driving_efficiency",
-            unit="%",
-            extreme="least",
-            of_events=True,
-            text="of a hero that is a vehicle: its mean speed in % of that of all vehicles of the role_name `background` on "
-            "each twentieth of its path, the mean of these; [as Bench2Drive has it](scores.md#the-numbers-of-bench2drive)",
-        ),
-        Measure(
-            name="driving_smoothness",
-            unit="%",
-            extreme="least",
-            of_events=True,
-            text="of such a hero: the windows of 2 s in which accelerations, jerks, yaw rate and yaw acceleration are "
-            "comfortable, in % of all; [as Bench2Drive has it](scores.md#the-numbers-of-bench2drive)",
-        ),
-        Measure(
-            name="speed_over_limit",
-            unit="m/s",
-            extreme="greatest",
-            text="the speed over the ground minus the speed limit of the lane, where it is above 0",
-            needs_roads=True,
-        ),
-        Measure(
-            name="distance_off_road",
-            unit="m",
-            extreme="greatest",
-            text="how far the location of the vehicle is outside the road, up to 20 m",
-            needs_roads=True,
-        ),
-        Measure(
-            name="distance_against_lane",
-            unit="m",
-            extreme="greatest",
-            text="the distance driven against the direction of a lane without a break",
-            needs_roads=True,
-            of_events=True,
-        ),
-        Measure(
-            name="lateral_offset",
-            unit="m",
-            extreme="greatest",
-            text="how far the location of the vehicle is beside the middle of the lane that it is on, to either side; not "
-            "in junctions",
-            needs_roads=True,
-        ),
-    )
+_TABLE: Final = (
+    Measure("gap", "m", "least", "the distance between the boxes; 0 if they overlap", other="nearest", two_sided=True),
+    Measure(
+        "time_to_collision",
+        "s",
+        "least",
+        "the time until the boxes touch if both keep their velocity, up to 10 s [1, 2]; it counts if both also meet on the "
+        "paths that they take, see below",
+        other="threat",
+        short="ttc",
+    ),
+    Measure(
+        "distance_headway",
+        "m",
+        "least",
+        "the distance to the leader, from bumper to bumper along the heading",
+        other="leader",
+        two_sided=True,
+    ),
+    Measure(
+        "time_headway",
+        "s",
+        "least",
+        "the same, divided by the speed; without a value at rest [1]",
+        other="leader",
+        two_sided=True,
+        short="thw",
+    ),
+    Measure(
+        "required_deceleration",
+        "m/s²",
+        "greatest",
+        "the squared difference of speeds over twice the distance to the leader (DRAC) [1]; it grows without bound before a "
+        "contact",
+        lambda series: np.where(series.leader >= 0, series.required_deceleration, np.nan),
+        other="leader",
+        short="drac",
+    ),
+    Measure(
+        "post_encroachment_time",
+        "s",
+        "least",
+        "where paths cross: the time between one leaving a spot and the other arriving there, up to 3 s; without a value if "
+        "both are there at once (they touch in the 3 s before, after, or between), or follow each other [1, 5]",
+        of_events=True,
+        short="pet",
+    ),
+    Measure("speed", "m/s", "greatest", "the speed over the ground", two_sided=True),
+    Measure(
+        "acceleration",
+        "m/s²",
+        "greatest",
+        "the slope of a line through the speeds within 0.125 s before and after",
+        lambda series: np.where(series.acceleration > 0, series.acceleration, np.nan),
+    ),
+    Measure(
+        "deceleration",
+        "m/s²",
+        "greatest",
+        "the same where the speed falls, without its sign",
+        lambda series: np.where(series.acceleration < 0, -series.acceleration, np.nan),
+    ),
+    Measure(
+        "jerk",
+        "m/s³",
+        "greatest",
+        "the slope of a line through the accelerations within 0.25 s before and after, without its sign",
+        lambda series: np.abs(series.jerk),
+    ),
+    Measure(
+        "driving_efficiency",
+        "%",
+        "least",
+        "of a hero that is a vehicle: its mean speed in % of that of all vehicles of the role_name `background` on each "
+        "twentieth of its path, the mean of these; [as Bench2Drive has it](scores.md#the-numbers-of-bench2drive)",
+        of_events=True,
+    ),
+    Measure(
+        "driving_smoothness",
+        "%",
+        "least",
+        "of such a hero: the windows of 2 s in which accelerations, jerks, yaw rate and yaw acceleration are comfortable, "
+        "in % of all; [as Bench2Drive has it](scores.md#the-numbers-of-bench2drive)",
+        of_events=True,
+    ),
+    Measure(
+        "speed_over_limit",
+        "m/s",
+        "greatest",
+        "the speed over the ground minus the speed limit of the lane, where it is above 0",
+        needs_roads=True,
+    ),
+    Measure(
+        "distance_off_road",
+        "m",
+        "greatest",
+        "how far the location of the vehicle is outside the road, up to 20 m",
+        needs_roads=True,
+    ),
+    Measure(
+        "distance_against_lane",
+        "m",
+        "greatest",
+        "the distance driven against the direction of a lane without a break",
+        needs_roads=True,
+        of_events=True,
+    ),
+    Measure(
+        "lateral_offset",
+        "m",
+        "greatest",
+        "how far the location of the vehicle is beside the middle of the lane that it is on, to either side; not in "
+        "junctions",
+        needs_roads=True,
+    ),
 )
+MEASURES: Final[Mapping[str, Measure]] = {measure.name: measure for measure in _TABLE}
 """The measures by name, in the order of the rows of an answer."""
 
 SHORT_NAMES: Final = {measure.short: measure.name for measure in MEASURES.values() if measure.short}

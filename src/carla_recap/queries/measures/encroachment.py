@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from carla_recap.queries.measures.motion_table import MotionTable
-    from carla_recap.util.arrays import Booleans, Floats, Indices, Integers
+    from carla_recap.util.arrays import Booleans, Floats, Indices
 
 
 CROSSING: Final = 30.0
@@ -85,12 +85,9 @@ class CrossingSearch:
 
     def add(self, table: MotionTable, subjects: Booleans) -> None:
         """Process a table; `subjects` says whether an actor is of interest, one of a pair is."""
-        grid = _Grid.of(table)
-        hits = grid.hits(subjects, self._longest)
-        arrives = grid.speed[hits.second, hits.arrived] >= self._least_speed
-        if self._only_vehicles:
-            arrives &= table.is_vehicle[hits.second]
-        hits = hits.take(arrives)
+        grid = _Grid(table)
+        arrives = (grid.speed >= self._least_speed) & (table.is_vehicle | (not self._only_vehicles))[:, None]
+        hits = grid.hits(subjects, self._longest, arrives)
         lag = grid.step[hits.arrived] - grid.step[hits.left]
         for rows in encounters(hits.first, hits.second, grid.time[hits.arrived]):
             best = rows[np.lexsort((hits.arrived[rows], lag[rows]))[0]]
@@ -143,56 +140,50 @@ class _Arrivals(NamedTuple):
         return _Arrivals(*(column[kept] for column in self))
 
 
-@dataclass(frozen=True, eq=False)
 class _Grid:
-    """Motion of a table at the multiples of 0.05 s, along straight lines; arrays of the shape (actors, moments)."""
+    """Motion of a table at the multiples of 0.05 s, along straight lines; arrays of the shape (actors, moments).
 
-    table: MotionTable
-    step: Integers  # the number of each moment from time 0, (moments,), ascending; there are none where frames are far apart
-    core: slice  # the moments from the first frame that the table is for to the one after the last
-    x: Floats
-    y: Floats
-    z: Floats
-    yaw: Floats
-    speed: Floats
-    thrown: Booleans
+    The number of each moment from time 0 is its `step`, ascending; there are none where frames are far apart. The `core` are
+    those from the first frame that the table is for to the one after the last.
+    """
 
-    @property
-    def time(self) -> Floats:
-        """The moments in elapsed seconds."""
-        return np.asarray(self.step * STEP)
-
-    @staticmethod
-    def of(table: MotionTable) -> _Grid:
-        """Return the motion of a table."""
+    def __init__(self, table: MotionTable) -> None:
         clock = np.clip(table.clock, -_LATEST, _LATEST)
         same = SAME_TIME / STEP
         first, last = np.ceil(clock / STEP - same), np.floor(clock / STEP + same)  # the moments next to each frame
         counts = np.where(np.diff(clock) <= LONGEST_STEP, last[1:] - first[:-1] + 1, last[:-1] - first[:-1] + 1)
         counts = np.maximum(np.append(counts, last[-1] - first[-1] + 1), 0).astype(np.int64)
         within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-        step = np.unique(np.repeat(first, counts).astype(np.int64) + within)
-        frame = np.maximum(np.searchsorted(clock, step * STEP + SAME_TIME, side="right") - 1, 0)
-        behind = np.minimum(frame + 1, len(clock) - 1)
-        seconds = clock[behind] - clock[frame]
-        share = np.divide(step * STEP - clock[frame], seconds, out=np.zeros(len(step)), where=seconds > 0)
-        share[np.abs(step * STEP - clock[frame]) <= SAME_TIME] = 0.0
-        joined = np.hstack((table.joined, np.zeros((len(table.ids), 1), np.bool_)))[:, frame] | (share == 0)
+        self.table, self.step = table, np.unique(np.repeat(first, counts).astype(np.int64) + within)
+        self.time = time = self.step * STEP
+        frame = np.maximum(np.searchsorted(clock, time + SAME_TIME, side="right") - 1, 0)
+        seconds = clock[np.minimum(frame + 1, len(clock) - 1)] - clock[frame]
+        share = np.divide(time - clock[frame], seconds, out=np.zeros(len(time)), where=seconds > 0)
+        share[np.abs(time - clock[frame]) <= SAME_TIME] = 0.0
+        behind = frame + (share > 0)
+        torn = (share > 0) & ~np.hstack((table.joined, np.zeros((len(table.ids), 1), np.bool_))).take(frame, axis=1)
 
-        def between(values: Floats) -> Floats:
-            now, then = values[:, frame], values[:, behind]
-            return np.where(joined, np.where(share == 0, now, now + share * (then - now)), np.nan)
+        def interpolated(values: Floats) -> Floats:
+            now = values.take(frame, axis=1)
+            found = now + share * (values.take(behind, axis=1) - now)
+            found[torn] = np.nan
+            return found
 
         end = clock[table.last] if table.last < len(clock) else np.inf
-        core = np.searchsorted(step * STEP, (clock[table.first] - SAME_TIME, end - SAME_TIME))
-        x, y, z, yaw, speed = map(between, (table.x, table.y, table.z, table.heading, table.speed))
-        return _Grid(table, step, slice(*core.tolist()), x, y, z, yaw, speed, table.thrown[:, frame])
+        self.core = slice(*np.searchsorted(time, (clock[table.first] - SAME_TIME, end - SAME_TIME)).tolist())
+        self.x, self.y, self.z = map(interpolated, (table.x, table.y, table.z))
+        self.yaw, self.speed = map(interpolated, (table.heading, table.speed))
+        self.thrown = table.thrown.take(frame, axis=1)
 
-    def hits(self, subjects: Booleans, longest: float) -> _Arrivals:
-        """Return where actors arrive in the core at most a time after others, on crossing paths; see `CrossingSearch`."""
+    def hits(self, subjects: Booleans, longest: float, arrives: Booleans) -> _Arrivals:
+        """Return where actors arrive in the core at most a time after others, on crossing paths; see `CrossingSearch`.
+
+        `arrives` says in which moments an actor counts as one that does, (actors, moments).
+        """
         lags = math.ceil(longest / STEP - SAME_TIME) + 1  # a refined time may be shorter
         moves = (self.speed >= SLOWEST) & ~self.thrown
         x, y = (np.where(moves, values, np.nan) for values in (self.x, self.y))
+        then_x, then_y = (np.where(arrives, values, np.nan) for values in (x, y))
         table, within, few = self.table, np.arange(_BLOCK), max(1, ELEMENTS // _BLOCK**2)
         around, found = bounds(x, y, table.radius, _BLOCK), [_Arrivals(*np.zeros((4, 0), np.intp))]
         for apart in range((lags - 1) // _BLOCK + 2):
@@ -206,11 +197,15 @@ class _Grid:
                     hit = (arrived >= self.core.start) & (arrived < self.core.stop)
                     arrived, left = (np.minimum(each, len(self.step) - 1) for each in (arrived, left))
                     lag = self.step[arrived] - self.step[left]
-                    dx, dy = (values[second, arrived] - values[first, left] for values in (x, y))
+                    there, here = second * len(self.step) + arrived, first * len(self.step) + left
+                    dx, dy = then_x.take(there) - x.take(here), then_y.take(there) - y.take(here)
                     reach = table.radius[first] + table.radius[second]
                     row, at, then = np.nonzero(hit & (dx * dx + dy * dy <= reach * reach) & (lag > 0) & (lag <= lags))
-                    hits = _Arrivals(first[row, 0, 0], second[row, 0, 0], left[row, 0, then], arrived[row, at, 0])
-                    found.append(self._crossing(hits))
+                    found.append(
+                        self._crossing(
+                            _Arrivals(first[row, 0, 0], second[row, 0, 0], left[row, 0, then], arrived[row, at, 0])
+                        )
+                    )
         return _Arrivals(*map(np.concatenate, zip(*found, strict=True)))
 
     def _crossing(self, hits: _Arrivals) -> _Arrivals:
@@ -220,45 +215,41 @@ class _Grid:
         kept = np.abs(np.sin(self.yaw[second, arrived] - self.yaw[first, left])) >= _ACROSS
         hits = hits.take(kept & (np.abs(self.z[second, arrived] - self.z[first, left]) <= height))
         hits = hits.take(overlaps(self._boxes(hits.first, hits.left), self._boxes(hits.second, hits.arrived)))
-        if not len(hits.first):
-            return hits
         begin = np.searchsorted(self.step, self.step[hits.left] - round(AROUND / STEP))
         end = np.searchsorted(self.step, self.step[hits.arrived] + round(AROUND / STEP), side="right")
-        pairs, pair = np.unique(np.stack((hits.first, hits.second)), axis=1, return_inverse=True)
-        apart = np.zeros(len(begin), np.bool_)
-        for number, (one, other) in enumerate(pairs.T.tolist()):
-            rows, touching = np.flatnonzero(pair == number), np.append(0, np.cumsum(self._touching(one, other)))
-            apart[rows] = touching[end[rows]] == touching[begin[rows]]
-        hits, begin = hits.take(apart), begin[apart]
-        few = max(1, ELEMENTS // int((hits.arrived - begin).max(initial=0) + 1))
+        few = max(1, ELEMENTS // int((end - begin).max(initial=1)))
         parts = (slice(start, start + few) for start in range(0, len(begin), few))
-        follow = [np.zeros(0, np.bool_), *(self._follow(hits.take(part), begin[part]) for part in parts)]
-        return hits.take(~np.concatenate(follow))
+        return hits.take(
+            np.concatenate([np.zeros(0, np.bool_), *(self._counts(hits.take(p), begin[p], end[p]) for p in parts)])
+        )
 
-    def _follow(self, hits: _Arrivals, begin: Indices) -> Booleans:
-        """Return whether arriving actors follow leaving ones, which had the same position and heading before."""
-        first, second, _, arrived = (column[:, None] for column in hits)
-        moments = np.minimum(begin[:, None] + np.arange((arrived[:, 0] - begin).max() + 1), arrived)
-        dx = self.x[first, moments] - self.x[second, arrived]
-        dy = self.y[first, moments] - self.y[second, arrived]
-        distance = np.nan_to_num(dx * dx + dy * dy, nan=math.inf)
-        nearest, rows = distance.argmin(axis=1), np.arange(len(begin))
-        turn = self.yaw[hits.first, moments[rows, nearest]] - self.yaw[hits.second, hits.arrived]
-        reach = (self.table.width[hits.first] + self.table.width[hits.second]) / 2
-        return np.asarray((distance[rows, nearest] <= reach * reach) & (np.cos(turn) >= _ALONG))
+    def _counts(self, hits: _Arrivals, begin: Indices, end: Indices) -> Booleans:
+        """Return in which hits the pair does not touch in the moments around, and the one that arrives does not follow.
 
-    def _touching(self, one: int, other: int) -> Booleans:
-        """Return at which moments a pair touches, (moments,)."""
-        reach, found = self.table.radius[one] + self.table.radius[other], np.zeros(len(self.step), np.bool_)
-        near = np.flatnonzero(np.hypot(self.x[one] - self.x[other], self.y[one] - self.y[other]) <= reach)
-        found[near] = overlaps(self._boxes(one, near), self._boxes(other, near))
-        for *pair, frames in self.table.touching:
-            if {one, other} == set(pair):
-                times = self.table.clock[frames]
-                found |= (self.time >= times[0] - STEP) & (self.time <= times[-1] + STEP)
-        return found
+        It follows if the other one had the same position and heading before.
+        """
+        first, second, _, arrived = hits
+        moments = np.minimum(begin[:, None] + np.arange((end - begin).max()), end[:, None] - 1)
+        here, there = (actor[:, None] * len(self.step) + moments for actor in (first, second))
+        x, y = self.x.take(here), self.y.take(here)
+        dx, dy = self.x.take(there) - x, self.y.take(there) - y
+        reach = self.table.radius[first] + self.table.radius[second]
+        row, column = np.nonzero(dx * dx + dy * dy <= (reach * reach)[:, None])
+        near = moments[row, column]
+        touching = np.bincount(row, overlaps(self._boxes(first[row], near), self._boxes(second[row], near)), len(first)) > 0
+        for one, other, frames in self.table.touching:
+            times = self.table.clock[frames]
+            is_pair = ((first == one) & (second == other)) | ((first == other) & (second == one))
+            touching |= is_pair & (self.time[begin] <= times[-1] + STEP) & (self.time[end - 1] >= times[0] - STEP)
+        dx, dy = x - self.x[second, arrived, None], y - self.y[second, arrived, None]
+        distance = np.where(moments <= arrived[:, None], dx * dx + dy * dy, math.nan)
+        nearest, rows = np.nan_to_num(distance, nan=math.inf).argmin(axis=1), np.arange(len(first))
+        turn = self.yaw[first, moments[rows, nearest]] - self.yaw[second, arrived]
+        reach = (self.table.width[first] + self.table.width[second]) / 2
+        follows = (distance[rows, nearest] <= reach * reach) & (np.cos(turn) >= _ALONG)
+        return np.asarray(~touching & ~follows)
 
-    def _boxes(self, actor: Indices | int, moment: Indices) -> Boxes:
+    def _boxes(self, actor: Indices, moment: Indices) -> Boxes:
         table = self.table
         return Boxes(
             self.x[actor, moment], self.y[actor, moment], self.yaw[actor, moment], table.length[actor], table.width[actor]

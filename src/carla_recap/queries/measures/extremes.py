@@ -148,11 +148,10 @@ class MeasureSearch:
                 series.acceleration[number, affected] = series.jerk[number, affected] = np.nan
         time, present = table.time[table.core], ~np.isnan(table.x[rows, table.core])
         for measure in MEASURES.values():
-            if measure.values is not None:
-                values = measure.values(series)[:, table.core]
-                others = getattr(series, measure.other)[:, table.core] if measure.other else np.full(values.shape, NO_OTHER)
+            if (values := measure.values_of(series)) is not None:
+                others = getattr(series, measure.other) if measure.other else np.full(values.shape, NO_OTHER)
                 for number, id in enumerate(ids):
-                    found = MeasureValues(time, values[number], others[number])
+                    found = MeasureValues(time, values[number, table.core], others[number, table.core])
                     self._note(id, measure.name, found.only(present[number]))
         self._crossings.add(table, np.isin(table.ids, ids))
 
