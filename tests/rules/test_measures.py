@@ -144,8 +144,7 @@ def test_the_extremes_of_values_over_time_are_those_of_the_recording(sample: str
     with open_recording(SAMPLES / sample) as recording:
         roads, ids = roads_of(recording.reader), {actor.id for actor in recording.actors.values() if actor.kind == "vehicle"}
         search = MeasureSearch(recording.reader, ids, roads=roads, over_time=dict.fromkeys(MEASURES, ids))
-        search.read()
-        rows = search.finish()
+        rows = search.find()
     assert {row.measure for row in rows} >= MEASURES.keys() - within_limits - {
         "distance_off_road",
         "distance_against_lane",

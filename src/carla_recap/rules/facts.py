@@ -211,8 +211,7 @@ class Facts:
             return [], {}
         roads = self._roads if any(MEASURES[measure].needs_roads for measure, _ in wanted) else None
         search = MeasureSearch(self.recording.reader, ids, roads=roads, over_time=over_time)
-        search.read()
-        return search.finish(), search.values
+        return search.find(), search.values
 
     @property
     @_once

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
     from carla_recap.formats.base import Reader
-    from carla_recap.model.batch import Batch
     from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.queries.measures.series import Subjects
     from carla_recap.roads.network import RoadNetwork
@@ -57,9 +56,7 @@ def measures(
 
     A measure without a value has no row, such as the time to collision of an actor that was never on a collision course.
     """
-    search = MeasureSearch(source, actors, roads=roads, start=start, stop=stop)
-    search.read()
-    return search.finish()
+    return MeasureSearch(source, actors, roads=roads, start=start, stop=stop).find()
 
 
 def measures_on_roads(source: Reader, actors: Subjects = None, *, road_map: str | None = None) -> Measures:
@@ -71,12 +68,10 @@ def measures_on_roads(source: Reader, actors: Subjects = None, *, road_map: str 
 
 
 class MeasureSearch:
-    """Computes measures in the batches of a recording, which are read for something else, too; see `measures`.
-
-    The spawns, the ends and the collisions of all actors are read at once.
+    """Computes the measures of a recording; see `measures`.
 
     Attributes:
-        values: The values over time after `finish`, by measure and actor, of those that `over_time` has by measure.
+        values: The values over time after `find`, by measure and actor, of those that `over_time` has by measure.
     """
 
     def __init__(
@@ -100,22 +95,15 @@ class MeasureSearch:
         self.values: dict[tuple[str, int], MeasureValues] = {}
         self._rows: dict[tuple[str, int], MeasureRow] = {}
 
-    def read(self) -> None:
-        """Read the recording."""
+    def find(self) -> Measures:
+        """Return the measures."""
         if self._subjects:
             types = TYPES if self._roads is None else (*TYPES, *ROAD_TYPES)
             for batch in self._source.batches(types, start=self._start, stop=self._stop):
-                self.add(batch)
-
-    def add(self, batch: Batch) -> None:
-        """Process the next frames, which have at least their transforms, velocities and, with roads, states of lights."""
-        if self._roads is not None:
-            self._roads.lights.add(batch)
-        for table in self._motion.add(batch):
-            self._measure(table)
-
-    def finish(self) -> Measures:
-        """Return the measures."""
+                if self._roads is not None:
+                    self._roads.lights.add(batch)
+                for table in self._motion.add(batch):
+                    self._measure(table)
         for table in self._motion.finish():
             self._measure(table)
         for each in self._crossings.finish():

@@ -17,7 +17,7 @@ from carla_recap.model.presence import FAR, RoadHeights
 from carla_recap.model.segment import SegmentBuffer, segments
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Collection, Iterable, Iterator
 
     from carla_recap.model.batch import Batch
     from carla_recap.model.contacts import Contact
@@ -31,7 +31,6 @@ THROWN: Final = 5.0
 """The time after a contact with a vehicle in which an actor may be thrown, in s."""
 
 _FRAMES: Final = 2048  # of a table, without its margins
-_STEP: Final = 64  # frames after which tables are tried again
 _VALUES: Final = 1 << 20  # poses of a table, unless its margins have more
 _CONTEXT: Final = 2.0  # s around a frame that its motion depends on
 _FASTEST: Final = 150.0  # m/s; velocities above it do not count
@@ -180,11 +179,17 @@ class MotionCollector:
     """Collects the frames of a recording into tables of motion, which follow each other.
 
     Memory is bounded: a table has 2,048 frames, or fewer if there are very many actors, and the margins `before` and `after`
-    them, in s.
+    them, in s. They have the actors of some kinds.
     """
 
     def __init__(
-        self, actors: Iterable[ActorLife], contacts: Iterable[Contact] = (), *, before: float = 0.0, after: float = 0.0
+        self,
+        actors: Iterable[ActorLife],
+        contacts: Iterable[Contact] = (),
+        *,
+        before: float = 0.0,
+        after: float = 0.0,
+        kinds: Collection[str] = ROAD_USERS,
     ) -> None:
         actors, lives = list(actors), defaultdict(list)
         for actor in actors:
@@ -192,18 +197,17 @@ class MotionCollector:
         self._lives = {  # of each id, with the times from which and until which it is theirs
             id: list(zip(each, [-np.inf, *starts], [*starts, np.inf], strict=True))
             for id, each in lives.items()
-            if any(actor.kind in ROAD_USERS for actor in each)
+            if any(actor.kind in kinds for actor in each)
             for starts in [[actor.spawned_at - SAME_TIME for actor in each[1:]]]
         }
         self._known = np.array(list(self._lives), np.uint32)
-        self._contacts = tuple(contacts)
+        self._contacts, self._kinds = tuple(contacts), kinds
         self._before, self._after = before + _CONTEXT, after + _CONTEXT
         self._heights = RoadHeights(actors)
         self._poses, self._velocities = SegmentBuffer(), SegmentBuffer()
         self._time = np.zeros(0)  # of the frames that these hold
         self._done = 0  # the number of them that have been in a table
         self._size = _FRAMES  # of the next table
-        self._due = 0  # the number of frames at which the next table may be complete
 
     def add(self, batch: Batch) -> Iterator[MotionTable]:
         """Add frames that have at least their transforms and velocities, and yield the tables that are complete."""
@@ -215,9 +219,7 @@ class MotionCollector:
             buffer.add(found, len(records))
         self._size = max(1, min(_FRAMES, _VALUES // max(len(found[-1].ids) if found else 0, 1)))
         self._time = np.concatenate((self._time, batch.elapsed))
-        if len(self._time) - self._done >= self._size and len(self._time) >= self._due:
-            yield from self._tables()
-            self._due = len(self._time) + min(_STEP, self._size)
+        yield from self._tables()
 
     def finish(self) -> Iterator[MotionTable]:
         """Yield the last tables."""
@@ -225,7 +227,7 @@ class MotionCollector:
 
     def _tables(self, *, ended: bool = False) -> Iterator[MotionTable]:
         """Yield tables of the frames so far, as far as what follows them is known."""
-        clock = _clock(self._time)
+        clock, done = _clock(self._time), self._done
         ready = len(clock) if ended else int(np.searchsorted(clock, clock[-1] - self._after))
         while self._done < ready and (ended or ready - self._done >= self._size):
             first, last = self._done, min(self._done + self._size, ready)
@@ -241,7 +243,7 @@ class MotionCollector:
                 last = first + (last - first + 1) // 2
             yield self._table(ids, contacts, start, first, last, stop)
             self._done = last
-        if self._done < len(clock):
+        if done < self._done < len(clock):
             dropped = int(np.searchsorted(clock, clock[self._done] - self._before))
             self._poses.drop(dropped)
             self._velocities.drop(dropped)
@@ -255,21 +257,19 @@ class MotionCollector:
     @np.errstate(invalid="ignore")  # of signalling NaN
     def _table(self, ids: Ids, contacts: tuple[Contact, ...], start: int, first: int, last: int, stop: int) -> MotionTable:
         time = self._time[start:stop]
-        rows, actors, lived = [], [], []
-        for row, id in enumerate(ids.tolist()):
-            for actor, begin, end in self._lives[id]:
-                during = (time >= begin) & (time < end)
-                if actor.kind in ROAD_USERS and during.any():
-                    rows.append(row)
-                    actors.append(actor)
-                    lived.append(during)
-        alive = np.array(lived, np.bool_).reshape(-1, len(time))
+        lives = [
+            (row, actor, during)
+            for row, id in enumerate(ids.tolist())
+            for actor, begin, end in self._lives[id]
+            if actor.kind in self._kinds and (during := (time >= begin) & (time < end)).any()
+        ]
+        rows, actors = np.array([row for row, _, _ in lives], np.intp), tuple(actor for _, actor, _ in lives)
+        alive = np.array([during for _, _, during in lives], np.bool_).reshape(-1, len(time))
         found = []
         for buffer, fields in ((self._poses, ("x", "y", "z", "yaw")), (self._velocities, "xyz")):
             recorded, known = buffer.dense(fields, ids, start, stop)
-            there, values = known[rows] & alive, np.full((len(fields), *alive.shape), np.nan)
-            np.copyto(values, recorded[:, rows], where=there)
-            found.append((values, there))
+            there = known[rows] & alive
+            found.append((np.where(there, recorded[:, rows], np.float64(np.nan)), there))
         (pose, there), (velocity, _) = found
         boxes = [box_of(actor) for actor in actors]
         size = 2 * np.array([(box.extent_x, box.extent_y, box.extent_z) for box in boxes]).reshape(-1, 3)
@@ -281,7 +281,7 @@ class MotionCollector:
             first=first - start,
             last=last - start,
             time=time,
-            actors=tuple(actors),
+            actors=actors,
             x=x + cos * offset[:, :1] - sin * offset[:, 1:2],
             y=y + sin * offset[:, :1] + cos * offset[:, 1:2],
             z=z + offset[:, 2:],

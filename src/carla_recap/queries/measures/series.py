@@ -22,9 +22,8 @@ from carla_recap.queries.recorded_actors import lives_and_contacts
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from numpy.typing import NDArray
-
     from carla_recap.formats.base import Reader
+    from carla_recap.model.contacts import Contacts
     from carla_recap.model.lives import ActorLife, ActorLives
     from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.util.arrays import Floats, Indices
@@ -46,15 +45,10 @@ MARGIN: Final = 2.0
 def series_of(
     table: MotionTable, subjects: Indices, other: int | None = None, *, shortest: Floats | None = None
 ) -> MeasureSeries:
-    """Return the measures of some actors in the frames of a table, (subjects, frames); margins have no values.
+    """Return the measures of the actors in some rows, in the frames of a table, (subjects, frames); margins have no values.
 
-    Args:
-        table: The motion.
-        subjects: The rows of the actors.
-        other: The id of the only other actor that counts; None for all.
-        shortest: For times to collision of actors that also meet on the paths that they take alone, see
-            `on_collision_course`: the least times that are known, in s; longer ones are inf. NaN: all such times of the
-            actor count. None: all times count.
+    With an `other`, that id alone counts. With `shortest`, only those times to collision count of actors that also meet on
+    the paths that they take, see `on_collision_course`, and of each actor those below its least known one in s; NaN: all.
     """
     shape = len(subjects), len(table.time)
     position = np.full(len(table.ids), -1)
@@ -189,8 +183,7 @@ def measures_over_time(
     else:
         first, second = _find_pair(source, lives, *pair)
         collectors = [SeriesCollector(first, other=second), SeriesCollector(second, other=first)]
-    _collect(source, MotionCollector(lives, contacts, before=MARGIN, after=MARGIN), collectors)
-    return MeasuresOverTime({id: series for each in collectors for id, series in each.finish().items()}, source)
+    return MeasuresOverTime(_collected(source, lives, contacts, collectors), source)
 
 
 def time_series(
@@ -198,13 +191,25 @@ def time_series(
 ) -> MeasureSeries:
     """Return the measures of an actor over time; see `Recording.time_series`."""
     lives, contacts = lives_and_contacts(source)
-    if other is None:
-        collector = SeriesCollector(id := _find(source, lives, actor))
-    else:
-        id, met = _find_pair(source, lives, actor, other)
-        collector = SeriesCollector(id, other=met)
-    _collect(source, MotionCollector(lives, contacts, before=MARGIN, after=MARGIN), [collector], start, stop)
-    return collector.finish()[id]
+    id, met = (_find(source, lives, actor), None) if other is None else _find_pair(source, lives, actor, other)
+    return _collected(source, lives, contacts, [SeriesCollector(id, other=met)], start, stop)[id]
+
+
+def _collected(
+    source: Reader,
+    lives: ActorLives,
+    contacts: Contacts,
+    collectors: Sequence[SeriesCollector],
+    start: float = -math.inf,
+    stop: float = math.inf,
+) -> dict[int, MeasureSeries]:
+    """Return what collectors have of a recording, by the id of the actor."""
+    motion = MotionCollector(lives, contacts, before=MARGIN, after=MARGIN)
+    tables = chain.from_iterable(map(motion.add, source.batches(TYPES, start=start, stop=stop)))
+    for table in chain(tables, motion.finish()):
+        for each in collectors:
+            each.add(table)
+    return {id: series for each in collectors for id, series in each.finish().items()}
 
 
 def measured_actors(source: Reader, recorded: ActorLives, wanted: Subjects) -> dict[int, ActorLife]:
@@ -238,42 +243,29 @@ def _find_pair(source: Reader, lives: Iterable[ActorLife], name: ActorName, othe
     return first, second
 
 
-def _collect(
-    source: Reader,
-    motion: MotionCollector,
-    collectors: Sequence[SeriesCollector],
-    start: float = -math.inf,
-    stop: float = math.inf,
-) -> None:
-    tables = chain.from_iterable(map(motion.add, source.batches(TYPES, start=start, stop=stop)))
-    for table in chain(tables, motion.finish()):
-        for each in collectors:
-            each.add(table)
-
-
 class SeriesCollector:
     """Collects the measures of actors over time from tables of motion, in relation to all others, or to one alone."""
 
     def __init__(self, *actors: int, other: int | None = None) -> None:
         self._other = other
-        self._parts: dict[int, list[dict[str, NDArray[Any]]]] = {id: [] for id in actors}
+        self._parts: dict[int, list[MeasureSeries]] = {id: [_NONE] for id in actors}
 
     def add(self, table: MotionTable) -> None:
         """Add a table."""
         rows = np.flatnonzero(np.isin(table.ids, list(self._parts)))
         if not len(rows) or self._other not in (None, *table.ids.tolist()):
             return
-        found = series_of(table, rows, self._other).columns()
+        found = series_of(table, rows, self._other).columns().values()
         for number, row in enumerate(rows.tolist()):
             present = np.flatnonzero(~np.isnan(table.x[row, table.core])) + table.first
-            part = {name: values[number, present] for name, values in found.items()}
-            self._parts[int(table.ids[row])].append(part)
+            self._parts[int(table.ids[row])].append(MeasureSeries(*(values[number, present] for values in found)))
 
     def finish(self) -> dict[int, MeasureSeries]:
         """Return the measures by the id of the actor."""
-        types = {each.name: np.float64 if each.type == "Floats" else np.int64 for each in fields(MeasureSeries)}
-        found = {}
-        for id, parts in self._parts.items():
-            columns = (np.concatenate([np.zeros(0, type), *(part[name] for part in parts)]) for name, type in types.items())
-            found[id] = MeasureSeries(*columns)
-        return found
+        return {
+            id: MeasureSeries(*map(np.concatenate, zip(*(part.columns().values() for part in parts), strict=True)))
+            for id, parts in self._parts.items()
+        }
+
+
+_NONE: Final = MeasureSeries(*(np.zeros(0, float if each.type == "Floats" else int) for each in fields(MeasureSeries)))
