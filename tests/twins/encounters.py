@@ -118,6 +118,11 @@ class Twin:
             return math.inf
         return max(along + min(x for x, _ in ends) - length / 2, 0.0)
 
+    def braking(self, a: Pose, leader: Pose, distance: float) -> float:
+        """Return the deceleration with which an actor avoids its leader, at a distance from it."""
+        faster = max(a.speed - leader.vx * math.cos(a.yaw) - leader.vy * math.sin(a.yaw), 0.0)
+        return faster**2 / (2 * distance) if distance else math.inf if faster else 0.0
+
     # --- paths -----------------------------------------------------------------------------------------
 
     def joined(self, row: int, frame: int) -> bool:

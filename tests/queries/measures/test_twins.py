@@ -76,13 +76,14 @@ def test_measures(tmp_path: Path, seed: int, frames: int) -> None:
         series = {id: time_series(reader, id) for id in ids}
     crossings = twin.crossings(3.0, 1.0, only_vehicles=False)
     for id in ids:
-        times, gaps, courses, headways = [], [], [], []
+        times, gaps, courses, headways, braking = [], [], [], [], []
         for row in (row for row in twin.rows if twin.table.actors[row].id == id):
             for frame, time in enumerate(twin.time):
                 a = twin.poses[row][frame]
                 if a is None:
                     continue
                 gap = seconds = confirmed = headway = math.inf
+                leader = None
                 for other in twin.rows:
                     b = twin.poses[other][frame]
                     if other == row or not twin.counts(row, other):
@@ -93,18 +94,21 @@ def test_measures(tmp_path: Path, seed: int, frames: int) -> None:
                         continue
                     if math.hypot(b.x - a.x, b.y - a.y) <= 100:
                         gap = min(gap, twin.gap(row, other, a, b))
-                        headway = min(headway, twin.headway(row, other, a, b))
+                        if (distance := twin.headway(row, other, a, b)) < headway:
+                            headway, leader = distance, b
                     seconds = min(seconds, twin.touch(row, other, a, b))
                     confirmed = min(confirmed, twin.collision_course(row, other, frame, 10.0))
                 times.append(time)
                 gaps.append((gap, seconds if seconds <= 10 else math.inf))
                 courses.append(confirmed)
                 headways.append((headway, headway / a.speed if a.speed > 0 else math.inf))
+                braking.append(twin.braking(a, leader, headway) if leader else 0.0)
         assert series[id].time.tolist() == times
         assert series[id].gap.tolist() == pytest.approx([gap for gap, _ in gaps], abs=1e-6)
         assert series[id].time_to_collision.tolist() == pytest.approx([seconds for _, seconds in gaps], abs=1e-6)
         assert series[id].distance_headway.tolist() == pytest.approx([each for each, _ in headways], abs=1e-6)
         assert series[id].time_headway.tolist() == pytest.approx([each for _, each in headways], abs=1e-6, rel=1e-6)
+        assert series[id].required_deceleration.tolist() == pytest.approx(braking, abs=1e-6, rel=1e-5, nan_ok=True)
         least = {
             "gap": min((gap for gap, _ in gaps), default=math.inf),
             "time_to_collision": min(courses, default=math.inf),

@@ -108,15 +108,13 @@ def required_deceleration(gap: ArrayLike, speed: ArrayLike, leader_speed: ArrayL
 
     It is the deceleration rate to avoid a crash (DRAC): the squared difference of speeds, in m/s, over twice the gap in m.
     """
-    gap, speed, leader_speed = (np.asarray(values, np.float64) for values in (gap, speed, leader_speed))
-    faster = np.maximum(speed - leader_speed, 0.0)
-    room = 2 * np.where(gap > 0, gap, np.where(np.isnan(gap), math.nan, 0.0))
-    squared, room = np.broadcast_arrays(faster * faster, room)
-    braking = np.divide(squared, room, out=np.full(room.shape, math.inf), where=room != 0)
+    faster = np.maximum(np.subtract(speed, leader_speed), 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        braking = faster * faster / (2 * np.maximum(gap, 0.0))
     return np.asarray(np.where(faster > 0, braking, faster))
 
 
 def time_headway(gap: ArrayLike, speed: ArrayLike) -> Floats:
     """Return the time in s in which a follower covers the gap to its leader, bumper to bumper, in m; inf at rest."""
-    gap, speed = np.broadcast_arrays(np.asarray(gap, np.float64), np.asarray(speed, np.float64))
-    return np.asarray(np.divide(gap, speed, out=np.full(gap.shape, math.inf), where=speed > 0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(np.greater(speed, 0), np.divide(gap, speed), math.inf)

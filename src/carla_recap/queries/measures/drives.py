@@ -132,9 +132,7 @@ class PlannedRoute:
 
     points: Floats  # (n, 3), in m
     ahead: Floats  # the driving direction at each, as vectors of length 1, (n, 3)
-    junction: float | None = (
-        None  # the share of the points in % to a bit behind the first one in a junction, if there is one
-    )
+    junction: float | None = None  # the share of the points in % to a bit behind the first one in a junction
 
     @classmethod
     def of_drive(cls, drive: Drive) -> PlannedRoute:
@@ -201,12 +199,8 @@ def traffic_shares(
 ) -> Iterator[tuple[int, float]]:
     """Yield the frame in which each part of a route ends, and the speed of the hero there in % of that of the traffic.
 
-    Args:
-        drive: The drive of the hero.
-        travelled: How far it has come along the route in each frame, in m, (n,).
-        length: The length of the route, in m.
-        others: The trajectories of the background vehicles.
-        parts: The number of equal parts.
+    The route has a length in m, and equal parts; the hero has travelled some m of it in each frame, (n,). The others are the
+    background vehicles.
     """
     sums, counts = np.zeros((2, len(drive)))
     for path in others:

@@ -50,6 +50,7 @@ TOLERANCE: Final = 5 / 3.6
 SPEEDING_TIME: Final = 1.0
 """How long a vehicle has to drive faster than that, in s."""
 
+_SUMMED: Final = "wrong way"  # the kind of which the values add up
 _INTERVAL: Final = 0.1  # s between the samples of the motion of a vehicle
 _LONGEST: Final = 2.5  # s from one sample to the next
 _STILL: Final = 0.02  # m; within a shorter way, the position in relation to the lanes is the same
@@ -127,24 +128,16 @@ class RoadSearch:
         kinds = np.append(self._network.lanes["kind"], roads.GAP)[at.lane]
         against = (progress < -AGAINST * motion.seconds) & (along < _FACING) & (at.beside <= 0)
         against &= ~at.in_junction & (kinds == roads.DRIVING)
-        self._add_runs("wrong way", motion, against, -progress, summed=True)
+        self._add_runs(_SUMMED, motion, against, -progress)
         over = motion.speed - at.limit
         offset = np.where((at.beside <= 0) & ~at.in_junction, np.abs(at.offset), np.nan)
         self._measure("lateral_offset", motion, offset)
         self._add_runs("speeding", motion, (over > TOLERANCE) & (at.beside <= 0), over, at.limit)
         self._measure("speed_over_limit", motion, np.where(at.beside <= 0, over, np.nan))
 
-    def _add_runs(
-        self,
-        kind: str,
-        motion: _Motion,
-        flags: Booleans,
-        values: Floats,
-        limits: Floats | None = None,
-        *,
-        summed: bool = False,
-    ) -> None:
+    def _add_runs(self, kind: str, motion: _Motion, flags: Booleans, values: Floats, limits: Floats | None = None) -> None:
         """Add the runs of samples that are flagged."""
+        summed = kind == _SUMMED
         for first, last in runs(flags & motion.is_new, motion.continues[1:]):
             part = values[first : last + 1]
             row = first + int(np.nanargmax(part)) if np.isfinite(part).any() else first
@@ -168,12 +161,8 @@ class RoadSearch:
 
     def _cross(self, motion: _Motion) -> None:
         """Add the crossings of stop lines by the fronts and by the centres of vehicles."""
-        points = []
-        for ahead in motion.ahead:
-            point = motion.place.copy()
-            point[:, 0] += ahead * np.cos(motion.yaw)
-            point[:, 1] += ahead * np.sin(motion.yaw)
-            points.append(point)
+        direction = np.stack((np.cos(motion.yaw), np.sin(motion.yaw), np.zeros(len(motion.yaw))), axis=1)
+        points = [motion.place + ahead[:, None] * direction for ahead in motion.ahead]
         rows = np.flatnonzero(motion.is_new & motion.continues & (motion.distance > 0))
         slow = np.flatnonzero((motion.speed < STOPPED) & motion.is_new)
 
@@ -226,7 +215,7 @@ class RoadSearch:
                 yield run.event("off road", "distance_off_road", OFF_ROAD, f"leaves the road by {far}")
 
     def _wrong_way(self) -> Iterator[RoadEvent]:
-        for run in _joined(self._runs["wrong way"], summed=True):
+        for run in _joined(self._runs[_SUMMED], summed=True):
             self._note(run.id, "distance_against_lane", MeasureValues.of(np.array([run.start]), np.array([run.value])))
             if run.stop - run.start >= AGAINST_TIME:
                 text = f"drives {run.value:.0f} m against the direction of its lane"
