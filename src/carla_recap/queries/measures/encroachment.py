@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -165,7 +165,7 @@ class _Grid:
 
         def interpolated(values: Floats) -> Floats:
             now = values.take(frame, axis=1)
-            found = now + share * (values.take(behind, axis=1) - now)
+            found: Floats = now + share * (values.take(behind, axis=1) - now)
             found[torn] = np.nan
             return found
 
@@ -184,15 +184,17 @@ class _Grid:
         moves = (self.speed >= SLOWEST) & ~self.thrown
         x, y = (np.where(moves, values, np.nan) for values in (self.x, self.y))
         then_x, then_y = (np.where(arrives, values, np.nan) for values in (x, y))
+        some, rest = np.flatnonzero(subjects), np.flatnonzero(~subjects)
         table, within, few = self.table, np.arange(_BLOCK), max(1, ELEMENTS // _BLOCK**2)
         around, found = bounds(x, y, table.radius, _BLOCK), [_Arrivals(*np.zeros((4, 0), np.intp))]
         for apart in range((lags - 1) // _BLOCK + 2):
-            for second, first, block in meeting(around, apart):
-                kept = (subjects[second] | subjects[first]) & table.free(second, first)
+            near = chain(meeting(around, some, np.arange(len(subjects)), apart), meeting(around, rest, some, apart))
+            for second, first, block in near:
+                kept = table.free(second, first)
                 kept &= (block >= self.core.start // _BLOCK) & (block * _BLOCK < self.core.stop)
-                near = second[kept], first[kept], block[kept]
-                for start in range(0, len(near[0]), few):
-                    second, first, block = (each[start : start + few, None, None] for each in near)
+                met = second[kept], first[kept], block[kept]
+                for start in range(0, len(met[0]), few):
+                    second, first, block = (each[start : start + few, None, None] for each in met)
                     arrived, left = block * _BLOCK + within[:, None], (block - apart) * _BLOCK + within
                     hit = (arrived >= self.core.start) & (arrived < self.core.stop)
                     arrived, left = (np.minimum(each, len(self.step) - 1) for each in (arrived, left))

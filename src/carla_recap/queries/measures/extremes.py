@@ -20,7 +20,7 @@ from carla_recap.queries.measures.series import HORIZON, measured_actors, series
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from carla_recap.queries.roads import roads_of, warn_without_roads
 from carla_recap.roads.polylines import stations
-from carla_recap.tables.trajectories import Trajectory, trajectories
+from carla_recap.tables.trajectories import MOTION, RowCollector, Trajectory, portions, trajectories_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -91,6 +91,10 @@ class MeasureSearch:
         self._motion = MotionCollector(lives, self._contacts, before=self._crossings.before, after=HORIZON + SEEN)
         self._over_time = over_time or {}
         self._roads = None if roads is None else RoadSearch(source, roads, lives, self._note)
+        traffic = [life.id for life in lives if life.role_name == BACKGROUND]
+        heroes = [id for id, actor in self._subjects.items() if actor.is_hero and actor.kind == "vehicle"]
+        self._heroes, self._traffic = heroes, dict.fromkeys(traffic)
+        self._driven = RowCollector(MOTION, {*heroes, *traffic} if heroes else ())
         self._parts: dict[tuple[str, int], list[MeasureValues]] = defaultdict(list)
         self.values: dict[tuple[str, int], MeasureValues] = {}
         self._rows: dict[tuple[str, int], MeasureRow] = {}
@@ -99,11 +103,14 @@ class MeasureSearch:
         """Return the measures."""
         if self._subjects:
             types = TYPES if self._roads is None else (*TYPES, *ROAD_TYPES)
-            for batch in self._source.batches(types, start=self._start, stop=self._stop):
-                if self._roads is not None:
-                    self._roads.lights.add(batch)
-                for table in self._motion.add(batch):
-                    self._measure(table)
+            for batches in portions(self._source.batches(types, start=self._start, stop=self._stop)):
+                if self._heroes:
+                    self._driven.add(batches)
+                for batch in batches:
+                    if self._roads is not None:
+                        self._roads.lights.add(batch)
+                    for table in self._motion.add(batch):
+                        self._measure(table)
         for table in self._motion.finish():
             self._measure(table)
         for each in self._crossings.finish():
@@ -145,13 +152,11 @@ class MeasureSearch:
 
     def _note_driving(self) -> None:
         """Note the numbers of Bench2Drive, of heroes that are vehicles."""
-        heroes = {id: actor for id, actor in self._subjects.items() if actor.is_hero and actor.kind == "vehicle"}
-        traffic = {life.id: None for life in self._lives if life.role_name == BACKGROUND}
-        paths = trajectories(self._source, {*heroes, *traffic}) if heroes else {}
-        for id, actor in heroes.items():
-            drive = Drive.of(actor, paths.get(id, Trajectory.empty(id))).during(self._start, self._stop)
+        paths = trajectories_of(self._driven.finish(), self._lives.reuses())
+        for id in self._heroes:
+            drive = Drive.of(self._subjects[id], paths.get(id, Trajectory.empty(id))).during(self._start, self._stop)
             if len(drive) > 1:
-                others = [paths[other] for other in traffic if other in paths]
+                others = [paths[other] for other in self._traffic if other in paths]
                 driven = stations(drive.position[:, :2])
                 smooth = comfort(drive.time, drive.velocity, drive.yaw)
                 for name, value in (

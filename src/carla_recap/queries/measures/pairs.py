@@ -50,18 +50,19 @@ def bounds(x: Floats, y: Floats, reach: Floats, size: int) -> Bounds:
     return left - reach, right + reach, low - reach, high + reach
 
 
-def meeting(bounds: Bounds, apart: int = 0) -> Iterator[tuple[Indices, Indices, Indices]]:
-    """Yield the rows of actors, those of the others near whose places some blocks before they come, and the block."""
-    actors, blocks = bounds[0].shape
-    few = max(1, ELEMENTS // max(1, actors) ** 2)
+def meeting(bounds: Bounds, ones: Indices, others: Indices, apart: int = 0) -> Iterator[tuple[Indices, Indices, Indices]]:
+    """Yield which of some rows come near the places where other rows were some blocks before, these rows, and the block."""
+    (left, right, low, high), blocks = bounds, bounds[0].shape[1]
+    few = max(1, ELEMENTS // max(1, len(ones) * len(others)))
     for first in range(apart, blocks, few):
-        left, right, low, high = (values[:, None, first : first + few] for values in bounds)
-        before = slice(first - apart, min(first + few, blocks) - apart)
-        left2, right2, low2, high2 = (values[None, :, before] for values in bounds)
-        # NaN, of those that are absent, is near nothing.
-        near = (left <= right2) & (left2 <= right) & (low <= high2) & (low2 <= high)
-        one, other, block = np.nonzero(near)
-        yield one, other, block + first
+        here, there = (slice(first - back, min(first + few, blocks) - back) for back in (0, apart))
+        near = (left[ones, None, here] <= right[None, others, there]) & (
+            left[None, others, there] <= right[ones, None, here]
+        )
+        one, other, block = np.nonzero(near)  # NaN, of those that are absent, is near nothing
+        one, other, block = ones[one], others[other], block + first
+        near = (low[one, block] <= high[other, block - apart]) & (low[other, block - apart] <= high[one, block])
+        yield one[near], other[near], block[near]
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +150,10 @@ def near_pairs(table: MotionTable, subjects: Booleans, reach: Floats) -> Iterato
 
     One of a pair is a subject. The distance of both is at most the sum of their reaches in m.
     """
-    for one, other, block in meeting(bounds(table.x[:, table.core], table.y[:, table.core], reach, _FRAMES)):
-        kept = np.flatnonzero((one < other) & (subjects[one] | subjects[other]) & table.free(one, other))
+    around = bounds(table.x[:, table.core], table.y[:, table.core], reach, _FRAMES)
+    for one, other, block in meeting(around, np.flatnonzero(subjects), np.arange(len(subjects))):
+        kept = np.flatnonzero(((one < other) | ~subjects[other]) & table.free(one, other))
+        one, other = np.minimum(one, other), np.maximum(one, other)
         for few in (kept[start : start + ELEMENTS // _FRAMES] for start in range(0, len(kept), ELEMENTS // _FRAMES)):
             frame = table.first + _FRAMES * block[few, None] + np.arange(_FRAMES)
             row, column = np.nonzero(frame < table.last)
