@@ -98,6 +98,7 @@ def watch(
 
             server = stack.enter_context(FoxgloveServer(f"{host}:{port}", foxglove_port))
         observer = stack.enter_context(Observer(host, port, additional_data=True, interval=1 / RATE))
+        observer.begin()
         stack.enter_context(observer.until_signal())
         road_map = _road_map(observer.map)
         header = header_of(observer)

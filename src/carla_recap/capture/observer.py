@@ -71,7 +71,7 @@ class Observation:
 
 
 class Observer:
-    """Observes a server, while a `with` block runs.
+    """Observes a server from `begin` on, while a `with` block runs.
 
     Args:
         host: The address of the server.
@@ -106,6 +106,7 @@ class Observer:
         self._additional = additional_data
         self._attach = attach
         self._interval = interval
+        self._callback: int | None = None
         self._lock = Lock()
         self._error: Exception | None = None
         self._observations: Queue[Observation] = Queue(_WAITING)
@@ -128,14 +129,18 @@ class Observer:
         if self._additional:
             self._introduce()
         self._ask()
-        self._callback = self._world.on_tick(self._on_tick)
         self._observed_at = monotonic()
         return self
+
+    def begin(self) -> None:
+        """Begin to observe ticks."""
+        self._callback = self._world.on_tick(self._on_tick)
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.end("it is over")
         with suppress(*UNANSWERED):
-            self._world.remove_on_tick(self._callback)
+            if self._callback is not None:
+                self._world.remove_on_tick(self._callback)
         self._listener.close(is_gone=self.is_gone)
         sleep(_DRAIN)  # a client's thread that waits for Python's lock when the interpreter ends aborts the process
 

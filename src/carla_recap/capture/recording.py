@@ -107,6 +107,8 @@ def capture(
             from carla_recap.formats.mcap.writer import McapWriter
 
             rig = stack.enter_context(RigSensors(observer, sensors, actor))
+        else:
+            observer.begin()
         header = header_of(observer)
         writer = create_writer(Path(destination), header, live=True)
         samples: SampleRecorder | None = None
@@ -115,6 +117,7 @@ def capture(
                 if rig is not None:
                     assert isinstance(writer, McapWriter)
                     samples = listening.enter_context(SampleRecorder(observer, rig, writer, header))
+                    observer.begin()  # no frame is older than the first samples
                 observations = until(duration, observer, _beside(observer, samples))
                 elapsed = _written(writer.write, frames(observations, additional_data=additional_data))
                 last = deque(enumerate(progress(elapsed) if progress else elapsed, 1), maxlen=1)

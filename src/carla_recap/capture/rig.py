@@ -70,6 +70,7 @@ class RigSensors:
         self._listened: dict[str, carla.Sensor] = {}
         self.last_frames: dict[str, int] = {}
         self._seen: dict[int, int] = {}  # the latest frame in which an actor was seen
+        self._since = 0  # later frames have all existing sensors, until these are gone
         self._speed_callback: int | None = None
         self._asked_at = 0.0
         self._synchronous = False
@@ -131,6 +132,8 @@ class RigSensors:
             RecapWarning: An existing sensor is gone.
         """
         frame = self._observer.frame  # read first: the actors may be those of a later one
+        if frame <= self._since:
+            return
         present = self._observer.present
         actors = {sensor.id: [id] for id, sensor in self._listened.items()}
         if self._carrier is not None:
@@ -263,6 +266,8 @@ class RigSensors:
                 warnings.warn(f"{error}: it is left out", RecapWarning, stacklevel=2)
                 continue
             self._listened[id] = sensor
+        self._since = self._world.get_snapshot().frame
+        self._seen = {sensor.id: self._since for sensor in self._listened.values()}
         if not specs:
             raise RecapError(f"{self._observer.place}: there are no sensors whose data can be recorded")
         return SensorRig(tuple(specs))
