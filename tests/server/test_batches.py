@@ -62,8 +62,10 @@ def test_batches_spawn_and_destroy_actors(client: carla.Client, world: carla.Wor
     assert not world.get_actors().filter("vehicle.*")
 
 
-@pytest.mark.parametrize("leaves", [False, True])
-async def test_a_long_batch_keeps_no_other_client_waiting(monkeypatch: pytest.MonkeyPatch, leaves: bool) -> None:
+@pytest.mark.parametrize(("leaves", "nested"), [(False, False), (True, False), (False, True)])
+async def test_a_long_batch_keeps_no_other_client_waiting(
+    monkeypatch: pytest.MonkeyPatch, leaves: bool, nested: bool
+) -> None:
     monkeypatch.setattr(served, "_SLICE", 0.0)
     host = Host(flat_world())
     host.apply_settings(EpisodeSettings(synchronous_mode=True))
@@ -73,21 +75,25 @@ async def test_a_long_batch_keeps_no_other_client_waiting(monkeypatch: pytest.Mo
     transports = Transport(), Transport()
     for connection, transport in zip((one, other), transports, strict=True):
         connection.connection_made(transport)
-    props = [
-        [[0, [[0, "static.prop.box01", []], [[5.0 * n, 0.0, 0.0], [0.0, 0.0, 0.0]], [False], 0, "", []]]] for n in range(9)
-    ]
-    calls = [0, 1, "apply_batch", [[False], props, True]], [0, 2, "version", [[False]]]
+
+    def prop(number: int, *after: Any) -> list[Any]:
+        place = [[5.0 * number, 0.0, 0.0], [0.0, 0.0, 0.0]]
+        return [[0, [[0, "static.prop.box01", []], place, [False], 0, "", list(after)]]]
+
+    props = [prop(number) for number in range(9)]
+    calls = [0, 1, "apply_batch", [[False], [prop(9, *props)] if nested else props, True]], [0, 2, "version", [[False]]]
     one.data_received(b"".join(map(msgpack.packb, calls)))
     for number, name in enumerate(("version", "tick_cue"), 1):
         other.data_received(msgpack.packb([0, number, name, [[False]]]))
     assert [len(transport.replies) for transport in transports] == [0, 1]
     if leaves:
         one.connection_lost(None)
+    assert len(boxes(host)) == 1 + nested
     for _ in range(30):
         await asyncio.sleep(0)
-    assert len(boxes(host)) == len(props)
+    assert len(boxes(host)) == len(props) + nested
     assert [reply[1] for reply in transports[0].replies] == ([] if leaves else [1, 2])
-    assert present == [len(props)] * 2  # its own tick and that of the other client come after it
+    assert present == [len(props) + nested] * 2  # its own tick and that of the other client come after it
 
 
 def test_commands_for_a_new_actor_are_executed(client: carla.Client, world: carla.World) -> None:

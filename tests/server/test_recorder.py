@@ -718,6 +718,24 @@ def test_clients_are_served_while_a_recording_is_completed(
     host.close()
 
 
+def test_a_recording_that_another_client_begins_while_a_map_is_loaded_is_completed_in_a_thread(tmp_path: Path) -> None:
+    host, threads = Host(World(load_town())), []
+
+    async def run() -> None:
+        await CALLS["start_recorder"](client := client_inside(host), [str(tmp_path / "ends.mcap"), False])
+        finish = host.world.recorder._finish
+        assert finish is not None
+        host.world.recorder._finish = lambda: threads.append(threading.current_thread()) or finish()
+        host.begin_episode(host.world.town, client)
+        await host.recordings.completed()
+
+    asyncio.run(run())
+    assert len(threads) == 1 and threads[0] is not threading.main_thread()
+    with carla_recap.open_recording(tmp_path / "ends.mcap") as recording:
+        assert not list(recording)
+    host.close()
+
+
 def test_a_recording_that_cannot_be_completed_is_logged_and_others_can_be_asked_about(
     recordings: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

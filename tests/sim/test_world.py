@@ -398,6 +398,16 @@ def test_the_same_seed_makes_the_same_world_in_any_process() -> None:
     assert done.stdout.strip() == state_after_a_pile_up()
 
 
+def test_a_physics_control_that_cannot_be_simulated_changes_nothing() -> None:
+    world = flat_world()
+    car = vehicle(world)
+    before = car.physics_control
+    with pytest.raises(ValueError, match="unpack"):
+        car.physics_control = replace(before, mass=2000.0, torque_curve=((0.0, 1.0, 2.0),))  # type: ignore[arg-type]
+    assert car.physics_control == before
+    assert world.vehicles.mass[car.row] == before.mass
+
+
 def test_invalid_physics_controls_and_controls_are_errors() -> None:
     world = flat_world()
     car = vehicle(world)

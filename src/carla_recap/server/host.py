@@ -188,6 +188,7 @@ class Host:
     def begin_episode(self, town: Town, client: Client) -> None:
         """Begin a new episode for a client, and send its first snapshot to all; see `SnapshotStreams.renew`."""
         frames = self.world.frame
+        self.recordings.stop()  # another client may have begun one meanwhile
         self.world.reload(town)
         self.sensors.end_episode()
         self.check_episode(frames)

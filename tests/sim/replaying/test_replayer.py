@@ -521,6 +521,14 @@ def test_others_go_on_as_if_nothing_happened(drive: Path) -> None:
     assert drive_other(beside) == pytest.approx(drive_other(alone), abs=0.1)
 
 
+def test_the_front_wheels_of_a_replayed_vehicle_follow_the_recording(drive: Path) -> None:
+    world = new_world()
+    play(world, drive, 1, start=1.0)
+    vehicles = world.vehicles
+    np.testing.assert_allclose(vehicles.wheel_angle, vehicles.steer * vehicles.full_lock)
+    assert abs(vehicles.wheel_angle).max() > 0.09
+
+
 def test_a_vehicle_in_the_way_is_pushed_and_does_not_push_back(drive: Path) -> None:
     world = new_world()
     victim = spawn_car(world, at(40.0, -1.0), "vehicle.audi.a2", role_name="hero")

@@ -83,8 +83,7 @@ def _execute_all(client: Client, commands: list[Any]) -> Generator[None, None, l
     """Execute commands, one in each step, and return CARLA's `Response` to each."""
     answers = []
     for command in commands:
-        answers.append(_answer(client, command))
-        yield
+        answers.append((yield from _answer(client, command)))
     return answers
 
 
@@ -112,21 +111,23 @@ def _apply_controls(client: Client, commands: list[Any]) -> list[Any] | None:
     return [[[1, id]] for id, _ in controls]
 
 
-def _answer(client: Client, command: Any, spawned: int | None = None) -> list[Any]:
-    """Execute a command, for an actor that was just spawned if there is one; return CARLA's `Response`."""
+def _answer(client: Client, command: Any, spawned: int | None = None) -> Generator[None, None, list[Any]]:
+    """Execute a command, for an actor that was just spawned if there is one, and yield; return CARLA's `Response`."""
     try:
-        return [[1, _execute(client, command, spawned)]]
+        answer = [1, (yield from _execute(client, command, spawned))]
     except Exception as error:
-        return [[0, [error_text("apply_batch", error)]]]
+        answer = [0, [error_text("apply_batch", error)]]
+    yield
+    return [answer]
 
 
-def _execute(client: Client, command: Any, spawned: int | None) -> int:
+def _execute(client: Client, command: Any, spawned: int | None) -> Generator[None, None, int]:
     """Execute a command and return the id of its actor."""
     name, fields = _unpacked(command, client.release)
     if name == _CONSOLE:
         return 0
     if name == _SPAWN:
-        return _spawn(client, decoder(SpawnCommand, client.release)(fields))
+        return (yield from _spawn(client, decoder(SpawnCommand, client.release)(fields)))
     call = _UNREGISTERED.get(name) or CALLS[name]
     if spawned is not None:
         fields = [spawned, *fields[1:]]
@@ -135,12 +136,12 @@ def _execute(client: Client, command: Any, spawned: int | None) -> int:
     return id
 
 
-def _spawn(client: Client, command: SpawnCommand) -> int:
+def _spawn(client: Client, command: SpawnCommand) -> Generator[None, None, int]:
     """Spawn an actor and execute the commands for it; their errors are not reported, as in CARLA."""
     parent = None if command.parent is None else client.host.actor(command.parent)
     id = spawn(client, command.description, command.transform, parent).id
     for after in command.do_after:
-        _answer(client, after, id)
+        yield from _answer(client, after, id)
     return id
 
 

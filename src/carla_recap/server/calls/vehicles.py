@@ -151,7 +151,7 @@ def close_vehicle_door(client: Client, id: int, door: int) -> None:
 def get_wheel_steer_angle(client: Client, id: int, wheel: int) -> float:
     """Return the steering angle of a wheel, in degrees."""
     vehicle = expect(client, id, Vehicle)
-    return degrees(vehicle.rows.steer_angle[vehicle.row].item()) if wheel in _FRONT_WHEELS else 0.0
+    return degrees(vehicle.rows.wheel_angle[vehicle.row].item()) if wheel in _FRONT_WHEELS else 0.0
 
 
 @call

@@ -105,8 +105,7 @@ class WorldActors:
             vehicles.reverse[sources],
         )
         lamps[rows] = lamps_of_vehicles(flags)
-        angle = np.where(vehicles.simulated, vehicles.steer_angle, vehicles.steer * vehicles.full_lock)
-        steering[rows] = -angle[sources]
+        steering[rows] = -vehicles.wheel_angle[sources]
         return lamps, steering
 
 

@@ -249,9 +249,8 @@ class Vehicle(MovingActor):
     @physics_control.setter
     def physics_control(self, control: PhysicsControl) -> None:
         expect_physics(f"the physics control of {self!r}", control)
-        row = self.row
+        self.rows.set_physics(self.row, control, self.box)
         self._physics_control = control.copy()
-        self.rows.set_physics(row, self._physics_control, self.box)
         self.episode.pending.physics.append(self)
 
     def set_enable_gravity(self, enabled: bool = True) -> None:

@@ -62,6 +62,11 @@ class Vehicles(Drivetrains):
         """The greatest angle of the inner front wheel in radians, (n,)."""
         return self.tables.of(self.table).full_lock
 
+    @property
+    def wheel_angle(self) -> Floats:
+        """The angles of the inner front wheels in radians, (n,); those of vehicles without physics follow the control at once."""
+        return np.where(self.simulated, self.steer_angle, self.steer * self.full_lock)
+
     def set_physics(self, row: int, control: PhysicsControl, box: Box) -> None:
         """Set what follows from a physics control."""
         drive = parameters(control, box, weightless=bool(self.weightless[row]))
