@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
+from functools import partial
 from typing import Any
 
 import carla
+import msgpack
 import pytest
 
 from carla_recap.errors import RecapError
+from carla_recap.server import host as served
+from carla_recap.server.host import Client, Host
+from carla_recap.server.rpc.connection import ClientConnection
+from carla_recap.server.rpc.registry import CALLS
 from tests.server.client import FAR, spawn, ticks
 from tests.server.inside import Inside
+from tests.server.test_connection import Transport
+from tests.sim.flat import flat_world
 
 NAMED = {
     *("vehicle.lincoln.mkz_2017", "static.trigger.friction", "sensor.camera.cosmos_visualization"),
@@ -324,3 +333,20 @@ def test_a_friction_trigger_acts_on_the_tyres_of_vehicles_inside(world: carla.Wo
     assert [wheel.tire_friction for wheel in car.get_physics_control().wheels] == before
     trigger.destroy()
     car.destroy()
+
+
+async def test_the_records_of_many_actors_keep_no_other_client_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(served, "_SLICE", 0.0)
+    host = Host(flat_world())
+    ids = list(host.world.actors)
+    one, other = (ClientConnection(CALLS, host.connections, partial(Client, host)) for _ in range(2))
+    transports = Transport(), Transport()
+    for connection, transport in zip((one, other), transports, strict=True):
+        connection.connection_made(transport)
+    one.data_received(msgpack.packb([0, 1, "get_actors_by_id", [[False], [*ids, *ids]]]))
+    other.data_received(msgpack.packb([0, 1, "version", [[False]]]))
+    assert [len(transport.replies) for transport in transports] == [0, 1]
+    for _ in range(2 * len(ids) + 5):
+        await asyncio.sleep(0)
+    ((_, _, _, ((_, records),)),) = transports[0].replies
+    assert [record[0] for record in records] == ids

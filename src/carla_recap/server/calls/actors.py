@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Generator
 from math import degrees, radians
 from typing import Any, TypeVar
 
@@ -11,6 +11,7 @@ from carla_recap.server import actor_records
 from carla_recap.server.actor_records import check_attributes
 from carla_recap.server.host import Client
 from carla_recap.server.quirks import slightly_aside
+from carla_recap.server.rpc.codec import encoder
 from carla_recap.server.rpc.registry import CallError, call
 from carla_recap.server.rpc.structs import ActorDescription, ActorRecord, BoxStruct
 from carla_recap.sim.actors.lights import Sign
@@ -36,10 +37,19 @@ def get_spectator(client: Client) -> ActorRecord:
 
 
 @call
-def get_actors_by_id(client: Client, ids: list[int]) -> list[ActorRecord]:
-    """Return the records of actors; unknown ids are left out."""
-    actors = client.host.world.actors
-    return [_record(client, actors[id]) for id in dict.fromkeys(ids) if id in actors]
+def get_actors_by_id(client: Client, ids: list[int]) -> Any:
+    """Return the records of actors; unknown ids are left out. Of many actors, others are served in between."""
+    actors, encode = client.host.world.actors, encoder(ActorRecord, client.release)
+
+    def records() -> Generator[None, None, list[Any]]:
+        found = []
+        for id in dict.fromkeys(ids):
+            if id in actors:
+                found.append(encode(_record(client, actors[id])))
+                yield
+        return found
+
+    return client.host.take(records(), at_once=not client.connection.is_open)
 
 
 @call
