@@ -9,16 +9,13 @@ from typing import TYPE_CHECKING, Any
 import carla
 import msgpack
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from carla_recap.server import host as served
-from carla_recap.server.controllers import AckermannControl
 from carla_recap.server.host import Client, Host
 from carla_recap.server.rpc.connection import ClientConnection
 from carla_recap.server.rpc.registry import CALLS
 from carla_recap.server.rpc.structs import EpisodeSettings
-from carla_recap.sim.actors.moving import Vehicle, VehicleControl
+from carla_recap.sim.actors.moving import Vehicle
 from tests.server.client import FAR, spawn
 from tests.server.inside import Inside
 from tests.server.test_connection import Transport
@@ -204,28 +201,6 @@ def test_a_failing_command_does_not_stop_the_others(inside: Inside) -> None:
     assert texts[7] == ["actor 99999 not found"]
     assert texts[8] == car.id
     assert inside.call("apply_batch", [7, None, [], [[]], [[2]]], False)[0][0][0] == 0
-
-
-numbers = st.floats(-2.0, 2.0)
-controls = st.tuples(numbers, numbers, numbers, st.booleans(), st.booleans(), st.just(False), st.integers(-3, 9))
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=50)
-@given(commanded=st.lists(st.tuples(st.integers(0, 2), controls.map(list)), min_size=1, max_size=6))
-def test_controls_of_many_do_what_they_do_one_by_one(inside: Inside, commanded: list[tuple[int, list[Any]]]) -> None:
-    cars = place_many(inside, 3)
-    commands = [[2, [cars[which].id, control]] for which, control in commanded]
-    found = []
-    for batches in ([commands], [[command, [18, [cars[0].id, 0]]] for command in commands]):
-        for car in cars:
-            inside.host.ackermann.drive(car, AckermannControl(speed=1.0))
-            car.apply_control(VehicleControl(manual_gear_shift=True, gear=-1))
-        for batch in batches:
-            assert inside.batch(*batch) == [[[1, fields[0]]] for _, fields in batch]
-        found.append([(car.control, car in inside.host.ackermann._states) for car in cars])
-    for car in cars:
-        car.destroy()
-    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize(

@@ -730,7 +730,8 @@ def test_a_recording_that_another_client_begins_while_a_map_is_loaded_is_complet
         await host.recordings.completed()
 
     asyncio.run(run())
-    assert len(threads) == 1 and threads[0] is not threading.main_thread()
+    assert len(threads) == 1
+    assert threads[0] is not threading.main_thread()
     with carla_recap.open_recording(tmp_path / "ends.mcap") as recording:
         assert not list(recording)
     host.close()

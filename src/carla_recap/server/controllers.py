@@ -17,7 +17,7 @@ from carla_recap.sim.actors.moving import VehicleControl
 from carla_recap.sim.geometry import Location, Transform, Vector
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable
 
     from carla_recap.sim.actors.moving import Vehicle
     from carla_recap.sim.world import World
@@ -86,10 +86,9 @@ class AckermannController:
         else:
             self._states[vehicle] = _AckermannState(control, vehicle.rows.steer_angle[vehicle.row].item())
 
-    def release(self, vehicles: Iterable[Vehicle]) -> None:
-        """Stop driving vehicles."""
-        for vehicle in vehicles:
-            self._states.pop(vehicle, None)
+    def release(self, vehicle: Vehicle) -> None:
+        """Stop driving a vehicle."""
+        self._states.pop(vehicle, None)
 
     def settings(self, vehicle: Vehicle) -> AckermannSettings:
         """Return the gains of a vehicle."""
@@ -171,25 +170,18 @@ class Takeover:
         """Log the first vehicle of a new replay that a client tries to drive."""
         self._is_logged = False
 
-    def take(self, vehicles: Iterable[Vehicle]) -> bool:
-        """End the server's autopilot, and return whether it drove any; those that follow a recording go on with that."""
-        is_taken = False
-        for vehicle in vehicles:
-            if not vehicle.simulates_physics and self._world.replayer.follows(vehicle):
-                self._log_once(vehicle)
-            elif vehicle.autopilot:
-                vehicle.set_autopilot(False)
-                is_taken = True
-        return is_taken
-
-    def _log_once(self, vehicle: Vehicle) -> None:
-        if not self._is_logged:
+    def take(self, vehicle: Vehicle) -> bool:
+        """End the server's autopilot of a vehicle, and return whether it drove; one that follows a recording goes on."""
+        if not vehicle.simulates_physics and self._world.replayer.follows(vehicle):
+            if not self._is_logged:
+                why = "controls and autopilots of clients have no effect on replayed vehicles until the replay ends"
+                _LOG.warning("%r follows a recording: %s", vehicle, why)
             self._is_logged = True
-            _LOG.warning(
-                "%r follows a recording: controls and autopilots of clients have no effect on replayed vehicles until the "
-                "replay ends",
-                vehicle,
-            )
+            return False
+        was_driven = vehicle.autopilot
+        if was_driven:
+            vehicle.set_autopilot(False)
+        return was_driven
 
 
 def _set_velocity(vehicle: Vehicle, velocity: Vector) -> None:

@@ -194,7 +194,7 @@ def set_actor_dead(client: Client, id: int) -> None:
     if isinstance(actor, Walker):
         actor.rows.fall(actor.row)
     elif isinstance(actor, Vehicle):
-        client.host.ackermann.release([actor])
+        client.host.ackermann.release(actor)
         client.host.constant_velocity.release(actor)
         actor.set_autopilot(False)
         actor.apply_control(VehicleControl(brake=1.0))

@@ -48,7 +48,6 @@ def set_light_state(client: Client, id: int, bits: int) -> None:
 _CONSOLE: Final = "console_command"
 """The command for the console of Unreal Engine, which has no effect."""
 _SPAWN: Final = "spawn_actor"
-_CONTROL: Final = "apply_control_to_vehicle"
 _UNREGISTERED: Final = {each.__name__: unregistered_call(each) for each in (vehicles.set_walker_state, set_light_state)}
 """The commands that are no calls."""
 
@@ -64,8 +63,6 @@ def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> l
     Returns:
         For each command the id of its actor, or an error, as CARLA's `Response`.
     """
-    if (controlled := _apply_controls(client, commands)) is not None:
-        return _tick_after(client, controlled, do_tick)
     answers = client.host.take(_execute_all(client, commands), at_once=not client.connection.is_open)
     if isinstance(answers, list):
         return _tick_after(client, answers, do_tick)
@@ -83,7 +80,8 @@ def _execute_all(client: Client, commands: list[Any]) -> Generator[None, None, l
     """Execute commands, one in each step, and return CARLA's `Response` to each."""
     answers = []
     for command in commands:
-        answers.append((yield from _answer(client, command)))
+        answer = yield from _answer(client, command)
+        answers.append(answer)
     return answers
 
 
@@ -97,18 +95,6 @@ def _tick_after(client: Client, answers: list[Any], do_tick: bool) -> list[Any] 
         return answers
 
     return when_done(client.host, client.host.sensors.pending(), tick)
-
-
-def _apply_controls(client: Client, commands: list[Any]) -> list[Any] | None:
-    """Execute commands that are all controls of vehicles, as a traffic manager's are; else return None and do nothing."""
-    own = client.release.commands.index(_CONTROL)
-    try:
-        controls = [(id, control) for ((number, (id, control)),) in commands if number.__class__ is int and number == own]
-    except (TypeError, ValueError):
-        return None
-    if not controls or len(controls) < len(commands) or not vehicles.apply_controls_to_vehicles(client, controls):
-        return None
-    return [[[1, id]] for id, _ in controls]
 
 
 def _answer(client: Client, command: Any, spawned: int | None = None) -> Generator[None, None, list[Any]]:

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from copy import deepcopy
 from dataclasses import replace
-from itertools import compress
 from math import degrees, pi
-from typing import Any, Final, get_type_hints
-
-import numpy as np
+from typing import Final
 
 from carla_recap.model.motion import GRAVITY
 from carla_recap.model.records import CM_PER_M
@@ -23,7 +20,6 @@ from carla_recap.sim.geometry import Location, Transform, Vector
 from carla_recap.sim.physics.physics_control import Gear, PhysicsControl
 from carla_recap.sim.validation import expect_velocity
 
-_CONTROL: Final = list(get_type_hints(VehicleControl).values())
 _FRONT_WHEELS: Final = (0, 1)
 
 
@@ -31,44 +27,17 @@ _FRONT_WHEELS: Final = (0, 1)
 def apply_control_to_vehicle(client: Client, id: int, control: VehicleControl) -> None:
     """Apply a control to a vehicle."""
     vehicle = expect(client, id, Vehicle)
-    client.host.takeover.take([vehicle])
-    client.host.ackermann.release([vehicle])
+    client.host.takeover.take(vehicle)
+    client.host.ackermann.release(vehicle)
     control.gear = min(max(control.gear, -1), vehicle.gears)
     vehicle.apply_control(control)
-
-
-def apply_controls_to_vehicles(client: Client, controls: list[tuple[Any, Any]]) -> bool:
-    """Apply controls to many vehicles, like `apply_control_to_vehicle` but faster.
-
-    Controls are pairs of the id of a vehicle and the fields of its control, not yet decoded.
-
-    Returns:
-        Whether it is done. If a control is invalid or has a manual gear, or an actor is no vehicle, nothing is done.
-    """
-    fleet = client.host.world.vehicles
-    try:
-        rows = [fleet.row(id) for id, _ in controls]
-        valid = all(id.__class__ is int and [part.__class__ for part in control] == _CONTROL for id, control in controls)
-    except (KeyError, TypeError):
-        return False
-    if not valid:
-        return False
-    *pedals, hand_brake, reverse, manual, _ = zip(*(control for _, control in controls), strict=True)
-    values = np.array(pedals)
-    if any(manual) or not np.isfinite(values).all():
-        return False
-    by_server = fleet.autopilot[rows] | ~fleet.simulated[rows]
-    client.host.takeover.take(fleet.actors[row] for row in compress(rows, by_server))
-    client.host.ackermann.release(fleet.actors[row] for row in rows)
-    fleet.drive(rows, values, hand_brake, reverse)
-    return True
 
 
 @call
 def apply_ackermann_control_to_vehicle(client: Client, id: int, control: AckermannControl) -> None:
     """Drive a vehicle to a speed and a steering angle, until it gets a control."""
     vehicle = expect(client, id, Vehicle)
-    client.host.takeover.take([vehicle])
+    client.host.takeover.take(vehicle)
     client.host.ackermann.drive(vehicle, control)
 
 
@@ -76,7 +45,7 @@ def apply_ackermann_control_to_vehicle(client: Client, id: int, control: Ackerma
 def set_actor_autopilot(client: Client, id: int, enabled: bool) -> None:
     """End the server's own autopilot of a vehicle; the autopilot to start or stop is the client's traffic manager."""
     vehicle = client.host.world.actors.get(id)
-    if isinstance(vehicle, Vehicle) and client.host.takeover.take([vehicle]):
+    if isinstance(vehicle, Vehicle) and client.host.takeover.take(vehicle):
         vehicle.apply_control(VehicleControl())
 
 

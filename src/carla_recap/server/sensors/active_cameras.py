@@ -12,7 +12,7 @@ from carla_recap.rendering.camera import Camera, ImageKind
 from carla_recap.replay.pose import MIRROR
 from carla_recap.sensors.kinds import LARGEST_SIDE, NARROWEST, WIDEST
 from carla_recap.server.actor_records import release_of
-from carla_recap.server.sensors.feeds import axes, flag, number, row
+from carla_recap.server.sensors.feeds import axes, flag, number, row, warn_of
 from carla_recap.server.sensors.images import CameraScene, Shot, View
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ _EVENT: Final = np.dtype([("x", "<u2"), ("y", "<u2"), ("time", "<i8"), ("polarit
 _LUMINANCE: Final = np.array([0.114, 0.587, 0.2989], np.float32)  # of blue, green and red
 _LEAST_THRESHOLD: Final = 0.01  # as in CARLA
 _LEAST_EPSILON: Final = 1e-6
-_MOST_EVENTS: Final = 1 << 22  # of an image; later ones are lost
+_MOST_EVENTS: Final = 1 << 22  # of an image; those of the lowest pixels are lost, and the log says so
 _NS: Final = 1e9  # in a second
 
 
@@ -207,6 +207,7 @@ class EventDetector:
         self._falling = max(number(sensor, "negative_threshold"), _LEAST_THRESHOLD)
         self._is_logarithmic = flag(sensor, "use_log")
         self._epsilon = max(number(sensor, "log_eps"), _LEAST_EPSILON)
+        self._warn: Callable[[str], None] | None = warn_of(sensor)
         self._last: Floats | None = None
         self._reference = np.empty(0, np.float32)
         self._time = 0.0
@@ -236,7 +237,11 @@ class EventDetector:
         crossed = np.flatnonzero(most > least)
         self._reference[changed[crossed]] += sign[crossed] * step[crossed] * most[crossed]
         counts = most[crossed] - least[crossed]
-        counts = counts[np.cumsum(counts) <= _MOST_EVENTS]
+        kept = counts[np.cumsum(counts) <= _MOST_EVENTS]
+        if len(kept) < len(counts) and self._warn is not None:
+            self._warn(f"at {time:.2f} s, expected at most {_MOST_EVENTS} events in an image, found {counts.sum()}")
+            self._warn = None
+        counts = kept
         crossed = crossed[: len(counts)]
         row = np.repeat(crossed, counts)
         number_of = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts) + least[row] + 1

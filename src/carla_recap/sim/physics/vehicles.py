@@ -16,8 +16,6 @@ from carla_recap.sim.physics.drivetrain import Drivetrains
 from carla_recap.sim.physics.physics_control import GEARS, WHEEL, columns, parameters
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
     from carla_recap.sim.geometry import Box
@@ -31,7 +29,6 @@ _STILL: Final = 0.02  # m/s and rad/s: slower vehicles stand
 _IDLE: Final = 1.0  # rad/s: so slow an engine does nothing
 _ROLLS: Final = 1.0  # m/s: below, a vehicle is taken to stand
 _STEEPEST: Final = 0.5  # the slope of a road, rise by run
-_LEAST: Final = np.array([[0.0], [-1.0], [0.0]])  # of throttle, steering and brake
 _TINY: Final = 1e-9
 _RADIUS: Final = WHEEL.index("radius")
 
@@ -64,7 +61,7 @@ class Vehicles(Drivetrains):
 
     @property
     def wheel_angle(self) -> Floats:
-        """The angles of the inner front wheels in radians, (n,); those of vehicles without physics follow the control at once."""
+        """The angles of the inner front wheels in radians, (n,); without physics, they follow the control at once."""
         return np.where(self.simulated, self.steer_angle, self.steer * self.full_lock)
 
     def set_physics(self, row: int, control: PhysicsControl, box: Box) -> None:
@@ -118,17 +115,6 @@ class Vehicles(Drivetrains):
             gear = calm[0] if len(calm) else possible[-1]
             self.gear[row] = self.target_gear[row] = gear + 1
             self.engine[row] = turns[gear]
-
-    def drive(self, rows: list[int], pedals: Floats, hand_brake: Sequence[bool], reverse: Sequence[bool]) -> None:
-        """Apply controls to some vehicles, as `Vehicle.apply_control` does, with automatic gearboxes.
-
-        `pedals` are throttle, steering and brake, all finite, (3, n).
-        """
-        self.throttle[rows], self.steer[rows], self.brake[rows] = np.clip(pedals, _LEAST, 1.0)
-        self.hand_brake[rows] = hand_brake
-        self.reverse[rows] = reverse
-        self.manual[rows] = False
-        self.controlled[rows] = True
 
     def pedals(self, rows: Integers, acceleration: Floats, backwards: Booleans | bool = False) -> tuple[Floats, Floats]:
         """Return throttle and brake, 0 to 1 each, for accelerations of vehicles; one of the two is 0.
