@@ -99,6 +99,7 @@ def _tick_after(client: Client, answers: list[Any], do_tick: bool) -> list[Any] 
 
 def _answer(client: Client, command: Any, spawned: int | None = None) -> Generator[None, None, list[Any]]:
     """Execute a command, for an actor that was just spawned if there is one, and yield; return CARLA's `Response`."""
+    answer: list[Any]
     try:
         answer = [1, (yield from _execute(client, command, spawned))]
     except Exception as error:
