@@ -17,7 +17,7 @@ from carla_recap.model.presence import FAR, RoadHeights
 from carla_recap.model.segment import SegmentBuffer, segments
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Iterable, Iterator
 
     from carla_recap.model.batch import Batch
     from carla_recap.model.contacts import Contact
@@ -179,17 +179,11 @@ class MotionCollector:
     """Collects the frames of a recording into tables of motion, which follow each other.
 
     Memory is bounded: a table has 2,048 frames, or fewer if there are very many actors, and the margins `before` and `after`
-    them, in s. They have the actors of some kinds.
+    them, in s.
     """
 
     def __init__(
-        self,
-        actors: Iterable[ActorLife],
-        contacts: Iterable[Contact] = (),
-        *,
-        before: float = 0.0,
-        after: float = 0.0,
-        kinds: Collection[str] = ROAD_USERS,
+        self, actors: Iterable[ActorLife], contacts: Iterable[Contact] = (), *, before: float = 0.0, after: float = 0.0
     ) -> None:
         actors, lives = list(actors), defaultdict(list)
         for actor in actors:
@@ -197,11 +191,11 @@ class MotionCollector:
         self._lives = {  # of each id, with the times from which and until which it is theirs
             id: list(zip(each, [-np.inf, *starts], [*starts, np.inf], strict=True))
             for id, each in lives.items()
-            if any(actor.kind in kinds for actor in each)
+            if any(actor.kind in ROAD_USERS for actor in each)
             for starts in [[actor.spawned_at - SAME_TIME for actor in each[1:]]]
         }
         self._known = np.array(list(self._lives), np.uint32)
-        self._contacts, self._kinds = tuple(contacts), kinds
+        self._contacts = tuple(contacts)
         self._before, self._after = before + _CONTEXT, after + _CONTEXT
         self._heights = RoadHeights(actors)
         self._poses, self._velocities = SegmentBuffer(), SegmentBuffer()
@@ -261,7 +255,7 @@ class MotionCollector:
             (row, actor, during)
             for row, id in enumerate(ids.tolist())
             for actor, begin, end in self._lives[id]
-            if actor.kind in self._kinds and (during := (time >= begin) & (time < end)).any()
+            if actor.kind in ROAD_USERS and (during := (time >= begin) & (time < end)).any()
         ]
         rows, actors = np.array([row for row, _, _ in lives], np.intp), tuple(actor for _, actor, _ in lives)
         alive = np.array([during for _, _, during in lives], np.bool_).reshape(-1, len(time))

@@ -88,7 +88,7 @@ class RoadSearch:
         note: Callable[[int, str, MeasureValues], None] = lambda *_: None,
     ) -> None:
         self._network, self._note = network, note
-        self._motion = MotionCollector(actors, before=_LONGEST, kinds=("vehicle",))
+        self._motion = MotionCollector(actors, before=_LONGEST)
         self.lights = LightHistory(source, network)
         self._lines = StopLines(network)
         self._first_on_road: dict[int, float] = {}
