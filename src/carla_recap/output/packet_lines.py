@@ -137,12 +137,10 @@ def _inside(type: str, field: str) -> Layout:
 
 _ATTRIBUTE: Final = PacketLines(_inside("spawned", "attributes"), "  {key} = {value}\n")
 _BONE: Final = PacketLines(
-    _inside("walker_bones", "bones"),
-    '     Bone: "{name}" relative: Loc({x}, {y}, {z}) Rot({roll}, {pitch}, {yaw})\n',
+    _inside("walker_bones", "bones"), '     Bone: "{name}" relative: Loc({x}, {y}, {z}) Rot({roll}, {pitch}, {yaw})\n'
 )
 _GEAR: Final = PacketLines(
-    _inside("physics", "forward_gears"),
-    "    gear {index}: ratio {ratio} down_ratio {down_ratio} up_ratio {up_ratio}\n",
+    _inside("physics", "forward_gears"), "    gear {index}: ratio {ratio} down_ratio {down_ratio} up_ratio {up_ratio}\n"
 )
 _WHEEL: Final = PacketLines(
     _inside("physics", "wheels"),
@@ -208,21 +206,10 @@ _CENTER_OF_CARLA: Final[dict[str, Callable[[Any], Any]]] = dict.fromkeys(
 
 
 _ROWS: Final = (
-    _row(
-        "spawned",
-        None,
-        " Create {id}: {type_id} ({kind}) at ({x}, {y}, {z})\n{attributes}",
-        attributes=_ATTRIBUTE.text,
-    ),
+    _row("spawned", None, " Create {id}: {type_id} ({kind}) at ({x}, {y}, {z})\n{attributes}", attributes=_ATTRIBUTE.text),
     _row("destroyed", None, " Destroy {id}\n"),
     _row("parented", None, " Parenting {id} with {parent} (parent)\n"),
-    _row(
-        "collisions",
-        None,
-        " Collision id {id} between {actor1}{hero1} with {actor2}{hero2}\n",
-        hero1=_hero,
-        hero2=_hero,
-    ),
+    _row("collisions", None, " Collision id {id} between {actor1}{hero1} with {actor2}{hero2}\n", hero1=_hero, hero2=_hero),
     _row("transforms", "Positions", "  Id: {id} Location: ({x}, {y}, {z}) Rotation: ({roll}, {pitch}, {yaw})\n"),
     _row(
         "light_states",
@@ -259,9 +246,7 @@ _ROWS: Final = (
     _row("platform_time", None, " Current platform time: {seconds}\n"),
     _row("physics", "Physics Control events", _PHYSICS, **_PHYSICS_WORDS),
     _row(
-        "light_times",
-        "Traffic Light time events",
-        "  Id: {id} green_time: {green} yellow_time: {yellow} red_time: {red}\n",
+        "light_times", "Traffic Light time events", "  Id: {id} green_time: {green} yellow_time: {yellow} red_time: {red}\n"
     ),
     _row("walker_bones", "Walkers Bones", "  Id: {id}\n{bones}", "\n", bones=_BONE.text),
 )

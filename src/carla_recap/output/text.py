@@ -186,19 +186,13 @@ _LISTS: Final[Mapping[str, tuple[str, Callable[[Any], str]]]] = {
     "Collisions": (f"{'Time':>8} {'Types':>6} {'Id':>6} {'Actor 1':<35} {'Id':>6} {'Actor 2':<35}", _collision),
     "Blocked": (f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Duration':>10}", _blocked),
     "Incidents": (f"{'Time':>8} {'Duration':>10} {'Incident':<12} What happens", _incident),
-    "Measures": (
-        f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Measure':<22} {'Value':>10} {'Unit':<5} {'Id':>6} Other",
-        _measure,
-    ),
+    "Measures": (f"{'Time':>8} {'Id':>6} {'Actor':<35} {'Measure':<22} {'Value':>10} {'Unit':<5} {'Id':>6} Other", _measure),
     "MeasuresOverTime": (
         f"{'Time':>8} {'Id':>6} {'m/s':>8} {'m/s²':>8} {'Gap (m)':>8} {'TTC (s)':>8} {'Ahead m':>8} {'Ahead s':>8}"
         f" {'Nearest':>7} {'Threat':>7} {'Leader':>7}",
         _moment,
     ),
-    "RecordedActors": (
-        f"{'Id':>8} {'Kind':<13} {'Actor':<35} {'Role':<20} {'From':>8} {'To':>8} {'Parent':>8}",
-        _actor,
-    ),
+    "RecordedActors": (f"{'Id':>8} {'Kind':<13} {'Actor':<35} {'Role':<20} {'From':>8} {'To':>8} {'Parent':>8}", _actor),
     "Summaries": (
         f"{'Duration':>8} {'Frames':>8} {'Vehicles':>8} {'Walkers':>7} {'Others':>6} {'Hero (m)':>8} {'km/h':>5}"
         f" {'Map':<12} Incidents",

@@ -82,14 +82,9 @@ def collisions(
 ) -> Collisions:
     """Return the collisions between two kinds of actors, letters of `LETTERS`; see `Recording.collisions`.
 
-    As in CARLA, an ordered pair of actors gives a row in a frame if the frame before has no record of it. The first actor is
-    the one with the collision sensor. So a contact gives several rows if both actors have a sensor, or if a frame in it has
-    no record; rows of one contact have the same number.
-
-    Speeds are those just before the contact, in the last frame without it: from the velocities that are recorded, else from
-    the positions in the two frames before. They are unknown where the recording begins with the contact, where an actor has
-    just appeared or jumps, with `compat`, and without `speeds`. An MCAP file lists them; elsewhere, the frames before each
-    contact are read.
+    As in CARLA, an ordered pair of actors gives a row in a frame if the frame before has no record of it. So a contact gives
+    several rows if both actors have a sensor, or if a frame in it has no record; they have the same number. Speeds are those
+    in the last frame before the contact, but with `compat`; an MCAP file lists them, else the frames before are read.
     """
     if not compat:
         check_letters(type1, type2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Final, Literal, TypedDict
 
 from carla_recap.errors import RecapError
@@ -31,7 +32,7 @@ from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.batch import Batch
@@ -185,22 +186,20 @@ class Search:
 
 
 class Detector:
-    """Finds the incidents of some kinds: it is made of a `Search`, gets the batches, and returns what it has found.
-
-    Attributes:
-        types: The record types that it needs; none if it needs no frames.
-        also: The record types that it uses, too, if frames are read.
-    """
+    """Finds the incidents of some kinds: it is made of a `Search`, gets the batches, and returns what it has found."""
 
     types: Collection[str] = ()
+    """The record types that it needs; none if it needs no frames."""
     also: Collection[str] = ()
+    """The record types that it uses, too, if frames are read."""
 
-    def __init__(self, search: Search) -> None:
-        self._search = search
+    def __init__(self, search: Search, process: Callable[[Batch], object] | None = None) -> None:
+        self._search, self._process = search, process
 
     def add(self, batch: Batch) -> None:
         """Process the next frames."""
-        raise NotImplementedError
+        if self._process is not None:
+            self._process(batch)
 
     def finish(self) -> Iterable[Incident]:
         """Return the incidents, in any order."""
@@ -211,13 +210,9 @@ class CollisionIncidents(Detector):
     """Finds collisions: the contacts of actors, with the place and the speed at which they begin."""
 
     def __init__(self, search: Search) -> None:
-        super().__init__(search)
         self._impacts = ImpactSearch(contact.key for contact in search.contacts)
+        super().__init__(search, partial(self._impacts.batch, is_whole=search.options.start == -math.inf))
         self.also = MOTION if self._impacts.missing else ()
-
-    def add(self, batch: Batch) -> None:
-        """See `Detector.add`."""
-        self._impacts.batch(batch, is_whole=self._search.options.start == -math.inf)
 
     def finish(self) -> Iterator[Incident]:
         """See `Detector.finish`; the impacts that the batches did not have are looked up."""
@@ -248,7 +243,6 @@ class LongStopIncidents(Detector):
     """Finds vehicles and walkers that do not move for long."""
 
     def __init__(self, search: Search) -> None:
-        super().__init__(search)
         source, limits = search.source, (search.options.min_time, search.options.min_distance)
         self._heights = RoadHeights(list(search.actors))
         self._listed: Sequence[BlockedRow] | None = listed_intervals(source, *limits)
@@ -256,11 +250,7 @@ class LongStopIncidents(Detector):
             self._listed = blocked(source, *limits)
         self._tracker = StationaryTracker(source.header.table, *limits) if self._listed is None else None
         self.types = STATIONARY_TYPES if self._tracker else ()
-
-    def add(self, batch: Batch) -> None:
-        """See `Detector.add`."""
-        if self._tracker:
-            self._tracker.batch(batch)
+        super().__init__(search, self._tracker.batch if self._tracker else None)
 
     def finish(self) -> Iterator[Incident]:
         """See `Detector.finish`."""
@@ -290,17 +280,12 @@ class HardBrakingIncidents(Detector):
     """Finds vehicles that brake hard: not because of a contact, and not harder than brakes can."""
 
     def __init__(self, search: Search) -> None:
-        super().__init__(search)
         deceleration = search.options.deceleration
         self._listed = listed_braking(search.source, deceleration) if search.options.is_whole else None
         is_listed = self._listed is not None
         self._detector = None if is_listed else BrakingDetector(search.actors.ids("vehicle"), deceleration)
         self.types = BRAKING_TYPES if self._detector else ()
-
-    def add(self, batch: Batch) -> None:
-        """See `Detector.add`."""
-        if self._detector:
-            self._detector.batch(batch)
+        super().__init__(search, self._detector.batch if self._detector else None)
 
     def finish(self) -> Iterator[Incident]:
         """See `Detector.finish`."""
@@ -343,7 +328,6 @@ class NearMissIncidents(Detector):
     types = MOTION_TYPES
 
     def __init__(self, search: Search) -> None:
-        super().__init__(search)
         ids = None if search.near is None else frozenset(search.near)
         self._detector = NearMissDetector(
             search.actors,
@@ -354,10 +338,7 @@ class NearMissIncidents(Detector):
             post_encroachment_time=search.options.post_encroachment_time,
             required_deceleration=search.options.required_deceleration,
         )
-
-    def add(self, batch: Batch) -> None:
-        """See `Detector.add`."""
-        self._detector.batch(batch)
+        super().__init__(search, self._detector.batch)
 
     def finish(self) -> Iterator[Incident]:
         """See `Detector.finish`."""
@@ -385,13 +366,9 @@ class RoadIncidents(Detector):
     types = ROAD_TYPES
 
     def __init__(self, search: Search) -> None:
-        super().__init__(search)
         assert search.options.roads is not None
         self._roads = RoadSearch(search.source, search.options.roads, search.actors)
-
-    def add(self, batch: Batch) -> None:
-        """See `Detector.add`."""
-        self._roads.add(batch)
+        super().__init__(search, self._roads.add)
 
     def finish(self) -> Iterator[Incident]:
         """See `Detector.finish`."""

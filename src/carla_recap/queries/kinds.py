@@ -16,7 +16,7 @@ from carla_recap.queries.detectors import (
 from carla_recap.queries.measures.definitions import DURATION, MEASURES, RELATIVE_SPEED, Measure
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
     from carla_recap.queries.detectors import Detector, Search
 
@@ -42,12 +42,9 @@ class IncidentKind:
         return self.name.replace(" ", "-")
 
 
-def _named(kinds: Iterable[IncidentKind]) -> Mapping[str, IncidentKind]:
-    return {kind.name: kind for kind in kinds}
-
-
-KINDS: Final = _named(
-    (
+KINDS: Final[Mapping[str, IncidentKind]] = {
+    kind.name: kind
+    for kind in (
         IncidentKind(
             name="collision",
             singular="collision",
@@ -157,7 +154,7 @@ KINDS: Final = _named(
             detector=LongStopIncidents,
         ),
     )
-)
+}
 """The kinds of incidents by name, the most important first."""
 
 
@@ -178,10 +175,7 @@ def kind_named(text: str) -> IncidentKind:
 
 
 def kinds_named(kinds: Collection[str] | Literal["all"] | None) -> frozenset[str]:
-    """Return the names of kinds.
-
-    Args:
-        kinds: The kinds; None: those that are found without reading every frame; "all", alone or among them: all.
+    """Return the names of kinds; None: those that are found without reading every frame; "all", alone or among them: all.
 
     Raises:
         RecapError: There is no such kind.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from carla_recap.model.lives import ROAD_USERS, heroes_of
+from carla_recap.model.lives import ROAD_USERS, ActorLives, heroes_of
 from carla_recap.queries import Answer
 from carla_recap.queries.incidents import IncidentOptions, IncidentSearch
 from carla_recap.queries.kinds import KINDS
@@ -124,10 +124,8 @@ class SummarySearch:
     def finish(self) -> Summaries:
         """Return the summary."""
         source, found = self._source, Counter(incident.kind for incident in self.incidents)
-        kinds, spawned = Counter(life.kind for life in self.actors), dict[int, list[float]]()
-        for life in self.actors:
-            spawned.setdefault(life.id, []).append(life.spawned_at)
-        paths = trajectories_of(self._rows.finish(), spawned)
+        kinds, lives = Counter(life.kind for life in self.actors), ActorLives(self.actors)
+        paths = trajectories_of(self._rows.finish(), lives.reuses())
         heroes = (_hero(paths, life) for life in self._heroes)
         extent = source.extent()
         row = RecordingSummary(

@@ -67,13 +67,8 @@ class Ending(NamedTuple):
 
 def ending(drive: Drive, route: PlannedRoute, network: RoadNetwork) -> Ending:
     """Return how a route ends: at its end, or because the hero has left it, is blocked, or takes too long."""
-    last = len(drive) - 1
-    found: list[tuple[int, Infraction]] = [
-        *_deviation(drive, route),
-        *_blocked(drive),
-        *_timeout(drive, route, network),
-    ]
-    stop, infraction = min(found, key=lambda each: each[0], default=(last, None))
+    last, endings = len(drive) - 1, (_deviation(drive, route), _blocked(drive), _timeout(drive, route, network))
+    stop, infraction = min(filter(None, endings), key=lambda each: each[0], default=(last, None))
     shares = np.round(route.travelled / max(route.length, 1e-9) * 100, 2)[route.reached(drive, WINDOW)]
     near = np.linalg.norm(drive.position - route.points[-1], axis=1) < _COMPLETE[1]
     complete = np.flatnonzero((shares > _COMPLETE[0]) & near)
@@ -84,12 +79,12 @@ def ending(drive: Drive, route: PlannedRoute, network: RoadNetwork) -> Ending:
 
 def ending_of_drive(drive: Drive) -> Ending:
     """Return how a drive without a route ends: with the recording, or because it is blocked."""
-    found = next(_blocked(drive), None)
-    return Ending(len(drive) - 1, 100.0, None) if found is None else Ending(found[0], 100.0, found[1])
+    stop, infraction = _blocked(drive) or (len(drive) - 1, None)
+    return Ending(stop, 100.0, infraction)
 
 
-def _deviation(drive: Drive, route: PlannedRoute) -> Iterator[tuple[int, Infraction]]:
-    """Yield the frame in which the hero has left the route, if there is one."""
+def _deviation(drive: Drive, route: PlannedRoute) -> tuple[int, Infraction] | None:
+    """Return the frame in which the hero has left the route, if there is one."""
     points, travelled = route.points[:, :2].tolist(), route.travelled.tolist()
     index, unsafe, is_safe = 0, 0.0, True
     for frame, (x, y, _) in zip(drive.frames.tolist(), drive.ticks, strict=True):
@@ -106,34 +101,33 @@ def _deviation(drive: Drive, route: PlannedRoute) -> Iterator[tuple[int, Infract
             has_left |= 100 * unsafe / travelled[-1] > _MOST_UNSAFE
         index = nearest
         if has_left:
-            yield frame, _infraction("route_dev", drive, frame, f"Agent deviated from the route at {_place(drive, frame)}")
-            return
+            return frame, _infraction("route_dev", drive, frame, f"Agent deviated from the route at {_place(drive, frame)}")
+    return None
 
 
-def _blocked(drive: Drive) -> Iterator[tuple[int, Infraction]]:
-    """Yield the frame in which the hero has been stationary for too long, if there is one."""
+def _blocked(drive: Drive) -> tuple[int, Infraction] | None:
+    """Return the frame in which the hero has been stationary for too long, if there is one."""
     since = np.maximum.accumulate(np.where(drive.speed < _STATIONARY, 0, np.arange(len(drive))))
     stationary = np.where(drive.speed < _STATIONARY, drive.time - drive.time[since], 0.0)
     stationary[-1] += _CUT_OFF
     frames = np.flatnonzero(stationary > _BLOCKED)
-    if len(frames):
-        frame = int(frames[0])
-        yield frame, _infraction("vehicle_blocked", drive, frame, f"Agent got blocked at {_place(drive, frame)}")
+    if not len(frames):
+        return None
+    frame = int(frames[0])
+    return frame, _infraction("vehicle_blocked", drive, frame, f"Agent got blocked at {_place(drive, frame)}")
 
 
-def _timeout(drive: Drive, route: PlannedRoute, network: RoadNetwork) -> Iterator[tuple[int, Infraction]]:
-    """Yield the frame in which the time of the hero is up, if there is one."""
+def _timeout(drive: Drive, route: PlannedRoute, network: RoadNetwork) -> tuple[int, Infraction] | None:
+    """Return the frame in which the time of the hero is up, if there is one."""
     if drive.time[-1] - drive.time[0] <= _PATIENCE:
-        return
+        return None
     limits = network.lanes_at(drive.position, drive.yaw).limit
     known = np.maximum.accumulate(np.where(np.isfinite(limits), np.arange(len(limits)), -1))
     limits = np.where(known >= 0, limits[known], _USUAL_LIMIT)  # a vehicle keeps the limit that it had last
     driven = np.diff(route.travelled[route.reached(drive, _WIDE_WINDOW)], prepend=0.0)
     allowed = _PATIENCE + np.cumsum(driven / (_CRAWLING * limits))
     late = np.flatnonzero(drive.time - drive.time[0] > allowed)
-    if len(late):
-        frame = int(late[0])
-        yield frame, _infraction("route_timeout", drive, frame, "Route timeout.")
+    return (int(late[0]), _infraction("route_timeout", drive, int(late[0]), "Route timeout.")) if len(late) else None
 
 
 def collisions(drive: Drive, contacts: Iterable[Contact], actors: ActorLives) -> Iterator[Infraction]:

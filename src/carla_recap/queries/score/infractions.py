@@ -16,25 +16,15 @@ FORMULAS: Final[tuple[Formula, ...]] = get_args(Formula)
 
 @dataclass(frozen=True, kw_only=True)
 class InfractionKind:
-    """A row of the table.
+    """A row of the table."""
 
-    Attributes:
-        name: The name, as in the Leaderboard's results.
-        label: The heading of its column there.
-        text: The definition.
-        factor: The factor of the penalty in 1.0 and 2.0; None: the penalty is the same.
-        coefficient: The coefficient of the sum in 2.1; None: the factor counts there, too.
-        since: The first version that has this kind.
-        ends: The reason that the Leaderboard gives for a route that it ends; empty if the route goes on.
-    """
-
-    name: str
-    label: str
-    text: str
-    factor: float | None = None
-    coefficient: float | None = None
-    since: Formula = "1.0"
-    ends: str = ""
+    name: str  # as in the Leaderboard's results
+    label: str  # the heading of its column there
+    text: str  # the definition
+    factor: float | None = None  # of the penalty in 1.0 and 2.0; None: the penalty is the same
+    coefficient: float | None = None  # of the sum in 2.1; None: the factor counts there, too
+    since: Formula = "1.0"  # the first version that has this kind
+    ends: str = ""  # the reason that the Leaderboard gives for a route that it ends; empty if the route goes on
 
     def counts(self, formula: Formula) -> bool:
         """Return whether a version of the Leaderboard has this kind."""

@@ -86,13 +86,8 @@ def _routes(path: Path) -> list[Route]:
 def route_for(routes: Sequence[Route], source: Reader, id: str | None = None) -> Route:
     """Return the route by which a recording is scored.
 
-    If routes of several files fit, that of the file in the recording's folder is taken.
-
-    Args:
-        routes: The routes of files.
-        source: The recording.
-        id: The id of the route; None: the one in the name of the recording, if the evaluator has named it, else the only
-            one of its town.
+    It is the one of an id, else of that in the name of the recording, if the evaluator has named it, else the only one of
+    its town. If routes of several files fit, that of the file in the recording's folder is taken.
 
     Raises:
         RecapError: There is none, or it is of another town.

@@ -150,18 +150,12 @@ class Score:
 
 
 def score(source: Reader, route: Route | None, options: ScoreOptions | None = None) -> Score:
-    """Return the score of a recording.
-
-    Args:
-        source: The recording.
-        route: The route; None: infractions are judged along the driven path.
-        options: How to score.
+    """Return the score of a recording; without a route, infractions are judged along the driven path.
 
     Raises:
         RecapError: The map is unknown, there is no such vehicle, or the route does not fit the map.
         FormatError: The file contradicts its format.
-        RecapWarning: The way between two places of the route is many times as long as the straight line, or the speed of the
-            actor is unknown in several frames, or frames last longer than 5 s.
+        RecapWarning: A leg of the route is many times its straight distance, a speed is unknown, or a frame lasts long.
     """
     options = options or ScoreOptions()
     path = find_map_of(source, options.road_map, needed=True)
