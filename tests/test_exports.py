@@ -207,13 +207,3 @@ with carla_recap.open_recording({str(CROSSING)!r}) as recording:
 def test_a_format_is_in_the_help_of_the_command(form: ExportFormat) -> None:
     words = CliRunner().invoke(cli, ["export", "--help"]).output
     assert re.search(rf"^  {form.name} +{re.escape(form.suffix) or 'folder'} +{re.escape(form.text)}$", words, re.MULTILINE)
-
-
-def test_the_documentation_lists_the_formats() -> None:
-    page = (ROOT / "docs" / "exchange.md").read_text("utf-8")
-    rows = [
-        f"| `{form.name}` | {f'`{form.suffix}`' if form.suffix else 'folder'} | {form.text} |"
-        f"{f' `{form.extra}`' if form.extra else ''} |\n"
-        for form in FORMATS.values()
-    ]
-    assert f"\n| format | file | content | extra |\n|---|---|---|---|\n{''.join(rows)}\n" in page

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from carla_recap import open_index, write_index
-from carla_recap.fleet.index.tables import RECORDING, TABLES
 
 pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
 
@@ -16,14 +15,6 @@ ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "index-and-sql.md").read_text("utf-8")
 QUESTIONS = re.findall(r"^\*\*\d+\. (.*?)\*\*\n\n```sql\n(.*?)```\n\n```csv\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE)
 OTHERS = set(re.findall("^```sql\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE)) - {query for _, query, _ in QUESTIONS}
-TYPES = {
-    "string": "varchar",
-    "int64": "bigint",
-    "bool": "boolean",
-    "timestamp[us]": "timestamp",
-    "list<item: int64>": "bigint[]",
-    "list<item: string>": "varchar[]",
-}
 
 
 @pytest.fixture(scope="module")
@@ -52,18 +43,3 @@ def test_the_commands_that_make_pictures_name_the_recordings(folder):
     with open_index(folder / "runs.duckdb") as index:
         commands = index.sql(query).column(0).to_pylist()
     assert commands[0] == f"carla-recap video '{ROOT}/samples/crash.mcap#t=10.1' 1.mp4"
-
-
-@pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
-def test_the_columns_of_a_table_are_listed(table):
-    section = PAGE.partition(f"\n### `{table.name}`")[2].partition("\n#")[0]
-    rows = [
-        [cell.strip().strip("`") for cell in line.split("|")[1:5]] for line in re.findall(r"^\| `.*$", section, re.MULTILINE)
-    ]
-    fields = [field for field in table.schema if table.name == "recordings" or field.name != RECORDING]
-    assert [row[0] for row in rows] == [field.name for field in fields]
-    for (name, kind, unit, meaning), field in zip(rows, fields, strict=True):
-        written = str(field.type)
-        assert kind == TYPES.get(written, written.partition("<")[0]), name
-        assert unit == (field.metadata or {}).get(b"unit", b"").decode(), name
-        assert meaning, name

@@ -11,7 +11,6 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from collections import defaultdict
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
@@ -24,12 +23,7 @@ import carla_recap
 from carla_recap import MissingExtra, SensorRig
 from carla_recap.cli import cli
 from carla_recap.model.layout import Framing, Layout, Many
-from carla_recap.model.records import NO_ACTOR, UE4, ActorKind, Group, Spawn, attributes
-from carla_recap.queries.kinds import KINDS
-from carla_recap.queries.measures import MEASURES
-from carla_recap.rules.reading import Key, keys_of
-from carla_recap.rules.table import CONDITIONS, PLACE_KEYS, SCOPE
-from carla_recap.sensors import SENSOR_TYPES
+from carla_recap.model.records import NO_ACTOR, UE4, ActorKind, Spawn, attributes
 from carla_recap.sensors.beams import MOST_LIDAR_RAYS, MOST_RADAR_RAYS
 from carla_recap.sensors.kinds import MOST_CHANNELS
 from carla_recap.sensors.rig import MOST_SENSORS
@@ -121,67 +115,6 @@ def test_each_section_about_records_is_about_a_record_type():
     assert headings == {type.name for type in UE4}
 
 
-@every_type
-def test_the_topic_of_a_record_type_is_listed(type):
-    if type.topic:
-        group = "state" if type.group is Group.STATE else "events"
-        assert f"| `{type.topic}` | `{type.message}` | {type.id} | {group} |" in FORMAT
-
-
-@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
-def test_a_kind_of_incident_is_listed(kind):
-    names = " or ".join(f"`{measure.name}`" for measure in kind.measures)
-    (unit,) = {measure.unit for measure in kind.measures}
-    page = (ROOT / "docs" / "incidents.md").read_text("utf-8")
-    assert f"\n| `{kind.option}` | {kind.text} | {names} | {unit} |\n" in page
-
-
-@pytest.mark.parametrize("measure", MEASURES.values(), ids=MEASURES)
-def test_a_measure_is_listed(measure):
-    page = (ROOT / "docs" / "measures.md").read_text("utf-8")
-    section = page.partition("\n## The road\n")[2 if measure.needs_roads else 0]
-    assert f"\n| `{measure.name}` | {measure.unit} | {measure.extreme} | {measure.text} |\n" in section
-
-
-def test_the_conditions_of_rules_are_listed():
-    rows = defaultdict(list)
-    for kind in CONDITIONS.values():
-        keys = [f"`{key}`" if isinstance(key, str) else key.title for part in kind.parts for key in shown_keys(part)]
-        rows[", ".join(keys), kind.text].append(f"`{kind.name}`")
-    expected = [f"| {', '.join(names)} | {keys} | {text} |" for (keys, text), names in rows.items()]
-    assert table_of("## Rules", "| condition | keys | is met if |") == expected
-
-
-@pytest.mark.parametrize(
-    ("heading", "parts"),
-    {
-        "## Rules": [part for kind in CONDITIONS.values() for part in kind.parts if part not in (PLACE_KEYS, SCOPE)],
-        "### Places": [PLACE_KEYS],
-        "### Scopes": [SCOPE],
-    }.items(),
-)
-def test_the_keys_of_rules_are_listed(heading, parts):
-    rows = defaultdict(dict)
-    for key in keys_of(parts):
-        rows[key.name, key.text][key.type.name] = None
-    expected = [f"| `{name}` | {', '.join(types)} | {text} |" for (name, text), types in rows.items()]
-    assert table_of(heading, "| key | value | |") == expected
-
-
-def shown_keys(part):
-    """Return what stands for a part of a condition in the table of conditions: its keys, or itself if it has a title."""
-    if isinstance(part, Key):
-        return [part.name]
-    return [part] if part.title else [key.name for key in part.keys]
-
-
-def table_of(heading, head):
-    """Return the rows of the first table with a head after a heading of docs/ci.md."""
-    page = (ROOT / "docs" / "ci.md").read_text("utf-8")
-    section = page.partition(f"\n{heading}\n")[2]
-    return section.partition(f"{head}\n{re.sub('[^|]+', '---', head)}\n")[2].partition("\n\n")[0].splitlines()
-
-
 def test_the_values_of_incidents_are_those_that_are_shown(working_directory, capsys):
     page = ROOT / "docs" / "incidents.md"
     (code,) = [block for block in blocks(page, "python") if "hardest" in block]
@@ -212,31 +145,6 @@ def test_the_methods_of_a_metrics_log_are_listed():
     page = (ROOT / "docs" / "scenario-runner.md").read_text("utf-8")
     assert f"All {len(methods)} methods" in page
     assert [name for name in methods if f"`{name}`" not in page] == []
-
-
-def test_every_sensor_has_a_row():
-    pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
-    from carla_recap.server.sensors import SENSOR_KINDS
-
-    for name, kind in SENSOR_KINDS.items():
-        assert f"| `{name}` | {kind.support} | {kind.what} |" in SENSORS
-
-
-def test_the_types_of_sensors_of_rigs_are_listed():
-    table = SENSORS.partition("\n### Types\n")[2].partition("|---|---|---|\n")[2].partition("\n\n")[0]
-    assert table.splitlines() == [f"| `{name}` | {type.kind} | {type.data} |" for name, type in SENSOR_TYPES.items()]
-
-
-def test_the_attributes_of_sensors_of_rigs_are_listed():
-    """All that are limited to a range; of the others, the page names the families."""
-    rows = defaultdict(dict)
-    for type in SENSOR_TYPES.values():
-        for key, attribute in type.attributes.items():
-            if attribute.least >= -180 and type.kind != "map":
-                rows[key, attribute.text, attribute.values][type.kind] = None
-    table = SENSORS.partition("\n### Attributes\n")[2].partition("|---|---|---|---|\n")[2].partition("\n\n")[0]
-    expected = [f"| `{key}` | {', '.join(kinds)} | {text} | {values} |" for (key, text, values), kinds in rows.items()]
-    assert table.splitlines() == expected
 
 
 def test_the_limits_of_lidars_and_radars_are_named():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from contextlib import ExitStack
 
 import numpy as np
@@ -20,7 +19,7 @@ from carla_recap.scene.lamps import lamps_of_vehicles
 from carla_recap.scene.marks import MARKED
 from carla_recap.scene.materials import Material, Tag
 from carla_recap.scene.models import INDEX, MODELS
-from tests import samples
+from tests.replay.scripts import light, pose, spawn, write
 
 
 def bits(*materials: Material) -> int:
@@ -158,50 +157,41 @@ def test_tags_are_those_of_carla():
 # --- scenes --------------------------------------------------------------------------------------------
 
 CAR, WALKER, LIGHT = 5, 6, 7
-HALF_A_TURN = 180.0
-
-
-def pose(id: int, x: float = 0, y: float = 0, z: float = 0, pitch: float = 0, yaw: float = 0) -> bytes:
-    return struct.pack("<I6f", id, x, y, z, 0, pitch, yaw)
-
-
-def frame(number: int, *packets: bytes) -> bytes:
-    return b"".join((samples.start(number, number * 0.1, 0.1), *packets, samples.END))
-
-
-SPAWNS = samples.packet(
-    2,
-    samples.listed(
-        samples.spawn(CAR, ActorKind.VEHICLE, "vehicle.audi.a2", color="10,20,30"),
-        samples.spawn(WALKER, ActorKind.WALKER, "walker.pedestrian.0001"),
-        samples.spawn(LIGHT, ActorKind.TRAFFIC_LIGHT, "traffic.traffic_light"),
-    ),
-)
-
-
-def poses(*rows: bytes) -> bytes:
-    return samples.packet(6, samples.listed(*rows))
-
-
-def control(id: int, steer: float = 0, brake: float = 0, gear: int = 1) -> bytes:
-    return samples.packet(8, samples.listed(struct.pack("<IfffBi", id, steer, 0, brake, 0, gear)))
+SPAWNS = [
+    spawn(CAR, "vehicle.audi.a2", color="10,20,30"),
+    spawn(WALKER, "walker.pedestrian.0001"),
+    spawn(LIGHT, "traffic.traffic_light", x=100, yaw=90),
+]
 
 
 @pytest.fixture
 def played(tmp_path):
     with ExitStack() as stack:
 
-        def play(*frames: bytes):
-            path = tmp_path / "recording.log"
-            path.write_bytes(samples.log_header() + b"".join(frames))
-            return Player(stack.enter_context(open_recording(path)))
+        def play(*frames, **options):
+            path = write(tmp_path / "recording.log", [frames[0] | {"spawned": SPAWNS}, *frames[1:]], tick=0.1)
+            return Player(stack.enter_context(open_recording(path)), **options)
 
         yield play
 
 
-def test_instances_stand_where_their_actors_do(played):
-    (scene,) = played(frame(0, SPAWNS, poses(pose(CAR, 1000, 2000, 50, yaw=90), pose(WALKER, 300, 0, 93)))).scenes()
-    found = instances_of(scene)
+@pytest.fixture
+def shown(played):
+    """Return a function that returns the instances of a scene."""
+
+    def instances(*poses, **records):
+        (scene,) = played({"transforms": poses, **records}).scenes()
+        return instances_of(scene)
+
+    return instances
+
+
+def control(steer: float = 0, brake: float = 0, gear: int = 1) -> list[tuple[float, ...]]:
+    return [(CAR, steer, 0, brake, 0, gear)]
+
+
+def test_instances_stand_where_their_actors_do(shown):
+    found = shown(pose(CAR, 1000, 2000, 50, yaw=90), pose(WALKER, 300, 0, 93))
     assert found.ids.tolist() == [CAR, WALKER, LIGHT]
     assert found.locations[0] == pytest.approx((10, -20, 0.5 + 1.55 / 2))
     assert found.locations[1] == pytest.approx((3, 0, 0.93))
@@ -209,17 +199,11 @@ def test_instances_stand_where_their_actors_do(played):
     assert found.colors[0].tolist() == [10, 20, 30]
 
 
-def test_a_light_stands_where_it_was_spawned(played):
-    (scene,) = played(frame(0, SPAWNS)).scenes()
-    found = instances_of(scene)
-    assert found.ids[-1] == LIGHT
-    assert found.locations[-1][:2] == pytest.approx((1, -2), abs=0.25)  # the housing is in front of the post
-
-
-def test_lamps_of_a_light_face_the_traffic_that_it_stops(played):
+def test_a_light_stands_where_it_was_spawned_and_faces_the_traffic_that_it_stops(shown):
     """CARLA's lights are turned by 90 degrees from the lane: x points across it, away from the road."""
-    (scene,) = played(frame(0, SPAWNS)).scenes()  # yaw 90: the lane has yaw 0
-    found = instances_of(scene)
+    found = shown()  # yaw 90: the lane has yaw 0
+    assert found.ids[-1] == LIGHT
+    assert found.locations[-1][:2] == pytest.approx((1, 0), abs=0.25)  # the housing is in front of the post
     mesh = MODELS[INDEX["traffic light"]].mesh
     facing = found.rotations[-1] @ mesh.normals[mesh.materials == Material.RED_LAMP][0]
     assert facing == pytest.approx((-1, 0, 0), abs=1e-6)
@@ -228,11 +212,8 @@ def test_lamps_of_a_light_face_the_traffic_that_it_stops(played):
 @pytest.mark.parametrize(
     ("state", "lamp"), [(0, Material.RED_LAMP), (1, Material.YELLOW_LAMP), (2, Material.GREEN_LAMP), (3, None), (9, None)]
 )
-def test_the_lamp_of_a_light_shows_its_state(played, state, lamp):
-    states = samples.packet(7, samples.listed(struct.pack("<IBfb", LIGHT, 0, 1.0, state)))
-    (scene,) = played(frame(0, SPAWNS, states)).scenes()
-    found = instances_of(scene)
-    assert int(found.lamps[-1]) == (bits(lamp) if lamp else 0)
+def test_the_lamp_of_a_light_shows_its_state(shown, state, lamp):
+    assert int(shown(light_states=[light(LIGHT, state)]).lamps[-1]) == (bits(lamp) if lamp else 0)
 
 
 @pytest.mark.parametrize(
@@ -253,48 +234,40 @@ def test_recorded_lights_are_lit(flags, lamps):
     assert int(lamps_of_vehicles(np.array([flags]))[0]) == bits(*lamps)
 
 
-def test_lamps_and_steering_are_those_of_the_vehicle(played):
-    lights = samples.packet(10, samples.listed(struct.pack("<II", CAR, 32)))
-    (scene,) = played(frame(0, SPAWNS, poses(pose(CAR), pose(WALKER)), control(CAR, steer=0.5, gear=-1), lights)).scenes()
-    found = instances_of(scene)
+def test_lamps_and_steering_are_those_of_the_vehicle(shown):
+    turning = control(steer=0.5, gear=-1)
+    found = shown(pose(CAR), pose(WALKER), vehicle_controls=turning, vehicle_lights=[(CAR, 32)])
     assert int(found.lamps[0]) == bits(Material.LEFT_INDICATOR, Material.REVERSE_LIGHT)
     assert found.steering[0] == pytest.approx(-math.radians(20))  # to the right
     assert not found.steering[1:].any()
+    braking = shown(pose(CAR), vehicle_controls=control(brake=0.5))  # without recorded lights
+    assert int(braking.lamps[0]) == bits(Material.TAIL_LIGHT, Material.BRAKE_LIGHT)
 
 
-def test_brake_lights_are_lit_by_the_brake_without_recorded_lights(played):
-    (scene,) = played(frame(0, SPAWNS, poses(pose(CAR)), control(CAR, brake=0.5))).scenes()
-    assert int(instances_of(scene).lamps[0]) == bits(Material.TAIL_LIGHT, Material.BRAKE_LIGHT)
+def test_numbers_that_are_none_move_and_steer_nothing(shown):
+    assert shown(pose(CAR, math.nan), pose(WALKER, math.inf)).ids.tolist() == [LIGHT]
+    assert shown(pose(CAR), vehicle_controls=control(steer=math.nan)).steering[0] == 0
 
 
-def test_an_actor_at_no_place_is_left_out(played):
-    (scene,) = played(frame(0, SPAWNS, poses(pose(CAR, math.nan), pose(WALKER, math.inf)))).scenes()
-    assert instances_of(scene).ids.tolist() == [LIGHT]
-
-
-def test_senseless_controls_steer_nothing(played):
-    (scene,) = played(frame(0, SPAWNS, poses(pose(CAR)), control(CAR, steer=math.nan))).scenes()
-    assert instances_of(scene).steering[0] == 0
+def test_a_walker_who_is_recorded_lying_lies_as_recorded(shown):
+    found = shown(pose(CAR), pose(WALKER, 0, 0, 20, pitch=90))
+    assert found.rotations[1, :, 0] == pytest.approx((0, 0, 1), abs=1e-6)  # on its back
 
 
 # --- collisions ----------------------------------------------------------------------------------------
 
 
-def accident(speed: float, yaw: float = 0.0, walking: float = 0.0):
-    """Return frames in which a car drives along x into a walker, and passes over it."""
-    yield frame(0, SPAWNS, poses(pose(CAR, -200 * speed * 0.1), pose(WALKER, 200, 0, 93, yaw=yaw)))
-    yield frame(1, poses(pose(CAR, -100 * speed * 0.1), pose(WALKER, 200, 0, 93, yaw=yaw)))
-    hit = samples.packet(5, samples.listed(samples.collision(0, CAR, WALKER)))
-    yield frame(2, hit, poses(pose(CAR, 0), pose(WALKER, 200, 0, 93, yaw=yaw)))
-    for number in range(3, 80):
-        speeds = samples.packet(9, samples.listed(struct.pack("<If", WALKER, walking)))
-        yield frame(number, poses(pose(CAR, 0), pose(WALKER, 200, 0, 93, yaw=yaw)), speeds)
+def accident(yaw: float = 0.0):
+    """Return frames in which a car drives along x at 5 m/s into a walker, and passes over it."""
+    frames = [{"transforms": [pose(CAR, 50 * min(n - 2, 0)), pose(WALKER, 200, 0, 93, yaw=yaw)]} for n in range(80)]
+    frames[2]["collisions"] = [(0, CAR, WALKER, 0, 0)]
+    return frames
 
 
-@pytest.mark.parametrize(("yaw", "facing"), [(0.0, -1.0), (HALF_A_TURN, 1.0)])
+@pytest.mark.parametrize(("yaw", "facing"), [(0.0, -1.0), (180.0, 1.0)])
 def test_a_walker_who_was_knocked_down_lies_in_the_direction_of_the_hit(played, yaw, facing):
     actors = SceneActors(marks=False)
-    found = [actors.at(scene) for scene in played(*accident(5, yaw)).scenes()]
+    found = [actors.at(scene) for scene in played(*accident(yaw)).scenes()]
     assert found[0].rotations[1, :, 2] == pytest.approx((0, 0, 1), abs=1e-6)
     lying = found[-1]
     assert lying.rotations[1, :, 2] == pytest.approx((1, 0, 0), abs=1e-6)
@@ -303,17 +276,11 @@ def test_a_walker_who_was_knocked_down_lies_in_the_direction_of_the_hit(played, 
     assert lying.locations[1, 2] == pytest.approx(lying.half_extents[1, 0])  # on the ground
 
 
-def test_a_walker_who_is_recorded_lying_lies_as_recorded(played):
-    (scene,) = played(frame(0, SPAWNS, poses(pose(CAR), pose(WALKER, 0, 0, 20, pitch=90)))).scenes()
-    found = instances_of(scene)
-    assert found.rotations[1, :, 0] == pytest.approx((0, 0, 1), abs=1e-6)  # on its back
-
-
 def test_a_collision_is_marked_on_the_ground_for_some_seconds(played):
     actors = SceneActors()
     mark = INDEX["collision mark"]
     marked = {}
-    for scene in played(*accident(5)).scenes():
+    for scene in played(*accident()).scenes():
         found = actors.at(scene)
         marked[round(scene.time, 1)] = found.locations[found.models == mark]
         assert len(found.ids) == len(found.models)
@@ -325,25 +292,19 @@ def test_a_collision_is_marked_on_the_ground_for_some_seconds(played):
 
 
 @pytest.mark.parametrize(("start", "marks"), [(3.0, 1), (4.9, 1), (7.5, 0)])
-def test_collisions_before_the_beginning_are_recalled(tmp_path, start, marks):
-    path = tmp_path / "recording.log"
-    path.write_bytes(samples.log_header() + b"".join(accident(5)))
-    with open_recording(path) as recording:
-        actors, player = SceneActors(), Player(recording, start=start)
-        actors.recall(player)
-        found = [actors.at(scene) for scene in player.scenes()]
+def test_collisions_before_the_beginning_are_recalled(played, start, marks):
+    actors, player = SceneActors(), played(*accident(), start=start)
+    actors.recall(player)
+    found = [actors.at(scene) for scene in player.scenes()]
     assert found[0].rotations[1, :, 2] == pytest.approx((1, 0, 0), abs=1e-6)
     assert (found[0].models == INDEX["collision mark"]).sum() == marks
     assert not (found[-1].models == INDEX["collision mark"]).any()
 
 
-def test_collisions_after_the_beginning_are_not_recalled(tmp_path):
-    path = tmp_path / "recording.log"
-    path.write_bytes(samples.log_header() + b"".join(accident(5)))
-    with open_recording(path) as recording:
-        actors, player = SceneActors(), Player(recording)
-        actors.recall(player)
-        found = actors.at(player.at(0.0))
+def test_collisions_after_the_beginning_are_not_recalled(played):
+    actors, player = SceneActors(), played(*accident())
+    actors.recall(player)
+    found = actors.at(player.at(0.0))
     assert found.ids.tolist() == [CAR, WALKER, LIGHT]
     assert found.rotations[1, 2, 2] == pytest.approx(1)
 

@@ -539,37 +539,6 @@ def test_the_log_has_hard_braking_and_long_stops(tmp_path):
     assert all(line.timestamp.ToNanoseconds() % 10**9 == round(time * 1e9) % 10**9 for time, line in lines)
 
 
-def collision_of(frames):
-    """Return the frames of a car that hits a walker at 10 m/s in the third frame, and stops."""
-    xs = [-300, -200, -100, *[-100] * (frames - 3)]
-    return [
-        {
-            "spawned": [spawn(1), spawn(2, "walker.pedestrian.0001")] if n == 0 else [],
-            "transforms": [pose(1, x=x), pose(2, z=93)],
-            "collisions": [(0, 1, 2, True, False)] if n == 2 else [],
-        }
-        for n, x in enumerate(xs)
-    ]
-
-
-def test_a_collision_leaves_a_mark_for_some_seconds(record):
-    topics = record(*collision_of(60))
-    assert [len(message.entities) for _, message in topics["/scene/marks"]] == [0, 1, 0]
-    (_, _), (time, message), (end, _) = topics["/scene/marks"]
-    assert (time, end) == pytest.approx((0.2, 5.2))
-    (entity,) = message.entities
-    assert corners(entity)[:, 2].max() < 0.2
-    assert np.abs(corners(entity)[:, :2]).max() == pytest.approx(1.1, abs=0.05)
-
-
-def test_a_walker_who_walks_again_stands_from_that_scene_on(record):
-    frames = collision_of(14)
-    frames[11]["walker_controls"] = [(2, 140.0)]
-    topics = record(*frames)
-    heights = [np.ptp(corners(bodies(topics, n / 10)["actor 2"]), axis=0)[2] for n in range(14)]
-    assert [height < 0.7 for height in heights] == [8 <= n < 11 for n in range(14)]
-
-
 # --- the map -------------------------------------------------------------------------------------------------------
 
 
