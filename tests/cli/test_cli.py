@@ -314,14 +314,6 @@ def test_a_file_that_is_not_a_recording(tmp_path, name):
     assert error("info", name, cwd=tmp_path).startswith(f"{name}: ")
 
 
-@pytest.mark.parametrize("command", ["convert", "recover"])
-@pytest.mark.parametrize("name", ["missing.log", "text.log", "foreign.mcap"])
-def test_a_conversion_of_a_missing_recording(tmp_path, command, name):
-    before = prepare_no_recordings(tmp_path)
-    assert error(command, name, "new.mcap", cwd=tmp_path).startswith(f"{name}: ")
-    assert names_in(tmp_path) == before
-
-
 def prepare_no_recordings(directory: Path) -> list[str]:
     """Make files that are not recordings; return their names."""
     save(directory / "empty.log", b"")
@@ -410,39 +402,6 @@ def test_a_destination_is_not_overwritten_without_force(tmp_path, command):
     assert run(command, CROSSING, there, "--force").returncode == 0
     assert len(images(there)) == 531
     assert names_in(tmp_path) == ["there.mcap"]
-
-
-@pytest.mark.parametrize("command", ["convert", "recover"])
-def test_a_source_is_not_overwritten(tmp_path, command):
-    source = save(tmp_path / "source.log", CROSSING.read_bytes())
-    (tmp_path / "link.log").symlink_to(source)
-    for destination in (source, tmp_path / "link.log"):
-        assert "is the source itself" in error(command, source, destination, "--force")
-    assert source.read_bytes() == CROSSING.read_bytes()
-
-
-@pytest.mark.parametrize("command", ["convert", "recover"])
-@pytest.mark.parametrize(
-    ("destination", "words"),
-    [
-        ("new.xyz", "unknown format '.xyz'"),
-        ("new", "no suffix"),
-        ("nowhere/new.mcap", "No such"),
-    ],
-)
-def test_an_invalid_destination(tmp_path, command, destination, words):
-    line = error(command, CROSSING, destination, "--force", cwd=tmp_path)
-    assert line.startswith(f"{destination}: ")
-    assert words in line
-    assert names_in(tmp_path) == []
-
-
-def test_a_conversion_that_fails_leaves_the_old_file(tmp_path, crossing_mcap):
-    source = damaged(tmp_path / "damaged.mcap", crossing_mcap)
-    there = save(tmp_path / "there.log", b"precious")
-    assert error("convert", source, there, "--force").startswith(f"{source}: byte ")
-    assert there.read_bytes() == b"precious"
-    assert names_in(tmp_path) == ["damaged.mcap", "there.log"]
 
 
 # --- conversion and recovery -------------------------------------------------------------------------------
