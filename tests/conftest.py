@@ -76,7 +76,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 @pytest.fixture(scope="session")
 def driver() -> None:
     """Skip the test where nothing can be drawn."""
-    from tests.rendering.test_renderer import create
+    from tests.rendering.shapes import create
 
     create(None).close()
 

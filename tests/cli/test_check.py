@@ -93,13 +93,6 @@ def test_json(runs):
     assert {verdict["status"] for verdict in best["verdicts"]} == {"pass"}
 
 
-def test_junit(runs, tmp_path):
-    done = run("check", runs, "--rules", RULES, "--junit", tmp_path / "out.xml", *ALONE)
-    assert done.returncode == 1
-    suites = ElementTree.parse(tmp_path / "out.xml").getroot()
-    assert (suites.get("tests"), suites.get("failures"), suites.get("errors")) == ("18", "4", "0")
-
-
 def test_on_a_terminal_verdicts_are_a_table(runs):
     code, shown, _ = on_terminal("check", runs, "--rules", RULES, *ALONE)
     assert code == 1
@@ -111,12 +104,6 @@ def test_wrong_rules_are_an_error_before_anything_is_read(tmp_path):
     rules = save(tmp_path / "rules.toml", b"[rules.a]\ncollisions = { max = 'none' }")
     message = error("check", "absent.mcap", "--rules", rules)
     assert message == f"{rules}: rule 'a': collisions.max: expected a whole number of 0 or more, found 'none'"
-
-
-def test_the_folder_of_the_junit_file_is_made(runs, tmp_path):
-    done = run("check", runs, "--rules", RULES, "--junit", tmp_path / "absent" / "out.xml", "-q", *ALONE)
-    assert (done.returncode, done.stderr) == (1, b"")
-    assert (tmp_path / "absent" / "out.xml").exists()
 
 
 def test_a_junit_file_that_cannot_be_written_is_an_error_before_anything_is_read(tmp_path):
@@ -159,13 +146,6 @@ def test_a_folder_of_pages_that_cannot_be_written_is_an_error_before_anything_is
     file = save(tmp_path / "file", b"")
     assert "cannot be written" in error("check", "absent.mcap", "--rules", RULES, "--html", file / "out")
     assert "is a file; a folder was expected" in error("check", "absent.mcap", "--rules", RULES, "--html", file)
-
-
-def test_a_source_without_recordings_is_an_error_among_the_verdicts(runs, tmp_path):
-    (tmp_path / "empty").mkdir()
-    done = run("check", runs, tmp_path / "empty", "--rules", RULES, *ALONE)
-    assert done.returncode == 2
-    assert "1 passed, 1 failed, 1 not judged" in done.stdout.decode()
 
 
 def test_names_that_are_no_text_are_printed_and_written(tmp_path):

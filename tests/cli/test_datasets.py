@@ -14,7 +14,7 @@ from carla_recap.errors import RecapError
 from carla_recap.fleet.datasets import splits_of
 from carla_recap.model.records import ActorKind, Spawn
 from tests.cli.command import error, run
-from tests.sensors.test_sensing import drive
+from tests.sensors.cars import drive
 
 if TYPE_CHECKING:
     from pathlib import Path

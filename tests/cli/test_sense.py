@@ -13,7 +13,7 @@ import pytest
 from carla_recap import open_recording
 from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, error, run, wrote
 from tests.samples import names_in
-from tests.sensors.test_sensing import drive
+from tests.sensors.cars import drive
 from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:

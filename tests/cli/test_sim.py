@@ -11,7 +11,7 @@ import time
 import pytest
 
 from carla_recap import open_recording
-from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, on_terminal, run, the_line, wrote
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, before_others, error, run, the_line, wrote
 from tests.roads.towns import town
 from tests.samples import carla_log
 from tests.waiting import PATIENCE, wait_until
@@ -54,12 +54,6 @@ def test_a_seed_sets_the_date(tmp_path):
             dates.append(recording.header.date)
     assert dates[0] == 1767261600
     assert abs(dates[1] - time.time()) < 60
-
-
-def test_an_existing_file_is_kept(tmp_path):
-    (tmp_path / "mine.log").write_text("mine")
-    assert "exists already" in error("record", tmp_path / "mine.log", *FEW)
-    assert (tmp_path / "mine.log").read_text() == "mine"
 
 
 def test_invalid_arguments_of_record(tmp_path):
@@ -170,12 +164,6 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path, suffix):
         assert run("recover", left, path).returncode == 0
     with open_recording(path) as recording:
         assert 1 < recording.info.duration < 60
-
-
-def test_record_has_a_progress_bar(tmp_path):
-    code, shown, _ = on_terminal("record", tmp_path / "a.mcap", *FEW, stream="stderr")
-    assert code == 0
-    assert "simulating" in shown
 
 
 def test_a_missing_extra_is_an_error_in_one_line(tmp_path):

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 import carla_recap
 from carla_recap import RecapError, RecapWarning, SensorRig, export
@@ -22,7 +21,8 @@ from carla_recap.files import nuscenes
 from carla_recap.files.coco import encoded
 from carla_recap.files.nuscenes import TABLES, VERSION
 from carla_recap.sensors.sensing import DETECTION, Sample, sense
-from tests.sensors.test_sensing import AHEAD, BOX, CAMERA_HEIGHT, CARS, GAP, LEFT, RAISED, RIGHT, SPEED, STEP, drive
+from tests.files.readers import kitti_calibration, kitti_labels, size_of
+from tests.sensors.cars import AHEAD, BOX, CAMERA_HEIGHT, CARS, GAP, LEFT, RAISED, RIGHT, SPEED, STEP, drive
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
@@ -78,11 +78,6 @@ def pixels_of(frame: SensedFrame, id: int) -> np.ndarray:
     return np.array((columns.min(), rows.min(), columns.max() + 1, rows.max() + 1))
 
 
-def size_of(path: Path) -> tuple[int, int]:
-    with Image.open(path) as image:
-        return image.size
-
-
 def gap(index: int) -> float:
     return GAP + SPEED * STEP * index
 
@@ -93,19 +88,6 @@ def side_of(box: np.ndarray) -> int:
 
 
 # --- KITTI -----------------------------------------------------------------------------------------------------
-
-
-def kitti_labels(folder: Path, index: int) -> list[tuple[str, np.ndarray]]:
-    lines = (folder / "training" / "label_2" / f"{index:06}.txt").read_text().splitlines()
-    found = [(line.split()[0], np.array(line.split()[1:], np.float64)) for line in lines]
-    assert all(len(numbers) == 14 for _, numbers in found)
-    return found
-
-
-def kitti_calibration(folder: Path, index: int) -> dict[str, np.ndarray]:
-    lines = (folder / "training" / "calib" / f"{index:06}.txt").read_text().splitlines()
-    found = {name: np.array(values.split(), np.float64) for name, values in (line.split(":") for line in lines)}
-    return {name: values.reshape(3, -1) for name, values in found.items()}
 
 
 def test_labels_of_kitti_are_where_pixels_and_points_are(recording: Path, truth: list[SensedFrame]) -> None:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 
-from carla_recap import MissingExtra, RecapError, create_recording, export_parquet, open_recording
+from carla_recap import RecapError, create_recording, export_parquet, open_recording
 from carla_recap.files import parquet as exporter
 from carla_recap.model.records import UE4, Bone, Bones
 from tests.cli.command import CROSSING
@@ -142,36 +140,4 @@ def test_tables_of_all_kinds_become_parquet_files(tmp_path: Path, ask: str) -> N
             answer.to_parquet(tmp_path / "no" / "out.parquet")
 
 
-def test_a_table_as_a_data_frame() -> None:
-    pytest.importorskip("pandas")
-    with open_recording(CROSSING) as recording:
-        table = recording.table("transforms")
-        frame = table.to_pandas()
-        assert list(frame.columns) == ["frame", "time", "id", "x", "y", "z", "roll", "pitch", "yaw"]
-        assert (frame["x"].dtype, frame["id"].dtype) == (np.float32, np.uint32)
-        np.testing.assert_array_equal(frame["x"], table["x"])
-        frame.loc[0, "x"] = 1.0
-        assert (
-            recording.table("spawned")
-            .to_pandas()["type_id"]
-            .iloc[0]
-            .startswith(("vehicle", "spectator", "traffic", "static"))
-        )
-
-
 # --- the command ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("method", ["to_arrow", "to_parquet", "export_parquet"])
-def test_in_python_the_error_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with open_recording(CROSSING) as recording:
-        table = recording.table("transforms")
-        features = {
-            "to_arrow": table.to_arrow,
-            "to_parquet": lambda: table.to_parquet(tmp_path / "out.parquet"),
-            "export_parquet": lambda: export_parquet(recording, tmp_path / "out"),
-        }
-        with pytest.raises(MissingExtra, match=r"pip install '\.\[arrow\]'"):
-            features[method]()
-    assert names_in(tmp_path) == []

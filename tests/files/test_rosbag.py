@@ -11,7 +11,7 @@ import pytest
 import carla_recap
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.sensors.rig import SensorRig
-from tests.sensors.test_sensing import AHEAD, GAP, LEFT, RAISED, RIG, RIGHT, SPEED, STEP, drive
+from tests.sensors.cars import AHEAD, GAP, LEFT, RAISED, RIG, RIGHT, SPEED, STEP, drive, spawn
 
 pytest.importorskip("rosbags")
 
@@ -249,7 +249,7 @@ def test_actors_that_are_gone_are_deleted(tmp_path: Path) -> None:
     with carla_recap.create_recording(path, map_name="Nowhere", date=0) as recorder:
         for frame in range(3):
             gone = {"destroyed": [LEFT]} if frame == 2 else {}
-            spawned = {"spawned": [carla_recap_spawn(LEFT)]} if not frame else {}
+            spawned = {"spawned": [spawn(LEFT, np.zeros(6))]} if not frame else {}
             poses = [] if frame == 2 else [(LEFT, 0, 0, 0, 0, 0, 0)]
             recorder.add_frame(frame * STEP, transforms=poses, **spawned, **gone)
     with pytest.warns(RecapWarning, match=r"the hero has no pose: the bag has no /odom"):
@@ -258,9 +258,3 @@ def test_actors_that_are_gone_are_deleted(tmp_path: Path) -> None:
     assert actions == [[(0, 3), (LEFT, 0)], [(LEFT, 0)], [(LEFT, 2)]]
     assert "/odom" not in messages
     assert "/tf" not in messages
-
-
-def carla_recap_spawn(id: int) -> Any:
-    from tests.sensors.test_sensing import spawn
-
-    return spawn(id, np.zeros(6))

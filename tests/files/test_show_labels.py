@@ -17,7 +17,7 @@ from PIL import Image
 
 import carla_recap
 from carla_recap import RecapWarning, SensorRig, export
-from tests.files.test_datasets import kitti_labels, size_of
+from tests.files.readers import kitti_labels, size_of
 from tests.roads.towns import town
 from tests.samples import carla_log
 from tests.waiting import PATIENCE

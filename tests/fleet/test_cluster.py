@@ -21,8 +21,8 @@ from carla_recap.fleet.cluster import connect
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.sources import SourceFile
 from tests.cli.command import CROSSING, run, the_line
-from tests.fleet.test_workers import HOSTILE, LIMIT, hostile
-from tests.sensors.test_sensing import drive
+from tests.fleet.hostile import HOSTILE, LIMIT, hostile
+from tests.sensors.cars import drive
 from tests.waiting import time_limit, wait_until
 
 distributed = pytest.importorskip("distributed", reason="the extra dask is not installed")

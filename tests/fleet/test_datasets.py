@@ -9,7 +9,7 @@ import pytest
 
 import carla_recap
 from carla_recap import RecapError, SensorRig, export_dataset
-from tests.sensors.test_sensing import STEP, drive
+from tests.sensors.cars import STEP, drive
 
 if TYPE_CHECKING:
     from pathlib import Path

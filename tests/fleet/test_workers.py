@@ -18,6 +18,7 @@ from carla_recap.errors import RecapError
 from carla_recap.fleet.engine import map_sources
 from carla_recap.fleet.sources import SourceFile
 from carla_recap.fleet.workers import KeptWorker
+from tests.fleet.hostile import HOSTILE, LIMIT, hostile
 from tests.waiting import PATIENCE, time_limit, wait_until
 
 
@@ -190,36 +191,6 @@ def test_ctrl_c_is_held_while_a_worker_starts(monkeypatch):
     assert not any(outcome.value for outcome in values(interrupts_are_held, 4))
     assert held == [True] * len(held) != []
     assert not interrupts_are_held(None)
-
-
-def hostile(source):
-    """Do to the process what the name of the recording says."""
-    name = source.location
-    if name == "hangs":
-        time.sleep(1000)
-    if name == "is busy":
-        while True:
-            pass
-    if name == "exits":
-        os._exit(3)
-    if name == "leaves a child":
-        if os.fork() == 0:
-            time.sleep(1000)
-        os._exit(4)
-    if name == "ignores SIGTERM":
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        time.sleep(1000)
-    return os.getpid()
-
-
-LIMIT = 2
-HOSTILE = {
-    "hangs": f"hangs: takes more than {LIMIT} s",
-    "is busy": f"is busy: takes more than {LIMIT} s",
-    "exits": "exits: its worker process ends (exit code 3)",
-    "leaves a child": "leaves a child: its worker process ends (exit code 4)",
-    "ignores SIGTERM": f"ignores SIGTERM: takes more than {LIMIT} s",
-}
 
 
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")

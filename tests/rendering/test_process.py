@@ -19,7 +19,7 @@ import pytest
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering import process as process_module
 from carla_recap.rendering.process import RenderProcess, RenderProcessEnded, RenderProcessNotStarted
-from tests.rendering.test_renderer import ALL, MODELS, PLANE, RGB, boxes, camera, create
+from tests.rendering.shapes import ALL, MODELS, PLANE, RGB, boxes, camera, create
 from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:

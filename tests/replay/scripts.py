@@ -6,8 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from hypothesis import strategies as st
 
 from carla_recap import ActorKind, Attribute, Spawn, create_recording
+from carla_recap.formats import create_writer
+from carla_recap.model.frame import Frame, Header, Packet
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -83,3 +86,54 @@ def x_of(scene: Scene | None, id: int = 1) -> float:
     place = scene.pose_of(id)
     assert place is not None
     return float(np.round(place[0], 6))
+
+
+IDS = st.integers(1, 4)
+TYPE_IDS = st.sampled_from(["vehicle.audi.tt", "traffic.traffic_light", "walker.pedestrian.0001", "spectator"])
+SPAWNS = st.builds(
+    lambda id, type_id, hero, x: spawn(id, type_id, x, **({"role_name": "hero"} if hero else {})),
+    IDS,
+    TYPE_IDS,
+    st.booleans(),
+    st.integers(0, 9),
+)
+
+
+def few(rows: st.SearchStrategy[object], size: int = 2) -> st.SearchStrategy[list[object]]:
+    return st.lists(rows, max_size=size)
+
+
+FRAMES = st.fixed_dictionaries(
+    {
+        "spawned": few(SPAWNS),
+        "destroyed": few(st.tuples(IDS), 1),
+        "parented": few(st.tuples(IDS, IDS), 1),
+        "doors": few(st.tuples(IDS, st.integers(0, 6), st.integers(0, 1))),
+        "weather": few(st.integers(0, 99).map(lambda value: (value,) + (0,) * 13), 1),
+        "transforms": few(st.builds(pose, IDS, st.integers(-300, 300), yaw=st.integers(-180, 180)), 4),
+        "light_states": few(st.builds(light, IDS, st.integers(0, 4)), 3),
+        "vehicle_controls": few(st.tuples(IDS, *[st.integers(0, 1)] * 5)),
+        "velocities": few(st.builds(velocity, IDS, st.integers(0, 9))),
+        "bounding_boxes": few(st.tuples(IDS, *[st.integers(0, 9)] * 6), 1),
+        "scene_lights": few(st.tuples(IDS, *[st.integers(0, 1)] * 7), 1),
+    }
+)
+
+
+def build(path: Path, header: Header, frames: list[dict[str, Any]], *, preamble: bool = False) -> Path:
+    """Write a recording as only some builds write it."""
+    with create_writer(path, header) as writer:
+        for place, frame in enumerate(frames):
+            table = header.table
+            packets = [
+                Packet(table.named(name).id, table.named(name), None, table.named(name).records(rows))
+                for name, rows in frame.items()
+            ]
+            before = preamble and place == 0
+            elapsed = 0.0 if before else place - preamble
+            writer.write(
+                Frame(
+                    place, 0 if before else place + 1 - preamble, elapsed, 0.0 if before else 1.0, packets, preamble=before
+                )
+            )
+    return path

@@ -13,9 +13,7 @@ from carla_recap import convert, open_recording
 from carla_recap.formats import create_writer
 from carla_recap.model.frame import Frame, Header
 from carla_recap.replay import Player
-from tests.replay.scripts import pose, spawn, state, write
-from tests.replay.test_real import build
-from tests.replay.test_state import FRAMES
+from tests.replay.scripts import FRAMES, build, pose, spawn, state, write
 from tests.samples import carla_log
 
 if TYPE_CHECKING:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
 from carla_recap import convert, open_recording
-from carla_recap.formats import create_writer
-from carla_recap.model.frame import Frame, Header, Packet
+from carla_recap.model.frame import Header
 from carla_recap.replay import Player
-from tests.replay.scripts import pose, spawn, velocity, x_of
+from tests.replay.scripts import build, pose, spawn, velocity, x_of
 from tests.samples import carla_log
 
 if TYPE_CHECKING:
@@ -63,25 +62,6 @@ def test_lights_and_actors_have_a_pose(recording: Recording) -> None:
         place = scene.pose_of(id)
         parent = scene.actors[id].parent
         assert (place is not None) == (parent is None or parent in scene.actors)
-
-
-def build(path: Path, header: Header, frames: list[dict[str, Any]], *, preamble: bool = False) -> Path:
-    """Write a recording as only some builds write it."""
-    with create_writer(path, header) as writer:
-        for place, frame in enumerate(frames):
-            table = header.table
-            packets = [
-                Packet(table.named(name).id, table.named(name), None, table.named(name).records(rows))
-                for name, rows in frame.items()
-            ]
-            before = preamble and place == 0
-            elapsed = 0.0 if before else place - preamble
-            writer.write(
-                Frame(
-                    place, 0 if before else place + 1 - preamble, elapsed, 0.0 if before else 1.0, packets, preamble=before
-                )
-            )
-    return path
 
 
 def test_double_precision(tmp_path: Path, suffix: str) -> None:

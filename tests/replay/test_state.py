@@ -12,7 +12,7 @@ from carla_recap import open_recording
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.replay import Player
 from carla_recap.replay.events import Collided, Destroyed, Parented, Spawned
-from tests.replay.scripts import light, pose, spawn, state, velocity, write
+from tests.replay.scripts import FRAMES, light, pose, spawn, state, velocity, write
 
 if TYPE_CHECKING:
     from carla_recap.replay import Scene
@@ -257,37 +257,6 @@ def test_actors_attached_to_each_other(record: Record) -> None:
 
 
 # --- starting in the middle ----------------------------------------------------------------------------------
-
-IDS = st.integers(1, 4)
-TYPE_IDS = st.sampled_from(["vehicle.audi.tt", "traffic.traffic_light", "walker.pedestrian.0001", "spectator"])
-SPAWNS = st.builds(
-    lambda id, type_id, hero, x: spawn(id, type_id, x, **({"role_name": "hero"} if hero else {})),
-    IDS,
-    TYPE_IDS,
-    st.booleans(),
-    st.integers(0, 9),
-)
-
-
-def few(rows: st.SearchStrategy[object], size: int = 2) -> st.SearchStrategy[list[object]]:
-    return st.lists(rows, max_size=size)
-
-
-FRAMES = st.fixed_dictionaries(
-    {
-        "spawned": few(SPAWNS),
-        "destroyed": few(st.tuples(IDS), 1),
-        "parented": few(st.tuples(IDS, IDS), 1),
-        "doors": few(st.tuples(IDS, st.integers(0, 6), st.integers(0, 1))),
-        "weather": few(st.integers(0, 99).map(lambda value: (value,) + (0,) * 13), 1),
-        "transforms": few(st.builds(pose, IDS, st.integers(-300, 300), yaw=st.integers(-180, 180)), 4),
-        "light_states": few(st.builds(light, IDS, st.integers(0, 4)), 3),
-        "vehicle_controls": few(st.tuples(IDS, *[st.integers(0, 1)] * 5)),
-        "velocities": few(st.builds(velocity, IDS, st.integers(0, 9))),
-        "bounding_boxes": few(st.tuples(IDS, *[st.integers(0, 9)] * 6), 1),
-        "scene_lights": few(st.tuples(IDS, *[st.integers(0, 1)] * 7), 1),
-    }
-)
 
 
 @pytest.mark.parametrize("kind", [".log", ".mcap"])

@@ -16,9 +16,7 @@ from carla_recap.scene.description import SceneDescriber
 from carla_recap.scene.falls import FallenWalkers, RecordedContacts
 from carla_recap.scene.marks import MARKED, MOST_MARKS, CollisionMarks
 from tests.replay.scripts import pose, spawn, write
-
-CAR, WALKER = 1, 2
-HIT = 2  # the frame of the collision
+from tests.scene.accidents import CAR, HIT, WALKER, accident
 
 
 @pytest.fixture
@@ -29,15 +27,6 @@ def batches(tmp_path):
             return Player(stack.enter_context(open_recording(write(tmp_path / "x.log", frames, tick=0.1)))).batches()
 
         yield played
-
-
-def accident(count=20, speed=10.0, walker=WALKER, kind="walker.pedestrian.0001"):
-    """Return frames of a car that hits a walker in the third one, and stops."""
-    step = 10 * speed  # cm
-    frames = [{"transforms": [pose(CAR, min(n - HIT, 0) * step), pose(walker, 200, z=93)]} for n in range(count)]
-    frames[0]["spawned"] = [spawn(CAR), spawn(walker, kind)]
-    frames[HIT]["collisions"] = [(0, CAR, walker, False, False)]
-    return frames
 
 
 def falls(found):

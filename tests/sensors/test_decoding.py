@@ -25,7 +25,7 @@ from carla_recap.sensors.messages import TRANSFORMS, SensorMessages
 from carla_recap.sensors.rig import SensorRig
 from carla_recap.sensors.sensing import POINT, Sample
 from tests.samples import drive
-from tests.sensors.test_messages import HEADER, HEIGHT, POSE, WIDTH, picture, sample
+from tests.sensors.made import HEADER, HEIGHT, POSE, WIDTH, picture, sample
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,83 +9,36 @@ import pytest
 
 import carla_recap
 from carla_recap.errors import RecapError, RecapWarning
-from carla_recap.model.records import ActorKind, Spawn, attributes
-from carla_recap.replay.pose import LOCATION, attach, right_handed, rotations
+from carla_recap.replay.pose import LOCATION, right_handed, rotations
 from carla_recap.scene.materials import Tag
 from carla_recap.scene.models import MODELS
 from carla_recap.sensors.rig import SensorRig
 from carla_recap.sensors.sensing import SensedFrame, sense
 from tests.samples import carla_log
+from tests.sensors.cars import (
+    AHEAD,
+    BOX,
+    CAMERA,
+    CAMERA_HEIGHT,
+    CARS,
+    GAP,
+    HERO,
+    HERO_POSE,
+    LEFT,
+    MOTION,
+    RIG,
+    RIGHT,
+    SPEED,
+    STEP,
+    car_pose,
+    drive,
+    spawn,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-HERO, AHEAD, LEFT, RIGHT = 100, 70_001, 3, 4
-HERO_POSE = np.array((2000.0, 3000.0, 0.0, 0.0, 0.0, 30.0))  # cm and degrees, left-handed
-BOX = (0, 0, 75, 240, 95, 75)  # cm: centre and half extents
-CAMERA_FORWARD, CAMERA_HEIGHT = 2.0, 1.2  # m
-GAP = 15.0  # m from the camera to the rear of the car ahead
-CARS = {
-    AHEAD: ((CAMERA_FORWARD + GAP) * 100 + BOX[3], 0.0),
-    LEFT: (1800.0, -700.0),  # cm: to the right is positive
-    RIGHT: (1800.0, 500.0),
-}
-RAISED = 1.2  # m
-UP = np.array((0.0, 0.0, 100 * RAISED, 0.0, 0.0, 0.0))
-SPEED = 5.0  # m/s, of the car ahead, away from the hero
-STEP = 0.05  # s
 MIRROR = np.array((1.0, -1.0, 1.0))
-
-CAMERA = {"x": CAMERA_FORWARD, "y": 0.0, "z": CAMERA_HEIGHT, "width": 800, "height": 600, "fov": 90.0}
-ROOF = {"x": CAMERA_FORWARD, "y": 0.0, "z": CAMERA_HEIGHT, "yaw": 0.0}
-RAYS = {"range": 50.0, "channels": 64, "points_per_second": 2_000_000, "rotation_frequency": 20.0, "lower_fov": -20.0}
-EXACT = {"dropoff_general_rate": 0.0, "dropoff_zero_intensity": 0.0}
-IMAGES = {
-    "front": "rgb",
-    "depth": "depth",
-    "tags": "semantic_segmentation",
-    "ids": "instance_segmentation",
-    "normals": "normals",
-    "flow": "optical_flow",
-}
-RIG = SensorRig.of(
-    [
-        *({"type": f"sensor.camera.{kind}", "id": id, **CAMERA} for id, kind in IMAGES.items()),
-        {"type": "sensor.lidar.ray_cast", "id": "lidar", **ROOF, **RAYS, **EXACT},
-        {"type": "sensor.lidar.ray_cast_semantic", "id": "semantic_lidar", **ROOF, **RAYS},
-        {"type": "sensor.other.radar", "id": "radar", **ROOF, "points_per_second": 40_000, "horizontal_fov": 120.0},
-        {"type": "sensor.other.gnss", "id": "gnss", "sensor_tick": 0.1},
-        {"type": "sensor.other.imu", "id": "imu"},
-        {"type": "sensor.speedometer", "id": "speed"},
-    ]
-)
-
-
-def car_pose(id: int, time: float) -> np.ndarray:
-    forward, right = CARS[id]
-    forward += SPEED * 100 * time if id == AHEAD else 0.0
-    return attach(HERO_POSE, np.array((forward, right, 0.0, 0.0, 0.0, 0.0)))
-
-
-def drive(path: Path, frames: int = 3, raised: int | None = None, **further: Any) -> Path:
-    """Write a recording of the hero at rest and the cars, one of which may be raised above the road."""
-    with carla_recap.create_recording(path, map_name="Brickfield", date=0) as recorder:
-        for frame in range(frames):
-            time = frame * STEP
-            poses = {HERO: HERO_POSE, **{id: car_pose(id, time) + UP * (id == raised) for id in CARS}}
-            records: dict[str, Any] = {"transforms": [(id, *pose) for id, pose in poses.items()], **further}
-            if not frame:
-                records["spawned"] = [spawn(id, pose) for id, pose in poses.items()]
-                records["bounding_boxes"] = [(id, *BOX) for id in poses]
-            recorder.add_frame(time, **records)
-    return path
-
-
-def spawn(id: int, pose: np.ndarray, role: str = "") -> Spawn:
-    x, y, z, roll, pitch, yaw = pose.tolist()
-    own = attributes(role_name=role or ("hero" if id == HERO else "autopilot"), color="200,20,20")
-    blueprint = "vehicle.ford.ambulance" if id == AHEAD else "vehicle.tesla.model3"  # whose rear is as wide as its box
-    return Spawn(id, ActorKind.VEHICLE, x, y, z, roll, pitch, yaw, 0, blueprint, own)
 
 
 @pytest.fixture(scope="module")
@@ -246,9 +199,6 @@ def test_a_carrier_at_rest(frames: list[SensedFrame]) -> None:
 
 # --- rigs without cameras, which need no driver ------------------------------------------------------------------------
 
-MOTION = SensorRig.of([{"type": "sensor.other.imu", "id": "imu"}, {"type": "sensor.speedometer", "id": "speed"}])
-"""A rig that needs no driver, and hardly any time."""
-
 
 def circle(path: Path, *, velocities: bool, rate: float = 20.0) -> Path:
     """Write a recording of a hero that drives to the left along a circle of 20 m at 10 m/s."""
@@ -279,21 +229,6 @@ def test_motion_is_that_of_the_carrier(tmp_path: Path, rate: float | None, veloc
         assert inertia["acceleration"] == pytest.approx((0, 5.0, 9.81), abs=0.3)  # to the left
         assert inertia["angular_velocity"] == pytest.approx((0, 0, 0.5), abs=0.01)
         assert float(frame.samples["speed"].data) == pytest.approx(10, abs=0.05)
-
-
-def test_noise_is_the_same_for_the_same_seed(tmp_path: Path) -> None:
-    path = circle(tmp_path / "circle.mcap", velocities=True)
-
-    def readings(seed: int) -> np.ndarray:
-        noisy = {"type": "sensor.other.imu", "id": "imu", "noise_accel_stddev_x": 1.0, "noise_seed": seed}
-        with carla_recap.open_recording(path) as recording:
-            return np.array(
-                [frame.samples["imu"].data["acceleration"][0] for frame in sense(recording, SensorRig.of([noisy]))]
-            )
-
-    assert np.array_equal(readings(1), readings(1))
-    assert not np.array_equal(readings(1), readings(2))
-    assert 0.5 < readings(1).std() < 1.5
 
 
 def test_rays_that_are_cast_in_parts_hit_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

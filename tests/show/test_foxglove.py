@@ -7,7 +7,6 @@ import math
 import re
 import shutil
 import subprocess
-from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,8 +25,8 @@ from tests.samples import carla_log
 
 pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
 
-from mcap_protobuf.decoder import DecoderFactory
 
+from tests.show.foxglove_reader import BODIES, bodies, corners, latest, moves, read, seen, xyz
 from tests.waiting import PATIENCE
 
 ROOT = Path(__file__).parents[2]
@@ -36,7 +35,6 @@ NODE = ROOT / "tests" / "node"
 REAL = ("carla-0.9.10-lane-center.log", "carla-0.9.13-lane-center.log")
 HERO, CYCLIST, GONE, FIRST_LIGHT = 100, 105, 103, 20  # of the crossing
 
-BODIES = ("/scene/vehicles", "/scene/walkers", "/scene/others")
 SCHEMAS = {
     **dict.fromkeys(BODIES, "foxglove.SceneUpdate"),
     "/scene/lamps": "foxglove.SceneUpdate",
@@ -56,62 +54,6 @@ SCHEMAS = {
 def export(source: Path, destination: Path, **options):
     with open_recording(source) as recording:
         return export_foxglove(recording, destination, **options)
-
-
-def read(path: Path):
-    """Return the messages of each topic, each with its seconds since the first one."""
-    topics = defaultdict(list)
-    with path.open("rb") as file:
-        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        start = reader.get_summary().statistics.message_start_time
-        for found in reader.iter_decoded_messages():
-            topics[found.channel.topic].append(((found.message.log_time - start) / 1e9, found.decoded_message))
-    return topics
-
-
-def seen(messages, until: float = math.inf):
-    """Return the entities that a viewer shows after all messages until some time."""
-    entities = {}
-    for time, message in messages:
-        if time > until + 1e-6:
-            break
-        for deletion in message.deletions:
-            if deletion.type == deletion.ALL:
-                entities.clear()
-            entities.pop(deletion.id, None)
-        entities.update((entity.id, entity) for entity in message.entities)
-    return entities
-
-
-def latest(messages, time: float):
-    """Return the message that a viewer shows after it has sought a time."""
-    return [message for at, message in messages if at <= time + 1e-6][-1]
-
-
-def bodies(topics, until: float = math.inf):
-    """Return the bodies of all actors that a viewer shows at some time."""
-    return {id: entity for topic in BODIES for id, entity in seen(topics[topic], until).items()}
-
-
-def moves(topics, id: int, until: float = math.inf):
-    """Return the times and the transforms of the frame of an actor."""
-    found = [
-        (time, transform)
-        for topic in ("/tf/actors", "/tf/still")
-        for time, message in topics[topic]
-        for transform in message.transforms
-        if transform.child_frame_id == f"actor {id}" and time <= until + 1e-6
-    ]
-    return sorted(found, key=lambda pair: pair[0])
-
-
-def corners(entity):
-    """Return the points of the triangles of an entity."""
-    return np.array([xyz(point) for shape in entity.triangles for point in shape.points])
-
-
-def xyz(vector):
-    return [vector.x, vector.y, vector.z]
 
 
 @pytest.fixture(scope="module")

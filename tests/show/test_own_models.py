@@ -108,7 +108,7 @@ def test_a_picture_shows_the_model(folder, tmp_path):
 def test_rerun_shows_the_model(folder, tmp_path):
     pytest.importorskip("rerun", reason="the extra `rerun` is not installed")
     from carla_recap import export_rerun
-    from tests.show.test_rerun import Rrd
+    from tests.show.rerun_reader import Rrd
 
     use_models(folder)
     with open_recording(SAMPLE) as recording:
@@ -123,7 +123,7 @@ def test_rerun_shows_the_model(folder, tmp_path):
 def test_foxglove_shows_the_model(folder, tmp_path):
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra `foxglove` is not installed")
     from carla_recap import export_foxglove
-    from tests.show.test_foxglove import bodies, read
+    from tests.show.foxglove_reader import bodies, read
 
     use_models(folder)
     with open_recording(SAMPLE) as recording:

@@ -30,8 +30,8 @@ pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
 from carla_recap.show.rerun.entities import EVENTS, LIGHT_AHEAD, PEDALS
 from carla_recap.show.rrd import export_rerun
-from tests.show.test_foxglove import corners, latest, read, seen, xyz
-from tests.show.test_rerun import Rrd
+from tests.show.foxglove_reader import corners, latest, read, seen, xyz
+from tests.show.rerun_reader import Rrd
 
 SAMPLES = Path(__file__).parents[2] / "samples"
 MOMENTS = 10

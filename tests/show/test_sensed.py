@@ -23,8 +23,8 @@ from carla_recap.show.foxglove import export_foxglove
 from carla_recap.show.foxglove.layouts import write_layouts
 from tests.replay.scripts import write
 from tests.samples import names_in
-from tests.scene.test_falls_and_marks import CAR, WALKER, accident
-from tests.sensors.test_sensing import (
+from tests.scene.accidents import CAR, WALKER, accident
+from tests.sensors.cars import (
     AHEAD,
     CAMERA,
     EXACT,

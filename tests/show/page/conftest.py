@@ -15,11 +15,15 @@ import pytest
 from carla_recap import open_recording
 from carla_recap.queries.incidents import IncidentOptions
 from carla_recap.queries.kinds import kinds_without_roads
+from carla_recap.replay import Player
 from carla_recap.show.page import write_report
+from carla_recap.show.page.samples import Sampler
 from tests.replay.scripts import write
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from carla_recap.show.page.samples import SampledReplay
 
 CROSSING = Path(__file__).parents[3] / "samples" / "crossing.log"
 NASTY = "</script><img src=x onerror=\"document.title='broken'\">\u2028\u2029\x01\"'&amp;"
@@ -79,3 +83,11 @@ def report(source: Path, folder: Path, **options: Any) -> Path:
     with open_recording(source) as recording:
         write_report(recording, folder, WITHOUT_ROADS, **options)
     return folder
+
+
+def sampled(path: Path, rate: float = 20.0) -> SampledReplay:
+    with open_recording(path) as recording:
+        sampler = Sampler(rate)
+        for scene in Player(recording).scenes():
+            sampler.add(scene)
+        return sampler.finish()

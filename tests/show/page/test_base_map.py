@@ -11,8 +11,7 @@ from carla_recap.rendering.town import TownMesh, load_town_mesh
 from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
 from carla_recap.show.page.base_map import LAYERS, base_map, outlines
-from tests.show.page.conftest import CROSSING
-from tests.show.page.test_samples import sampled
+from tests.show.page.conftest import CROSSING, sampled
 
 BRICKFIELD = Path(__file__).parents[3] / "src" / "carla_recap" / "sim" / "towns" / "Brickfield.xodr"
 

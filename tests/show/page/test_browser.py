@@ -13,55 +13,12 @@ from carla_recap.show.page import Opening
 from tests.replay.scripts import pose, spawn, write
 from tests.samples import carla_log, names_in
 from tests.show.page.conftest import CROSSING, NASTY, data, record, report
-from tests.waiting import wait_until
+from tests.show.page.pages import Page
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
     from selenium.webdriver import Chrome
-
-
-class Page:
-    """An open page."""
-
-    def __init__(self, browser: Chrome, path: Path, link: str = "") -> None:
-        self.browser = browser
-        browser.get("about:blank")
-        browser.get_log("browser")
-        browser.get((path if path.is_file() else path / "index.html").as_uri() + link)
-        self.until(lambda: self.ask("performance.getEntriesByName('recap-first-frame').length") == 1)
-
-    def ask(self, expression: str, *arguments: Any) -> Any:
-        return self.browser.execute_script(f"return {expression}", *arguments)
-
-    def until(self, condition: Callable[[], bool]) -> None:
-        wait_until(condition)
-
-    def click(self, selector: str, index: int = 0) -> None:
-        self.browser.execute_script("document.querySelectorAll(arguments[0])[arguments[1]].click()", selector, index)
-
-    def press(self, *keys: str) -> None:
-        from selenium.webdriver import ActionChains
-
-        for key in keys:
-            ActionChains(self.browser).send_keys(key).perform()
-
-    def text(self, id: str) -> str:
-        return self.ask("document.getElementById(arguments[0]).textContent", id)
-
-    @property
-    def time(self) -> float:
-        return self.ask("replay.clock.time")
-
-    @property
-    def pictures(self) -> int:
-        """The number of pictures that have been drawn."""
-        return self.ask("[...document.images].filter(image => image.naturalWidth === 480).length")
-
-    @property
-    def errors(self) -> list[Any]:
-        return self.browser.get_log("browser")
 
 
 @pytest.fixture

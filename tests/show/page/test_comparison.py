@@ -11,8 +11,7 @@ from carla_recap.show.page import write_report
 from tests.replay.scripts import spawn
 from tests.samples import names_in
 from tests.show.page.conftest import WITHOUT_ROADS, record
-from tests.show.page.test_browser import Page
-from tests.show.page.test_look import emulated
+from tests.show.page.pages import Page, emulated
 
 if TYPE_CHECKING:
     from pathlib import Path

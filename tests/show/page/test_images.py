@@ -27,10 +27,9 @@ from carla_recap.show.page import write_report
 from tests.cli.command import error, run
 from tests.samples import drive
 from tests.sensed import camera
-from tests.sensors.test_messages import HEADER, POSE
+from tests.sensors.made import HEADER, POSE
 from tests.show.page.conftest import CROSSING, WITHOUT_ROADS, report
-from tests.show.page.test_browser import Page
-from tests.show.page.test_look import emulated
+from tests.show.page.pages import Page, emulated
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -10,34 +9,15 @@ import pytest
 
 from tests.replay.scripts import spawn
 from tests.show.page.conftest import record, report
-from tests.show.page.test_browser import Page
+from tests.show.page.pages import Page, emulated
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from selenium.webdriver import Chrome
 
 LONG = "vehicle." + "a_name_without_spaces" * 5
 INCIDENTS = 300
-
-
-@contextmanager
-def emulated(
-    browser: Chrome, *, size: tuple[int, int] | None = None, media: str = "", scheme: str = "dark"
-) -> Iterator[None]:
-    """Emulate a screen, print, and a preferred colour scheme."""
-    features = [{"name": "prefers-color-scheme", "value": scheme}]
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": media, "features": features})
-    if size:
-        metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": True}
-        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-    try:
-        yield
-    finally:
-        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
-        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
-        browser.execute_script("try { localStorage.clear() } catch {}")
 
 
 @pytest.fixture(scope="module")

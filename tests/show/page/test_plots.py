@@ -12,7 +12,7 @@ from carla_recap import open_recording
 from carla_recap.scene.follow import followed_series
 from tests.replay.scripts import spawn
 from tests.show.page.conftest import record, report
-from tests.show.page.test_browser import Page
+from tests.show.page.pages import Page
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -64,16 +64,6 @@ def test_an_unknown_speed_is_not_shown_as_a_standstill(chromium: Chrome, tmp_pat
     frame = {"transforms": [(1, 0, 0, 0, 0, 0, 0)], "spawned": [spawn(1, role_name="hero")]}
     page = Page(chromium, report(record(tmp_path / "a.mcap", [frame]), tmp_path / "page.html"))
     assert page.text("speed") == "\N{EN DASH}"
-
-
-def test_the_gap_is_between_the_bumpers_of_the_same_lane(chromium: Chrome, followed: Path) -> None:
-    page = Page(chromium, followed)
-    found = series(page, 1)
-    front, rear = page.ask("[0, 1].map(index => replay.tracks.actors[index].box[2])")
-    for sample in (5, 40, 79):
-        assert found["gap"][sample] == pytest.approx(50 - (sample * 0.05) ** 2 - front - rear, abs=0.3)
-        assert page.ask(f"replay.tracks.actors[{found['leader'][sample]}].id") == 2
-    assert set(series(page, 3)["leader"]) == {-1}
 
 
 def test_the_gap_is_the_headway_that_is_measured(chromium: Chrome, followed: Path) -> None:

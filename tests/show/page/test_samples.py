@@ -11,23 +11,13 @@ from carla_recap import open_recording
 from carla_recap.replay import Player, right_handed
 from carla_recap.scene.ahead import NO_LIGHT, stop_points
 from carla_recap.scene.follow import followed_series
-from carla_recap.show.page.samples import BLOCK, Sampler, measure, sample
+from carla_recap.show.page.samples import BLOCK, measure, sample
 from carla_recap.show.page.script import MEASURED_UNITS, Packer, measured_data
 from tests.replay.scripts import pose, spawn
-from tests.show.page.conftest import CROSSING, record, unpack
+from tests.show.page.conftest import CROSSING, record, sampled, unpack
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from carla_recap.show.page.samples import SampledReplay
-
-
-def sampled(path: Path, rate: float = 20.0) -> SampledReplay:
-    with open_recording(path) as recording:
-        sampler = Sampler(rate)
-        for scene in Player(recording).scenes():
-            sampler.add(scene)
-        return sampler.finish()
 
 
 def test_poses_are_those_of_the_recording() -> None:

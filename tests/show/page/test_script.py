@@ -13,7 +13,7 @@ from carla_recap.show.page.script import Packer
 from tests.replay.scripts import spawn
 from tests.samples import names_in
 from tests.show.page.conftest import CROSSING, data, record, report, unpack
-from tests.show.page.test_browser import Page
+from tests.show.page.pages import Page
 from tests.waiting import wait_until
 
 if TYPE_CHECKING:

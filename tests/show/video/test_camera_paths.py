@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from carla_recap.scene.instances import Instances
 from carla_recap.show.video.camera_paths import Subject, Transparency, camera_path, camera_size, covered_by, pixels_per_metre
+from tests.rendering.shapes import boxes
+
+if TYPE_CHECKING:
+    from carla_recap.scene.instances import Instances
 
 SIZE = (1280, 720)
 CAR, BUS, WALKER = (2.3, 0.95, 0.75), (6.0, 1.4, 1.75), (0.25, 0.25, 0.93)
@@ -41,19 +44,7 @@ def test_a_walker_that_lies_covers_what_its_body_covers() -> None:
 
 
 def instances(*centres: tuple[float, float, float], half: Any = CAR) -> Instances:
-    count = len(centres)
-    return Instances(
-        np.arange(1, count + 1, dtype=np.uint32),
-        np.zeros(count, np.uint8),
-        np.array(centres, np.float64).reshape(-1, 3),
-        np.tile(np.eye(3, dtype=np.float32), (count, 1, 1)),
-        np.broadcast_to(np.array(half, np.float32), (count, 3)).copy(),
-        np.zeros((count, 3), np.uint8),
-        np.zeros(count, np.uint64),
-        np.zeros(count, np.float32),
-        np.ones(count, np.float32),
-        np.zeros(count, np.uint8),
-    )
+    return boxes(*centres, half=half, ids=range(1, len(centres) + 1))
 
 
 class Moment:

@@ -80,11 +80,6 @@ def test_the_followed_car_is_in_the_middle(crossing: Recording, renderer: Render
     assert np.abs(hero[110:150, 150:170] - other[110:150, 150:170]).mean() > 10  # a car; a van of another colour
 
 
-@pytest.mark.parametrize("size", [(64, 64), (333, 517), (1921, 1081)])
-def test_pictures_have_the_given_size(crossing: Recording, renderer: RenderProcess, size: tuple[int, int]) -> None:
-    assert Image.open(io.BytesIO(picture(crossing, at=24, size=size, renderer=renderer))).size == size
-
-
 def test_pictures_of_the_beginning_and_of_the_end(crossing: Recording, renderer: RenderProcess) -> None:
     first, last, end = (
         picture(crossing, at=at, size=(320, 180), renderer=renderer) for at in (0, 53, crossing.info.duration)
@@ -98,12 +93,6 @@ def test_a_picture_from_above_has_a_scale(crossing: Recording, renderer: RenderP
         for overlay in (True, False)
     )
     assert np.abs(top - bare)[310:350, 500:630].max() > 100
-
-
-def test_a_jpeg(crossing: Recording, renderer: RenderProcess) -> None:
-    data = picture(crossing, at=24.6, size=(320, 180), renderer=renderer, form="JPEG")
-    assert Image.open(io.BytesIO(data)).format == "JPEG"
-    assert len(data) < 30_000
 
 
 def test_a_notebook_shows_a_picture_as_the_last_value_of_a_cell(crossing: Recording, renderer: RenderProcess) -> None:

@@ -22,7 +22,7 @@ from carla_recap.show.video import export_video
 from carla_recap.show.video.film import Film
 from tests.cli.command import COMMAND, ENVIRONMENT, error, run
 from tests.replay.scripts import pose, spawn, write
-from tests.samples import carla_log, names_in
+from tests.samples import names_in
 from tests.show.video.conftest import SAMPLES
 from tests.waiting import PATIENCE, wait_until
 
@@ -206,11 +206,6 @@ def test_the_roads_of_a_long_recording_without_map_are_those_around_what_is_show
     lengths = [float(np.ptp(town.bounds[..., 0])) for town in (part, whole)]
     assert 500 < lengths[0] < 1500
     assert lengths[1] > 4000
-
-
-def test_numbers_of_any_kind(tmp_path: Path, renderer: RenderProcess) -> None:
-    with open_recording(carla_log("floats.log")) as recording:
-        assert len(film(recording, tmp_path / "out.mp4", renderer, size=(64, 64))) == 2
 
 
 def test_poses_that_are_no_numbers(tmp_path: Path, renderer: RenderProcess) -> None:
