@@ -126,12 +126,14 @@ def test_what_cannot_be_written_is_an_error_after_the_verdicts(runs, tmp_path, m
 
 
 def test_pages(runs, tmp_path):
-    done = run("check", runs, "--rules", RULES, "--html", tmp_path / "out", "--clips", "--junit", tmp_path / "out.xml")
-    assert (done.returncode, wrote(done.stderr)) == (1, [f"{tmp_path}/out/index.html", f"{tmp_path}/out.xml"])
+    done = run(
+        "check", runs, "--rules", RULES, "--html", tmp_path / "out", "--clips", "--junit", tmp_path / "new" / "out.xml"
+    )
+    assert (done.returncode, wrote(done.stderr)) == (1, [f"{tmp_path}/out/index.html", f"{tmp_path}/new/out.xml"])
     assert names_in(tmp_path / "out") == ["clips", "index.html", "pages"]
     assert names_in(tmp_path / "out" / "pages") == ["crash.html"]
     assert "1 failed of 2 recordings" in (tmp_path / "out" / "index.html").read_text("utf-8")
-    assert f"page: {tmp_path / 'out' / 'pages' / 'crash.html'}" in (tmp_path / "out.xml").read_text("utf-8")
+    assert f"page: {tmp_path / 'out' / 'pages' / 'crash.html'}" in (tmp_path / "new" / "out.xml").read_text("utf-8")
 
 
 def test_a_folder_of_pages_that_is_not_empty_is_left_alone_without_force(runs, tmp_path):
@@ -146,6 +148,13 @@ def test_a_folder_of_pages_that_cannot_be_written_is_an_error_before_anything_is
     file = save(tmp_path / "file", b"")
     assert "cannot be written" in error("check", "absent.mcap", "--rules", RULES, "--html", file / "out")
     assert "is a file; a folder was expected" in error("check", "absent.mcap", "--rules", RULES, "--html", file)
+
+
+def test_a_source_without_recordings_is_an_error_among_the_verdicts(runs, tmp_path):
+    (tmp_path / "empty").mkdir()
+    done = run("check", runs, tmp_path / "empty", "--rules", RULES, *ALONE)
+    assert done.returncode == 2
+    assert "1 passed, 1 failed, 1 not judged" in done.stdout.decode()
 
 
 def test_names_that_are_no_text_are_printed_and_written(tmp_path):

@@ -155,6 +155,14 @@ def test_no_json_is_printed_with_an_error(invoke):
 # --- colours -----------------------------------------------------------------------------------------------
 
 
+def test_json_of_clips(invoke):
+    done = invoke("clips", CROSSING, "out", "--kinds", "collision", "--no-rrd", "--json")
+    written = json.loads(done.out)["written"]
+    assert [each["kind"] for each in written] == ["collision", "collision"]
+    assert all(Path(each["path"]).is_file() for each in written)
+    assert len(wrote(done.err)) == 2
+
+
 def test_a_terminal_gets_colors(invoke, tmp_path):
     assert "\x1b[31m\x1b[1mcarla-recap:\x1b[0m missing.log: " in invoke("info", "missing.log", terminal=True).err
     (tmp_path / "cut.log").write_bytes(CROSSING.read_bytes()[:-10])

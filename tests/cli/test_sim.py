@@ -74,6 +74,7 @@ def test_invalid_destinations_of_record(tmp_path):
     (tmp_path / "folder.log").mkdir()
     without = "no suffix, which says the format; .log or .mcap was expected"
     town = ("--town", "Atlantis")  # the destination is looked at first
+    assert "exists already" in error("record", CROSSING, *town)
     for name in ("bare", "-", "/dev/null"):
         assert error("record", name, "--force", *town, cwd=tmp_path) == f"{name}: {without}"
     assert "cannot be written: is a directory" in error("record", tmp_path / "folder.log", "--force", *town)

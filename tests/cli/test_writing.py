@@ -14,7 +14,7 @@ import pytest
 
 from carla_recap import open_recording
 from carla_recap.editing.convert import convert
-from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, error, run, wrote
+from tests.cli.command import COMMAND, CROSSING, ENVIRONMENT, error, on_terminal, run, wrote
 from tests.waiting import PATIENCE, wait_until
 
 CRASH = CROSSING.with_name("crash.mcap")
@@ -231,6 +231,21 @@ def test_videos_of_many(runs):
     done = run("video", "runs", "out", "--format", "gif", "--duration", 0.3, "--size", "64x64", "--jobs", 2)
     assert done.returncode == 2, done.stderr
     assert files(Path("out")) == {"a.gif", "deep/b.gif"}
+
+
+@pytest.mark.parametrize(
+    ("command", "word"),
+    [
+        (("export", CROSSING, "out.csv"), "exporting"),
+        (("record", "out.mcap", "--vehicles", 0, "--walkers", 0, "--duration", 1), "simulating"),
+        (("sense", CROSSING, "out.mcap", "--rig", "rig.json"), "sensing"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, tuple) else "",
+)
+def test_a_terminal_has_a_progress_bar(runs, command, word):
+    Path("rig.json").write_text('[{"type": "sensor.speedometer", "id": "speed"}]')
+    code, shown, _ = on_terminal(*command, stream="stderr")
+    assert (code, word in shown) == (0, True)
 
 
 def test_ctrl_c_leaves_nothing_half_written(runs):

@@ -41,6 +41,11 @@ def test_the_formula_is_an_option() -> None:
         of_crash(formula="3")
 
 
+def test_a_vehicle_that_is_not_there_is_an_error() -> None:
+    with open_recording(CRASH) as recording, pytest.raises(RecapError, match="no vehicle 99999"):
+        score(recording, actor=99999)
+
+
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_many_recordings_are_scored_in_their_order(jobs: int, tmp_path: Path) -> None:
     broken = tmp_path / "broken.mcap"
