@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 Size = tuple[int, int]
 """Width and height, in pixels."""
 
-_AROUND: Final = (7, 71)  # pixels of the window around a view
 _SETTLED: Final = 0.15  # s without a change, after which a picture is complete
 _SAME: Final = 4  # pictures without a change: on a busy machine, one takes that long
 _UNSETTLED: Final = 60.0  # s, after which it is taken in any case
@@ -29,7 +28,7 @@ viewer.TIMEOUT = PATIENCE
 
 
 class ScreenshotTaker:
-    """Takes pictures of a recording during a `with` block.
+    """Takes pictures of the whole window with a recording, during a `with` block.
 
     with ScreenshotTaker("run.rrd") as screenshots:
         Path("crash.png").write_bytes(screenshots.take(24.6))
@@ -37,28 +36,25 @@ class ScreenshotTaker:
     Args:
         recording: An .rrd, or another source that the viewer opens: a recording by its importer, the address of a server.
         size: The size of the pictures.
-        only_view: Take the only view of the recording's blueprint; else the whole window.
 
     Raises:
         RecapError: On entry: the viewer cannot draw here, or cannot open the recording.
         MissingExtra: On entry: there is no viewer.
     """
 
-    def __init__(self, recording: Path | str, size: Size = (1280, 720), *, only_view: bool = False) -> None:
+    def __init__(self, recording: Path | str, size: Size = (1280, 720)) -> None:
         self._recording = str(recording)
         self._size = size
-        self._only_view = only_view
 
     def __enter__(self) -> Self:
         from rerun.experimental import ViewerClient
 
-        width, height = (side + around * self._only_view for side, around in zip(self._size, _AROUND, strict=True))
+        width, height = self._size
         with ExitStack() as stack:
             process = RerunViewer("--headless", "--window-size", f"{width}x{height}", self._recording)
             self._process = stack.enter_context(process)
             self._client = ViewerClient.connect(f"rerun+http://{HOST}:{process.port(GRPC_PORT)}/proxy")
-            state = process.wait_for("recording", self._loaded)
-            self._shown = state.views[0].view_id if self._only_view else None
+            process.wait_for("recording", self._loaded)
             self._stack = stack.pop_all()
         return self
 
@@ -103,7 +99,7 @@ class ScreenshotTaker:
         begun = since = monotonic()
         picture, same = b"", 0
         while ((now := monotonic()) - since < _SETTLED or same < _SAME) and now - begun < _UNSETTLED:
-            before, picture = picture, self._client.take_screenshot(self._shown)
+            before, picture = picture, self._client.take_screenshot()
             same += 1
             if picture != before:
                 since, same = monotonic(), 1

@@ -6,21 +6,23 @@ import os
 import re
 import subprocess
 import sys
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from click.testing import CliRunner
 
-from carla_recap import MissingExtra, RecapError, export, open_recording
+from carla_recap import MissingExtra, RecapError, SensorRig, clips, export, export_sensed, open_recording, write_report
 from carla_recap.cli import cli
 from carla_recap.exports import FORMATS, ExportFormat, find_format
 from carla_recap.util.files import AtomicFile
 from tests.samples import ROOT, names_in
 from tests.show.conftest import limited
+from tests.show.page.conftest import WITHOUT_ROADS
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from carla_recap import Recording
@@ -35,6 +37,7 @@ PACKAGES = {
     "ros": "rosbags",
 }
 RIG = ROOT / "samples" / "rigs" / "front_camera.json"
+SPEED = {"type": "sensor.speedometer", "id": "speed"}
 
 every_format = pytest.mark.parametrize("form", FORMATS.values(), ids=FORMATS)
 
@@ -163,6 +166,41 @@ def test_a_file_made_meanwhile_is_kept(
     with pytest.raises(RecapError, match=r"cannot be written: File exists$"):
         export(recording, path, to=form.name, **part)
     assert path.read_bytes() == b"mine"
+
+
+OTHERS: dict[str, tuple[str, Callable[..., object]]] = {
+    "clips": ("", lambda recording, path, **options: clips(recording.path, path, rerun=False, **options)),
+    "page": (".html", partial(write_report, options=WITHOUT_ROADS, pictures="none")),
+    "page as a folder": ("", partial(write_report, options=WITHOUT_ROADS, pictures="none")),
+    "sensed": (".mcap", partial(export_sensed, rig=SensorRig.of([SPEED]), start=20, duration=1)),
+}
+"""What is written beside exports: the suffix of files, and the function."""
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_other_files_are_kept_and_appear_when_they_are_complete(tmp_path: Path, recording: Recording, name: str) -> None:
+    def interrupted(found: Any, *_: object) -> Any:
+        yield next(iter(found))
+        raise KeyboardInterrupt
+
+    suffix, function = OTHERS[name]
+    path = tmp_path / f"out{suffix}"
+    with pytest.raises(KeyboardInterrupt):
+        function(recording, path, progress=interrupted)
+    assert names_in(tmp_path) == []
+    mine = path if suffix else path / "mine.txt"
+    mine.parent.mkdir(exist_ok=True)
+    mine.write_text("mine")
+    with pytest.raises(RecapError, match=r"exists already; --force|is not empty"):
+        function(recording, path)
+    assert mine.read_text() == "mine"
+    function(recording, path, force=True)
+    assert (mine.read_bytes() == b"mine") == (suffix == "")
+    assert suffix or len(names_in(path)) > 2
+    for place in (f"missing/x{suffix}", f"folder{suffix}") if suffix else ("out/mine.txt",):
+        (tmp_path / f"folder{suffix}").mkdir(exist_ok=True)
+        with pytest.raises(RecapError, match=r"cannot be written|is a file|is no file"):
+            function(recording, tmp_path / place, force=True)
 
 
 @every_format

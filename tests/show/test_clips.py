@@ -149,17 +149,6 @@ def test_a_long_incident(tmp_path: Path) -> None:
     assert 60 <= len(images(found.recording)) <= 66
 
 
-def test_a_folder_that_is_not_empty_is_an_error(crossing: dict[str, Path], tmp_path: Path) -> None:
-    save(tmp_path / "mine.txt", b"mine")
-    with pytest.raises(RecapError, match="not empty"):
-        clips(crossing[".log"], tmp_path, rerun=False)
-    with pytest.raises(RecapError, match="is a file"):
-        clips(crossing[".log"], tmp_path / "mine.txt", rerun=False)
-    assert names_in(tmp_path) == ["mine.txt"]
-    clips(crossing[".log"], tmp_path, rerun=False, force=True)
-    assert len(names_in(tmp_path)) == 3
-
-
 def test_clips_are_not_written_over_their_source(crossing: dict[str, Path], tmp_path: Path) -> None:
     source = save(tmp_path / "01-collision-20.9s-105-110.mcap", crossing[".mcap"].read_bytes())
     with pytest.raises(RecapError, match="is the source itself"):
@@ -180,16 +169,6 @@ def test_invalid_options_are_errors(
 ) -> None:
     with pytest.raises(RecapError, match=message):
         clips(crossing[".log"], tmp_path / "clips", rerun=False, **options)
-    assert names_in(tmp_path) == []
-
-
-def test_a_failure_leaves_no_files(crossing: dict[str, Path], tmp_path: Path) -> None:
-    def fail(found: Any) -> Any:
-        yield found[0]
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        clips(crossing[".log"], tmp_path / "clips", rerun=False, progress=fail)
     assert names_in(tmp_path) == []
 
 

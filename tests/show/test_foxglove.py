@@ -151,21 +151,6 @@ def test_actors_have_their_recorded_poses(crossing, time):
     assert middle == pytest.approx([box.x, box.y, box.z], abs=1e-3)
 
 
-@pytest.mark.parametrize("name", REAL)
-def test_actors_of_real_recordings_have_their_recorded_poses(exports, name):
-    topics = read(exports(name))
-    with open_recording(carla_log(name)) as recording:
-        (hero,) = recording.heroes
-        trajectory = recording.trajectory(hero.id)
-    for time, transform in moves(topics, hero.id):
-        x, y = (np.interp(time, trajectory.time, getattr(trajectory, axis)) for axis in "xy")
-        assert math.dist((transform.translation.x, transform.translation.y), (x, y)) < 0.1
-    assert f"actor {hero.id}" not in bodies(topics)
-    times = [message.elapsed for _, message in topics["/hero"]]
-    np.testing.assert_allclose(times, trajectory.time[: len(times)])
-    assert len(times) >= len(trajectory.time) - 1
-
-
 def test_a_destroyed_actor_is_deleted_at_its_time(crossing):
     (time,) = [
         time for time, message in crossing["/scene/vehicles"] for gone in message.deletions if gone.id == f"actor {GONE}"

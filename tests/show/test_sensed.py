@@ -22,7 +22,6 @@ from carla_recap.sensors.sensing import SEMANTIC_POINT, sense
 from carla_recap.show.foxglove import export_foxglove
 from carla_recap.show.foxglove.layouts import write_layouts
 from tests.replay.scripts import write
-from tests.samples import names_in
 from tests.scene.accidents import CAR, WALKER, accident
 from tests.sensors.cars import (
     AHEAD,
@@ -325,26 +324,6 @@ def test_a_recording_with_sensors_gets_those_of_another_rig(source: Path, tmp_pa
 
 
 # --- files -----------------------------------------------------------------------------------------------------------
-
-
-def test_a_failure_leaves_no_file(source: Path, tmp_path: Path) -> None:
-    def fail(scenes: Any, player: Any) -> Any:
-        yield next(iter(scenes))
-        raise RuntimeError("enough")
-
-    with pytest.raises(RuntimeError, match="enough"):
-        export(source, tmp_path / "out.mcap", progress=fail)
-    assert names_in(tmp_path) == []
-
-
-def test_a_file_is_overwritten_only_by_force(source: Path, tmp_path: Path) -> None:
-    (tmp_path / "out.mcap").write_bytes(b"precious")
-    with pytest.raises(RecapError, match="exists already; --force"):
-        export(source, tmp_path / "out.mcap")
-    assert (tmp_path / "out.mcap").read_bytes() == b"precious"
-    export(source, tmp_path / "out.mcap", force=True)
-    with open_recording(tmp_path / "out.mcap") as recording:
-        assert [sensor.id for sensor in recording.sensors] == ["imu", "speed"]
 
 
 def test_the_destination_is_an_mcap_file(source: Path, tmp_path: Path) -> None:

@@ -153,19 +153,8 @@ def test_the_images_of_a_video_are_shown(tmp_path: Path) -> None:
 
 
 def test_a_long_time_without_images_takes_no_time(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    rig = SensorRig.of([{"type": "sensor.camera.rgb", "id": "a", "x": 0, "y": 0, "z": 0, "width": 32, "height": 24}])
-    with McapWriter(path, HEADER) as writer:
-        messages = SensorMessages(rig, HEADER)
-        for topic in messages.topics:
-            writer.add_topic(topic)
-        for frame in drive(2.0, size=1):
-            writer.write(frame)
-        for time in (0.0, 5e8):
-            for message in messages.of([Sample(rig["a"], time, POSE, np.zeros((24, 32, 3), np.uint8))]):
-                writer.write_message(*message)
-    with open_recording(path) as recording:
-        found = module.page_images(recording, "a", [(0.0, 1e9)])
+    with open_recording(filmed(tmp_path / "a.mcap", {"ahead": (0.0, {0.0: RED, 5e8: BLUE})})) as recording:
+        found = module.page_images(recording, "ahead", [(0.0, 1e9)])
     assert found is not None
     assert found.times == [0.0, 5e8]
 

@@ -102,15 +102,6 @@ def test_incidents_beyond_the_budget_are_listed_without_a_replay(tmp_path: Path,
     assert [any(start <= one["start"] <= stop for start, stop in spans) for one in listed] == [True, False, False, False]
 
 
-def test_a_folder_that_is_not_empty_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "mine.txt").write_text("mine")
-    with pytest.raises(RecapError, match="is not empty"):
-        report(CROSSING, tmp_path)
-    with pytest.raises(RecapError, match="is a file"):
-        report(CROSSING, tmp_path / "mine.txt", force=True)
-    assert names_in(tmp_path) == ["mine.txt"]
-
-
 def test_force_keeps_other_files(tmp_path: Path) -> None:
     (tmp_path / "page" / "data").mkdir(parents=True)
     for name in ("mine.txt", "index.html", "data/mine.png"):

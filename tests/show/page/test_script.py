@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from carla_recap import IncidentOptions, RecapError, open_recording, write_report
+from carla_recap import IncidentOptions, open_recording, write_report
 from carla_recap.show.page.script import Packer
 from tests.replay.scripts import spawn
 from tests.samples import names_in
@@ -81,18 +81,6 @@ def test_a_minute_of_traffic_is_less_than_one_and_a_half_megabytes(tmp_path: Pat
     with open_recording(record(tmp_path / "a.mcap", frames)) as recording:
         write_report(recording, tmp_path / "page.html", IncidentOptions(kinds=["collision"]))
     assert (tmp_path / "page.html").stat().st_size < 1_500_000
-
-
-def test_a_file_that_exists_is_kept_without_force(tmp_path: Path) -> None:
-    page = tmp_path / "page.html"
-    page.write_text("mine")
-    with pytest.raises(RecapError, match=r"page\.html: exists already; --force"):
-        report(CROSSING, page)
-    assert page.read_text() == "mine"
-    assert "<canvas" in report(CROSSING, page, force=True).read_text("utf-8")
-    (tmp_path / "folder.html").mkdir()
-    with pytest.raises(RecapError, match="is no file"):
-        report(CROSSING, tmp_path / "folder.html", force=True)
 
 
 def test_the_data_are_those_of_the_folder(crossing_page: Path, single: Path) -> None:
