@@ -80,19 +80,14 @@ def read_spans(source: Reader, spans: list[tuple[float, float]]) -> Iterator[Ite
 
 
 class ImpactSearch:
-    """Finds the impacts with some keys in frames.
-
-    Attributes:
-        found: Those that were found, by key.
-        missing: The keys of the others, by frame.
-        indexes: The indexes of the frames that they are found in, in order.
-    """
+    """Finds the impacts with some keys in frames."""
 
     def __init__(self, keys: Iterable[Key]) -> None:
         self.found: dict[Key, Impact] = {}
-        self.missing: dict[int, list[Key]] = {}
+        self.missing: dict[int, list[Key]] = {}  # those that are not found yet, by frame
         for key in keys:
             self.missing.setdefault(key[0], []).append(key)
+        # Of the frames that they are found in, in order.
         self.indexes = sorted({index - back for index in self.missing for back in range(_FRAMES) if index >= back})
         self._frames: dict[int, Frame] = {}
 

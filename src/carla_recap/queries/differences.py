@@ -279,10 +279,11 @@ class _Comparison:
             self._clock,
         )
 
+    def _lives(self, match: Match) -> tuple[ActorLife, ActorLife]:
+        return self._sides[0].lives[match.a], self._sides[1].lives[match.b]
+
     def _actor(self, match: Match) -> ActorDifference:
-        sides = self._sides
-        a, b = (side.lives[number] for side, number in zip(sides, match[:2], strict=True))
-        in_a, in_b = (side.poses[number] for side, number in zip(sides, match[:2], strict=True))
+        (a, b), in_a, in_b = self._lives(match), self._sides[0].poses[match.a], self._sides[1].poses[match.b]
         path, is_exact = self._paths.get(match.a, PathDifference()), not self._tolerance
         is_apart = path.first is not None or (is_exact and path.heading > 0)
         is_everywhere = in_a == in_b == path.frames if is_exact and self._clock is None else (in_a == 0) == (in_b == 0)
@@ -316,7 +317,7 @@ class _Comparison:
         return _is_apart(end_a, end_b, allowed) or (only_one and not allowed)
 
     def _light(self, match: Match) -> LightDifference:
-        a, b = (side.lives[number] for side, number in zip(self._sides, match[:2], strict=True))
+        a, b = self._lives(match)
         found = self._states.get(match.a, StateDifference())
         differs = found.first is not None and (found.seconds > self._time_tolerance or not self._time_tolerance)
         return LightDifference(a.id, b.id, *a.place[:2], differs, found.first, found.seconds)

@@ -42,21 +42,13 @@ class ActorFrames(NamedTuple):
 
 
 class RecordedPaths:
-    """What is compared of a recording, read once, some frames at a time.
-
-    Attributes:
-        elapsed: The elapsed seconds of its frames, (frames,).
-        duration: The seconds from each frame to the next one, (frames,).
-        lives: Its actors by number: in order of appearance, then those whose spawn is not recorded, as they are met.
-        unknown: The numbers of the latter, by id.
-        poses: In how many of the frames so far each actor has a pose, by number.
-    """
+    """What is compared of a recording, read once, some frames at a time: their elapsed seconds and durations, (frames,)."""
 
     def __init__(self, source: Reader) -> None:
         self.source = source
-        self.lives = list(actors(source))
-        self.unknown: dict[int, int] = {}
-        self.poses: Counter[int] = Counter()
+        self.lives = list(actors(source))  # by number: in order of appearance, then those whose spawn is not recorded
+        self.unknown: dict[int, int] = {}  # the numbers of the latter, by id
+        self.poses: Counter[int] = Counter()  # in how many of the frames so far each actor has a pose, by number
         self._numbers: dict[int, list[int]] = defaultdict(list)
         for number, life in enumerate(self.lives):
             self._numbers[life.id].append(number)
