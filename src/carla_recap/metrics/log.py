@@ -43,10 +43,7 @@ if TYPE_CHECKING:
     from carla_recap.util.arrays import Floats
 
 
-_EVENTS: Final = (
-    *ACTOR_TYPES,
-    *("collisions", "trigger_volumes", "physics", "light_times", "scene_lights"),
-)
+_EVENTS: Final = (*ACTOR_TYPES, "collisions", "trigger_volumes", "physics", "light_times", "scene_lights")
 _FULL_COLOR: Final = 255
 Value = TypeVar("Value")
 
@@ -166,12 +163,8 @@ class MetricsLog:
         if actor is None:
             return None
         place = (actor.spawn.x * CM, actor.spawn.y * CM, actor.spawn.z * CM)
-        found = {
-            "type_id": actor.type_id,
-            "location": carla.Location(*place),
-            "created": actor.spawned_at,
-            **actor.attributes,
-        }
+        found = {"type_id": actor.type_id, "location": carla.Location(*place), "created": actor.spawned_at}
+        found |= actor.attributes
         later = {"destroyed": actor.destroyed_at, "parent": actor.parent}
         later |= {key: boxes.get(actor_id) for key, boxes in self._boxes.items()}
         return found | {key: value for key, value in later.items() if value is not None}
@@ -199,9 +192,8 @@ class MetricsLog:
         path, row = self._pose(actor_id, frame)
         if path is None:
             return None
-        location = carla.Location(*(float(values[row]) for values in (path.x, path.y, path.z)))
-        pitch, yaw, roll = (float(values[row]) for values in (path.pitch, path.yaw, path.roll))
-        return carla.Transform(location, carla.Rotation(pitch, yaw, roll))
+        location, rotation = _at(row, path.x, path.y, path.z), _at(row, path.pitch, path.yaw, path.roll)
+        return carla.Transform(carla.Location(*location), carla.Rotation(*rotation))
 
     get_all_actor_transforms = _in_frames(get_actor_transform)
     get_actor_transforms_at_frame = _by_actor(get_actor_transform)
@@ -209,7 +201,7 @@ class MetricsLog:
     def get_actor_velocity(self, actor_id: int, frame: int) -> carla.Vector3D | None:
         """Return the velocity of an actor in a frame in m/s, derived from its positions if it was not recorded."""
         path, row = self._pose(actor_id, frame)
-        return None if path is None else carla.Vector3D(*(float(values[row]) for values in (path.vx, path.vy, path.vz)))
+        return None if path is None else carla.Vector3D(*_at(row, path.vx, path.vy, path.vz))
 
     get_all_actor_velocities = _in_frames(get_actor_velocity)
     get_actor_velocities_at_frame = _by_actor(get_actor_velocity)
@@ -258,16 +250,8 @@ class MetricsLog:
         row = self._row("vehicle_controls", vehicle_id, frame)
         if row is None:
             return None
-        gear = int(row["gear"])
-        return carla.VehicleControl(
-            throttle=float(row["throttle"]),
-            steer=float(row["steer"]),
-            brake=float(row["brake"]),
-            hand_brake=bool(row["hand_brake"]),
-            reverse=gear < 0,
-            manual_gear_shift=False,
-            gear=gear,
-        )
+        pedals, gear = (float(row[name]) for name in ("throttle", "steer", "brake")), int(row["gear"])
+        return carla.VehicleControl(*pedals, bool(row["hand_brake"]), gear < 0, False, gear)
 
     def get_vehicle_physics_control(self, vehicle_id: int, frame: int) -> carla.VehiclePhysicsControl | None:
         """Return the latest physics control of a vehicle up to a frame: positions of wheels in m, their radius in cm."""
@@ -295,10 +279,8 @@ class MetricsLog:
 
     def get_traffic_light_state(self, traffic_light_id: int, frame: int) -> carla.TrafficLightState | None:
         """Return the state of a traffic light in a frame."""
-        row = self._row("light_states", traffic_light_id, frame)
-        return (
-            None if row is None else carla.TrafficLightState.values.get(int(row["state"]), carla.TrafficLightState.Unknown)
-        )
+        row, states = self._row("light_states", traffic_light_id, frame), carla.TrafficLightState
+        return None if row is None else states.values.get(int(row["state"]), states.Unknown)
 
     def is_traffic_light_frozen(self, traffic_light_id: int, frame: int) -> bool | None:
         """Return whether a traffic light is frozen in a frame."""
@@ -353,8 +335,7 @@ class MetricsLog:
     def _clock(self) -> Floats:
         """The elapsed seconds of the frames, (n,)."""
         pieces = [batch.elapsed for batch in self._reader.batches(()) if not batch.preamble]
-        found: Floats = np.concatenate(pieces) if pieces else np.zeros(0)
-        return found
+        return np.concatenate([np.zeros(0), *pieces])
 
     @cached_property
     def _platform_times(self) -> dict[int, float]:
@@ -364,40 +345,30 @@ class MetricsLog:
     @cached_property
     def _paths(self) -> dict[int, tuple[NDArray[np.int64], Trajectory]]:
         """The frames, counted from 0, and the trajectory of each actor, in CARLA's axes."""
-        rows = actor_rows(self._reader, ("transforms",))["transforms"]
-        frames = {id: found.frame for id, found in rows.items()}
-        del rows
+        frames = {id: found.frame for id, found in actor_rows(self._reader, ("transforms",))["transforms"].items()}
         return {id: (frames[id], path) for id, path in trajectories(self._reader, axes="carla").items()}
 
     def _index(self, frame: int) -> int:
         """Return the index of a frame that is counted from 0."""
         count = self.get_total_frame_count()
         if frame < 0 or not count:
-            raise RecapError(
-                f"{self._recording.location}: no frame {frame}; frames count from 0 here, and there are {count}"
-            )
+            location = self._recording.location
+            raise RecapError(f"{location}: no frame {frame}; frames count from 0 here, and there are {count}")
         return min(frame, count - 1)
 
     def _pose(self, actor_id: int, frame: int) -> tuple[Trajectory, int] | tuple[None, int]:
         """Return the trajectory of an actor and the row of a frame in it; None if it has no transform there."""
-        frames, path = self._paths.get(actor_id, (None, None))
-        if frames is None or path is None:
-            return None, 0
-        row = int(np.searchsorted(frames, frame - 1))
-        return (path, row) if row < len(frames) and frames[row] == frame - 1 else (None, 0)
+        frames, path = self._paths.get(actor_id, (np.empty(0, np.int64), None))
+        row = _index_of(frames, frame - 1)
+        return (None, 0) if path is None or row is None else (path, row)
 
     def _row(self, type: str, actor_id: int, frame: int) -> np.void | None:
         """Return the record of an actor in a frame."""
         if type not in self._rows:
             self._rows |= actor_rows(self._reader, (type,))
         rows = self._rows[type].get(actor_id)
-        if rows is None:
-            return None
-        row = int(np.searchsorted(rows.frame, frame - 1))
-        if row == len(rows.frame) or rows.frame[row] != frame - 1:
-            return None
-        found: np.void = rows.records[row]
-        return found
+        row = None if rows is None else _index_of(rows.frame, frame - 1)
+        return None if rows is None or row is None else rows.records[row]  # type: ignore[no-any-return]
 
     def _present(self, frame: int, actor_list: Collection[int] | None) -> Iterator[int]:
         """Yield the actors with a transform in a frame; of a list, also its traffic lights."""
@@ -407,6 +378,15 @@ class MetricsLog:
         for id in actor_list or ():
             if self._row("light_states", id, frame) is not None and self._pose(id, frame)[0] is None:
                 yield id
+
+
+def _index_of(frames: NDArray[np.int64], frame: int) -> int | None:
+    row = int(np.searchsorted(frames, frame))
+    return row if row < len(frames) and frames[row] == frame else None
+
+
+def _at(row: int, *columns: Floats) -> list[float]:
+    return [float(values[row]) for values in columns]
 
 
 def _latest(values: list[tuple[int, Any]], frame: int) -> Any:
