@@ -31,37 +31,25 @@ if TYPE_CHECKING:
 class ExportFormat(NamedTuple):
     """A format.
 
-    Attributes:
-        name: The value of `--to`.
-        suffix: The suffix of its files, which alone means the first format that has it; empty for folders.
-        text: What is written, in words.
-        function: The function that writes it, as `module:name`: it takes a recording, a destination, `force`, `progress` and
-            options of its own; and returns the number of scenes and seconds, or the files that it has written into a folder.
-        extra: The extra that it needs; empty for none.
-        hints: A function that returns lines about how to use what was written, of the destination and the options that
-            the other one got.
-        dataset: The class of the dataset, as `module:name`: its function writes the part of a recording into a folder. Empty
-            for formats that have a file or a folder for each recording.
+    Its function takes a recording, a destination, `force`, `progress` and options of its own, and returns the number of
+    scenes and seconds, or the files that it has written into a folder.
     """
 
-    name: str
-    suffix: str
-    text: str
-    function: str
-    extra: str = ""
-    hints: str = ""
-    dataset: str = ""
+    name: str  # the value of `--to`
+    suffix: str  # the suffix of its files, which alone means the first format that has it; empty for folders
+    text: str  # what is written, in words
+    function: str  # that writes it, as `module:name`
+    extra: str = ""  # the extra that it needs; empty for none
+    hints: str = ""  # a function that returns lines about how to use what was written, of the destination and the options
+    dataset: str = ""  # the class of a dataset, whose function writes the part of a recording into a folder
 
     @property
     def options(self) -> set[str]:
         """The names of its options; `road_map` if it has roads."""
         if self.dataset:
             return self.dataset_class.options()
-        names = {
-            name
-            for name, each in inspect.signature(_load(self.function)).parameters.items()
-            if each.kind is each.KEYWORD_ONLY
-        }
+        parameters = inspect.signature(_load(self.function)).parameters.items()
+        names = {name for name, each in parameters if each.kind is each.KEYWORD_ONLY}
         return {"road_map" if name == "opendrive" else name for name in names} - {"force", "progress"}
 
     @property
@@ -75,12 +63,8 @@ FORMATS: Final[Mapping[str, ExportFormat]] = {
     for row in (
         ExportFormat("rerun", ".rrd", "what Rerun's viewer shows", "show.rrd:export_rerun", "rerun"),
         ExportFormat(
-            "foxglove",
-            ".mcap",
-            "what Foxglove and Lichtblick show",
-            "show.foxglove:export_foxglove",
-            "foxglove",
-            "show.foxglove:layout_hints",
+            *("foxglove", ".mcap", "what Foxglove and Lichtblick show", "show.foxglove:export_foxglove", "foxglove"),
+            hints="show.foxglove:layout_hints",
         ),
         ExportFormat("parquet", "", "a table for each record type as Parquet", "files.parquet:export_parquet", "arrow"),
         ExportFormat("osi", ".mcap", "a trace of ground truth as ASAM OSI", "files.osi:export_osi", "osi"),
@@ -131,17 +115,14 @@ def find_format(destination: Path | str, to: str | None = None, *, is_folder: bo
     if to is not None and to not in FORMATS:
         raise RecapError(f"expected a format of exports, one of {', '.join(FORMATS)}, found {to!r}")
     given = Path(destination).suffix.lower()
-    if to is not None:
-        form = FORMATS[to]
-        if not is_folder and form.suffix not in ("", given):
-            raise RecapError(f"{str(destination)!r} does not end in {form.suffix}")
-        return form
-    suffixes = list(dict.fromkeys(each.suffix for each in FORMATS.values() if each.suffix))
-    found = next((each for each in FORMATS.values() if each.suffix == given != ""), None)
+    found = next((each for each in FORMATS.values() if each.suffix == given != ""), None) if to is None else FORMATS[to]
     if found is None:
+        *suffixes, last = dict.fromkeys(each.suffix for each in FORMATS.values() if each.suffix)
         folders = ", ".join(each.name for each in FORMATS.values() if not each.suffix)
-        expected = f"{', '.join(suffixes[:-1])} or {suffixes[-1]}; --to (in Python, to=) names what is a folder: {folders}"
+        expected = f"{', '.join(suffixes)} or {last}; --to (in Python, to=) names what is a folder: {folders}"
         raise RecapError(f"{str(destination)!r} does not end in {expected}")
+    if to is not None and not is_folder and found.suffix not in ("", given):
+        raise RecapError(f"{str(destination)!r} does not end in {found.suffix}")
     return found
 
 
@@ -203,19 +184,12 @@ def export(
     written, given = _write(form, recording, destination, {"force": force}, **about)
     hints = tuple(_load(form.hints)(destination, **given)) if form.hints else ()
     if isinstance(written, list):
-        extent = recording.info
-        return Exported(extent.frames, extent.duration, tuple(written), hints)
+        return Exported(recording.info.frames, recording.info.duration, tuple(written), hints)
     return Exported(written.frames, written.seconds, None, hints)
 
 
 def write_part(recording: Recording, folder: Path, *, to: str, name: str, **options: Any) -> Played:
-    """Write the part of a dataset that is of a recording, which has a name there, into an empty folder; see `export`.
-
-    Raises:
-        MissingExtra: See `export`.
-        RecapError: See `export`.
-        FormatError: The recording is damaged.
-    """
+    """Write the part of a dataset that is of a recording, which has a name there, into an empty folder; see `export`."""
     written: Played = _write(FORMATS[to], recording, folder, {"name": name}, **options)[0]
     return written
 
@@ -232,8 +206,7 @@ def _write(
 ) -> tuple[Any, dict[str, Any]]:
     """Return what the function of a format returns, and the options that it got."""
     write, accepted = _load(form.function), form.options
-    given = set(options) | ({"road_map"} if road_map is not None else set())
-    for name in sorted(given - accepted):
+    for name in sorted({*options, *(["road_map"] if road_map is not None else [])} - accepted):
         raise RecapError(f"{name} does not go with an export to {form.name}")
     if form.dataset:
         write, options = partial(write, form.dataset_class), options | {"road_map": road_map}

@@ -69,21 +69,13 @@ def convert(
 
 
 class TopicCopy:
-    """Copies the further topics of a recording, such as the data of sensors, in step with its frames.
+    """Copies the further topics of a recording, such as the data of sensors, in step with its frames, but those `without`.
 
-    Of topics with a single message, such as a map or a calibration, that message is copied even if it is earlier than the
-    start; its time is that of the start then.
-
-    Args:
-        reader: The recording.
-        writer: The copy. If it is no MCAP file, which alone can hold them, they are left out.
-        start: The time of the first message, in elapsed seconds of the recording.
-        stop: The elapsed time at which to stop.
-        origin: The elapsed time of the recording at which the copy begins.
-        without: The names of topics that are not copied.
+    Copied are messages from `start` to `stop`; times count from `origin`, all in elapsed seconds of the recording. Of topics
+    with a single message, such as a map or a calibration, an earlier one is copied, too; its time is that of the start then.
 
     Warns:
-        RecapWarning: They are left out.
+        RecapWarning: They are left out, since the copy is no MCAP file, which alone can hold them.
     """
 
     def __init__(

@@ -110,33 +110,22 @@ class _Units:
 
     def divisor(self, column: str, heading: str) -> float:
         """Return the number that a column is divided by to get CARLA's units and left-handed axes."""
-        sign = -1.0 if self.axes == "right-handed" and column in ("y", "vy", "pitch", "yaw", "box_y") else 1.0
-        if column == "time" and self.rate is not None:
-            return self.rate
         if column == "time":
-            return _PER_SECOND[self.time or ("ns" if heading == "total_nanos" else "s")]
+            return self.rate or _PER_SECOND[self.time or ("ns" if heading == "total_nanos" else "s")]
+        sign = -1.0 if self.axes == "right-handed" and column in ("y", "vy", "pitch", "yaw", "box_y") else 1.0
         if column in ("roll", "pitch", "yaw"):
             return sign * (1.0 if self.angle == "deg" else math.radians(1))
-        if column in ("vx", "vy", "vz"):
-            return sign * _PER_CENTIMETRE[self.length] / CM
-        return sign * _PER_CENTIMETRE[self.length]
+        return sign * _PER_CENTIMETRE[self.length] / (CM if column in ("vx", "vy", "vz") else 1.0)
 
 
 @dataclass
 class _Table:
-    """The rows of a file that have a time and a position.
+    """The rows of a file that have a time and a position."""
 
-    Attributes:
-        numbers: The columns of numbers, (rows,), in CARLA's units; NaN where one is unknown.
-        texts: The columns of texts: the different ones in the order of appearance, and which of them each row has.
-        lines: The line of the file in which each row ends, (rows,), from 1.
-        left_out: The lines of other rows.
-    """
-
-    numbers: dict[str, Floats]
-    texts: dict[str, tuple[list[str], Integers]]
-    lines: NDArray[np.uint32]
-    left_out: array[int]
+    numbers: dict[str, Floats]  # the columns of numbers, (rows,), in CARLA's units; NaN where one is unknown
+    texts: dict[str, tuple[list[str], Integers]]  # the different texts of a column, in order, and which each row has
+    lines: NDArray[np.uint32]  # the line of the file in which each row ends, (rows,), from 1
+    left_out: array[int]  # the lines of other rows
 
 
 def import_tracks(
@@ -405,11 +394,9 @@ class _ImportedTracks:
             name = self._names[of_row[row]]
             raise RecapError(f"{path}: lines {first} and {second}: object {name} has two rows at {time[row]:g} s")
         moments, counts = np.unique(time, return_counts=True)
-        if counts.max() > MAX_COUNT:
+        if (most := counts.max()) > MAX_COUNT:
             moment = moments[counts.argmax()]
-            raise RecapError(
-                f"{path}: {counts.max()} objects at {moment:g} s; a recording has at most {MAX_COUNT} at a time"
-            )
+            raise RecapError(f"{path}: {most} objects at {moment:g} s; a recording has at most {MAX_COUNT} at a time")
         self._ids = _actor_ids(self._names)
         self._first, self._last = order[edges[:-1]], order[edges[1:] - 1]
         yaw = self._numbers.setdefault("yaw", np.full(len(time), np.nan))
@@ -442,20 +429,19 @@ class _ImportedTracks:
             moved = moved[np.where(latest < 0, valid[0], latest)]
         self._numbers["yaw"][rows] = np.where(np.isnan(yaw), moved, yaw)
 
+    def _number(self, name: str, row: int) -> float:
+        return self._numbers[name][row].item() if name in self._numbers else math.nan
+
     def _text(self, name: str, row: int) -> str:
-        if name not in self._texts:
-            return ""
-        values, which = self._texts[name]
-        return values[int(which[row])]
+        values, which = self._texts.get(name, ([], []))
+        return values[int(which[row])] if values else ""
 
     def _looks(self, row: int) -> tuple[str, ActorKind]:
         """Return the blueprint and the kind of the actor that a row is about."""
         by_kind = KINDS.get(self._text("kind", row).lower() if "kind" in self._texts else "vehicle", "")
         blueprint = self._text("type_id", row)
         if by_kind:
-            length, width = (
-                self._numbers[name][row].item() * CM if name in self._numbers else math.nan for name in ("length", "width")
-            )
+            length, width = (self._number(name, row) * CM for name in ("length", "width"))
             number = int(self._texts["id"][1][row])
             blueprint = blueprint or blueprint_like(by_kind, length if length > 0 else math.nan, width, number)
             return blueprint, ActorKind.WALKER if by_kind == "walker" else ActorKind.VEHICLE
@@ -476,9 +462,7 @@ class _ImportedTracks:
     def _box(self, number: int) -> tuple[float, ...] | None:
         """Return the bounding box of an object, as a record; None if its length or its width is unknown."""
         row = self._first[number].item()
-        length, width, height, *center = (
-            self._numbers[name][row].item() if name in self._numbers else math.nan for name in _BOX
-        )
+        length, width, height, *center = (self._number(name, row) for name in _BOX)
         if not (length > 0 and width > 0):
             return None
         height = height if height > 0 else _HEIGHT / CM
@@ -501,20 +485,20 @@ class _ImportedTracks:
         moving = {"id": ids[known], **{axis: values[known] for axis, values in axes.items()}}
         moving["angular_z"] = self._yaw_rates[order][known]
         velocities = _by_moment(_records("velocities", moving), time[order][known], moments)
+        boxes = {number: box for number in range(len(self._names)) if (box := self._box(number))}
         begins, ends = time[self._first], time[self._last]
         order = np.argsort(begins, kind="stable")
         spawned = _by_moment(order, begins[order], moments)
         order = np.argsort(ends, kind="stable")
         destroyed = _by_moment(_records("destroyed", {"id": self._ids[order]}), ends[order], moments)
-        has_boxes = any(self._box(number) for number in range(len(self._names))) if "length" in self._numbers else False
-        additional = has_velocities or has_boxes
+        additional = has_velocities or bool(boxes)
         with create_recording(destination, map_name=map_name, date=date, additional_data=additional) as recorder:
             gone: Records = []
             for moment in moments.tolist():
                 records = {"transforms": next(transforms), "velocities": next(velocities), "destroyed": gone}
                 new = next(spawned).tolist()
                 records["spawned"] = [self._spawn(number) for number in new]
-                records["bounding_boxes"] = [box for number in new if (box := self._box(number))] if has_boxes else []
+                records["bounding_boxes"] = [boxes[number] for number in new if number in boxes]
                 recorder.add_frame(moment, **{name: each for name, each in records.items() if len(each)})
                 gone = next(destroyed)
             return recorder.extent
