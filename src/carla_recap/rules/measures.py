@@ -53,19 +53,15 @@ class MeasureBounds(Condition):
         """See `Condition.judge`."""
         if self.lasting is not None:
             return self._lasts(facts)
-        offences: list[tuple[float, Offence]] = []
-        values: list[float] = []
-        for value, is_valid, offence in self._over_time(facts) if self._is_over_time else self._extremes(facts):
-            values.append(value)
-            if not is_valid:
-                offences.append((self._badness(value), offence))
-        if not values:
+        found = list(self._over_time(facts) if self._is_over_time else self._extremes(facts))
+        found.sort(key=lambda each: -self._badness(each[0]))
+        if not found:
             return self._unmeasured(facts)
-        if not offences:
-            worst, extreme = max(values, key=self._badness), "least" if self.bounds.most is None else "greatest"
-            return Finding(True, f"the {extreme} {self._name} is {self.bounds.written.shown(worst)}")
-        offences.sort(key=lambda pair: -pair[0])
-        return Finding(False, f"the {self._name} {self._limit}", tuple(offence for _, offence in offences))
+        offences = tuple(offence for _, is_valid, offence in found if not is_valid)
+        if offences:
+            return Finding(False, f"the {self._name} {self._limit}", offences)
+        extreme = "least" if self.bounds.most is None else "greatest"
+        return Finding(True, f"the {extreme} {self._name} is {self.bounds.written.shown(found[0][0])}")
 
     @property
     def _is_over_time(self) -> bool:
@@ -78,11 +74,8 @@ class MeasureBounds(Condition):
         for row in facts.measures:
             chosen = row.measure == self.measure and self.of.matches(facts.actors.at(row.actor, row.time))
             if chosen and math.isfinite(row.value):
-                yield (
-                    row.value,
-                    self.bounds.contain(row.value),
-                    self._offence(facts, row.actor, row.other, row.value, row.time),
-                )
+                offence = self._offence(facts, row.actor, row.other, row.value, row.time)
+                yield row.value, self.bounds.contain(row.value), offence
 
     def _over_time(self, facts: Facts) -> Iterator[tuple[float, bool, Offence]]:
         """Yield the worst value of each interval in which the values of an actor are valid, or not; see `_extremes`."""
@@ -137,8 +130,7 @@ class MeasureBounds(Condition):
 
     def _valid(self, found: MeasureValues, counts: Booleans) -> Booleans:
         """Return which values are within the bounds, or outside no longer than is tolerated, among those that count."""
-        least = -math.inf if self.bounds.least is None else self.bounds.least.value
-        most = math.inf if self.bounds.most is None else self.bounds.most.value
+        least, most = self.bounds.limits
         valid = (found.value >= least) & (found.value <= most)
         if self.tolerate is not None:
             for first, last in _intervals(found, counts & ~valid):
@@ -148,8 +140,8 @@ class MeasureBounds(Condition):
 
     def _badness(self, value: float) -> float:
         """Return by how much a value is outside the bounds; negative within them."""
-        least, most = self.bounds.least, self.bounds.most
-        return max(-math.inf if least is None else least.value - value, -math.inf if most is None else value - most.value)
+        least, most = self.bounds.limits
+        return max(least - value, value - most)
 
     @property
     def _name(self) -> str:

@@ -211,8 +211,7 @@ class DistanceDriven(Condition):
             total = float(steps.sum())
             driven.append(total)
             if not self.bounds.contain(total):
-                most = self.bounds.most
-                beyond = np.flatnonzero(np.cumsum(steps) > (math.inf if most is None else most.value))
+                beyond = np.flatnonzero(np.cumsum(steps) > self.bounds.limits[1])
                 when = time[beyond[0]] if len(beyond) else time[counts][-1] if counts.any() else time[-1]
                 offences.append(Offence(f"{life.name}, {shown(total)}", float(when), (life.id,)))
         name = f"distance{self.of.behind}{self.scope}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Final
@@ -97,10 +98,16 @@ class Bounds:
         given = [each for each in (self.most, self.least) if each is not None]
         return next((each for each in given if each.text), given[0])
 
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The least and the greatest valid number; infinite without a limit."""
+        least, most = self.least, self.most
+        return -math.inf if least is None else least.value, math.inf if most is None else most.value
+
     def contain(self, value: float) -> bool:
         """Return whether a number is valid; NaN is not."""
-        least, most = self.least, self.most
-        return (least is None or value >= least.value) and (most is None or value <= most.value)
+        least, most = self.limits
+        return least <= value <= most
 
     def __str__(self) -> str:
         least, most = self.least, self.most
