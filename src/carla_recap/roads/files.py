@@ -19,20 +19,12 @@ _PART: Final = 1 << 20  # bytes
 
 
 def read_text(path: Path) -> str:
-    """Return the text of an OpenDRIVE file.
-
-    Raises:
-        RecapError: The file cannot be read.
-    """
+    """Return the text of an OpenDRIVE file; a `RecapError` if it cannot be read."""
     return "".join(read_parts(path))
 
 
 def read_parts(path: Path, what: str = "map") -> Iterator[str]:
-    """Yield the text of a file, part by part; errors name the kind of file.
-
-    Raises:
-        RecapError: The file cannot be read.
-    """
+    """Yield the text of a file, part by part; a `RecapError`, which names the kind of file, if it cannot be read."""
     decoder = getincrementaldecoder("utf-8-sig")("replace")
     for part in _parts(path, what):
         yield decoder.decode(part)
@@ -40,11 +32,7 @@ def read_parts(path: Path, what: str = "map") -> Iterator[str]:
 
 
 def content_digest(path: Path) -> bytes:
-    """Return a digest of the content of an OpenDRIVE file.
-
-    Raises:
-        RecapError: The file cannot be read.
-    """
+    """Return a digest of the content of an OpenDRIVE file; a `RecapError` if it cannot be read."""
     digest = sha256()
     for part in _parts(path):
         digest.update(part)
@@ -68,11 +56,7 @@ def _parts(path: Path, what: str = "map") -> Iterator[bytes]:
 
 @contextmanager
 def expecting(path: Path, what: str = "an OpenDRIVE map") -> Iterator[None]:
-    """Name the file, and what was expected, in the errors about its content.
-
-    Raises:
-        FormatError: The file is something else.
-    """
+    """Make errors about the content of a file a `FormatError` that names it, and what was expected."""
     try:
         yield
     except (ValueError, ArithmeticError) as error:

@@ -250,13 +250,9 @@ def _beside(pieces: Mapping[str, Floats], points: Floats) -> tuple[Floats, Float
 
 def _bounds(pieces: NDArray[np.void]) -> tuple[Floats, Floats]:
     """Return the least and the largest x and y of each piece."""
-    corners = np.stack(
-        [
-            np.stack(
-                [pieces[f"{axis}{end}"] + side * pieces[f"half{end}"] * pieces[f"left_{axis}{end}"] for axis in "xy"], 1
-            )
-            for end in "01"
-            for side in (1, -1)
-        ]
-    )
-    return corners.min(axis=0), corners.max(axis=0)
+    corners = [
+        np.stack([pieces[f"{axis}{end}"] + side * pieces[f"half{end}"] * pieces[f"left_{axis}{end}"] for axis in "xy"], 1)
+        for end in "01"
+        for side in (1, -1)
+    ]
+    return np.min(corners, axis=0), np.max(corners, axis=0)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 import warnings
 from collections import Counter, defaultdict
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf, nan
@@ -370,10 +369,9 @@ def read_opendrive(text: str | Iterable[str]) -> OpenDrive:
     controllers: list[tuple[float, str, list[str]]] = []
     counts = Counter[str]()
     for element in read_elements(text):
-        with _naming(element):
+        try:
             if element.tag == "road":
-                road = _road(element)
-                if road is not None:
+                if (road := _road(element)) is not None:
                     _count(counts, road)
                     found.roads.append(road)
             elif element.tag == "junction":
@@ -381,18 +379,11 @@ def read_opendrive(text: str | Iterable[str]) -> OpenDrive:
             else:
                 signals = [control.get("signalId", "") for control in element.findall("control")]
                 controllers.append((_number(element, "sequence"), element.get("id", ""), list(dict.fromkeys(signals))))
+        except _ContentError as error:
+            raise ValueError(f"{element.tag} {element.get('id', '')[:40]!r}: {error}") from None
     for _, name, signals in sorted(controllers, key=lambda controller: controller[0]):
         found.controllers[name] = signals
     return found
-
-
-@contextmanager
-def _naming(element: Element) -> Iterator[None]:
-    """Name an element in the errors about its content."""
-    try:
-        yield
-    except _ContentError as error:
-        raise ValueError(f"{element.tag} {element.get('id', '')[:40]!r}: {error}") from None
 
 
 class _ContentError(Exception):
@@ -410,11 +401,7 @@ def _add_junction(found: OpenDrive, element: Element) -> None:
 
 
 def _count(counts: Counter[str], road: Road) -> None:
-    """Add a road to the counts of a file.
-
-    Raises:
-        ValueError: There is more than in any town.
-    """
+    """Add a road to the counts of a file, which has no more than any town."""
     lanes = sum(len(section.lanes) for section in road.sections)
     counts.update({"roads": 1, "sections of lanes": len(road.sections), "lanes": lanes})
     counts["m of lanes"] += round(lanes_length((road,)))
@@ -429,11 +416,7 @@ def _count(counts: Counter[str], road: Road) -> None:
 
 
 def limit_lanes(roads: Iterable[Road], most: int) -> None:
-    """Examine how many lanes roads have.
-
-    Raises:
-        ValueError: They have more than that.
-    """
+    """Raise a `ValueError` if roads have more lanes."""
     count = sum(len(section.lanes) for road in roads for section in road.sections)
     if count > most:
         raise ValueError(f"at most {most:,} lanes to draw them or to drive on, and it has {count:,}")
