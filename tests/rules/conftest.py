@@ -13,7 +13,7 @@ from carla_recap.rules.rule_sets import parse_rules
 from tests.roads.straight_road import STRAIGHT_ROAD
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import ArrayLike
@@ -63,13 +63,14 @@ def judge(tmp_path: Path, recorded: Callable[..., Path]) -> Judge:
     return judged
 
 
-def write(path: Path, ways: Sequence[ArrayLike], hits: Mapping[int, int]) -> None:
+def write(path: Path, ways: Sequence[ArrayLike], hits: Mapping[int, int], walkers: Collection[int] = ()) -> None:
+    """Write a recording of actors that go ways: the hero first; those of some numbers are walkers, the others cars."""
     poses = [np.asarray(way, np.float64) for way in ways]
     cars = [
         Spawn(
             HERO + number,
-            ActorKind.VEHICLE,
-            type_id="vehicle.tesla.model3",
+            ActorKind.WALKER if number in walkers else ActorKind.VEHICLE,
+            type_id="walker.pedestrian.0001" if number in walkers else "vehicle.tesla.model3",
             attributes=attributes(role_name="autopilot" if number else "hero"),
         )
         for number in range(len(poses))

@@ -89,14 +89,22 @@ class Positions(NamedTuple):
     distance: Floats  # driven so far, in m; jumps do not count, (n,)
 
 
+class Measured(NamedTuple):
+    """A measure of some actors, in relation to some others."""
+
+    measure: str
+    of: Selector
+    other: Selector
+
+
 @dataclass(frozen=True, kw_only=True)
 class Needs:
     """What a condition needs to know of a recording, so that the answers for all conditions are found at once."""
 
     incidents: frozenset[str] = frozenset()  # their kinds
     stop_time: float | None = None  # the duration in s above which stops are needed; None: none are
-    extremes: tuple[tuple[str, Selector], ...] = ()  # measures, and the actors of which the extreme value is needed
-    values: tuple[tuple[str, Selector], ...] = ()  # measures, and the actors of which the values over time are needed
+    extremes: tuple[Measured, ...] = ()  # of which the extreme value is needed
+    values: tuple[Measured, ...] = ()  # of which the values over time are needed
     positions: tuple[Selector, ...] = ()  # the actors of which they are needed
     places: tuple[Place, ...] = ()  # that these are compared with
 
@@ -105,7 +113,7 @@ class Needs:
         """Whether the roads of the map are needed."""
         return (
             any(KINDS[kind].needs_roads for kind in self.incidents)
-            or any(MEASURES[measure].needs_roads for measure, _ in (*self.extremes, *self.values))
+            or any(MEASURES[each.measure].needs_roads for each in (*self.extremes, *self.values))
             or any(place.needs_roads for place in self.places)
         )
 
@@ -187,30 +195,30 @@ class Facts:
         found, heights = blocked(self.recording.reader, shortest), RoadHeights(list(self.actors))
         return [row for row in found if not heights.is_away(row.id, (row.x, row.y, row.z))]
 
-    @property
-    def measures(self) -> Sequence[MeasureRow]:
-        """The extreme values of the measures of all actors that conditions are about."""
-        return self._measured[0]
+    def measures(self, other: Selector) -> Sequence[MeasureRow]:
+        """Return the extreme values of the measures of all actors that conditions are about, in relation to others."""
+        return self._measured(other)[0]
 
-    def values(self, measure: str, life: ActorLife) -> MeasureValues:
-        """Return the values over time of a measure of an actor."""
-        found = self._measured[1].get((measure, life.id), MeasureValues.joined([]))
+    def values(self, measure: str, life: ActorLife, other: Selector) -> MeasureValues:
+        """Return the values over time of a measure of an actor, in relation to others."""
+        found = self._measured(other)[1].get((measure, life.id), MeasureValues.joined([]))
         return found.only((found.time >= life.spawned_at) & (found.time <= life.end))
 
-    @property
     @_once
-    def _measured(self) -> tuple[Sequence[MeasureRow], Mapping[tuple[str, int], MeasureValues]]:
-        """The extreme values, and the values over time by measure and actor, that conditions are about."""
+    def _measured(self, other: Selector) -> tuple[Sequence[MeasureRow], Mapping[tuple[str, int], MeasureValues]]:
+        """Return the extreme values, and those over time by measure and actor, that conditions with some others are about."""
         movers = [actor for actor in self.actors if actor.kind in ROAD_USERS]
         over_time: dict[str, set[int]] = {}
-        for measure, of in (pair for each in self._needs for pair in each.values):
-            over_time.setdefault(measure, set()).update(life.id for life in movers if of.matches(life))
-        wanted = [pair for each in self._needs for pair in (*each.extremes, *each.values)]
-        ids = {actor.id for actor in movers if any(of.matches(actor) for _, of in wanted)}
+        for measure, of, to in (each for needs in self._needs for each in needs.values):
+            if to == other:
+                over_time.setdefault(measure, set()).update(life.id for life in movers if of.matches(life))
+        wanted = [each for needs in self._needs for each in (*needs.extremes, *needs.values) if each.other == other]
+        ids = {actor.id for actor in movers if any(each.of.matches(actor) for each in wanted)}
         if not ids:
             return [], {}
-        roads = self._roads if any(MEASURES[measure].needs_roads for measure, _ in wanted) else None
-        search = MeasureSearch(self.recording.reader, ids, roads=roads, over_time=over_time)
+        roads = self._roads if any(MEASURES[each.measure].needs_roads for each in wanted) else None
+        others = None if other.text == ANY else {life.id for life in movers if other.matches(life)}
+        search = MeasureSearch(self.recording.reader, ids, roads=roads, over_time=over_time, others=others)
         return search.find(), search.values
 
     @property

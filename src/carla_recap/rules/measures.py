@@ -13,8 +13,8 @@ from carla_recap.model.lives import ROAD_USERS
 from carla_recap.model.motion import LONGEST_STEP, runs
 from carla_recap.queries.measures import MEASURES
 from carla_recap.queries.measures.definitions import NO_OTHER
-from carla_recap.rules.facts import WHOLE, Condition, Finding, Needs, Offence
-from carla_recap.rules.values import tolerated
+from carla_recap.rules.facts import WHOLE, Condition, Finding, Measured, Needs, Offence
+from carla_recap.rules.values import ANY, Selector, tolerated
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from carla_recap.model.lives import ActorLife
     from carla_recap.queries.measures import MeasureValues
     from carla_recap.rules.facts import Facts, Scope
-    from carla_recap.rules.values import Bounds, Quantity, Selector
+    from carla_recap.rules.values import Bounds, Quantity
     from carla_recap.util.arrays import Booleans
 
 
@@ -36,10 +36,11 @@ class MeasureBounds(Condition):
     scope: Scope = WHOLE
     tolerate: Quantity | None = None
     lasting: Quantity | None = None
+    other: Selector = Selector()
 
     def needs(self) -> Needs:
         """See `Condition.needs`."""
-        wanted = ((self.measure, self.of),)
+        wanted = (Measured(self.measure, self.of, self.other),)
         if not self._is_over_time:
             return Needs(extremes=wanted)
         places = self.scope.places
@@ -71,7 +72,7 @@ class MeasureBounds(Condition):
 
     def _extremes(self, facts: Facts) -> Iterator[tuple[float, bool, Offence]]:
         """Yield the extreme value of each actor, whether it is valid, and the offence that it would be."""
-        for row in facts.measures:
+        for row in facts.measures(self.other):
             chosen = row.measure == self.measure and self.of.matches(facts.actors.at(row.actor, row.time))
             if chosen and math.isfinite(row.value):
                 offence = self._offence(facts, row.actor, row.other, row.value, row.time)
@@ -116,14 +117,14 @@ class MeasureBounds(Condition):
 
     def _unmeasured(self, facts: Facts) -> Finding:
         """Return the finding if there is no value, such as a time to collision where no paths meet."""
-        absent = self.scope.absent(self.of, facts)
+        absent = self.scope.absent(self.of, facts) or facts.absent(self.other)
         return Finding(True, f"no {self._name} was measured{absent}", applies=not absent)
 
     def _measured(self, facts: Facts) -> Iterator[tuple[ActorLife, MeasureValues, Booleans]]:
         """Yield the values over time of each actor that has any within the scope, and in which frames it has one there."""
         for life in facts.actors:
             if life.kind in ROAD_USERS and self.of.matches(life):
-                found = facts.values(self.measure, life)
+                found = facts.values(self.measure, life, self.other)
                 counts = self.scope.has(life, found.time, facts) & ~np.isnan(found.value)
                 if counts.any():
                     yield life, found, counts
@@ -145,7 +146,8 @@ class MeasureBounds(Condition):
 
     @property
     def _name(self) -> str:
-        return f"{MEASURES[self.measure].title}{self.of.behind}{self.scope}"
+        to = "" if self.other.text == ANY else f" with {self.other}"
+        return f"{MEASURES[self.measure].title}{self.of.behind}{to}{self.scope}"
 
     @property
     def _limit(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -360,10 +360,11 @@ def _measure(measure: Measure) -> ConditionKind:
     critical = "min" if measure.extreme == "least" else "max"
     names = ("min", "max") if measure.two_sided else (critical,)
     over_time = () if measure.of_events else (TOLERATE, FOR)
+    others = (_WITH,) if measure.other or measure.name == "post_encroachment_time" else ()
     return ConditionKind(
         measure.name,
         "all values of the [measure](measures.md#definitions) are within the bounds",
-        (OF, bounds(quantity(measure.unit), *names), SCOPE, *over_time),
+        (OF, *others, bounds(quantity(measure.unit), *names), SCOPE, *over_time),
         partial(MeasureBounds, measure=measure.name),
     )
 
@@ -392,7 +393,8 @@ _KINDS: Final = Key(
     field="kinds",
     required=True,
 )
-_WITH: Final = Key("with", ACTORS_OR_OBJECT, "the actors on the other side", field="other", default=Selector())
+_WITH: Final = Key("with", ACTORS, "the actors on the other side", field="other", default=Selector())
+_WITH_OBJECT: Final = replace(_WITH, type=ACTORS_OR_OBJECT)
 _AT_FAULT: Final = Key("at_fault", FLAG, "only those count that the actors of `of` have [caused](#fault)", default=False)
 _LONGEST: Final = Key("max", TIME, "the greatest valid value", field="longest", required=True)
 _ORDER: Final = Key("places", PLACES, "the places", required=True)
@@ -409,7 +411,7 @@ _TABLE: Final = (
     ConditionKind(
         "collisions",
         "the number of collisions is within the bounds; one contact of two actors is one collision",
-        (OF, _WITH, _AT_FAULT, bounds(COUNT), SCOPE),
+        (OF, _WITH_OBJECT, _AT_FAULT, bounds(COUNT), SCOPE),
         partial(IncidentCount, kinds=("collision",)),
     ),
     ConditionKind(

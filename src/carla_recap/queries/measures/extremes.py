@@ -83,13 +83,14 @@ class MeasureSearch:
         start: float = -math.inf,
         stop: float = math.inf,
         over_time: Mapping[str, Collection[int]] | None = None,
+        others: Collection[int] | None = None,
     ) -> None:
         self._source, self._start, self._stop = source, start, stop
         lives, self._contacts = lives_and_contacts(source, stop=stop)
         self._subjects = measured_actors(source, lives, actors)
         self._lives, self._crossings = lives, CrossingSearch(POST_ENCROACHMENT_TIME)
         self._motion = MotionCollector(lives, self._contacts, before=self._crossings.before, after=HORIZON + SEEN)
-        self._over_time = over_time or {}
+        self._over_time, self._others = over_time or {}, others
         self._roads = None if roads is None else RoadSearch(source, roads, lives, self._note)
         traffic = [life.id for life in lives if life.role_name == BACKGROUND]
         heroes = [id for id, actor in self._subjects.items() if actor.is_hero and actor.kind == "vehicle"]
@@ -115,7 +116,7 @@ class MeasureSearch:
             self._measure(table)
         for each in self._crossings.finish():
             for subject, met in ((each.id2, each.id1), (each.id1, each.id2)):
-                if subject in self._subjects:
+                if subject in self._subjects and (self._others is None or met in self._others):
                     values = np.array([each.time]), np.array([each.post_encroachment_time]), np.array([met], np.int64)
                     self._note(subject, "post_encroachment_time", MeasureValues(*values))
         self._note_driving()
@@ -136,7 +137,7 @@ class MeasureSearch:
         kept = self._over_time.get("time_to_collision", ())
         known = [self._rows.get(("time_to_collision", id)) for id in ids]
         shortest = [math.nan if id in kept else row.value if row else math.inf for id, row in zip(ids, known, strict=True)]
-        series = series_of(table, rows, shortest=np.array(shortest))
+        series = series_of(table, rows, self._others, shortest=np.array(shortest))
         for number, id in enumerate(ids):
             for start, stop in self._contacts.affected(id, _BEFORE_CONTACT):
                 affected = (table.time >= start) & (table.time <= stop)

@@ -43,23 +43,24 @@ MARGIN: Final = 2.0
 
 
 def series_of(
-    table: MotionTable, subjects: Indices, other: int | None = None, *, shortest: Floats | None = None
+    table: MotionTable, subjects: Indices, others: Collection[int] | None = None, *, shortest: Floats | None = None
 ) -> MeasureSeries:
     """Return the measures of the actors in some rows, in the frames of a table, (subjects, frames); margins have no values.
 
-    With an `other`, that id alone counts. With `shortest`, only those times to collision count of actors that also meet on
+    With `others`, these ids alone count. With `shortest`, only those times to collision count of actors that also meet on
     the paths that they take, see `on_collision_course`, and of each actor those below its least known one in s; NaN: all.
     """
     shape = len(subjects), len(table.time)
     position = np.full(len(table.ids), -1)
     position[subjects] = np.arange(len(subjects))
+    counts = np.isin(table.ids, list(others)) if others is not None else np.ones(len(table.ids), np.bool_)
     gaps, times, headways = _Least(shape), _Least(shape), _Least(shape)
     for pairs in near_pairs(table, position >= 0, np.maximum(RANGE / 2, table.radius + table.fastest * HORIZON)):
-        if other is not None:
-            pairs = pairs.take((table.ids[pairs.one] == other) | (table.ids[pairs.other] == other))
+        if others is not None:
+            pairs = pairs.take(counts[pairs.one] | counts[pairs.other])
         near = pairs.take(pairs.distance <= RANGE)
         for each in (near, near.turned()):
-            each = each.take(position[each.one] >= 0)
+            each = each.take((position[each.one] >= 0) & counts[each.other])
             _add_gaps(gaps, position[each.one], each)
             following, distance = ahead(each)
             headways.add(position[following.one], following, distance)
@@ -71,11 +72,11 @@ def series_of(
             kept = kept[on_collision_course(pairs.take(kept), seconds[kept])]
             pairs, seconds = pairs.take(kept), seconds[kept]
         for each in (pairs, pairs.turned()):
-            known = position[each.one] >= 0
+            known = (position[each.one] >= 0) & counts[each.other]
             times.add(position[each.one[known]], each.take(known), seconds[known])
     for one, second, frames in table.touching:
         for row, met in ((one, second), (second, one)):
-            if position[row] >= 0 and other in (None, table.ids[met]):
+            if position[row] >= 0 and counts[met]:
                 there = np.arange(frames.start, frames.stop)[~np.isnan(table.x[row, frames])]
                 for least in (gaps, times):
                     least.value[position[row], there], least.other[position[row], there] = 0.0, met
@@ -255,7 +256,8 @@ class SeriesCollector:
         rows = np.flatnonzero(np.isin(table.ids, list(self._parts)))
         if not len(rows) or self._other not in (None, *table.ids.tolist()):
             return
-        found = series_of(table, rows, self._other).columns().values()
+        others = None if self._other is None else {self._other}
+        found = series_of(table, rows, others).columns().values()
         for number, row in enumerate(rows.tolist()):
             present = np.flatnonzero(~np.isnan(table.x[row, table.core])) + table.first
             self._parts[int(table.ids[row])].append(MeasureSeries(*(values[number, present] for values in found)))
