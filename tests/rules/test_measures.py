@@ -6,16 +6,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from carla_recap import check, open_recording
 from carla_recap.queries.measures import MEASURES, MeasureSearch
 from carla_recap.queries.roads import roads_of
 from carla_recap.rules.rule_sets import parse_rules
-from tests.rules.conftest import HERO, TICK, Judge, straight
+from tests.rules.conftest import HERO, TICK, Judge, straight, write
 from tests.samples import SAMPLES
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from carla_recap import Verdict
+
+PAIRED = [measure.name for measure in MEASURES.values() if measure.other] + ["post_encroachment_time"]
+"""The measures in relation to another actor."""
 
 
 def drive(*parts: tuple[float, float]) -> np.ndarray:
@@ -163,6 +170,59 @@ def test_the_extremes_of_values_over_time_are_those_of_the_recording(sample: str
 def sample(name: str, rule: str) -> Verdict:
     with open_recording(SAMPLES / name) as recording:
         return check(recording, parse_rules(f"[rules.it]\n{rule}", "rules.toml"))[0]
+
+
+@pytest.mark.parametrize(
+    ("rule", "status", "message"),
+    [
+        ('gap = { of = "hero", with = "walker", min = 0 }', "pass", "the least gap of the hero with walkers is 0.00 m"),
+        (
+            'gap = { of = "hero", with = "walker", min = 1, during = [0, 5] }',
+            "pass",
+            "gap of the hero with walkers from 0 s",
+        ),
+        (
+            'ttc = { of = "hero", with = "vehicle.mercedes.sprinter", min = 1 }',
+            "fail",
+            "the time to collision of the hero with vehicle.mercedes.sprinter falls below 1 s: hero and vehicle.mercedes.",
+        ),
+        (
+            'pet = { of = "hero", with = "role:ego", min = 1 }',
+            "pass",
+            "nothing to judge: no post encroachment time of ",
+        ),
+    ],
+)
+def test_a_measure_in_relation_to_some_others(rule: str, status: str, message: str) -> None:
+    found = sample("crash.mcap", rule)
+    assert (found.status, message in found.message) == (status, True), found.message
+
+
+def measured(path: Path, ids: list[int], subject: int, others: set[int] | None) -> str:
+    """The measures of an actor in relation to others, of which those of several actors are computed."""
+    with open_recording(path) as recording:
+        search = MeasureSearch(recording.reader, ids, over_time=dict.fromkeys(PAIRED, ids), others=others)
+        rows = [(row.measure, row.value, row.time) for row in search.find() if row.actor == subject]
+    values = [search.values[name, subject] for name in PAIRED]
+    return str([row for row in rows if row[0] in PAIRED] + [(each.time.tolist(), each.value.tolist()) for each in values])
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(st.lists(st.tuples(*[st.floats(-30, 30)] * 2, *[st.floats(-12, 12)] * 2, st.booleans()), min_size=2, max_size=5))
+def test_measures_in_relation_to_walkers_are_those_of_a_recording_without_other_actors(
+    tmp_path: Path, actors: list[tuple[float, float, float, float, bool]]
+) -> None:
+    time = np.arange(40)[:, None] * TICK
+    ways = [np.array((x, y)) + time * (vx, vy) for x, y, vx, vy, _ in actors]
+    walkers = {number for number, (*_, walks) in enumerate(actors) if walks}
+    write(tmp_path / "all.log", ways, {}, walkers)
+    for subject in range(len(ways)):
+        kept = [subject, *sorted(walkers - {subject})]
+        again = {number for number, each in enumerate(kept) if each in walkers}
+        write(tmp_path / "some.log", [ways[each] for each in kept], {}, again)
+        ids = [HERO + number for number in range(len(ways))]
+        found = measured(tmp_path / "all.log", ids, HERO + subject, {HERO + each for each in walkers})
+        assert found == measured(tmp_path / "some.log", [HERO], HERO, None)
 
 
 def test_until_a_collision() -> None:

@@ -74,7 +74,7 @@ class _FactsOf(Facts):
         rows = sorted(self._drive.incidents)
         return [SimpleNamespace(kind="collision", start=start, actors=(1,) if is_own else (2,)) for start, is_own in rows]
 
-    def values(self, measure: str, life: ActorLife) -> MeasureValues:
+    def values(self, measure: str, life: ActorLife, other: Selector) -> MeasureValues:
         return MeasureValues(self._drive.time, self._drive.values, np.full(len(self._drive.time), NO_OTHER))
 
     def subjects(self, of: Selector) -> list[ActorLife]:

@@ -206,7 +206,7 @@ class Facts:
 
     @_once
     def _measured(self, other: Selector) -> tuple[Sequence[MeasureRow], Mapping[tuple[str, int], MeasureValues]]:
-        """Return the extreme values, and those over time by measure and actor, that conditions with some others are about."""
+        """Return the extreme values, and those over time by measure and actor, of conditions with the same others."""
         movers = [actor for actor in self.actors if actor.kind in ROAD_USERS]
         over_time: dict[str, set[int]] = {}
         for measure, of, to in (each for needs in self._needs for each in needs.values):

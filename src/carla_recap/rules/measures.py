@@ -14,7 +14,7 @@ from carla_recap.model.motion import LONGEST_STEP, runs
 from carla_recap.queries.measures import MEASURES
 from carla_recap.queries.measures.definitions import NO_OTHER
 from carla_recap.rules.facts import WHOLE, Condition, Finding, Measured, Needs, Offence
-from carla_recap.rules.values import ANY, Selector, tolerated
+from carla_recap.rules.values import ANY, ANY_ACTOR, tolerated
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from carla_recap.model.lives import ActorLife
     from carla_recap.queries.measures import MeasureValues
     from carla_recap.rules.facts import Facts, Scope
-    from carla_recap.rules.values import Bounds, Quantity
+    from carla_recap.rules.values import Bounds, Quantity, Selector
     from carla_recap.util.arrays import Booleans
 
 
@@ -36,7 +36,7 @@ class MeasureBounds(Condition):
     scope: Scope = WHOLE
     tolerate: Quantity | None = None
     lasting: Quantity | None = None
-    other: Selector = Selector()
+    other: Selector = ANY_ACTOR
 
     def needs(self) -> Needs:
         """See `Condition.needs`."""

@@ -21,7 +21,7 @@ from carla_recap.rules.measures import MeasureBounds
 from carla_recap.rules.places import LANE_TYPES, Circle, Lanes, Polygon
 from carla_recap.rules.progress import DistanceDriven, Leaves, Passes, PlaceDemand, Reaches, Stays
 from carla_recap.rules.reading import LARGEST_COUNT, SHOWN, Key, KeyGroup, Unexpected, ValueType, keys_of
-from carla_recap.rules.values import ANY, OBJECT, ROLE, UNITS, Bounds, Quantity, Selector
+from carla_recap.rules.values import ANY, ANY_ACTOR, OBJECT, ROLE, UNITS, Bounds, Quantity, Selector
 from carla_recap.util.text import visible
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ def _function(value: Any, reading: Reading) -> tuple[str, str, str] | None:
 FUNCTION: Final = ValueType(
     "`FILE.py:function` or `module:function`", 'a function as "FILE.py:function" or "module:function"', _function
 )
-OF: Final = Key("of", ACTORS, "the actors that are judged", default=Selector())
+OF: Final = Key("of", ACTORS, "the actors that are judged", default=ANY_ACTOR)
 
 
 def _baseline(value: Any, reading: Reading) -> str | None:
@@ -393,7 +393,7 @@ _KINDS: Final = Key(
     field="kinds",
     required=True,
 )
-_WITH: Final = Key("with", ACTORS, "the actors on the other side", field="other", default=Selector())
+_WITH: Final = Key("with", ACTORS, "the actors on the other side", field="other", default=ANY_ACTOR)
 _WITH_OBJECT: Final = replace(_WITH, type=ACTORS_OR_OBJECT)
 _AT_FAULT: Final = Key("at_fault", FLAG, "only those count that the actors of `of` have [caused](#fault)", default=False)
 _LONGEST: Final = Key("max", TIME, "the greatest valid value", field="longest", required=True)
@@ -418,7 +418,7 @@ _TABLE: Final = (
         "incidents",
         "the number of incidents of the kinds is within the bounds",
         (_KINDS, OF, bounds(COUNT), SCOPE),
-        partial(IncidentCount, other=Selector()),
+        partial(IncidentCount, other=ANY_ACTOR),
     ),
     ConditionKind("blocked", "no vehicle or walker stands still for more than `max`", (OF, _LONGEST), LongestStop),
     ConditionKind("reaches", "each of the actors comes to the place", (OF, PLACE_KEYS, BEFORE), _at(Reaches)),

@@ -66,6 +66,9 @@ class Selector:
         return _MANY.get(self.text, self.text)
 
 
+ANY_ACTOR: Final = Selector()
+
+
 @dataclass(frozen=True, slots=True)
 class Quantity:
     """A quantity of a rule, and how it is written there."""
