@@ -368,7 +368,7 @@ class MetricsLog:
             self._rows |= actor_rows(self._reader, (type,))
         rows = self._rows[type].get(actor_id)
         row = None if rows is None else _index_of(rows.frame, frame - 1)
-        return None if rows is None or row is None else rows.records[row]  # type: ignore[no-any-return]
+        return None if rows is None or row is None else rows.records[row]
 
     def _present(self, frame: int, actor_list: Collection[int] | None) -> Iterator[int]:
         """Yield the actors with a transform in a frame; of a list, also its traffic lights."""
