@@ -56,14 +56,7 @@ _SIDES: Final = ("image_size_x", "image_size_y")
 
 @dataclass(frozen=True, slots=True)
 class DestroyedActor:
-    """What is kept of a destroyed actor.
-
-    Attributes:
-        id: Its id.
-        blueprint: Its blueprint.
-        changes: The attributes that differ from the blueprint's.
-        transform: Its last transform.
-    """
+    """What is kept of a destroyed actor: `changes` are the attributes that differ from the blueprint's."""
 
     id: int
     blueprint: Blueprint
@@ -232,8 +225,7 @@ def _destroyed(actor: Actor) -> DestroyedActor:
 def check_attributes(blueprint: Blueprint, attributes: Mapping[str, str]) -> None:
     """Make sure that clients can read the attributes of an actor.
 
-    Raises:
-        CallError: An attribute has a value that is not of its type, or images would have no pixels, or too many.
+    A `CallError` is raised if one has a value that is not of its type, or images would have no pixels, or too many.
     """
     for key, value in attributes.items():
         if value == blueprint.attributes.get(key):

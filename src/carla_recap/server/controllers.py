@@ -34,12 +34,8 @@ _LOG: Final = logging.getLogger(__name__)
 class AckermannControl:
     """CARLA's VehicleAckermannControl.
 
-    Attributes:
-        steer: The angle of the front wheels in radians, positive to the right.
-        steer_speed: The rate of the angle, in rad/s; 0 for an immediate change.
-        speed: The desired speed in m/s; negative backwards.
-        acceleration: The largest acceleration, in m/s²; 0 for the default.
-        jerk: The rate of the acceleration, in m/s³; 0 for an immediate change.
+    The angle of the front wheels is in radians, positive to the right, the speed in m/s, negative backwards, the largest
+    acceleration in m/s², 0 for the default. Their rates, in rad/s and m/s³, are 0 for an immediate change.
     """
 
     steer: float = 0.0

@@ -48,30 +48,14 @@ _MAX_LOGGED: Final = 100  # errors that are not logged again
 
 
 class Host:
-    """Serves a world.
+    """Serves a world, which from now on only the host ticks.
 
-    Args:
-        world: The world; from now on, only the host ticks it.
-        confined: Refuse recordings outside the folder of recordings.
-        stand_in: Serve the built-in town under the name of a map that is missing.
-        quality: The quality of the images of cameras: "low" or "epic".
-        release: The release of all clients; None: each has its own, where it can be found, else the default.
+    With `confined`, recordings outside the folder of recordings are refused; with `stand_in`, the built-in town is served
+    under the name of a map that is missing. Without a release, each client has its own, where it can be found, else the
+    default.
 
     Attributes:
-        world: The world.
-        release: The release of all clients, if they must have the same.
-        quality: The quality of the images of cameras.
-        maps: The maps that clients can load.
-        recordings: The recordings that clients may read and write.
         settings: The settings that clients have made.
-        connections: All connections.
-        streams: The streams of the server.
-        snapshots: The streams of snapshots among them.
-        traffic_managers: The traffic managers of clients.
-        sensors: The sensors that clients listen to.
-        ackermann: The controller of vehicles with a desired speed and steering angle.
-        constant_velocity: The controller of vehicles with a constant velocity.
-        takeover: Ends the server's autopilot of vehicles that clients drive.
         batches: What is being done in steps, between calls of other clients.
         on_settings: Callbacks for a change of the settings.
         lookups: Where the releases of clients are looked up, one after the other: many at once would slow down ticks.
@@ -196,11 +180,7 @@ class Host:
         self.publish()
 
     def apply_settings(self, settings: EpisodeSettings) -> None:
-        """Apply settings.
-
-        Raises:
-            SimError: The length of a tick is out of range.
-        """
+        """Apply settings; raise `SimError` if the length of a tick is out of range."""
         delta = settings.fixed_delta_seconds or None
         mine = self.world.settings
         mine.fixed_delta_seconds = delta
@@ -246,12 +226,7 @@ class Host:
         return True
 
     def actor(self, id: int) -> Actor:
-        """Return an actor that is alive.
-
-        Raises:
-            DeadActor: It has been destroyed.
-            CallError: There is no such actor.
-        """
+        """Return an actor that is alive; raise `DeadActor` for a destroyed one, and `CallError` if there is none."""
         if id in self.world.actors:
             return self.world.actors[id]
         destroyed = self._actors.find(id)
@@ -260,11 +235,7 @@ class Host:
         raise CallError(f"actor {id} not found")
 
     def known_actor(self, id: int) -> Actor | DestroyedActor:
-        """Return an actor, even a destroyed one.
-
-        Raises:
-            CallError: There has never been one, or it has been evicted.
-        """
+        """Return an actor, even a destroyed one; raise `CallError` if there has never been one, or it has been evicted."""
         return self._actors.find(id) or self.actor(id)
 
     def remember(self, actor: Actor) -> None:
@@ -291,11 +262,8 @@ class Client:
     """A client, and what the server knows of it.
 
     Attributes:
-        host: The served world.
-        release: The release that it is of.
         refusal: Why all its calls are refused; empty if they are not.
         stream: The number of its stream of snapshots; see `SnapshotStreams`.
-        connection: Its connection.
         cycle: The state of its traffic manager.
         pause: The pause of its traffic manager, while an episode begins.
         queries: A lock that is held while a recording is queried for it: the answers of a client are made one by one.
@@ -340,11 +308,7 @@ class Client:
         return self.host.episode - (self.pause is not None)
 
     def begin_call(self, name: str) -> None:
-        """Take note of a call of the client, or of its traffic manager: they share a connection.
-
-        Raises:
-            CallError: The client is refused.
-        """
+        """Take note of a call of the client, or of its traffic manager: they share a connection. It may be refused."""
         if self.refusal and name != "version":
             raise CallError(self.refusal)
         self.cycle.begin_call(name)

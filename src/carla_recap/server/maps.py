@@ -25,13 +25,10 @@ _SHOWN: Final = 100  # characters of a name in an error
 
 
 class Maps:
-    """The maps of a server.
+    """The maps of a server; the lock `loading` is held while one is loaded.
 
     The first town can be loaded again by its name. With `stand_in`, the built-in town is served under the name of a map that
     is missing.
-
-    Attributes:
-        loading: A lock that is held while a map is loaded.
     """
 
     def __init__(self, first: Town, folder: Path | str | None = None, *, stand_in: bool = False) -> None:
@@ -48,19 +45,13 @@ class Maps:
         return sorted({*loadable_maps(self._folder), self._first.name})
 
     async def receive(self, text: str) -> None:
-        """Parse a map that a client sends, for later episodes.
-
-        Raises:
-            CallError: It is not an OpenDRIVE map.
-        """
+        """Parse a map that a client sends, for later episodes; raise `CallError` if it is no OpenDRIVE map."""
         self._sent = await asyncio.to_thread(_parse, text)
 
     async def load(self, name: str) -> Town:
         """Load a map by its name in any case, with or without its folder, with what the first calls of a client need of it.
 
-        Raises:
-            CallError: There is no such map.
-            RecapError: It cannot be read.
+        A `RecapError` is raised if there is no such map, or it cannot be read.
         """
         asked = plain_name(name)
         if asked == _SENT:

@@ -67,11 +67,8 @@ class Recordings:
     async def start(self, name: str, additional_data: bool) -> str:
         """Begin a recording; a recording without frames has its name at once, since clients do not wait for the end.
 
-        Returns:
-            The absolute path; `NOT_RECORDED` where it cannot be written to, and the reason is logged.
-
-        Raises:
-            RecapError: No recording can have the name.
+        Return the absolute path, or `NOT_RECORDED` where it cannot be written to, and the reason is logged. A `RecapError`
+        is raised if no recording can have the name.
         """
         _expect_name(name)
         recorder = self._world.recorder
@@ -94,8 +91,7 @@ class Recordings:
     def find(self, name: str) -> Path:
         """Return the path of a recording, whose suffix may be missing, whether or not it exists.
 
-        Raises:
-            CallError: It must not be read, or cannot be; or it has ended early, and lies elsewhere.
+        A `CallError` is raised if it must not be read, or cannot be; or if it has ended early, and lies elsewhere.
         """
         _expect_name(name)
         try:
@@ -113,11 +109,7 @@ class Recordings:
         return path
 
     def find_complete(self, name: str) -> Path:
-        """Return the path of a recording that is not being recorded just now; see `find`.
-
-        Raises:
-            CallError: It is, or must not be read, or cannot be.
-        """
+        """Return the path of a recording, see `find`; raise `CallError`, too, if it is being recorded just now."""
         path = self.find(name)
         running = self._world.recorder.path
         if running is not None and running.absolute() in (path, path.with_name(path.name + running.suffix)):
@@ -159,8 +151,7 @@ def not_found(path: Path) -> str:
 async def answer(path: Path, query: Query) -> str:
     """Return the answer to a query; it runs in a thread, so that the world goes on meanwhile.
 
-    Raises:
-        RecapError: The recording is damaged, or the answer is too long.
+    A `RecapError` is raised if the recording is damaged, or the answer is too long.
     """
     if not path.is_file():
         return not_found(path)

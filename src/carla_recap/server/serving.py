@@ -46,16 +46,11 @@ async def serve(
     attached: bool = False,
     load_ahead: bool = True,
 ) -> None:
-    """Serve a world until SIGINT, SIGTERM or SIGHUP.
+    """Serve a world until SIGINT, SIGTERM or SIGHUP; `ready` gets the port for calls when clients can connect.
 
-    Args:
-        host: The served world.
-        address: The address to listen on.
-        port: The port for calls; 0 for a free one.
-        ready: A callback that gets the port for calls when clients can connect.
-        streaming_port: The port for streams; None for the one after `port`, 0 for a free one.
-        attached: End, too, when the standard input ends or has data: its other end belongs to a process that may be killed.
-        load_ahead: Load at once what sensors will need.
+    A port of 0 is a free one; without a streaming port, that is the one after `port`. If it is `attached`, it ends, too,
+    when the standard input ends or has data, whose other end belongs to a process that may be killed. With `load_ahead`, it
+    loads at once what sensors will need.
 
     Raises:
         RecapError: The ports are unavailable.

@@ -39,7 +39,6 @@ class Streams:
     """All streams and their subscribers; `mark_first` turns the latest frame into the first frame of a subscriber.
 
     Attributes:
-        connections: All connections of the server.
         pending: The subscriptions that clients are about to make.
         port: The port to which subscribers connect.
     """

@@ -22,10 +22,8 @@ _TO_END: Final = 15.0  # s, for the .rrd to be completed
 class ViewerProcess:
     """A viewer of the server until the end of a `with` block; closing its window does not end the server.
 
-    Args:
-        to: An .rrd or the address of a viewer; else a viewer is opened. See `carla_recap.capture.live.watch`.
-        follow: The actor that the camera follows.
-        foxglove_port: The port to which Foxglove connects instead; its address is printed.
+    `to` is an .rrd or the address of a viewer, else a viewer is opened, see `carla_recap.capture.live.watch`; the camera
+    follows an actor. To a Foxglove port, Foxglove connects instead; its address is printed.
 
     Raises:
         RecapError: There is no display, or the file cannot be written.

@@ -41,12 +41,7 @@ _LEAST: Final = 0.05  # m: half the width of a passage where an edge is short or
 
 
 class WalkwayEditor:
-    """An editable copy of a walkway graph.
-
-    Attributes:
-        points: The locations of the nodes, in m.
-        areas: For each node, its neighbours, and the area of the path to each.
-    """
+    """An editable copy of a walkway graph: `areas` has for each node its neighbours, and the area of the path to each."""
 
     def __init__(self, walks: WalkwayGraph) -> None:
         self.points: list[Point] = walks.nodes.tolist()
@@ -172,8 +167,8 @@ class WalkableSurface:
     Attributes:
         corners: Points in CARLA's axes, in m, (n, 3).
         polygons: The indices of their corners, anticlockwise seen from above: from y towards x.
-        neighbours: For each side of a polygon, from its corner to the next one, the index of the polygon beyond it, or None.
-        areas: The areas of the polygons; see `walkways`.
+        neighbours: For each side of a polygon, from its corner to the next one, the index of the polygon beyond it, or
+            None.
     """
 
     corners: Floats

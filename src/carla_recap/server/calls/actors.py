@@ -226,12 +226,7 @@ def get_actor_component_world_transform(client: Client, id: int, component: str)
 
 
 def spawn(client: Client, description: ActorDescription, transform: Transform, parent: Actor | None = None) -> Actor:
-    """Spawn an actor and keep it known after its destruction.
-
-    Raises:
-        CallError: The location is occupied or impossible, or an attribute has an invalid value.
-        RecapError: There is no such blueprint or parent.
-    """
+    """Spawn an actor and keep it known after its destruction; a `RecapError` says why that is impossible."""
     host = client.host
     blueprint = host.world.blueprints.get(description.id)
     attributes = {a.id: a.value for a in description.attributes if a.id in blueprint.attributes}
@@ -264,12 +259,7 @@ def _record_when_ready(client: Client, actor: Actor) -> ActorRecord | Awaitable[
 
 
 def expect(client: Client, id: int, kind: type[A]) -> A:
-    """Return an actor that is alive and of a kind.
-
-    Raises:
-        CallError: There is no such actor, or it is of another kind.
-        DeadActor: It has been destroyed.
-    """
+    """Return an actor that is alive and of a kind, or raise `CallError` or `DeadActor`."""
     actor = client.host.actor(id)
     if not isinstance(actor, kind):
         expected = "vehicle or walker" if kind is MovingActor else kind.__name__

@@ -21,14 +21,9 @@ from carla_recap.sim.geometry import Transform
 
 @dataclass(frozen=True, slots=True)
 class SpawnCommand:
-    """The command that spawns an actor.
+    """The command that spawns an actor, relative to its parent if it has one; attachment and socket have no effect.
 
     Attributes:
-        description: The blueprint and the attributes.
-        transform: The transform; relative to the parent, if there is one.
-        parent: The id of the parent.
-        attachment: The kind of attachment, which has no effect.
-        socket: The socket of the parent, which has no effect.
         do_after: Commands for the new actor.
     """
 
@@ -56,12 +51,9 @@ _UNREGISTERED: Final = {each.__name__: unregistered_call(each) for each in (vehi
 def apply_batch(client: Client, commands: list[Any], do_tick: bool = False) -> list[Any] | Awaitable[list[Any]]:
     """Execute commands one after the other; an error of one does not keep the others from being executed.
 
-    Commands are `[[number, fields]]` each. If a tick is asked for, it follows in synchronous mode.
-
-    Calls of other clients are served in between if it takes long, but for what ticks or begins an episode.
-
-    Returns:
-        For each command the id of its actor, or an error, as CARLA's `Response`.
+    Commands are `[[number, fields]]` each; the answer to each is the id of its actor, or an error, as CARLA's `Response`. If
+    a tick is asked for, it follows in synchronous mode. Calls of other clients are served in between if it takes long, but
+    for what ticks or begins an episode.
     """
     answers = client.host.take(_execute_all(client, commands), at_once=not client.connection.is_open)
     if isinstance(answers, list):

@@ -162,11 +162,7 @@ async def _answer(client: Client, name: str, query: recordings.Query) -> str:
 
 
 def _replay_options(client: Client, *options: Any) -> tuple[bool, bool, Transform, str]:
-    """Return replay_sensors, replay_weather, the offset and the name of a map, with CARLA's defaults.
-
-    Raises:
-        DecodeError: An option is of another type.
-    """
+    """Return replay_sensors, replay_weather, the offset and the name of a map, with CARLA's defaults."""
     flags = [option for option in options if option.__class__ is bool]
     names = [option for option in options if option.__class__ is str]
     offsets = [decoder(Transform, client.release)(option) for option in options if option.__class__ is list]

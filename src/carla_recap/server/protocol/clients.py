@@ -25,8 +25,7 @@ _known: Final[dict[tuple[int, int, int], Release | None]] = {}
 def release_of(client: Address, server: Address) -> Release | None:
     """Return the release of the client at the other end of a connection.
 
-    Returns:
-        None if it is on another machine, or in a container or a process of another user, or has no library of CARLA's.
+    It is None on another machine, in a container or a process of another user, or if that has no library of CARLA's.
     """
     if not (client[0].startswith(("127.", "::1", "::ffff:127.")) or client[0] == server[0]):
         return None

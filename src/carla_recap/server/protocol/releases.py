@@ -144,11 +144,7 @@ DEFAULT: Final = _0_9_16
 
 
 def release_named(name: str) -> Release | None:
-    """Return the release of a name; None for "auto", which is that of each client.
-
-    Raises:
-        RecapError: There is no such release.
-    """
+    """Return the release of a name; None for "auto", which is that of each client. Another name is a `RecapError`."""
     named = {release.name: release for release in RELEASES}
     if name not in (*named, "auto"):
         raise RecapError(f"expected a release of CARLA ({', '.join(sorted(named))}) or auto, found {name!r}")

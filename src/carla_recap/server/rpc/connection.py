@@ -128,13 +128,10 @@ class CallContext(Protocol):
 
 
 class ClientConnection(asyncio.Protocol):
-    """A connection over which a client makes calls.
+    """A connection over which a client makes calls; `has_spoken` is whether it has made one.
 
     Reading pauses while the client does not read its replies or has many calls pending. The calls that arrived before a
     client left are served: the last call of a script is often to stop the recorder, and no script waits for its reply.
-
-    Attributes:
-        has_spoken: Whether it has made a call.
     """
 
     def __init__(
@@ -374,13 +371,10 @@ def _unknown_call(name: str) -> str:
 
 
 class MessageBuffer:
-    """Splits what a client sends into messages, at a bounded cost of memory.
+    """Splits what a client sends into messages, at a bounded cost of memory: `part` has the bytes of an incomplete one.
 
     A MessagePack value does not begin with its length: one has to scan it. The bytes of an incomplete message are kept as
     they are, and objects are made only when it is complete: an object takes up to eighty times the memory of its bytes.
-
-    Attributes:
-        part: The bytes of an incomplete message.
     """
 
     def __init__(self) -> None:
@@ -392,22 +386,14 @@ class MessageBuffer:
         self._items = 0
 
     def feed(self, data: bytes) -> None:
-        """Add data; all complete messages must have been taken out before.
-
-        Raises:
-            ValueError: The data is not MessagePack, or too large.
-        """
+        """Add data, once all complete messages are taken out; raise ValueError if it is no MessagePack, or too large."""
         if self._scanner is None:
             self._open(data)
         else:
             self._collect(data)
 
     def __iter__(self) -> Iterator[Any]:
-        """Take out the complete messages; one can stop in between and go on with a new iterator.
-
-        Raises:
-            ValueError: The data is not MessagePack, or too large.
-        """
+        """Take out the complete messages, as `feed` raises; one can stop in between and go on with a new iterator."""
         for value in self._unpacker:
             self._consumed = self._unpacker.tell()
             yield value

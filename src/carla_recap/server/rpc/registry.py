@@ -23,12 +23,9 @@ class CallError(RecapError):
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A remote procedure.
+    """A remote procedure, whose handler is called with the client and the arguments.
 
     Attributes:
-        name: The name in CARLA's protocol.
-        handler: The function that serves it, called with the client and the arguments.
-        arguments: The types of the arguments.
         result: The type of the answer; None if the answer is only that the call is done.
         least: The number of required arguments.
         bare: Whether the answer is sent without the wrapping of CARLA's `Response`.
@@ -44,8 +41,7 @@ class Call:
     def __call__(self, client: Any, arguments: list[Any]) -> Any:
         """Serve a call and return the answer, not yet encoded; surplus arguments, as of newer clients, are ignored.
 
-        Raises:
-            RecapError: There are too few arguments, or one is of another type, or the call cannot be served.
+        A `RecapError` is raised if there are too few arguments, one is of another type, or the call cannot be served.
         """
         if len(arguments) < self.least:
             raise DecodeError(f"{self.name}: expected {self.least} arguments, found {len(arguments)}")

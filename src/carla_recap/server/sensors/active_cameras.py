@@ -213,12 +213,7 @@ class EventDetector:
         self._time = 0.0
 
     def detect(self, image: NDArray[Any], time: float) -> NDArray[np.void]:
-        """Return the events since the image before, in the order of their times.
-
-        Args:
-            image: The image, (height, width, 4) of blue, green, red, alpha.
-            time: Its time in s.
-        """
+        """Return the events of an image, (height, width, 4), at some s, since the one before, ordered by time."""
         brightness = (image[..., :3].astype(np.float32) @ _LUMINANCE).ravel()
         if self._is_logarithmic:
             brightness = np.log(self._epsilon + brightness / 255)

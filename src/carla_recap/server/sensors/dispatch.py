@@ -78,9 +78,7 @@ class SensorKind:
     """A kind of sensor.
 
     Attributes:
-        support: How far it is supported.
         what: A description of its data for the documentation.
-        make: Makes the feeds of such sensors.
         by_event: Whether it sends what happens at once, whatever its `sensor_tick` is.
         image: The kind of image that it takes, for cameras that are drawn.
         has_events: Whether it sends the changes of its images.

@@ -34,10 +34,8 @@ Feed = Callable[[], Iterable[bytes]]
 class V2xMessage:
     """A message on the radio channel.
 
-    Attributes:
-        sender: The carrier of the sensor that sent it.
-        power: The power of transmission in dBm.
-        body: The message as it goes over the wire, with a received power of 0.
+    Its sender is the carrier of the sensor, the power of transmission is in dBm, and the body is as it goes over the wire,
+    with a received power of 0.
     """
 
     sender: Actor
@@ -50,11 +48,10 @@ class FeedContext:
     """What feeds need besides their sensors.
 
     Attributes:
-        release: The release of the clients that listen.
         messages: Returns the V2X messages of a kind of sensor in the latest tick, but for those of a receiver.
-        instances: Returns what is drawn of the actors after the latest tick.
         ray_scene: Returns the surfaces that rays meet; None if there are none but boxes, or none yet.
-        actor_record: Returns the record of an actor for msgpack; None stands for what is no actor, and has a semantic tag.
+        actor_record: Returns the record of an actor for msgpack; None stands for what is no actor, and has a semantic
+            tag.
     """
 
     release: Release

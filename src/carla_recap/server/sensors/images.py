@@ -44,14 +44,7 @@ class ImagesUnavailable(RecapError):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Shot:
-    """An image that a camera takes.
-
-    Attributes:
-        stream: The stream that it goes to.
-        header: The header of the frame.
-        kind: The kind of image.
-        encode: Returns the parts of the frame after the header.
-    """
+    """An image that a camera takes for a stream; `encode` returns the parts of the frame after the header."""
 
     stream: int
     header: bytes
@@ -60,12 +53,7 @@ class Shot:
 
 
 class CameraScene(NamedTuple):
-    """What is in front of a camera at a moment.
-
-    Attributes:
-        camera: The camera.
-        instances: The actors.
-    """
+    """A camera, and the actors in front of it at a moment."""
 
     camera: Camera
     instances: Instances
@@ -76,11 +64,8 @@ class View:
     """What cameras of the same pose, size and field of view see in a tick.
 
     Attributes:
-        scene: What is in front of them.
-        previous: The same of the image before, for optical flow; None for other kinds, and for the first image.
+        previous: The scene of the image before, for optical flow; None for other kinds, and for the first image.
         hidden: The ids of actors that are left out.
-        weather: The weather.
-        shots: The images.
     """
 
     scene: CameraScene
@@ -99,11 +84,7 @@ class ImageSource(Protocol):
     """What draws the images of a town."""
 
     def draw(self, view: View) -> Mapping[ImageKind, Image]:
-        """Return the images of a view; they are valid until the next call.
-
-        Raises:
-            ImagesUnavailable: No image can be drawn now.
-        """
+        """Return the images of a view, valid until the next call; raise `ImagesUnavailable` if none can be drawn now."""
 
     def close(self) -> None:
         """Release everything."""
