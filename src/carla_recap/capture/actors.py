@@ -66,13 +66,9 @@ class ActorTracker:
         self._of: dict[ActorKind, dict[int, Any]] = {kind: {} for kind in ActorKind}
 
     def update(self, snapshots: Snapshots) -> tuple[list[carla.Actor], list[int]]:
-        """Take in the actors of a snapshot; the server is asked about new ones.
+        """Take in the actors of a snapshot; return the actors that came, and the ids of those that went.
 
-        Returns:
-            The actors that came, and the ids of those that went.
-
-        Warns:
-            RecapWarning: The client cannot read the data of a new actor, which is left out.
+        The server is asked about new ones; a `RecapWarning` says which the client cannot read: they are left out.
         """
         if snapshots.keys() == self.present:
             return [], []

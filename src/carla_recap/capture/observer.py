@@ -58,7 +58,6 @@ class Observation:
     """An observed tick.
 
     Attributes:
-        frame: The number of the frame.
         time: Seconds since the episode began.
         real_time: Seconds of the server's own clock.
         records: The records of the frame, by type.

@@ -107,11 +107,7 @@ class RigSensors:
         return self._synchronous
 
     def listen(self, callback: Callable[[SensorFrame], None]) -> None:
-        """Have a function called with what sensors send, in a thread of CARLA's client.
-
-        Raises:
-            RecapError: The server does not answer.
-        """
+        """Have a function called with what sensors send, in a thread of CARLA's client; `RecapError`: no answer."""
         try:
             for spec in self.rig:
                 if spec.id in self._listened:
@@ -126,11 +122,7 @@ class RigSensors:
         return [spec for spec in self.rig if not SENSOR_TYPES[spec.type].is_actor]
 
     def check(self) -> None:
-        """End the observer if a sensor of the rig is gone, or all existing ones.
-
-        Warns:
-            RecapWarning: An existing sensor is gone.
-        """
+        """End the observer if a sensor of the rig is gone, or all existing ones; a warning says which of these is gone."""
         frame = self._observer.frame  # read first: the actors may be those of a later one
         if frame <= self._since:
             return

@@ -41,13 +41,11 @@ _NO_DATA: Final = np.zeros(0)
 
 @dataclass(eq=False)
 class _TickSamples:
-    """The samples of a tick that are to be written.
+    """The samples of a tick that are to be written, without their data, and their messages.
 
     Attributes:
         since: When the first one came, on the monotonic clock.
         size: The bytes of the messages.
-        samples: The samples, without their data.
-        messages: Their messages.
     """
 
     since: float
@@ -114,11 +112,7 @@ class SampleRecorder:
         self._write()
 
     def finish(self) -> None:
-        """Write all that belongs to the frames that are written; in synchronous mode, wait for what is still to come.
-
-        Raises:
-            RecapError: The disk is full or broken, or the data of a sensor cannot be read.
-        """
+        """Write all that belongs to written frames; in synchronous mode, wait for what is still to come. See `advance`."""
         end = monotonic() + (_LAST if self._keeps_all and not self._observer.is_gone else 0.0)
         while monotonic() < end and not self._has_all():
             self._submit()

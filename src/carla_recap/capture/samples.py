@@ -58,8 +58,7 @@ class SensorFrame(NamedTuple):
     def sample(self, elapsed: float, ids: NDArray[np.uint32]) -> Sample:
         """Return the data as a sample at some elapsed s; the ids are those of actors that can be in an image, ascending.
 
-        Raises:
-            RecapError: The data are none of such a sensor.
+        A `RecapError` is raised if they are no data of such a sensor.
         """
         place = right_handed(np.array(pose(self.transform)))
         kind, data = self.spec.kind, self.data

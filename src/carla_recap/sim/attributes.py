@@ -22,13 +22,7 @@ _BOOL, _INT, _FLOAT, _STRING, _COLOUR = range(5)
 
 @dataclass(frozen=True, slots=True)
 class AttributeType:
-    """The type of an attribute.
-
-    Attributes:
-        accepts: Whether a text is a value of the type.
-        expected: A description of the values, for error messages.
-        neutral: The value to fall back to.
-    """
+    """The type of an attribute: what accepts texts as values, what is expected, for errors, and a value to fall back to."""
 
     accepts: Callable[[str], bool]
     expected: str

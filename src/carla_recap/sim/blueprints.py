@@ -57,11 +57,7 @@ class Blueprint:
     is_traffic: bool = False
 
     def expect(self, attributes: Iterable[str]) -> None:
-        """Make sure that there are attributes of the given names.
-
-        Raises:
-            SpawnError: One is missing; the message has similar names.
-        """
+        """Make sure that there are attributes of the given names; `SpawnError` of a missing one has similar names."""
         for key in attributes:
             if key not in self.attributes:
                 near = get_close_matches(key, self.attributes, n=3, cutoff=0.5)
@@ -88,11 +84,7 @@ class BlueprintLibrary:
         return id in self._blueprints or id in self._others
 
     def get(self, id: str) -> Blueprint:
-        """Return the blueprint of a name.
-
-        Raises:
-            SpawnError: There is none; the message has similar names.
-        """
+        """Return the blueprint of a name; `SpawnError` of a missing one has similar names."""
         found = self._blueprints.get(id) or self._others.get(id)
         if found is None:
             near = get_close_matches(id, self._blueprints, n=3, cutoff=0.5)
@@ -101,11 +93,7 @@ class BlueprintLibrary:
         return found
 
     def resolve(self, blueprint: Blueprint | str, attributes: Iterable[str]) -> Blueprint:
-        """Return a blueprint, given or by its name, that has attributes of the given names.
-
-        Raises:
-            SpawnError: There is no such blueprint, or an attribute is missing.
-        """
+        """Return a blueprint, given or by its name, that has attributes of the given names; else `SpawnError`."""
         found = self.get(blueprint) if isinstance(blueprint, str) else blueprint
         found.expect(attributes)
         return found
@@ -247,13 +235,8 @@ def _wheels(
 ) -> list[WheelPhysics]:
     """Return the wheels from front to back, the left one of each axle first: the front steers, the rear has the hand brake.
 
-    Args:
-        axles: Their places, in m ahead of the middle of the vehicle.
-        track: The distance between left and right wheels in m.
-        radius: In cm.
-        brake: The most torque of the brake of each in N m.
-        hand_brake: The same of the hand brake.
-        steer: The greatest angle to each side in degrees.
+    Axles are in m ahead of the middle of the vehicle, the track in m, the radius in cm, the most torques of the brakes of
+    each wheel in N m, the greatest steering angle in degrees.
     """
     return [
         WheelPhysics(

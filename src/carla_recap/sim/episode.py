@@ -89,24 +89,14 @@ class Episode:
     """The state of a world.
 
     Attributes:
-        number: The number of the episode, from 1.
-        town: The town.
-        clock: The simulated time.
-        settings: The settings of the simulation.
         random: The source of all randomness.
-        blueprints: The blueprint library.
         ids: The ids of the world's actors, also of those of earlier episodes.
         plane: The bodies of the actors, and the barriers of the town.
-        vehicles: All vehicles, as arrays.
-        walkers: All walkers, as arrays.
-        signals: All traffic lights, as arrays.
         actors: All actors by id, in the order of spawning.
         owners: The actors by the ids of their bodies in the plane; barriers have none.
         attached: The vehicles and walkers that are attached to others, by id, parents before their children.
-        triggers: All friction triggers.
-        occupied: The ids of the vehicles in triggers: the friction of their tyres outside, and that of the triggers by their
-            ids; the latest one acts.
-        spectator: The spectator.
+        occupied: The ids of the vehicles in friction triggers: the friction of their tyres outside, and that of the
+            triggers by their ids; the latest one acts.
         events: The events of the latest tick, and between it and the one before.
         pending: The events since the latest tick, which the next one will add to `events`.
         replayed: The recording that is being replayed.
@@ -393,8 +383,7 @@ class ActorIds:
     def new(self, wanted: int | None = None) -> int:
         """Return an id that no actor ever had: the wanted one if it is free, from 1 to `LARGEST_WANTED`; else the next one.
 
-        Raises:
-            SimError: A world has had as many actors as it can have.
+        A `SimError` is raised if a world has had as many actors as it can have.
         """
         if wanted is not None and 0 < wanted <= LARGEST_WANTED:
             self.reserve(wanted)

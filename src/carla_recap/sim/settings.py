@@ -72,11 +72,7 @@ def seeded_date() -> int:
 
 
 def source_date(otherwise: float) -> int:
-    """Return the date of $SOURCE_DATE_EPOCH in Unix seconds; where it is not set, another one.
-
-    Raises:
-        SimError: It is no whole number.
-    """
+    """Return the date of $SOURCE_DATE_EPOCH in Unix seconds, else another one; `SimError`: it is no whole number."""
     text = os.environ.get("SOURCE_DATE_EPOCH", str(int(otherwise)))
     try:
         return int(text)

@@ -81,11 +81,7 @@ class MovingActor(Actor):
 
     @property
     def row(self) -> int:
-        """Its row in `rows`.
-
-        Raises:
-            DeadActor: It has been destroyed.
-        """
+        """Its row in `rows`; `DeadActor` is raised if it has been destroyed."""
         self.check()
         return self.rows.row(self.id)
 

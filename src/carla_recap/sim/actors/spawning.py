@@ -48,20 +48,11 @@ def place(
     attributes: Mapping[str, str] | None = None,
     wanted_id: int | None = None,
 ) -> Actor:
-    """Spawn an actor, even where others are.
+    """Spawn an actor, even where others are, relative to the parent that it is attached to, if there is one.
 
-    Args:
-        episode: The episode.
-        blueprint: The blueprint, or its name.
-        transform: The transform in the world; relative to the parent, if there is one.
-        parent: The actor that it is attached to.
-        attributes: Attributes that differ from those of the blueprint.
-        wanted_id: The id that it gets if no actor has, or had, it; else it gets the next one.
-
-    Raises:
-        SpawnError: There is no such blueprint or attribute.
-        SimError: The place is too far away for a recording, or an attribute is too long for one.
-        DeadActor: The parent has been destroyed.
+    It gets the wanted id if no actor has, or had, it, else the next one. `SpawnError`: there is no such blueprint or
+    attribute; `SimError`: the place is too far away for a recording, or an attribute too long for one; `DeadActor`: the
+    parent is gone.
     """
     attributes = attributes or {}
     blueprint = episode.blueprints.resolve(blueprint, attributes)
@@ -94,13 +85,7 @@ def spawn(
     parent: Actor | None = None,
     attributes: Mapping[str, str] | None = None,
 ) -> Actor:
-    """Spawn an actor; see `place`.
-
-    Raises:
-        SpawnError: There is no such blueprint or attribute, or the place is occupied.
-        SimError: See `place`.
-        DeadActor: See `place`.
-    """
+    """Spawn an actor, as `place` does; `SpawnError`, too, if its place is occupied."""
     blueprint = episode.blueprints.resolve(blueprint, attributes or {})
     if parent is None and (other := _occupant(episode, blueprint, transform)) is not None:
         location = transform.location

@@ -152,8 +152,7 @@ class PhysicsControl:
 def expect_physics(what: str, control: PhysicsControl) -> None:
     """Make sure that a physics control can be simulated; the error text begins with `what`.
 
-    Raises:
-        SimError: It has no wheel, or more than 12 gears, or a number is too large, infinite or NaN.
+    A `SimError` is raised if it has no wheel, or more than 12 gears, or a number is too large, infinite or NaN.
     """
     expect_numbers(what, control)
     if not control.wheels:

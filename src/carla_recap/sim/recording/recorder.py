@@ -36,25 +36,14 @@ _FOLDER_NAME: Final = re.compile(r"(^|[/\\])\.{0,2}$")
 
 
 def recordings_folder(folder: Path | str | None = None) -> Path:
-    """Return the folder of recordings whose names are no paths.
-
-    Args:
-        folder: The folder; None for that of the environment variable CARLA_RECAP_RECORDINGS, and without that one for
-            `recordings` in the working directory.
-    """
+    """Return the folder of recordings whose names are no paths: by default $CARLA_RECAP_RECORDINGS, else `recordings`."""
     return Path(folder or os.environ.get(FOLDER) or DEFAULT_FOLDER)
 
 
 def recording_path(name: Path | str, folder: Path | str | None = None) -> Path:
-    r"""Return the path of a recording.
+    r"""Return the path of a recording: a name with `/`, `\` or `:` is a path, any other one is in the folder of recordings.
 
-    Args:
-        name: With `/`, `\` or `:` in it, a path; else a name in the folder of recordings, as in CARLA. Of a path with a
-            Windows drive, other systems take the last part as such a name.
-        folder: See `recordings_folder`.
-
-    Raises:
-        RecapError: The name is empty.
+    Of a path with a Windows drive, other systems take the last part as a name. An empty name is a `RecapError`.
     """
     if os.name != "nt" and PureWindowsPath(name).drive.endswith(":"):
         name = PureWindowsPath(name).name
@@ -205,11 +194,7 @@ class WorldRecorder:
         self.frames, self.duration = sampler.count, sampler.elapsed
 
     def destination(self, name: Path | str) -> Path:
-        """Return the path at which a recording of a name will be.
-
-        Raises:
-            RecapError: No recording can have the name.
-        """
+        """Return the path at which a recording of a name will be; `RecapError`: no recording can have the name."""
         named = recording_path(name, self._folder)
         if "\0" in str(name):
             raise RecapError(f"{str(name)!r:.200}: the name of a recording was expected, found an embedded null byte")

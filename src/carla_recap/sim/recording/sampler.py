@@ -43,16 +43,11 @@ SECONDS: Final = 5.0
 
 
 class WorldSampler:
-    """Samples an episode at the end of each tick.
-
-    The actors that it contains at first are spawned in the first frame.
+    """Samples an episode at the end of each tick; the actors that it contains at first are spawned in the first frame.
 
     Attributes:
         count: The number of snapshots.
         elapsed: The time from the first snapshot to the latest one, in s.
-
-    Raises:
-        RecapError: An actor has data that no record can hold.
     """
 
     def __init__(self, episode: Episode, *, additional_data: bool) -> None:

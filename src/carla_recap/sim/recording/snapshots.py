@@ -59,7 +59,6 @@ class Timestamp:
     """The time of a snapshot, and what had happened by then.
 
     Attributes:
-        index: The index of the snapshot in the recording, from 0.
         elapsed: Seconds since the recording began.
         time: Seconds since the episode began.
         events: What happened since the last snapshot, as packets by type; types without records are missing.
@@ -74,11 +73,7 @@ class Timestamp:
 
 
 class SnapshotBatch:
-    """Consecutive snapshots of the same actors, up to some number; their columns are those of `ActorSet.columns`.
-
-    Attributes:
-        timestamps: The times of the snapshots.
-    """
+    """Consecutive snapshots of the same actors, up to some number; their columns are those of `ActorSet.columns`."""
 
     def __init__(self, actors: ActorSet, columns: Sequence[NDArray[Any]], length: int) -> None:
         self.timestamps: list[Timestamp] = []

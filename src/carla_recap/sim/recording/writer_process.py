@@ -55,19 +55,13 @@ class WriterProcess:
     An error there ends the recording, and nothing else. If this process is killed, the recording is completed except for
     what has not been sent: the last batch, and those that wait for a slow disk.
 
-    Args:
-        path: The destination.
-        header: The header of the recording.
-        force: Replace a file at the destination at the end; else that file stays, and the recording lies beside it.
-        format: The suffix of the format; None for that of the destination.
-        visible: Put a recording without frames at the destination at once; it is removed again if the recording fails, and
-            nothing of it can be put in its place.
-        process: The process, of `start_process`; None to start it here.
+    With `force`, a file at the destination is replaced at the end, else it stays, and the recording lies beside it. With
+    `visible`, a recording without frames is put there at once; it is removed again if the recording fails, and nothing of it
+    can be put in its place.
 
     Attributes:
         path: The destination.
         error: The error that ended the recording; None as long as there is none.
-        pid: The id of the process.
 
     Raises:
         DestinationError: The destination cannot be written to.
@@ -169,12 +163,9 @@ class WriterProcess:
 
 
 def start_process() -> subprocess.Popen[bytes]:
-    """Start the process, and wait until it is ready.
+    """Start the process, and wait until it is ready; `RecapError`: it cannot be started.
 
     It is in a session of its own, where a terminal's signals, and those to this group, do not reach it.
-
-    Raises:
-        RecapError: The process cannot be started.
     """
     command, pipe = module_command(__name__), subprocess.PIPE
     try:
@@ -217,11 +208,7 @@ class Commands:
     def begin(
         self, path: Path, header: Header, force: bool = True, format: str | None = None, visible: bool = False
     ) -> None:
-        """Begin a recording; see `WriterProcess`.
-
-        Raises:
-            RecapError: The destination cannot be written to.
-        """
+        """Begin a recording; see `WriterProcess`. `RecapError`: the destination cannot be written to."""
         writer = create_writer(path, header, live=True, force=force, format=format)
         if visible:
             try:
@@ -233,11 +220,7 @@ class Commands:
         self._is_empty = True
 
     def write(self, batch: SnapshotBatch) -> None:
-        """Add the frames of a batch.
-
-        Raises:
-            RecapError: The recording has ended; the message contains the reason, and where the recorded frames are.
-        """
+        """Add the frames of a batch; an error says why the recording has ended, and where the recorded frames are."""
         assert self._writer is not None
         self._is_empty = False
         try:
@@ -247,11 +230,7 @@ class Commands:
             raise self._finish_partial(error) from None
 
     def close(self) -> None:
-        """Complete the recording, if there is one.
-
-        Raises:
-            RecapError: As of `write`.
-        """
+        """Complete the recording, if there is one; for errors, see `write`."""
         if self._writer is None:
             return
         try:
@@ -261,11 +240,7 @@ class Commands:
         self._writer = None
 
     def finish(self) -> None:
-        """Complete a recording that was not closed; one without frames is removed.
-
-        Raises:
-            RecapError: As of `write`.
-        """
+        """Complete a recording that was not closed; one without frames is removed. For errors, see `write`."""
         if self._writer is not None and self._is_empty:
             self._writer.abort()
         else:
@@ -281,13 +256,6 @@ class InProcessWriter:
     """Takes batches as `WriterProcess` does, and writes them in this process: cheaper, but a tick may wait for the disk.
 
     If this process is killed, the unfinished file stays beside the destination, for `recover`.
-
-    Attributes:
-        path: The destination.
-        error: The error that ended the recording; None as long as there is none.
-
-    Raises:
-        DestinationError: The destination cannot be written to.
     """
 
     def __init__(

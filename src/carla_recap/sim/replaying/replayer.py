@@ -77,14 +77,7 @@ class Replay:
 
 @dataclass(frozen=True, slots=True)
 class OpenedRecording:
-    """A recording that is about to be replayed.
-
-    Attributes:
-        path: Its path.
-        player: Its player, which has played the first scene.
-        scene: That scene.
-        follows: Whether the spectator follows an actor.
-    """
+    """A recording to be replayed: its player has played the first scene, and the spectator may follow an actor."""
 
     path: Path
     player: Player
@@ -178,16 +171,10 @@ class Replayer:
     ) -> OpenedRecording:
         """Open a recording for a replay, and seek its start; it may run in a thread, as it leaves the world alone.
 
-        Args:
-            path: The recording.
-            start: The beginning, in elapsed seconds; a negative one counts from the end.
-            duration: The seconds of the recording to replay; 0 for the rest.
-            follow: The actor that the spectator follows: an id of the recording, or "hero"; None or 0 for none.
-            lenient: As CARLA, accept a start after the end, which is the end, and an actor to follow that is missing, which
-                is none; else they are errors.
-
-        Warns:
-            RecapWarning: `lenient` has accepted something.
+        The start is in elapsed seconds, a negative one counts from the end; a duration of 0 s is the rest. The spectator
+        follows an id of the recording, or "hero"; None or 0 is none. If it is `lenient`, a start after the end, which is the
+        end, and an actor to follow that is missing, which is none, are accepted with a warning, as by CARLA; else they are
+        errors.
 
         Raises:
             RecapError: There is no such recording, it is damaged, or there is no such start or actor.
@@ -224,16 +211,9 @@ class Replayer:
     ) -> Generator[None, None, Replay]:
         """Begin to replay an opened recording: the replayed actors have their first poses, and move with the next tick.
 
-        It takes a step for each actor that is spawned; no tick may fall between two.
-
-        Args:
-            opened: The recording, which is closed when the replay ends.
-            map_name: The map on which it is replayed.
-            replay_sensors: Spawn the sensors of the recording, too.
-            offset: The transform of the spectator relative to the actor that it follows, with the actor's yaw alone; None
-                for `CHASE`.
-            replay_weather: Change the weather as in the recording.
-            loaded: Whether the map was loaded for it.
+        It takes a step for each actor that is spawned; no tick may fall between two. The recording is closed when the replay
+        ends. The offset is the transform of the spectator relative to the actor that it follows, with the actor's yaw alone;
+        None for `CHASE`. `loaded` is whether the map was loaded for it.
         """
         self.stop()
         self.error = None
@@ -429,20 +409,10 @@ def find_recording(name: Path | str, folder: Path | str | None = None) -> Path:
 
 
 def town_to_load(opened: OpenedRecording, town: Town, maps: Path | None, map_name: str = "", *, keep: bool) -> Town | None:
-    """Return the town that has to be loaded for a replay; None if it can begin in the present one.
+    """Return the town that has to be loaded for a replay; None if it can begin in the present one, which `keep` stays in.
 
-    Args:
-        opened: The recording.
-        town: The present town.
-        maps: The folder of maps.
-        map_name: The map to replay on; "" for that of the recording, whose corridors are the town if there is no such map.
-        keep: Stay in the present town, whatever the map is.
-
-    Warns:
-        RecapWarning: There is no map of the recorded name, or the town that is kept has another one.
-
-    Raises:
-        MapMissing: The map cannot be loaded.
+    A map without a name is that of the recording, whose corridors are the town if there is no such map; a warning says so,
+    and if the town that is kept has another one. `MapMissing`: the map cannot be loaded.
     """
     path, name = opened.player.reader.path, map_name or opened.player.reader.header.map_name
     if is_of(town, name):

@@ -253,11 +253,7 @@ _MOST: Final = 1_000_000  # pairs of lanes in all junctions
 
 
 def make_junctions(lanes: Sequence[Lane], signals: Sequence[Signal], content: OpenDrive) -> list[Junction]:
-    """Return the junctions in the order of their ids.
-
-    Raises:
-        ValueError: They have too many lanes.
-    """
+    """Return the junctions in the order of their ids; ValueError: they have too many lanes."""
     within = defaultdict(list)
     for lane in lanes:
         if lane.junction is not None:

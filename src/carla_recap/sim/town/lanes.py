@@ -94,11 +94,7 @@ class Lane:
 
 
 def make_lanes(courses: Sequence[LaneGeometry]) -> list[Lane]:
-    """Return lanes for cars, at the indices of their courses.
-
-    Raises:
-        ValueError: There is none, or a coordinate is not finite.
-    """
+    """Return lanes for cars, at the indices of their courses; ValueError: there is none, or a coordinate is not finite."""
     if not courses:
         raise ValueError("no lane for cars is in it")
     index = {(course.road, course.section, course.id): number for number, course in enumerate(courses)}
@@ -234,17 +230,10 @@ class LaneIndex:
         return self.first[lane] + whole, steps - whole
 
     def project(self, lane: ArrayLike, x: ArrayLike, y: ArrayLike, s_hint: ArrayLike) -> tuple[Floats, Floats]:
-        """Return the distances of locations along lanes, and their lateral offsets.
+        """Return the distances of locations along lanes, and their lateral offsets, positive to the right, (k,) each.
 
-        Args:
-            lane: Indices of lanes, (k,).
-            x: The x of the locations, (k,).
-            y: The y of the locations, (k,).
-            s_hint: Distances along the lanes to within some metres, (k,); the nearer, the faster.
-
-        Returns:
-            Distances along the lanes, (k,), less than 0 or more than the length before and after a lane, which goes on
-            straight there; and lateral offsets, positive to the right, (k,).
+        A lane goes on straight before its beginning and after its end, where distances are below 0 and above its length. The
+        hints are distances to within some metres; the nearer, the faster.
         """
         lane = np.asarray(lane)
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
@@ -263,16 +252,10 @@ class LaneIndex:
     def nearest_lane(
         self, x: ArrayLike, y: ArrayLike, *, z: ArrayLike | None = None, heading: ArrayLike | None = None
     ) -> tuple[Integers, Floats]:
-        """Return the lanes nearest to some locations, and the distances of these along them.
+        """Return the indices of the lanes nearest to some locations, and the distances along them, (k,) each.
 
-        Args:
-            x: The x of the locations, (k,).
-            y: The y of the locations, (k,).
-            z: The z of the locations, which distinguishes the lanes of a bridge from those below it.
-            heading: The directions of travel: lanes in other directions count as farther away.
-
-        Returns:
-            Indices of lanes and distances along them within 0 and their lengths, (k,) each.
+        Their z distinguish the lanes of a bridge from those below it. Lanes in other directions than the headings count as
+        farther away.
         """
         places = np.stack((np.asarray(x, np.float64), np.asarray(y, np.float64)), axis=-1)
         best = self._terrain.nearest(places)
@@ -292,13 +275,10 @@ class LaneIndex:
         return lane, np.clip(s, 0, self.length[lane])
 
     def height(self, x: ArrayLike, y: ArrayLike, z: ArrayLike | None = None) -> Floats:
-        """Return the height of the road near some locations.
+        """Return the height of the road near some locations, (k,).
 
-        Args:
-            x: The x of the locations, (k,).
-            y: The y of the locations, (k,).
-            z: The z of the actors, (k,): of several roads above each other, the highest one counts that is not above it, or
-                else the lowest. Without it, any of them may count.
+        Of several roads above each other, the highest one counts that is not above z, that of the actor, or else the lowest;
+        without it, any of them may count.
         """
         if self._level is not None:
             return np.full(np.shape(x), self._level)

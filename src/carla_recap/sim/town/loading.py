@@ -119,11 +119,7 @@ class Town:
         return Paths(self.walks.nodes, self.walks.edges)
 
     def expect_walkway(self, start: Location, goal: Location) -> None:
-        """Make sure that walkways lead from one location to another.
-
-        Raises:
-            SimError: There are no sidewalks, or none leads there.
-        """
+        """Make sure that walkways lead from one location to another; `SimError`: there are none, or none leads there."""
         if not len(self.walks.nodes):
             raise SimError(f"{self.name} has no sidewalks: walkers can only be steered")
         first, last = (self.paths.nearest(place.x, place.y) for place in (start, goal))
@@ -179,11 +175,7 @@ def load_town(name_or_path: str | Path = "", maps: Path | None = None, *, called
 
 
 def make_town(text: str, path: Path) -> Town:
-    """Return the town of the text of an OpenDRIVE file.
-
-    Raises:
-        FormatError: It is no OpenDRIVE map with lanes for cars.
-    """
+    """Return the town of the text of an OpenDRIVE file; `FormatError`: it is no OpenDRIVE map with lanes for cars."""
     with np.errstate(all="ignore"), expecting(path):
         roads = TownRoads(read_opendrive(text), _MOST_LANES)
         courses = sorted(
@@ -216,11 +208,7 @@ _lock: Final = Lock()
 
 
 def find_town(name: str, maps: Path | None = None) -> tuple[str, Path]:
-    """Return the name of a town and its file; see `load_town`.
-
-    Raises:
-        RecapError: There is no such town.
-    """
+    """Return the name of a town and its file; see `load_town`. `RecapError`: there is no such town."""
     if name.endswith(_SUFFIX):
         return Path(name).stem, Path(name)
     path = find_map(name or BUILT_IN, maps)
@@ -237,8 +225,7 @@ def is_unknown(map_name: str, maps: Path | None) -> bool:
 def load_corridors(path: Path, map_name: str) -> Town:
     """Return a town of the corridors that the vehicles of a recording have driven; the latest one is kept in memory.
 
-    Raises:
-        RecapError: The recording cannot be read.
+    A `RecapError` is raised if the recording cannot be read.
     """
     from carla_recap.recording import open_recording
     from carla_recap.replay.recorded_map import opendrive_of_corridors

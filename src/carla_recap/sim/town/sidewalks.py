@@ -27,13 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class WalkwayGraph:
-    """The walkways: sidewalks and crossings, as a graph.
-
-    Attributes:
-        nodes: Locations, (n, 3).
-        edges: Pairs of indices of nodes, each once, (m, 2).
-        crossing: Whether an edge leads over a road, (m,).
-    """
+    """The walkways: nodes, (n, 3), pairs of their indices, each once, (m, 2), and whether each crosses a road, (m,)."""
 
     nodes: Floats
     edges: NDArray[np.int64]
@@ -58,11 +52,8 @@ _AROUND: Final = list(product((-1, 0, 1), repeat=3))
 class Walks:
     """The graph of walkways while it is made.
 
-    Attributes:
-        sidewalks: The middles of sidewalks.
-        crossings: The outlines of crossings, closed.
-        nodes: Locations.
-        edges: Pairs of indices of nodes, the smaller one first, and whether they lead over a road.
+    It has the middles of sidewalks, the closed outlines of crossings, the nodes, and pairs of their indices, the smaller one
+    first, with whether they lead over a road.
     """
 
     sidewalks: list[Floats]
@@ -90,11 +81,7 @@ class Walks:
 
 
 def make_walks(roads: TownRoads) -> Walks:
-    """Return the walkways of a town; they are empty if it has no sidewalk.
-
-    Raises:
-        ValueError: There are too many sidewalks for a town.
-    """
+    """Return the walkways of a town, empty if it has no sidewalk; ValueError: there are too many for a town."""
     lanes = [lane for lane in roads.lanes if lane.kind == SIDEWALK and np.isfinite(lane.centre).all()]
     lanes.sort(key=lambda lane: (lane.road, lane.section, lane.id))
     given = [left_handed(crossing) for crossing in roads.crossings if np.isfinite(crossing).all()]

@@ -33,11 +33,9 @@ _STANDING: Final = 0.3  # m/s: walkers go around slower vehicles
 
 @dataclass(slots=True)
 class _Journey:
-    """The journey of a walker to its destination.
+    """The journey of a walker to its destination, at a speed in m/s.
 
     Attributes:
-        destination: The destination, in m.
-        speed: The walking speed in m/s.
         last: The waypoint that was reached last.
         waypoints: The waypoints ahead.
         crossings: Whether each of these is reached over a crossing.
