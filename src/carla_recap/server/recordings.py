@@ -80,7 +80,8 @@ class Recordings:
             _LOG.warning("start_recorder: the recording of %s ends, since %s begins", recorder.path, destination)
             self.stop()
         try:
-            return str(recorder.start(name, additional_data, visible=True, process=process).absolute())
+            now = self._world.replayer.shows_start
+            return str(recorder.start(name, additional_data, visible=True, now=now, process=process).absolute())
         except BaseException as error:
             discard_process(process)
             if not isinstance(error, DestinationError):

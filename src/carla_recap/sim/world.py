@@ -24,14 +24,14 @@ from carla_recap.sim.traffic.traffic import Traffic
 from carla_recap.sim.validation import expect_seconds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Mapping
+    from collections.abc import Callable, Mapping
 
     from carla_recap.replay.follow import Follow
     from carla_recap.sim.blueprints import Blueprint
     from carla_recap.sim.episode import Actor, TickEvents
     from carla_recap.sim.geometry import Transform
     from carla_recap.sim.recording.recorder import WorldRecorder
-    from carla_recap.sim.replaying.replayer import OpenedRecording, Replay, Replayer
+    from carla_recap.sim.replaying.replayer import Replay, Replayer
 
 _DELTA: Final = 0.05  # s: the default length of a tick
 _ROUNDING: Final = 1e-6
@@ -214,7 +214,7 @@ class World:
         if self._replayer is None:
             from carla_recap.sim.replaying.replayer import Replayer
 
-            self._replayer = Replayer(self.episode)
+            self._replayer = Replayer(self.episode, self.maps)
             self.controllers.append(self._replayer)
         return self._replayer
 
@@ -242,12 +242,12 @@ class World:
         *,
         keep_town: bool = False,
     ) -> Replay:
-        """Replay a recording, whose suffix may be missing; see `begin_replay`, and `Replayer.open` for the first options.
+        """Replay a recording, whose suffix may be missing; see `Replayer.open`, and `Replayer.begin` for the last options.
 
         A running recorder stops, as in CARLA. To record the replay, start the recorder between this call and the next tick.
 
         Warns:
-            RecapWarning: A recorder was running; see `begin_replay` for others.
+            RecapWarning: A recorder was running; see `Replayer.begin` for others.
         """
         from carla_recap.sim.replaying.replayer import find_recording, finished
 
@@ -258,41 +258,7 @@ class World:
         self.stop_replayer()
         self.stop_recorder()
         opened = self.replayer.open(find_recording(name, self.recordings), start, duration, follow)
-        return finished(self.begin_replay(opened, replay_sensors, offset, keep_town=keep_town))
-
-    def begin_replay(
-        self,
-        opened: OpenedRecording,
-        replay_sensors: bool = False,
-        offset: Transform | None = None,
-        *,
-        keep_town: bool = False,
-        replay_weather: bool = True,
-        map_name: str = "",
-    ) -> Generator[None, None, Replay]:
-        """Replay an opened recording in steps; see `Replayer.begin`. Its map is loaded first unless it is the town's.
-
-        Warns:
-            RecapWarning: See `town_to_load`.
-
-        Raises:
-            MapMissing: The map is another one, and cannot be loaded.
-        """
-        from carla_recap.sim.replaying.replayer import town_to_load
-
-        self.stop_replayer()
-        self.stop_recorder()
-        reader = opened.player.reader
-        try:
-            town = town_to_load(opened, self.town, self.maps, map_name, keep=keep_town)
-            if town is not None:
-                self.reload(town)
-        except BaseException:
-            reader.close()
-            raise
-        name, is_new = map_name or reader.header.map_name, town is not None
-        begin = self.replayer.begin(opened, name, replay_sensors, offset, replay_weather=replay_weather, loaded=is_new)
-        return (yield from begin)
+        return finished(self.replayer.begin(opened, self.reload, replay_sensors, offset, keep_town=keep_town))
 
     def stop_replayer(self, keep_actors: bool = False) -> None:
         """End the replay, if there is one; see `Replayer.stop`."""

@@ -835,7 +835,7 @@ def test_a_map_that_the_caller_names_must_be_there(tmp_path: Path, drive: Path) 
     world = new_world()
     mine = spawn_car(world, at(500.0), AUDI)
     with pytest.raises(SimError, match=r"is a recording of the map 'Town42', which cannot be loaded: .*Town42"):
-        next(world.begin_replay(world.replayer.open(drive), map_name="Town42"))
+        next(world.replayer.begin(world.replayer.open(drive), world.reload, map_name="Town42"))
     assert mine.is_alive
     assert not world.replayer.is_playing
 
@@ -944,7 +944,7 @@ def test_a_replay_goes_on_when_an_actor_is_destroyed_before_all_are_spawned(tmp_
     world.close()
     for victim in (car.id, car.id + 1):
         again = flat_world()
-        steps = again.begin_replay(again.replayer.open(tmp_path / "a.log"), keep_town=True)
+        steps = again.replayer.begin(again.replayer.open(tmp_path / "a.log"), again.reload, keep_town=True)
         for _ in steps:
             if victim in again.actors:
                 again.actors[victim].destroy()
@@ -961,7 +961,7 @@ def test_a_replay_that_was_given_up_does_not_end_the_next_one(tmp_path: Path) ->
     world.run(0.5)
     world.close()
     again = flat_world()
-    given_up = again.begin_replay(again.replayer.open(tmp_path / "a.log"), keep_town=True)
+    given_up = again.replayer.begin(again.replayer.open(tmp_path / "a.log"), again.reload, keep_town=True)
     next(given_up)
     again.replay_file(tmp_path / "a.log", keep_town=True)
     given_up.close()

@@ -114,7 +114,7 @@ async def replay_file(
         try:
             if town is not None:
                 world.reload(town)
-            steps = world.begin_replay(opened, sensors, offset, replay_weather=weather, map_name=map_name)
+            steps = replayer.begin(opened, world.reload, sensors, offset, replay_weather=weather, map_name=map_name)
             begun = client.host.take(steps)
             failing.pop_all()
             is_new = client.host.check_episode(frames)

@@ -43,39 +43,18 @@ _CUSTOM_MESSAGE: Final = struct.Struct("<f4x3q100s4x")
 _POWER: Final = struct.Struct("<f")
 _LONGEST_TEXT: Final = 99  # bytes, besides the NUL
 _CAM_FIELDS: Final = {  # by their offsets; all are 8 bytes wide but those below
-    "version": 8,
-    "message": 16,
-    "station": 24,
-    "generation_time": 32,
-    "station_type": 40,
-    "latitude": 48,
-    "longitude": 56,
-    "semi_major": 64,
-    "semi_minor": 72,
-    "semi_major_orientation": 80,
-    "altitude": 88,
-    "altitude_confidence": 96,
-    "high_frequency": 104,
-    "heading": 112,
-    "heading_confidence": 120,
-    "speed": 128,
-    "speed_confidence": 136,
-    "drive_direction": 144,
-    "length": 152,
-    "length_confidence": 160,
-    "width": 168,
-    "longitudinal": 176,
-    "longitudinal_confidence": 184,
-    "curvature": 192,
-    "curvature_confidence": 200,
-    "yaw_rate": 216,
-    "yaw_rate_confidence": 224,
-    "lateral": 280,
-    "lateral_confidence": 288,
-    "vertical": 304,
-    "vertical_confidence": 312,
-    "low_frequency": 408,
-    "role": 416,
+    name: start + 8 * place
+    for start, names in (
+        (8, "version message station generation_time station_type latitude longitude semi_major semi_minor"),
+        (80, "semi_major_orientation altitude altitude_confidence high_frequency heading heading_confidence speed"),
+        (136, "speed_confidence drive_direction length length_confidence width longitudinal longitudinal_confidence"),
+        (192, "curvature curvature_confidence"),
+        (216, "yaw_rate yaw_rate_confidence"),
+        (280, "lateral lateral_confidence"),
+        (304, "vertical vertical_confidence"),
+        (408, "low_frequency role"),
+    )
+    for place, name in enumerate(names.split())
 }
 _CAM_BYTES: Final = {"has_lateral": 272, "has_vertical": 296, "lights": 424}
 _CAM_MESSAGE: Final = np.dtype(

@@ -17,7 +17,7 @@ from carla_recap.formats import SUFFIXES
 from carla_recap.model.frame import Header
 from carla_recap.sim.errors import DestinationError
 from carla_recap.sim.recording.sampler import WorldSampler
-from carla_recap.sim.recording.writer_process import InProcessWriter, WriterProcess
+from carla_recap.sim.recording.writer_process import InProcessWriter, RecordingWriter, WriterProcess
 from carla_recap.sim.settings import source_date
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class WorldRecorder:
         self._date = date
         self._parameters = parameters
         self._sampler: WorldSampler | None = None
-        self._writer: WriterProcess | InProcessWriter | None = None
+        self._writer: RecordingWriter | None = None
         self._finish: weakref.finalize[[], WorldRecorder] | None = None
         self._lock = RLock()  # a recording may be stopped by several threads
 
@@ -189,7 +189,7 @@ class WorldRecorder:
                 return
             self._write(self._writer, self._sampler, self._sampler.sample(self.episode.clock.delta))
 
-    def _write(self, writer: WriterProcess | InProcessWriter, sampler: WorldSampler, batch: SnapshotBatch) -> None:
+    def _write(self, writer: RecordingWriter, sampler: WorldSampler, batch: SnapshotBatch) -> None:
         writer.write(batch)
         self.frames, self.duration = sampler.count, sampler.elapsed
 

@@ -49,7 +49,34 @@ class _CommandFailed(RecapError):
     """The process has answered a command with an error."""
 
 
-class WriterProcess:
+class RecordingWriter:
+    """Takes batches of snapshots, and has each written once another one follows.
+
+    Attributes:
+        path: The destination.
+        error: The error that ended the recording; None as long as there is none.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.error: RecapError | None = None
+        self._batch: SnapshotBatch | None = None
+
+    def write(self, batch: SnapshotBatch) -> None:
+        """Add a batch, or what was added to it; errors appear in `error`, sooner or later."""
+        if batch is not self._batch:
+            self._write_batch()
+            self._batch = batch
+
+    def close(self) -> None:
+        """Wait until the file is complete, or has failed; a second call does nothing."""
+        raise NotImplementedError
+
+    def _write_batch(self) -> None:
+        raise NotImplementedError
+
+
+class WriterProcess(RecordingWriter):
     """Takes batches of snapshots without delay, and has each written by a process of its own once it is complete.
 
     An error there ends the recording, and nothing else. If this process is killed, the recording is completed except for
@@ -58,10 +85,6 @@ class WriterProcess:
     With `force`, a file at the destination is replaced at the end, else it stays, and the recording lies beside it. With
     `visible`, a recording without frames is put there at once; it is removed again if the recording fails, and nothing of it
     can be put in its place.
-
-    Attributes:
-        path: The destination.
-        error: The error that ended the recording; None as long as there is none.
 
     Raises:
         DestinationError: The destination cannot be written to.
@@ -78,10 +101,8 @@ class WriterProcess:
         visible: bool = False,
         process: subprocess.Popen[bytes] | None = None,
     ) -> None:
-        self.path = path
-        self.error: RecapError | None = None
+        super().__init__(path)
         self._placeholder: int | None = None  # the inode of the recording without frames
-        self._batch: SnapshotBatch | None = None
         self._queue: Queue[SnapshotBatch | None] = Queue(QUEUE)
         self._thread = Thread(target=self._run, name="carla-recap-recorder", daemon=True)
         self._process = process or start_process()
@@ -97,20 +118,14 @@ class WriterProcess:
             self._end()
             raise
 
-    def write(self, batch: SnapshotBatch) -> None:
-        """Add a batch, which is complete when another one follows; errors appear in `error`, sooner or later."""
-        if batch is not self._batch:
-            self._send_batch()
-            self._batch = batch
-
     def close(self) -> None:
-        """Wait until the file is complete, or has failed; a second call does nothing."""
+        """See `RecordingWriter.close`."""
         if self._thread.is_alive():
-            self._send_batch()
+            self._write_batch()
             self._queue.put(None)
             self._thread.join()
 
-    def _send_batch(self) -> None:
+    def _write_batch(self) -> None:
         if self._batch is not None and self.error is None:
             self._queue.put(self._batch)
 
@@ -252,7 +267,7 @@ class Commands:
         return finish_partial(writer, self._path, error, force=self._is_visible, format=self._format)
 
 
-class InProcessWriter:
+class InProcessWriter(RecordingWriter):
     """Takes batches as `WriterProcess` does, and writes them in this process: cheaper, but a tick may wait for the disk.
 
     If this process is killed, the unfinished file stays beside the destination, for `recover`.
@@ -261,23 +276,15 @@ class InProcessWriter:
     def __init__(
         self, path: Path, header: Header, *, force: bool = True, format: str | None = None, visible: bool = False
     ) -> None:
-        self.path = path
-        self.error: RecapError | None = None
-        self._batch: SnapshotBatch | None = None
+        super().__init__(path)
         self._commands = Commands()
         try:
             self._commands.begin(path, header, force, format, visible)
         except RecapError as error:
             raise DestinationError(str(error)) from None
 
-    def write(self, batch: SnapshotBatch) -> None:
-        """Add a batch, which is complete when another one follows; errors appear in `error`."""
-        if batch is not self._batch:
-            self._write_batch()
-            self._batch = batch
-
     def close(self) -> None:
-        """Complete the file; a second call does nothing."""
+        """See `RecordingWriter.close`."""
         self._write_batch()
         self._batch = None
         if self.error is None:

@@ -97,7 +97,8 @@ class Replayer:
         error: The error that ended the latest replay early; None without one.
     """
 
-    def __init__(self, episode: Episode) -> None:
+    def __init__(self, episode: Episode, maps: Path | None = None) -> None:
+        self._maps = maps
         self.ignore_hero = False
         self.ignore_spectator = True
         self.error: RecapError | None = None
@@ -202,18 +203,20 @@ class Replayer:
     def begin(
         self,
         opened: OpenedRecording,
-        map_name: str,
+        reload: Callable[[Town], None],
         replay_sensors: bool = False,
         offset: Transform | None = None,
         *,
+        keep_town: bool = False,
         replay_weather: bool = True,
-        loaded: bool = False,
+        map_name: str = "",
     ) -> Generator[None, None, Replay]:
         """Begin to replay an opened recording: the replayed actors have their first poses, and move with the next tick.
 
-        It takes a step for each actor that is spawned; no tick may fall between two. The recording is closed when the replay
+        Another map than the town's is loaded first by `reload`, see `town_to_load`; errors and warnings are of that, too. It
+        takes a step for each actor that is spawned; no tick may fall between two. The recording is closed when the replay
         ends. The offset is the transform of the spectator relative to the actor that it follows, with the actor's yaw alone;
-        None for `CHASE`. `loaded` is whether the map was loaded for it.
+        None for `CHASE`.
         """
         self.stop()
         self.error = None
@@ -221,6 +224,9 @@ class Replayer:
         player.time_factor = self._time_factor
         close = self._close = weakref.finalize(self, player.reader.close)
         try:
+            town = town_to_load(opened, self._episode.town, self._maps, map_name, keep=keep_town)
+            if town is not None:
+                reload(town)
             self._follow = player.followed if opened.follows else None
             self._offset = offset or CHASE
             self._replay_weather = replay_weather
@@ -238,8 +244,8 @@ class Replayer:
             raise
         return Replay(
             path,
-            map_name,
-            loaded,
+            map_name or player.reader.header.map_name,
+            town is not None,
             player.total,
             player.start,
             player.stop,
