@@ -72,21 +72,16 @@ class Observation:
 class Observer:
     """Observes a server from `begin` on, while a `with` block runs.
 
-    Args:
-        host: The address of the server.
-        port: Its port.
-        additional_data: Observe velocities, boxes, physics and the times of lights, too.
-        attach: Whether heroes without a collision sensor get one until the end; else only collisions of other clients'
-            sensors are observed.
-        interval: The least time between observed ticks, in s of real time.
+    With additional data, it observes velocities, boxes, physics and the times of lights, too. With `attach`, heroes without
+    a collision sensor get one until the end; else only collisions of other clients' sensors are observed. The interval is
+    the least time between observed ticks, in s of real time.
 
     Attributes:
         missed: The number of ticks that were missed.
         why: The reason of the end, in words; "" before it.
         is_cut_short: Whether it has ended since something that was to be recorded is gone.
-        map: The map.
-        times: The times of the latest observed frames by their numbers, in s since the episode began. A thread of the client
-            adds to them.
+        times: The times of the latest observed frames by their numbers, in s since the episode began. A thread of the
+            client adds to them.
 
     Raises:
         RecapError: On entry: there is no server.
@@ -156,11 +151,7 @@ class Observer:
         return call_on_termination(lambda name: self.end(f"stopped by {name}"))
 
     def observations(self, idle: Callable[[], None] = lambda: None) -> Iterator[Observation]:
-        """Yield the observed ticks until the end; `idle` is called whenever no tick has come for a moment.
-
-        Raises:
-            RecapError: The data of the server cannot be read.
-        """
+        """Yield the ticks until the end; `idle` is called whenever none has come for a moment. May raise `RecapError`."""
         held: deque[Observation] = deque()
         while not self.why:
             self._poll()

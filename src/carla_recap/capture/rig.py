@@ -45,17 +45,13 @@ class RigSensors:
     """The sensors of a server that are recorded, while a `with` block runs.
 
     They are those of a rig, which an actor carries (an id, or "hero") and which are destroyed at the end, or `EXISTING`
-    ones. The observer ends when a sensor of the rig or the carrier is gone.
+    ones. The observer ends when a sensor of the rig or the carrier is gone. On entry, an actor that is not there, a sensor
+    that cannot be spawned, and no sensors are errors; attributes that the server does not know and sensors that are left out
+    are warnings.
 
     Attributes:
         rig: The sensors that are listened to.
         last_frames: The latest frame in which a sensor that is gone was seen, by id.
-
-    Raises:
-        RecapError: On entry: there is no such actor, or a sensor cannot be spawned, or there are none.
-
-    Warns:
-        RecapWarning: On entry: the server does not know an attribute of a sensor, or an existing sensor is left out.
     """
 
     rig: SensorRig

@@ -55,18 +55,14 @@ class _TickSamples:
 
 
 class SampleRecorder:
-    """Records what sensors send, while a `with` block runs.
+    """Records what sensors send, while a `with` block runs; `advance` and `finish` write to the writer of the recording.
 
-    The calls of `advance` and `finish` write to the writer of the recording.
-
-    In synchronous mode, a sensor's thread waits while too many bytes wait to be written; else its data are dropped.
+    In synchronous mode, a sensor's thread waits while too many bytes wait to be written; else its data are dropped. A file
+    that cannot be written to is an error; on entry, so is a server that does not answer.
 
     Attributes:
         counts: The number of written samples of each sensor, by id.
         dropped: The number of samples of each sensor that came while too many bytes waited, by id.
-
-    Raises:
-        RecapError: The file cannot be written to; on entry: the server does not answer.
     """
 
     def __init__(self, observer: Observer, sensors: RigSensors, writer: McapWriter, header: Header) -> None:
@@ -101,8 +97,7 @@ class SampleRecorder:
     def advance(self, frame: int | None = None) -> None:
         """Write what has come of ticks whose frames are written; that with a number is the latest, or None: as before.
 
-        Raises:
-            RecapError: The disk is full or broken, or the data of a sensor cannot be read.
+        A `RecapError` is raised if the disk is full or broken, or the data of a sensor cannot be read.
         """
         self._frame = self._frame if frame is None else frame
         self._sensors.check()

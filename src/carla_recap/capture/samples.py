@@ -24,15 +24,9 @@ _DTYPES: Final = {"lidar": POINT, "semantic_lidar": SEMANTIC_POINT, "radar": DET
 
 
 class SensorFrame(NamedTuple):
-    """What a sensor has sent for a tick.
+    """What a sensor has sent for a tick: data of CARLA's client, or of a speedometer, m/s, with their size in bytes.
 
-    Attributes:
-        spec: The sensor.
-        frame: The number of the tick.
-        timestamp: Seconds since the episode began.
-        transform: The transform of the sensor.
-        data: The data: of CARLA's client, or of a speedometer, m/s.
-        size: Its size in bytes.
+    The timestamp is in s since the episode began.
     """
 
     spec: SensorSpec

@@ -340,11 +340,7 @@ class Actor:
         self.is_alive = False
 
     def check(self) -> None:
-        """Make sure that it is alive.
-
-        Raises:
-            DeadActor: It has been destroyed.
-        """
+        """Make sure that it is alive, or raise `DeadActor`."""
         if not self.is_alive:
             raise DeadActor(f"actor {self.id} ({self.type_id}) has been destroyed")
 

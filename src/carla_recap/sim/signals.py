@@ -22,20 +22,16 @@ _ROUNDING: Final = 1e-9  # s
 
 
 class Signals:
-    """The traffic lights as a struct of arrays; row i is `World.traffic_lights[i]`.
+    """The traffic lights as a struct of arrays; row i is `World.traffic_lights[i]`, times are in s.
 
     A group is the lights of a junction; a phase is those of them that are green together. Its times are those of its first
     light.
 
     Attributes:
-        id: The ids of the actors that stand for the lights, (n,).
         signal: The index of each light among the town's signals, (n,).
         state: 0 red, 1 yellow, 2 green, 3 off, 4 unknown, (n,).
-        elapsed: How long each has been in its state, in s.
-        frozen: Whether its time is stopped.
-        green_time: The duration of green in s.
-        yellow_time: The duration of yellow in s.
-        red_time: The time after yellow in which all lights of its group are red, in s.
+        elapsed: How long each has been in its state.
+        red_time: The time after yellow in which all lights of its group are red.
         held: Whether a replay sets the states, which then do not change with time.
     """
 

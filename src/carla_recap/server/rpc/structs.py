@@ -102,13 +102,8 @@ class ActorDescription:
 class ActorRecord:
     """An actor, as clients cache it for as long as they run.
 
-    Attributes:
-        id: Its id.
-        parent: The id of its parent; 0 for none.
-        description: Its blueprint and attributes.
-        box: The box around it, in its own axes.
-        tags: The semantic classes of its parts, a byte each.
-        token: The address of its stream; empty if it has none.
+    The parent is 0 for none, the box in its own axes; the tags are the semantic classes of its parts, a byte each. The
+    token, the address of its stream, is empty if it has none.
     """
 
     id: int

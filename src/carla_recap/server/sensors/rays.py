@@ -88,11 +88,7 @@ def _own_actors(sensor: Actor) -> set[Actor]:
 
 
 class ActorBoxes(OrientedBoxes):
-    """The boxes of actors in the world, in three dimensions, enlarged by a margin in m on each side.
-
-    Attributes:
-        actors: The actors.
-    """
+    """The boxes of actors in the world, in three dimensions, enlarged by a margin in m on each side."""
 
     def __init__(self, actors: Sequence[Actor], margin: float = 0.0) -> None:
         self.actors = actors

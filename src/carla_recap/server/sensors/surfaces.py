@@ -77,11 +77,7 @@ class TownSurfaces:
 
 
 class DrawnImages:
-    """Draws the images of a town in a process of its own.
-
-    Raises:
-        RecapError: An optional package or a driver is missing.
-    """
+    """Draws the images of a town in a process of its own; `RecapError`: an optional package or a driver is missing."""
 
     def __init__(self, surfaces: TownSurfaces, quality: Quality, town: Town) -> None:
         from carla_recap.rendering.process import RenderProcess, RenderProcessEnded, RenderProcessNotStarted

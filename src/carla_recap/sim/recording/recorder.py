@@ -70,7 +70,6 @@ class WorldRecorder:
     A disk error ends the recording, and not the simulation: a warning contains the reason.
 
     Attributes:
-        episode: The episode; a world replaces it between recordings.
         error: The error that ended the latest recording early; None without one.
         failures: The errors of recordings that have ended early, by the absolute paths of their destinations.
         frames: The number of frames of the latest recording.
@@ -113,24 +112,18 @@ class WorldRecorder:
         in_process: bool = False,
         process: subprocess.Popen[bytes] | None = None,
     ) -> Path:
-        """Begin a recording; one that is running is completed first.
-
-        It replaces an older one of that name when it is complete.
+        """Begin a recording; one that is running is completed first, and an older one of that name replaced at the end.
 
         Args:
             name: `crash` or `crash.mcap`; `crash.log`, or any other suffix, for CARLA's format; see `recording_path`. A
                 folder that is missing is made below the folder of recordings.
             additional_data: Record velocities, boxes, physics and the times of lights, too.
-            force: Overwrite an older recording; else one that exists at the start is an error, and one that exists at the
-                end stays: the new recording lies beside it then, and a warning contains its path.
+            force: Overwrite an older recording; else one that exists at the start is an error, and one that exists at
+                the end stays: the new recording lies beside it then, and a warning contains its path.
             visible: Put a recording without frames under the name at once; else the name appears with the complete one.
             now: Record the world as it is as the first frame; else the first frame is the end of the next tick.
-            in_process: Write in this process, which saves the start of another one, for many short recordings; see
-                `InProcessWriter`.
+            in_process: Write in this process, which saves the start of another one; see `InProcessWriter`.
             process: The process that writes, of `start_process`, which takes a moment; by default, it is started here.
-
-        Returns:
-            The path of the complete recording.
 
         Raises:
             DestinationError: The destination cannot be written to.

@@ -117,13 +117,10 @@ class SnapshotBatch:
 
 
 class ActorSet:
-    """The actors of a world as long as none comes or goes, as ids.
+    """The actors of a world as long as none comes or goes, as ids; `columns` are those of the world that are recorded.
 
     Those with poses are in the order in which they were spawned; the others are those among them that are neither vehicles
     nor walkers.
-
-    Attributes:
-        columns: The columns of the world that are recorded; see `COLUMNS`.
     """
 
     def __init__(

@@ -48,8 +48,7 @@ class ActorMapping:
 
     A recorded actor is mapped to the actor of the world that has its id and blueprint; if there is none, to the one that has
     stayed of an earlier replay of the same recording; else one is spawned, with the recorded id unless another actor has, or
-    had, it. Lights and signs are mapped to the nearest ones of the town,
-    and the spectator to the spectator.
+    had, it. Lights and signs are mapped to the nearest ones of the town, and the spectator to the spectator.
 
     Attributes:
         replayed: The actors of the world that follow the recording, by the ids of the recording.

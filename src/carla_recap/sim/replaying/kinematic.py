@@ -49,12 +49,9 @@ _SAME_CONTACT: Final = 0.25  # s of the recording between two collisions of the 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Velocities:
-    """The recorded velocities of vehicles or walkers in a tick.
+    """The recorded velocities of vehicles or walkers in a tick, in m/s, (n, 3); NaN where they are not known, as in a jump.
 
-    Attributes:
-        time: The end of the tick, in elapsed seconds of the recording.
-        ids: The ids of the replayed actors in the world, (n,).
-        values: The velocity of each in m/s, (n, 3); NaN where it is not known, as in a jump.
+    The time is the end of the tick, in elapsed seconds of the recording; the ids, (n,), are those of the replayed actors.
     """
 
     time: float

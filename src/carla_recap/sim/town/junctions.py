@@ -36,17 +36,15 @@ class SignalKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """A traffic light or sign.
+    """A traffic light or sign, which faces the traffic that it governs.
 
     Attributes:
-        index: Its index in the list of signals.
         opendrive_id: Its id in the file.
-        kind: The kind.
-        transform: Its location; it faces the traffic that it governs.
         speed_limit: The speed limit in m/s, if it is a speed-limit sign.
         junction: The id of the junction before which it stands, if there is one.
         controller: The id of the controller of a light; lights of one controller change together.
-        stops: The lanes that it governs, and the distance along each of the stop line, or of the begin of the speed limit.
+        stops: The lanes that it governs, and the distance along each of the stop line, or of the begin of the speed
+            limit.
         governs: The lanes beyond it, in the junction.
     """
 
@@ -63,15 +61,11 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class Conflict:
-    """A stretch of a lane in a junction where another lane crosses it, or comes to it.
+    """A stretch of a lane in a junction, between two distances along it in m, where another lane crosses it, or comes to it.
 
     Every conflict is listed twice, once for each of the two lanes.
 
     Attributes:
-        lane: The lane.
-        other: The other lane.
-        begin: The distance along the lane at which the stretch begins, in m.
-        end: The distance at which it ends, in m.
         merging: Whether both lanes lead to the same one; otherwise they cross.
         yields: Whether the traffic of the lane yields to that of the other one.
     """
@@ -86,12 +80,9 @@ class Conflict:
 
 @dataclass(frozen=True, slots=True)
 class Junction:
-    """A junction.
+    """A junction, with the lanes through it, and the stretches where two of them cross or merge.
 
     Attributes:
-        id: Its id in the file.
-        lanes: The lanes through it.
-        conflicts: The stretches where two of them cross or merge.
         phases: The lights that are green together, as indices of signals: one phase after another; empty without lights.
     """
 

@@ -46,10 +46,6 @@ class Lane:
     """A lane for cars along a section of a road, as driven.
 
     Attributes:
-        index: Its index in the list of lanes.
-        road_id: The id of its road in the OpenDRIVE file.
-        section: Which section of the road, counted from 0.
-        lane_id: The number of the lane there.
         reverse: Whether the direction of travel is against that of the road.
         points: The points of its middle in the direction of travel, evenly spaced, about 1 m apart, (n, 3).
         s: The distances of the points along the lane, (n,).
@@ -57,12 +53,9 @@ class Lane:
         width: The width halfway, in m.
         limits: The speed limits at the points in m/s, (n,).
         successors: The lanes that begin where it ends.
-        predecessors: The lanes that end where it begins.
         left: At each point, the lane of the same direction on the left, if the markings there allow to change to it, or
             `NO_LANE`, (n,).
-        right: The one on the right, (n,).
         junction: The id of the junction that it lies in; None outside of junctions.
-        turn: The turn that it takes there.
     """
 
     index: int
@@ -178,14 +171,9 @@ class LaneIndex:
     """Finds the lanes at locations, and the locations of lanes.
 
     Attributes:
-        points: The points of all lanes, one after another, (n, 3).
-        heading: The directions of travel at them, (n,).
-        limits: The speed limits at them in m/s, (n,).
-        lane_of: The lane of each point, (n,).
-        first: The first point of each lane, (lanes,).
-        count: The number of points of each, (lanes,).
-        spacing: The distance between two of them, (lanes,).
-        length: The length of each lane, (lanes,).
+        points: The points of all lanes, one after another, (n, 3), with directions of travel, speed limits in m/s and
+            lanes of each, (n,).
+        first: The first point of each lane, (lanes,), with the number of its points, their spacing, and its length.
         has_levels: Whether some lanes are above others.
     """
 
@@ -374,11 +362,7 @@ class _Terrain:
 
 
 class _Levels:
-    """The further levels of roads in the cells of a terrain where several are above each other.
-
-    Attributes:
-        is_empty: Whether no road is above another.
-    """
+    """The further levels of roads in the cells of a terrain where several are above each other, if there are any."""
 
     def __init__(self, points: Floats, terrain: _Terrain) -> None:
         self._terrain = terrain
