@@ -106,8 +106,8 @@ class MovingBodies(StructOfArrays):
         self.remove_row(row)
         del self.actors[row], self.bodies[row]
         del self._rows[actor]
-        for other in self.actors[row:]:
-            self._rows[other.id] -= 1
+        for other in self.id[row:].tolist():
+            self._rows[other] -= 1
         return body
 
     def place(self, row: int, position: tuple[float, float, float], rotation: tuple[float, float, float]) -> None:
