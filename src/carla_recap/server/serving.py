@@ -8,6 +8,7 @@ import gc
 import logging
 import os
 import signal
+import sys
 import time
 from contextlib import suppress
 from functools import partial
@@ -31,6 +32,7 @@ _LOG: Final = logging.getLogger(__name__)
 _BACKLOG: Final = 512
 _TRIES: Final = 20
 _STDIN: Final = 0
+_SWITCH: Final = 1e-3  # s: how long a thread, such as one that opens a recording, may keep a call waiting
 _TICK: Final = 0.05  # s: the time between two ticks without a fixed time step
 _LONGEST: Final = 0.25  # s: a longer tick, because something took its time, is this long
 _BEHIND: Final = 1.0  # s: a longer delay is not made up for
@@ -69,6 +71,7 @@ async def serve(
     with call_on_termination(lambda _: end()):
         host.prepare()
         gc.freeze()  # to look for cycles among what stays would keep clients waiting
+        sys.setswitchinterval(_SWITCH)
         connect = partial(ClientConnection, CALLS, host.connections, partial(Client, host))
         calls, streams = await _listen_both(connect, host.streams.connection, address, port, streaming_port)
         port, host.streams.port = (server.sockets[0].getsockname()[1] for server in (calls, streams))
