@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import monotonic
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 from carla_recap.capture.observer import HOST, PORT, Observer
 from carla_recap.capture.recording import header_of, live_frames, until
@@ -25,26 +25,13 @@ from carla_recap.util.files import WholeFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
+    from contextlib import AbstractContextManager
 
     import carla
 
-    from carla_recap.model.frame import Frame, Header
-    from carla_recap.show.foxglove.websocket import FoxgloveServer
-    from carla_recap.show.rerun import View
-
-
-class LiveViewer(Protocol):
-    """What shows frames as they come; see `LiveView` of Rerun and `FoxgloveView`."""
-
-    def enter(self, frame: Frame) -> None:
-        """Add a frame."""
-
-    def flush(self) -> None:
-        """Show all frames that were added."""
-
-    def close(self) -> None:
-        """Show what is known only at the end."""
-
+    from carla_recap.model.frame import Header
+    from carla_recap.show.foxglove.websocket import FoxgloveServer, FoxgloveView
+    from carla_recap.show.rerun import LiveView, View
 
 RATE: Final = 30.0
 """The most ticks that are shown in a second of real time."""
@@ -102,6 +89,7 @@ def watch(
         stack.enter_context(observer.until_signal())
         road_map = _road_map(observer.map)
         header = header_of(observer)
+        opened: AbstractContextManager[tuple[LiveView | FoxgloveView, Callable[[], bool]]]
         if server is None:
             opened = _in_rerun(to, header, f"{host}:{port}", follow, view, road_map)
         else:
@@ -151,7 +139,7 @@ def check_target(to: Path | str | None, foxglove_port: int | None = None, *, for
 @contextmanager
 def _in_foxglove(
     server: FoxgloveServer, header: Header, follow: Follow, road_map: RoadMap | None, ready: Callable[[str], object]
-) -> Iterator[tuple[LiveViewer, Callable[[], bool]]]:
+) -> Iterator[tuple[FoxgloveView, Callable[[], bool]]]:
     """Let Foxglove connect; yield what shows frames, and a function that returns whether it is still open."""
     from carla_recap.show.foxglove.websocket import FoxgloveView
 
@@ -162,7 +150,7 @@ def _in_foxglove(
 @contextmanager
 def _in_rerun(
     to: Path | str | None, header: Header, source: str, follow: Follow, view: View, road_map: RoadMap | None
-) -> Iterator[tuple[LiveViewer, Callable[[], bool]]]:
+) -> Iterator[tuple[LiveView, Callable[[], bool]]]:
     """Open Rerun's viewer or a file; yield what shows frames, and a function that returns whether it is still open."""
     from carla_recap.show.rerun import LiveView, live_blueprint, piped, sent
 
