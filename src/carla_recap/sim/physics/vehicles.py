@@ -46,8 +46,6 @@ class Vehicles(Drivetrains):
     """Whether a control was applied since the latest tick."""
     awake: Booleans = column(False)
     """Whether it moves, or is about to."""
-    force: Floats = column(np.zeros(2))
-    """The external force of the next tick, in N, (n, 2)."""
 
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__(plane, height)
@@ -138,12 +136,9 @@ class Vehicles(Drivetrains):
         return throttle, np.where(acceleration < 0, brake, 0)
 
     def begin_tick(self, seconds: float) -> bool:
-        """See `MovingBodies.begin_tick`; forces act now."""
+        """See `MovingBodies.begin_tick`."""
         if not self.sticky.all():
             self._release_controls()
-        if self.force.any():
-            self.add_velocities(np.where(self.simulated[:, None], self.force * seconds / self.mass[:, None], 0.0))
-            self.force[:] = 0
         self._choose_gears()
         slow = (self.speed != 0) | (self.sideways != 0) | (self.turning != 0)  # what is too slow to go on has yet to stop
         self.awake = self._in_motion() | slow & self.simulated
