@@ -74,3 +74,23 @@ def corners(entity):
 
 def xyz(vector):
     return [vector.x, vector.y, vector.z]
+
+
+def panels(layout):
+    """Return kind and settings of the panels of a layout, in either form, in the order in which they are seen."""
+    if "configById" in layout:
+        return [(id.split("!")[0], layout["configById"][id]) for id in leaves(layout["layout"])]
+    return [*contents(layout["content"])]
+
+
+def leaves(node):
+    return [node] if isinstance(node, str) else leaves(node["first"]) + leaves(node["second"])
+
+
+def contents(node):
+    if node["type"] == "split":
+        for item in node["items"]:
+            yield from contents(item["content"])
+    else:
+        assert node["type"] == "panel"
+        yield node["panelType"], {**node["config"], "foxglovePanelTitle": node["title"]}

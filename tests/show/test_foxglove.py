@@ -26,7 +26,7 @@ from tests.samples import carla_log
 pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
 
 
-from tests.show.foxglove_reader import BODIES, bodies, corners, latest, moves, read, seen, xyz
+from tests.show.foxglove_reader import BODIES, bodies, corners, latest, moves, panels, read, seen, xyz
 from tests.waiting import PATIENCE
 
 ROOT = Path(__file__).parents[2]
@@ -517,26 +517,6 @@ def test_instead_of_a_map_whose_surfaces_cannot_be_made_corridors_are_shown(tmp_
 
 
 # --- the layouts ---------------------------------------------------------------------------------------------------
-
-
-def panels(layout):
-    """Return kind and settings of the panels of a layout, in either form, in the order in which they are seen."""
-    if "configById" in layout:
-        return [(id.split("!")[0], layout["configById"][id]) for id in leaves(layout["layout"])]
-    return [*contents(layout["content"])]
-
-
-def leaves(node):
-    return [node] if isinstance(node, str) else leaves(node["first"]) + leaves(node["second"])
-
-
-def contents(node):
-    if node["type"] == "split":
-        for item in node["items"]:
-            yield from contents(item["content"])
-    else:
-        assert node["type"] == "panel"
-        yield node["panelType"], {**node["config"], "foxglovePanelTitle": node["title"]}
 
 
 def texts(value):

@@ -40,6 +40,7 @@ from tests.sensors.cars import (
     drive,
     spawn,
 )
+from tests.show.foxglove_reader import panels
 from tests.waiting import PATIENCE
 
 pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
@@ -323,9 +324,6 @@ def test_a_recording_with_sensors_gets_those_of_another_rig(source: Path, tmp_pa
     assert len(two["/tf/sensors"]) == 2 * FRAMES
 
 
-# --- files -----------------------------------------------------------------------------------------------------------
-
-
 def test_the_destination_is_an_mcap_file(source: Path, tmp_path: Path) -> None:
     with pytest.raises(RecapError, match=r"out\.log' does not end in \.mcap, the format of recordings with sensors"):
         export(source, tmp_path / "out.log")
@@ -343,37 +341,16 @@ def test_layouts_have_a_panel_for_each_image_and_the_points(tmp_path: Path) -> N
         messages = SensorMessages(SensorRig.of(rig), recording.header)
     layouts = write_layouts(tmp_path / "run.mcap", messages.topics)
     assert [path.name for path in layouts.values()] == ["run.foxglove.json", "run.lichtblick.json"]
-    one, other = (json.loads(path.read_text()) for path in layouts.values())
-    panels = list(panels_of(one["content"]))
-    shown = [panel["config"]["imageMode"] for panel in panels if panel["panelType"] == "Image"]
-    assert [mode["imageTopic"] for mode in shown] == names
-    assert [mode["calibrationTopic"] for mode in shown] == [f"{name.rpartition('/')[0]}/calibration" for name in names]
-    worlds = [panel["config"] for panel in panels if panel["panelType"] == "ThreeDee"]
-    worlds += [config for id, config in other["configById"].items() if id.startswith("3D!")]
-    assert len(worlds) == 4
-    assert all(world["topics"]["/sensors/lidar/points"]["visible"] for world in worlds)
-    assert all(world["topics"]["/scene/vehicles"]["visible"] for world in worlds)
-    in_mosaic = list(leaves(other["layout"]))
-    assert sorted(in_mosaic) == sorted(other["configById"])
-    modes = [other["configById"][id]["imageMode"] for id in in_mosaic if id.startswith("Image!")]
-    assert modes == shown
-
-
-def panels_of(content: Any) -> Any:
-    """Yield the panels of a layout of Foxglove."""
-    if content["type"] == "panel":
-        yield content
-    for item in content.get("items", ()):
-        yield from panels_of(item["content"])
-
-
-def leaves(layout: Any) -> Any:
-    """Yield the ids of the panels of a layout of Lichtblick."""
-    if isinstance(layout, str):
-        yield layout
-    else:
-        yield from leaves(layout["first"])
-        yield from leaves(layout["second"])
+    both = [json.loads(path.read_text()) for path in layouts.values()]
+    for layout in both:
+        shown = [config["imageMode"] for kind, config in panels(layout) if kind == "Image"]
+        assert [mode["imageTopic"] for mode in shown] == names
+        assert [mode["calibrationTopic"] for mode in shown] == [f"{name.rpartition('/')[0]}/calibration" for name in names]
+        worlds = [config["topics"] for kind, config in panels(layout) if kind in ("3D", "ThreeDee")]
+        assert len(worlds) == 2
+        for name in ("/sensors/lidar/points", "/scene/vehicles"):
+            assert [world[name]["visible"] for world in worlds] == [True, True]
+    assert len(panels(both[1])) == len(both[1]["configById"])
 
 
 @pytest.mark.parametrize("count", [0, 1, 4, 5, 100])
@@ -382,7 +359,5 @@ def test_layouts_of_any_number_of_cameras_are_whole(tmp_path: Path, count: int) 
     rig = SensorRig.of(cameras) if cameras else MOTION
     with open_recording(CRASH) as recording:
         layouts = write_layouts(tmp_path / "run.mcap", SensorMessages(rig, recording.header).topics)
-    one, other = (json.loads(path.read_text()) for path in layouts.values())
-    expected = min(count, 12)
-    assert sum(panel["panelType"] == "Image" for panel in panels_of(one["content"])) == expected
-    assert sum(id.startswith("Image!") for id in leaves(other["layout"])) == expected
+    for path in layouts.values():
+        assert [kind for kind, _ in panels(json.loads(path.read_text()))].count("Image") == min(count, 12)
