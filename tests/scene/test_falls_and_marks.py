@@ -43,29 +43,26 @@ def marks(found):
     return [(round(float(batch.time[row]), 3), len(at)) for batch in found for row, at in shown.changes(batch)]
 
 
-def test_a_walker_lies_from_the_hit_until_it_walks(batches):
+LYING = (WALKER, 200.0, 0.0, 20.0, 0.0, 90.0, 0.0)
+
+
+@pytest.mark.parametrize("end", ["walks", "disappears", "is recorded lying"])
+def test_a_walker_lies_from_the_hit_until_it_does_something_else(batches, end):
     frames = accident()
-    frames[12]["walker_controls"] = [(WALKER, 140.0)]
-    assert falls(batches(frames)) == [(0.3, WALKER, True), (1.2, WALKER, False)]
-
-
-def test_a_walker_that_disappears_does_not_lie_any_longer(batches):
-    frames = accident()
-    frames[12]["destroyed"] = [WALKER]
-    assert falls(batches(frames)) == [(0.3, WALKER, True), (1.2, WALKER, False)]
-
-
-def test_a_walker_that_is_recorded_lying_is_shown_as_recorded(batches):
-    frames = accident()
-    for frame in frames[12:]:
-        frame["transforms"][1] = (WALKER, 200.0, 0.0, 20.0, 0.0, 90.0, 0.0)
+    if end == "walks":
+        frames[12]["walker_controls"] = [(WALKER, 140.0)]
+    elif end == "disappears":
+        frames[12]["destroyed"] = [WALKER]
+    else:
+        for frame in frames[12:]:
+            frame["transforms"][1] = LYING
     assert falls(batches(frames)) == [(0.3, WALKER, True), (1.2, WALKER, False)]
 
 
 def test_a_walker_that_is_recorded_lying_from_the_hit_on_falls_in_six_tenths_of_a_second(batches):
     frames = accident()
     for frame in frames[HIT:]:
-        frame["transforms"][1] = (WALKER, 200.0, 0.0, 20.0, 0.0, 90.0, 0.0)
+        frame["transforms"][1] = LYING
     describer, heads = SceneDescriber(), []
     for batch in batches(frames):
         described = describer.describe(batch)
