@@ -22,40 +22,33 @@ def names(sources, folder):
     return [str(source.location).removeprefix(f"{folder}/") for source in find_sources(sources)]
 
 
-def test_a_folder_means_the_recordings_in_it_and_below(folder):
-    assert names([folder], folder) == ["a.log", "b.mcap", "deep/d.LOG"]
-
-
-def test_a_glob_means_what_it_matches(folder):
-    assert names([f"{folder}/*.mcap", f"{folder}/**/*.LOG"], folder) == ["b.mcap", "deep/d.LOG"]
-
-
-def test_a_recording_that_is_named_twice_is_found_once(folder):
-    assert names([folder / "a.log", folder, folder / "c.txt"], folder) == ["a.log", "b.mcap", "deep/d.LOG", "c.txt"]
+@pytest.mark.parametrize(
+    ("sources", "found"),
+    [
+        (("",), ["a.log", "b.mcap", "deep/d.LOG"]),  # a folder means the recordings in it and below
+        (("/*.mcap", "/**/*.LOG"), ["b.mcap", "deep/d.LOG"]),
+        (("/a.log", "", "/c.txt"), ["a.log", "b.mcap", "deep/d.LOG", "c.txt"]),  # each once
+        (("/missing.log",), ["missing.log"]),  # is left to whatever opens it
+    ],
+)
+def test_folders_globs_and_files_mean_recordings(folder, sources, found):
+    assert names([f"{folder}{source}" for source in sources], folder) == found
 
 
 def test_sizes_and_times_are_those_of_the_files(folder):
-    (found,) = find_sources([folder / "a.log"])
+    found, missing = find_sources([folder / "a.log", folder / "missing.log"])
     assert (found.size, found.modified) == (5, (folder / "a.log").stat().st_mtime)
-
-
-def test_a_file_that_is_missing_is_left_to_whatever_opens_it(folder):
-    (found,) = find_sources([folder / "missing.log"])
-    assert found.size is None
+    assert missing.size is None
 
 
 @pytest.mark.parametrize("source", ["*.json", "empty"])
-def test_a_source_without_recordings_is_an_error(folder, source):
+def test_a_source_without_recordings_is_an_error_or_a_row(folder, source):
     (folder / "empty").mkdir()
     with pytest.raises(RecapError, match="no recordings"):
-        list(find_sources([f"{folder}/{source}"]))
-
-
-def test_a_source_without_recordings_can_be_a_row(folder):
-    (found, other) = find_sources([folder / "*.json", folder / "a.log"], errors="yield")
-    assert found.location == f"{folder}/*.json"
+        list(find_sources([folder / source]))
+    found, other = find_sources([folder / source, folder / "a.log"], errors="yield")
+    assert (found.location, other.error) == (f"{folder}/{source}", None)
     assert "no recordings" in found.error
-    assert other.error is None
 
 
 def test_a_form_means_one_recording_or_many(folder):

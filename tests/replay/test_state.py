@@ -105,14 +105,11 @@ def cast(record: Record, **options: bool) -> Scene:
     return scene
 
 
-def test_the_spectator_is_left_out(record: Record) -> None:
+def test_the_spectator_is_left_out_unless_it_is_asked_for(record: Record) -> None:
     scene = cast(record)
     assert scene.ids.tolist() == list(scene.actors) == scene.vehicle_controls["id"].tolist() == [1, 2]
     assert [event.actor.id for event in scene.spawned] == [1, 2]
     assert scene.doors == {1: {0}}
-
-
-def test_the_spectator_is_kept_on_request(record: Record) -> None:
     assert cast(record, ignore_spectator=False).ids.tolist() == [1, 2, 3]
 
 

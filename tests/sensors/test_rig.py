@@ -306,31 +306,25 @@ def test_whatever_is_given_is_a_rig_or_an_error_of_one_line(rig: Any) -> None:
     assert found is None or SensorRig.of(found.to_dicts()) == found
 
 
-def kinds(rig: SensorRig) -> list[tuple[str, int]]:
-    """Return how many sensors of each kind there are, in the order of their first ones."""
-    return list(Counter(sensor.kind for sensor in rig).items())
-
-
-def test_the_sample_with_a_front_camera() -> None:
-    (front,) = SensorRig.load(RIGS / "front_camera.json")
-    assert (front.type, front.yaw, front.attributes["image_size_x"]) == ("sensor.camera.rgb", 0.0, 800)
-
-
-def test_the_sample_of_the_leaderboard_has_its_values() -> None:
-    rig = SensorRig.load(RIGS / "leaderboard.json")
-    assert kinds(rig) == [("camera", 6), ("lidar", 1), ("gnss", 1), ("imu", 1), ("speedometer", 1)]
-    assert SensorRig.load(RIGS / "leaderboard.json", leaderboard=True) == rig
+@pytest.mark.parametrize(
+    ("name", "kinds"),
+    [
+        ("front_camera", {"camera": 1}),
+        ("leaderboard", {"camera": 6, "lidar": 1, "gnss": 1, "imu": 1, "speedometer": 1}),
+        ("nuscenes", {"camera": 6, "lidar": 1, "radar": 5}),
+    ],
+)
+def test_the_samples_have_their_sensors(name: str, kinds: dict[str, int]) -> None:
+    rig = SensorRig.load(RIGS / f"{name}.json")
+    assert Counter(sensor.kind for sensor in rig) == kinds
     cameras = [sensor for sensor in rig if sensor.kind == "camera"]
-    assert {(camera.number("image_size_x"), camera.number("image_size_y")) for camera in cameras} == {(400.0, 300.0)}
-    assert sorted(camera.yaw % 360 for camera in cameras) == [0, 60, 120, 180, 240, 300]
-    assert all(math.hypot(sensor.x, sensor.y, sensor.z) <= 3.0 for sensor in rig)  # the Leaderboard refuses others
-
-
-def test_the_sample_like_nuscenes_has_its_sensors() -> None:
-    rig = SensorRig.load(RIGS / "nuscenes.json")
-    assert kinds(rig) == [("camera", 6), ("lidar", 1), ("radar", 5)]
-    assert all(re.fullmatch(r"CAM_\w+|LIDAR_TOP|RADAR_\w+", sensor.id) for sensor in rig)
-    for sensor in rig:
+    if name == "leaderboard":
+        assert SensorRig.load(RIGS / "leaderboard.json", leaderboard=True) == rig
+        assert {(camera.number("image_size_x"), camera.number("image_size_y")) for camera in cameras} == {(400.0, 300.0)}
+        assert sorted(camera.yaw % 360 for camera in cameras) == [0, 60, 120, 180, 240, 300]
+        assert all(math.hypot(sensor.x, sensor.y, sensor.z) <= 3.0 for sensor in rig)  # the Leaderboard refuses others
+    for sensor in rig if name == "nuscenes" else ():
+        assert re.fullmatch(r"CAM_\w+|LIDAR_TOP|RADAR_\w+", sensor.id)
         assert (sensor.y < 0) == sensor.id.endswith("_LEFT")
         assert (sensor.y > 0) == sensor.id.endswith("_RIGHT")
         assert ("BACK" in sensor.id) <= (abs(sensor.yaw) > 90)
