@@ -32,18 +32,14 @@ def doctor(monkeypatch, **environment):
     return json.loads(done.stdout)
 
 
-def test_versions_are_those_of_the_packages(monkeypatch):
-    versions = doctor(monkeypatch)["versions"]
-    assert versions["carla-recap"] == carla_recap.__version__
-    assert versions["python"] == ".".join(map(str, sys.version_info[:3]))
-
-
-def test_an_extra_lists_its_packages(monkeypatch):
-    extras = doctor(monkeypatch)["extras"]
-    assert {"pandas", "cameras", "server", "sql", "rerun"} <= set(extras)
-    assert not {"all", "dev"} & set(extras)
-    assert set(extras["cameras"]) == {"embreex", "moderngl", "pillow"}
-    assert set(extras["server"]) >= {"pymunk", "msgpack"}
+def test_versions_and_extras_are_those_of_the_packages(monkeypatch):
+    found = doctor(monkeypatch)
+    assert found["versions"]["carla-recap"] == carla_recap.__version__
+    assert found["versions"]["python"] == ".".join(map(str, sys.version_info[:3]))
+    assert {"pandas", "cameras", "server", "sql", "rerun"} <= set(found["extras"])
+    assert not {"all", "dev"} & set(found["extras"])
+    assert set(found["extras"]["cameras"]) == {"embreex", "moderngl", "pillow"}
+    assert set(found["extras"]["server"]) >= {"pymunk", "msgpack"}
 
 
 def test_what_is_missing_is_named_with_the_remedy(monkeypatch, tmp_path):
