@@ -64,13 +64,16 @@ def test_many_recordings_go_to_a_folder(tmp_path: Path, rig: Any) -> None:
             assert [sensor.id for sensor in recording.sensors] == ["imu"]
 
 
-def test_a_bad_rig_is_an_error_that_names_the_file_the_sensor_and_the_key(tmp_path: Path, rig: Any) -> None:
+def test_a_bad_rig_and_an_unknown_actor_are_errors_that_name_them(tmp_path: Path, rig: Any) -> None:
     path = rig({**LIDAR, "channels": 0})
     assert error("sense", CROSSING, tmp_path / "out.mcap", "--rig", path).startswith(
         f"{path}: sensor 'lidar': channels: 0; "
     )
     said = error("sense", CROSSING, tmp_path / "out.mcap", "--rig", tmp_path / "none.json")
     assert said.startswith(f"{tmp_path / 'none.json'}: cannot be read")
+    assert "no actor 99 to carry the rig" in error(
+        "sense", CROSSING, tmp_path / "out.mcap", "--rig", rig(IMU), "--actor", 99
+    )
     assert names_in(tmp_path) == ["rig.json"]
 
 
