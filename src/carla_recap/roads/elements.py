@@ -56,8 +56,7 @@ _LONGEST_PART: Final = 16 << 20  # bytes
 def read_elements(text: str | Iterable[str], shape: DocumentShape = OPENDRIVE) -> Iterator[Element]:
     """Yield the elements of the content of a file, such as roads, with the known elements within them.
 
-    Raises:
-        ValueError: It is no such file, or something in it is too large.
+    A `ValueError` says that it is no such file, or what in it is too large.
     """
     reader = _Reader(shape)
     parts = (text,) if isinstance(text, str) else text

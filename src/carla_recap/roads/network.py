@@ -78,25 +78,15 @@ _AGAINST: Final = 1.5  # m that a lane in another direction counts as farther aw
 
 @dataclass(frozen=True, eq=False)
 class LanePositions:
-    """Points in relation to lanes; arrays of (n,).
+    """Points in relation to lanes; arrays of (n,)."""
 
-    Attributes:
-        lane: The lane for cars that contains the point, else the nearest one within `REACH`; `NONE` without one.
-        offset: How far the point is to the left of the middle of the lane, as seen in driving direction, in m.
-        beside: How far the point is outside the lane, in m; 0 within it.
-        heading: The driving direction of the lane, in radians; NaN without one.
-        limit: The speed limit in m/s; NaN without one.
-        in_junction: Whether the lane, or another one that contains the point, is in a junction.
-        outside: How far the point is outside all paved lanes and junctions, in m; 0 on them, infinite beyond `REACH`.
-    """
-
-    lane: Integers
-    offset: Floats
-    beside: Floats
-    heading: Floats
-    limit: Floats
-    in_junction: Booleans
-    outside: Floats
+    lane: Integers  # the lane for cars that contains the point, else the nearest one within `REACH`; `NONE` without one
+    offset: Floats  # how far the point is to the left of the middle of the lane, as seen in driving direction, in m
+    beside: Floats  # how far the point is outside the lane, in m; 0 within it
+    heading: Floats  # the driving direction of the lane, in radians; NaN without one
+    limit: Floats  # the speed limit in m/s; NaN without one
+    in_junction: Booleans  # whether the lane, or another one that contains the point, is in a junction
+    outside: Floats  # how far the point is outside all paved lanes and junctions, in m; 0 on them, infinite beyond `REACH`
 
     def taken(self, index: Integers) -> LanePositions:
         """Return the points at some indices."""

@@ -362,8 +362,7 @@ class OpenDrive:
 def read_opendrive(text: str | Iterable[str]) -> OpenDrive:
     """Return the content of the text of an OpenDRIVE file, or of its parts.
 
-    Raises:
-        ValueError: It is no OpenDRIVE file, or it is too large, or a number in it is none that a road can have.
+    A `ValueError` says that it is none or is too large, or which number in it is none that a road can have.
     """
     found = OpenDrive()
     controllers: list[tuple[float, str, list[str]]] = []

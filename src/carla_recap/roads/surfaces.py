@@ -80,14 +80,9 @@ def find_road_network(
 
 
 def road_network_of(opendrive: str, name: str = "") -> RoadNetwork:
-    """Return the road network of the text of an OpenDRIVE file, with the name of the map.
-
-    Raises:
-        FormatError: It is no OpenDRIVE map with lanes for cars.
-    """
-    return _network(
-        _Source(name, sha256(opendrive.encode("utf-8", "replace")).digest(), Path(name or "map"), text=opendrive)
-    )
+    """Return the road network of the text of an OpenDRIVE file; a `FormatError` if it is no map with lanes for cars."""
+    digest = sha256(opendrive.encode("utf-8", "replace")).digest()
+    return _network(_Source(name, digest, Path(name or "map"), text=opendrive))
 
 
 def road_network_of_map(road_map: RoadMap | None) -> RoadNetwork | None:
@@ -134,11 +129,7 @@ def _network(source: _Source) -> RoadNetwork:
 
 
 def build_network(text: str | Iterable[str], name: str = "", lane_types: frozenset[str] | None = None) -> RoadNetwork:
-    """Return the road network of the text of an OpenDRIVE file, or of its parts; for the types, see `load_road_network`.
-
-    Raises:
-        ValueError: It is no OpenDRIVE file.
-    """
+    """Return the road network of the text of an OpenDRIVE file, or of its parts; for the types, see `load_road_network`."""
     with np.errstate(all="ignore"):
         found = read_opendrive(text).roads
         names = dict.fromkeys(road.junction for road in found if road.in_junction)

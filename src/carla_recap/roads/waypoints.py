@@ -33,11 +33,7 @@ _ROUNDING: Final = 10 * np.finfo(float).eps  # m by which CARLA's waypoints fall
 
 
 def load_lane_map(path: Path) -> LaneMap:
-    """Return the lanes of an OpenDRIVE file.
-
-    Raises:
-        RecapError: The file cannot be read, or is no OpenDRIVE map.
-    """
+    """Return the lanes of an OpenDRIVE file; a `RecapError` if it is none, or cannot be read."""
     return _lane_map(path, content_digest(path))
 
 
