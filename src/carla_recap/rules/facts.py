@@ -214,10 +214,10 @@ class Facts:
                 over_time.setdefault(measure, set()).update(life.id for life in movers if of.matches(life))
         wanted = [each for needs in self._needs for each in (*needs.extremes, *needs.values) if each.other == other]
         ids = {actor.id for actor in movers if any(each.of.matches(actor) for each in wanted)}
-        if not ids:
+        others = None if other.text == ANY else {life.id for life in movers if other.matches(life)}
+        if not ids or others == set():
             return [], {}
         roads = self._roads if any(MEASURES[each.measure].needs_roads for each in wanted) else None
-        others = None if other.text == ANY else {life.id for life in movers if other.matches(life)}
         search = MeasureSearch(self.recording.reader, ids, roads=roads, over_time=over_time, others=others)
         return search.find(), search.values
 

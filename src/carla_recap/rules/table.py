@@ -342,13 +342,11 @@ class ConditionKind:
 
     def read(self, value: Any, reading: Reading) -> Condition | None:
         """Return the condition that a value of a file is; None, and faults, if it is wrong."""
-        if isinstance(value, dict):
-            values = reading.table(self.parts, value, others=self.others)
-        elif self.plain:
-            values = reading.table(self.parts, {self.plain: value}, plain=self.plain, others=self.others)
-        else:
+        plain = "" if isinstance(value, dict) else self.plain
+        if not plain and not isinstance(value, dict):
             reading.refuse(value, f"a table of the keys {', '.join(key.name for key in keys_of(self.parts))}")
             return None
+        values = reading.table(self.parts, {plain: value} if plain else value, plain=plain, others=self.others)
         try:
             return None if values is None else self.make(**values)
         except Unexpected as error:
