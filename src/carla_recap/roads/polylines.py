@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     Corner = tuple[int, int]
 
 TOLERANCE: Final = 0.03  # m
+_DEEPEST: Final = 60  # parts in one another, which keep all points; the lines of CARLA's towns need about 10
 _TINY: Final = np.finfo(float).tiny
 _TOUCH: Final = 0.05  # m between ends that are joined
 _CELL: Final = 0.25  # m
@@ -31,16 +32,18 @@ def simplify(line: Floats, tolerance: float = TOLERANCE) -> Floats:
     """Return a line, (n, 2) or (n, 3), with fewer points, others at most `tolerance` m away (Douglas-Peucker)."""
     keep = np.zeros(len(line), np.bool_)
     keep[[0, -1]] = True
-    parts = [(0, len(line) - 1)]
+    parts = [(0, len(line) - 1, 0)]
     while parts:
-        first, last = parts.pop()
-        if last - first > 1:
+        first, last, depth = parts.pop()
+        if depth == _DEEPEST:
+            keep[first:last] = True
+        elif last - first > 1:
             distances = distances_to(line[first + 1 : last], line[first], line[last])
             worst = int(distances.argmax())
             if distances[worst] > tolerance:
                 middle = first + 1 + worst
                 keep[middle] = True
-                parts += (first, middle), (middle, last)
+                parts += (first, middle, depth + 1), (middle, last, depth + 1)
     return line[keep]
 
 
