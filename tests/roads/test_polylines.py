@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from carla_recap.roads.polylines import Surface, distances_to, join, simplify, stations
+from tests.waiting import time_limit
 
 LINES = hnp.arrays(np.float64, st.tuples(st.integers(2, 40), st.just(3)), elements=st.floats(-1000, 1000))
 
@@ -34,6 +35,13 @@ def test_a_straight_line_needs_two_points():
 def test_a_bend_keeps_its_corner():
     bent = np.concatenate((np.linspace((0, 0), (10, 0), 11), np.linspace((10, 0), (10, 10), 11)[1:]))
     assert simplify(bent).tolist() == [[0, 0], [10, 0], [10, 10]]
+
+
+def test_a_line_of_which_each_point_is_a_corner_is_kept_at_once():
+    """Each of its parts has but one point less than that around it: examined one in another, they would take minutes."""
+    corners = np.stack((np.arange(100_000.0), np.arange(100_000) % 2), axis=1)
+    with time_limit():
+        assert len(simplify(corners)) == len(corners)
 
 
 def test_a_closed_line_stays_closed():
