@@ -44,9 +44,10 @@ class PlaceDemand(Condition):
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
         subjects, offences, times = facts.subjects(self.of), [], []
+        latest = math.inf if self.before is None else self.before.value + SAME_TIME
         for life in subjects:
             time = self._time(facts, life)
-            if time < math.inf if self.before is None else time <= self.before.value + SAME_TIME:
+            if time < math.inf and time <= latest:
                 times.append(time)
             elif time < math.inf:
                 offences.append(Offence(f"{life.name} {self.verbs[1]} {self._last} at {time:.2f} s", time, (life.id,)))
