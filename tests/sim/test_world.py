@@ -473,32 +473,6 @@ def test_a_town_by_its_name() -> None:
     assert world.episode.number == 2
 
 
-_SLEEPING_CARS = """
-from carla_recap.sim import VehicleControl, World
-for reload in (False, True):
-    world = World()
-    cars = [world.place("vehicle.tesla.model3", point) for point in world.town.spawn_points[:12]]
-    cars[0].apply_control(VehicleControl(throttle=0.5, steer=0.3))
-    for _ in range(100):
-        world.tick()
-    assert sum(body.is_sleeping for body in world.vehicles.bodies) == 11
-    for car in cars[1:]:
-        car.set_simulate_physics(False)
-    world.tick()
-    if reload:
-        world.reload()
-    else:
-        for car in cars:
-            car.destroy()
-    for _ in range(20):
-        world.tick()
-"""
-
-
-def test_the_physics_of_sleeping_vehicles_can_be_switched_off() -> None:
-    subprocess.run([sys.executable, "-c", _SLEEPING_CARS], check=True)
-
-
 @pytest.mark.parametrize("weather", ["HardRainNoon", None, 3])
 def test_the_weather_is_a_weather(weather: object) -> None:
     with World(seed=1) as world, pytest.raises(SimError, match=r"a Weather was expected, such as PRESETS\['HardRainNoon'\]"):

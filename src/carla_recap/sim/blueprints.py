@@ -161,7 +161,8 @@ _SHIFT_DOWN: Final = 0.8  # of the revolutions after a shift up, so that it is n
 _SHIFT_TIME: Final = 0.1  # s, of CARLA's gearboxes since 0.9.12
 _CAR: Final = 1500.0  # kg; wheels of lighter vehicles are damped less than a car's, so that bicycles get fast enough
 _BRAKING: Final = 1.0  # g, by all brakes together; tyres of dry asphalt give about as much
-_FIRST_GEAR: Final = 0.23  # the share of the top speed that the first of many gears reaches
+_PULL: Final = 1.5  # g, by the engine at most; about a third is lost to turning masses and friction
+_FIRST_GEARS: Final = (0.23, 0.6)  # the share of the top speed that the first of many gears reaches, at least and at most
 _FRONT_AREA: Final = 0.85  # of the rectangle around it (Hucho, Aerodynamics of Road Vehicles)
 
 
@@ -184,9 +185,13 @@ def _physics(model: _Model) -> PhysicsControl:
     used = 1.0 if one_gear else _SHIFT_UP
     most = max(share * part for share, part in (*curve, (used, np.interp(used, *np.transpose(curve)))) if share <= used)
     torque = model.power * 1000 / float(turns * most)
+    final = turns * model.radius / top
+    pull = torque * final / (_PULL * GRAVITY * model.mass * model.radius)  # of the top gear, as a share of the most
+    first = 1.0 if one_gear else min(max(pull, _FIRST_GEARS[0]), _FIRST_GEARS[1])
+    step = 1.0 if one_gear else first ** (1 / (model.gears - 1))
+    torque *= min(first / pull, 1.0)
     scale = torque / turns / _USUAL_ENGINE
     usual = PhysicsControl()
-    step = 1.0 if one_gear else _FIRST_GEAR ** (1 / (model.gears - 1))
     shifts = (0.0, 0.0) if one_gear else (_SHIFT_DOWN * _SHIFT_UP * step, _SHIFT_UP)
     return PhysicsControl(
         torque_curve=tuple((share * model.max_rpm, part * torque) for share, part in curve),
@@ -197,7 +202,7 @@ def _physics(model: _Model) -> PhysicsControl:
         damping_rate_zero_throttle_clutch_disengaged=usual.damping_rate_zero_throttle_clutch_disengaged * scale,
         gear_switch_time=0.0 if one_gear else _SHIFT_TIME,
         clutch_strength=usual.clutch_strength * scale,
-        final_ratio=turns * model.radius / top,
+        final_ratio=final,
         forward_gears=[Gear(1 / step**number, *shifts) for number in reversed(range(model.gears))],
         mass=model.mass,
         drag_coefficient=model.drag * _FRONT_AREA * model.width * model.height / CHASSIS_AREA,

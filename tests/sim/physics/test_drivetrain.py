@@ -290,6 +290,8 @@ BAD: list[dict[str, Any]] = [
     {"wheel_lat_stiff_value": 0.0, "wheel_long_stiff_value": 0.0},
     {"wheel_lat_stiff_max_load": 0.0},
     {"wheel_lat_stiff_value": 1e6, "wheel_long_stiff_value": 1e9},
+    {"wheel_lat_stiff_value": 1e6, "wheel_long_stiff_value": 1e9, "wheel_tire_friction": 1e6},
+    {"wheel_lat_stiff_value": 1e4, "wheel_tire_friction": 1e4},
     {"wheel_max_steer_angle": 180.0},
     {"wheel_max_brake_torque": -1.0, "wheel_damping_rate": -1.0},
     {"wheel_position": Vector()},
@@ -299,7 +301,7 @@ BAD: list[dict[str, Any]] = [
 @pytest.mark.parametrize("driven_by", ["client", "autopilot"])
 def test_no_value_of_a_physics_control_makes_a_tick_fail(driven_by: str) -> None:
     world = flat_world()
-    cars = [spawn_car(world, at(4000.0, 400.0 * number)) for number in range(len(BAD))]
+    cars = [spawn_car(world, at(4000.0, 400.0 * number), speed=20.0) for number in range(len(BAD))]
     for car, changes in zip(cars, BAD, strict=True):
         change(car, changes)
     with np.errstate(all="raise", under="ignore"):
@@ -307,11 +309,34 @@ def test_no_value_of_a_physics_control_makes_a_tick_fail(driven_by: str) -> None
             for car in cars:
                 car.apply_control(control)
                 car.set_autopilot(driven_by == "autopilot")
-            world.run(2.0)
+            for _ in range(40):
+                world.tick()
+                assert np.hypot(world.vehicles.speed, world.vehicles.sideways).max() < 200.0
     fleet = world.vehicles
     for values in (fleet.position, fleet.rotation, fleet.velocity, fleet.engine, fleet.omega):
         bad = ~np.isfinite(values.reshape(len(BAD), -1)).all(axis=1)
         assert [BAD[row] for row in np.flatnonzero(bad)] == []
+
+
+def test_a_physics_control_that_fails_changes_nothing() -> None:
+    _, car = tesla()
+    before = car.physics_control
+    with pytest.raises(ValueError, match="unpack"):
+        change(car, {"mass": 900.0, "torque_curve": ((1.0,),)})
+    assert car.physics_control == before
+    assert car.rows.mass[car.row] == before.mass
+
+
+@pytest.mark.parametrize("speed", [0.015, 0.03])
+def test_speed_and_body_come_to_rest_together(speed: float) -> None:
+    world = flat_world()
+    car = spawn_car(world, at(100.0), speed=speed)
+    other = spawn_car(world, at(100.0, 50.0), speed=20.0)
+    for _ in range(60):
+        world.tick()
+        assert world.vehicles.bodies[0].velocity[0] == pytest.approx(car.velocity.x, abs=1e-3)
+    assert car.velocity.length() == 0
+    assert other.velocity.length() > 0
 
 
 @pytest.mark.parametrize("name", ["mass", "max_rpm", "moi", "final_ratio", "wheel_radius", "wheel_tire_friction"])

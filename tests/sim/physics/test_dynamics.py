@@ -38,7 +38,7 @@ def seconds_to(world: World, car: Vehicle, speed: float) -> float:
     return world.elapsed - start
 
 
-def test_it_takes_a_plausible_time_from_0_to_100() -> None:
+def test_it_takes_a_plausible_time_from_0_to_100_and_starts_no_harder_than_in_carla() -> None:
     plausible = {
         "tesla.model3": (4.0, 7.5),
         "lincoln.mkz_2020": (6.6, 8.0),  # 7.3 s in CARLA 0.9.16, 7.9 s in 0.9.15
@@ -47,6 +47,8 @@ def test_it_takes_a_plausible_time_from_0_to_100() -> None:
         "volkswagen.t2": (14.0, 35.0),
         "mercedes.sprinter": (8.0, 20.0),
         "harley-davidson.low_rider": (4.0, 8.0),
+        "yamaha.yzf": (3.0, 6.0),
+        "kawasaki.ninja": (3.0, 6.0),
     }
     world = flat_world()
     cars = dict(zip(plausible, side_by_side(world, *plausible), strict=True))
@@ -55,6 +57,8 @@ def test_it_takes_a_plausible_time_from_0_to_100() -> None:
     times: dict[str, float] = {}
     while len(times) < len(cars):
         world.tick()
+        hard = {name: car.acceleration.length() for name, car in cars.items() if car.acceleration.length() > 19}
+        assert hard == {}  # CARLA has recorded 16 m/s² of the Tesla
         times |= {name: world.elapsed for name, car in cars.items() if name not in times and car.velocity.x >= 100 * KMH}
         assert world.elapsed < 40.0
     assert {name: time for name, time in times.items() if not plausible[name][0] < time < plausible[name][1]} == {}

@@ -984,3 +984,23 @@ def test_a_replayed_walker_that_meets_a_car_does_not_fall(tmp_path: Path) -> Non
         again.tick()
         assert not replayed.has_fallen
         assert replayed.transform.rotation.pitch == 0.0
+
+
+@pytest.mark.parametrize("start", [0.0, 1.0])
+def test_physics_that_change_in_a_recording_change_in_its_replay(tmp_path: Path, start: float) -> None:
+    """The places of wheels are recorded in the world, those of a change where the vehicle is then."""
+    world = flat_world()
+    car = spawn_car(world, at(20.0, yaw=30.0), speed=10.0)
+    world.recorder.start(tmp_path / "a.log", True, in_process=True)
+    car.apply_control(VehicleControl(throttle=0.5, steer=0.3))
+    world.run(0.5)
+    control = car.physics_control = replace(car.physics_control, mass=2000.0)
+    world.run(1.0)
+    world.close()
+    again = flat_world()
+    again.replay_file(tmp_path / "a.log", start=start)
+    again.run(1.0)
+    replayed = played(again, car.id)
+    assert replayed.physics_control.mass == 2000.0
+    for place, wheel in zip(control.wheels, replayed.physics_control.wheels, strict=True):
+        assert (wheel.position.x, wheel.position.y) == pytest.approx((place.position.x, place.position.y), abs=0.1)

@@ -258,11 +258,6 @@ class _Drive:
         self.yaw, self.moved_x, self.moved_y = np.zeros((3, len(rows)))
         self.omega, self.engine = np.ascontiguousarray(fleet.omega[rows].T), fleet.engine[rows]
 
-    def speed(self) -> Floats:
-        """Return the speeds ahead in m/s."""
-        speed: Floats = self.vx * np.cos(self.yaw) + self.vy * np.sin(self.yaw)
-        return speed
-
     def begin(self, seconds: float) -> None:
         """Begin a step of a length in s: pedals, and gears; an automatic shift takes the throttle away."""
         fleet, rows, own = self.fleet, self.rows, self.own
@@ -308,7 +303,7 @@ class _Drive:
 
     def step_exactly(self, seconds: float) -> None:
         """Advance as PhysX does: a slow vehicle in three parts, and one that rolls slowly without throttle to its rest."""
-        slow = np.abs(self.speed()) < _SLOW
+        slow = np.abs(self.vx * np.cos(self.yaw) + self.vy * np.sin(self.yaw)) < _SLOW
         rolls = slow & (self.accelerator == 0)
         self.step(np.where(slow, seconds / _SLOW_STEPS, seconds), rolls)
         if slow.any():

@@ -122,8 +122,6 @@ class MovingBodies(StructOfArrays):
         body = self.bodies[row]
         self.simulated[row] = simulated
         self.acceleration[row], self.angular_velocity[row, :2] = 0.0, 0.0  # a replay may have set them
-        if body.is_sleeping:  # Chipmunk corrupts its lists when the type of a sleeping body changes
-            body.activate()
         if simulated:
             body.body_type = pymunk.Body.DYNAMIC
             body.mass, body.moment = self.mass[row].item(), self.moment[row].item()
@@ -138,8 +136,8 @@ class MovingBodies(StructOfArrays):
 
     def set_body_velocities(self, which: NDArray[np.bool_], motions: Floats) -> None:
         """Set the velocities of the bodies of some actors; see `Plane.set_velocities`."""
-        rows = np.flatnonzero(which)
-        self.plane.set_velocities([self.bodies[row] for row in rows.tolist()], motions[rows])
+        if which.any():
+            self.plane.set_velocities(self.body_id[which], motions[which])
 
     def heights(self) -> tuple[Floats, Floats]:
         """Return the z of the lowest and of the highest point of each actor in m, as if it stood upright, (n,) each."""

@@ -47,6 +47,7 @@ _USUAL_LATENCY, _QUICK_LATENCY = 2.0, 0.5
 
 Recordings show 2.0 s where a shift takes 0.5 s (0.9.10), and 0.5 s where it takes 0.1 s (0.9.13)."""
 _LEAST_MOMENT: Final = 1e-3  # kg m² of engine and wheels
+_MOST_FRICTION: Final = 30.0  # of tyres: with more, stiff ones throw a vehicle about in steps of 0.01 s
 _STEEPEST_LOCK: Final = 85.0  # degrees
 _DAMPINGS: Final = ("full_throttle", "zero_throttle_clutch_engaged", "zero_throttle_clutch_disengaged")
 _CM: Final = 0.01  # m
@@ -189,7 +190,7 @@ def parameters(control: PhysicsControl, box: Box, *, weightless: bool = False) -
     for own_x, own_y, load, wheels in zip(x, y, loads, _wheels_of_corners(control), strict=True):
         radius = max(fmean([wheel.radius * _CM for wheel in wheels]), 0.05)
         stiffness = fmean([max(wheel.lat_stiff_value, 0.0) * _saturation(wheel.lat_stiff_max_load) for wheel in wheels])
-        friction = 0.0 if weightless else fmean([max(wheel.tire_friction, 0.0) for wheel in wheels])
+        friction = 0.0 if weightless else fmean([min(max(wheel.tire_friction, 0.0), _MOST_FRICTION) for wheel in wheels])
         inertia = 0.5 * min(_WHEEL_MASS, _WHEEL_SHARE * mass) * radius * radius
         corners.append(
             (

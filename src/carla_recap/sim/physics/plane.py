@@ -16,7 +16,7 @@ from carla_recap.errors import MissingExtra
 
 try:
     import pymunk
-    from pymunk.batch import ArbiterFields, BodyFields, Buffer, get_space_arbiters, get_space_bodies
+    from pymunk.batch import ArbiterFields, BodyFields, Buffer, get_space_arbiters, get_space_bodies, set_space_bodies
 except ModuleNotFoundError:
     raise MissingExtra("the simulator", "sim") from None
 
@@ -40,16 +40,11 @@ _MEETS: Final = {  # walkers pass each other, and whatever stands at the roadsid
 _FRICTION: Final = 0.4  # metal on metal, about
 _ELASTICITY: Final = 0.1  # cars hardly bounce
 _WALL_RADIUS: Final = 0.1  # m
-_SLEEPY: Final = 0.5  # s without motion until a body sleeps
 _CLEARANCE: Final = 0.2  # m: bodies whose heights overlap by less pass over each other, as a car does over debris
 _BELOW_WALL, _ABOVE_WALL = 1.0, 3.0  # m: how far a barrier reaches below and above its line
 _UNBOUNDED: Final = (-math.inf, math.inf)
-# The setters themselves: by way of the attributes, it takes twice as long.
-_SET_VELOCITY: Final[Callable[[pymunk.Body, tuple[float, float]], None]] = vars(pymunk.Body)["velocity"].fset
-_SET_ANGULAR_VELOCITY: Final[Callable[[pymunk.Body, float], None]] = vars(pymunk.Body)["angular_velocity"].fset
-_BODY: Final = (
-    BodyFields.BODY_ID | BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
-)
+_MOTION: Final = BodyFields.BODY_ID | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
+_BODY: Final = _MOTION | BodyFields.POSITION | BodyFields.ANGLE
 _CONTACT: Final = ArbiterFields.BODY_A_ID | ArbiterFields.BODY_B_ID | ArbiterFields.TOTAL_IMPULSE | ArbiterFields.POINT_A_1
 
 
@@ -72,7 +67,6 @@ class Plane:
 
     def __init__(self) -> None:
         self.space = pymunk.Space()
-        self.space.sleep_time_threshold = _SLEEPY
         self.disturbed = False
         self._fixed_heights: dict[pymunk.Shape, Heights] = {}  # of barriers
         self._heights: dict[pymunk.Shape, Callable[[], Heights]] = {}
@@ -137,13 +131,14 @@ class Plane:
         self.space.reindex_shapes_for_body(body)
         self.disturbed = True
 
-    @staticmethod
-    def set_velocities(bodies: Iterable[pymunk.Body], motions: Floats) -> None:
-        """Set the velocities of bodies: x and y in m/s and rad/s, a row for each; walkers have no third column."""
-        for body, (x, y, *turning) in zip(bodies, motions.tolist(), strict=True):
-            _SET_VELOCITY(body, (x, y))
-            if turning:
-                _SET_ANGULAR_VELOCITY(body, turning[0])
+    def set_velocities(self, ids: NDArray[np.uintp], motions: Floats) -> None:
+        """Set the velocities of bodies by their ids: x and y in m/s and rad/s, a row for each; walkers have no third column.
+
+        No body may sleep, since this would wake it while Chipmunk goes through its lists.
+        """
+        known = self._get(_MOTION)
+        known[self._find(ids), : motions.shape[1]] = motions
+        set_space_bodies(self.space, _MOTION, self._bodies)
 
     def set_touching(self, body: pymunk.Body, group: int, touching: bool) -> None:
         """Switch the contacts of a body with others on or off."""
@@ -189,7 +184,7 @@ class Plane:
         self._known_heights.clear()
         self.space.step(seconds)
         self.disturbed = False
-        self._read()
+        self._state = self._get(_BODY).copy()
         self._contacts.clear()
         get_space_arbiters(self.space, _CONTACT, self._contacts)
         ids = np.frombuffer(self._contacts.int_buf(), np.uintp).reshape(-1, 2)
@@ -214,20 +209,24 @@ class Plane:
             self._known_heights[shape] = band
         return band
 
-    def _read(self) -> None:
-        """Read the states of all bodies."""
+    def _get(self, fields: BodyFields) -> Floats:
+        """Return the buffer of some fields of all bodies, a row for each."""
         self._bodies.clear()
-        get_space_bodies(self.space, _BODY, self._bodies)
+        get_space_bodies(self.space, fields, self._bodies)
         ids = np.frombuffer(self._bodies.int_buf(), np.uintp)
         if not np.array_equal(ids, self._ids):
             self._ids = ids.copy()
             self._order = np.argsort(ids)
-        self._state = np.frombuffer(self._bodies.float_buf()).reshape(len(ids), -1).copy()
+        return np.frombuffer(self._bodies.float_buf()).reshape(len(ids), -1)
+
+    def _find(self, ids: NDArray[np.uintp]) -> NDArray[np.intp]:
+        """Return the rows of bodies in the latest buffer."""
+        found: NDArray[np.intp] = self._order[np.searchsorted(self._ids, ids, sorter=self._order)]
+        return found
 
     def states(self, ids: NDArray[np.uintp]) -> Floats:
         """Return the states of some bodies after the latest step: x, y, yaw, velocity x, y in m/s, rad/s, (n, 6)."""
-        found = self._order[np.searchsorted(self._ids, ids, sorter=self._order)]
-        states: Floats = self._state[found]
+        states: Floats = self._state[self._find(ids)]
         return states
 
 

@@ -33,6 +33,12 @@ _TINY: Final = 1e-9
 _RADIUS: Final = WHEEL.index("radius")
 
 
+def same_everywhere(values: Floats) -> Floats:
+    """Return values to six decimals: smaller ones differ between processors, which round sines differently."""
+    rounded: Floats = values.round(6) + 0.0  # no -0.0
+    return rounded
+
+
 class Vehicles(Drivetrains):
     """The vehicles; row i of each array belongs to `actors[i]`."""
 
@@ -49,7 +55,7 @@ class Vehicles(Drivetrains):
 
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__(plane, height)
-        self._written = np.empty((0, 3))
+        self._motions = np.empty((0, 3))  # of the bodies: m/s, m/s, rad/s
         self._moved = np.empty(0, np.bool_)
 
     @property
@@ -64,9 +70,9 @@ class Vehicles(Drivetrains):
 
     def set_physics(self, row: int, control: PhysicsControl, box: Box) -> None:
         """Set what follows from a physics control."""
-        drive = parameters(control, box, weightless=bool(self.weightless[row]))
+        drive, own = parameters(control, box, weightless=bool(self.weightless[row])), columns(control, box)
         self.table[row] = self.tables.row(drive, np.delete(self.table, row))
-        for name, value in columns(control, box).items():
+        for name, value in own.items():
             getattr(self, name)[row] = value
         for gears in (self.gear, self.target_gear):
             gears[row] = min(gears[row], len(control.forward_gears))
@@ -130,13 +136,11 @@ class Vehicles(Drivetrains):
         resistance = self.air[rows] * speed * speed * radius + own.wheel_damping * speed / radius
         wanted = inertia * acceleration / radius + resistance + own.engaged * turns * ratio  # N m at the wheels
         throttle = wanted / (ratio * np.maximum(torque + (own.engaged - own.full) * turns, _TINY))
-        throttle, brake = (
-            np.minimum(np.maximum(each, 0), 1) for each in (throttle, -wanted / np.maximum(own.brakes, _TINY))
-        )
-        return throttle, np.where(acceleration < 0, brake, 0)
+        brake = np.where(acceleration < 0, -wanted / np.maximum(own.brakes, _TINY), 0)
+        return np.minimum(np.maximum(throttle, 0), 1), np.minimum(np.maximum(brake, 0), 1)
 
     def begin_tick(self, seconds: float) -> bool:
-        """See `MovingBodies.begin_tick`."""
+        """See `MovingBodies.begin_tick`; vehicles steer, and the autopilot's are driven for all of the tick."""
         if not self.sticky.all():
             self._release_controls()
         self._choose_gears()
@@ -144,7 +148,21 @@ class Vehicles(Drivetrains):
         self.awake = self._in_motion() | slow & self.simulated
         self._before = self.velocity.copy()
         self._moved = self.awake | self.unsettled & self.simulated
-        return bool(self.awake.any() or (self.steer_input != self.steer).any())
+        begins = bool(self.awake.any() or (self.steer_input != self.steer).any())
+        self._motions = np.zeros((len(self), 3))
+        if begins:
+            drivetrain.steer(self, seconds)
+            self._drive(self.simulated & self.autopilot, seconds, exactly=False)
+        return begins
+
+    def _drive(self, which: Booleans, seconds: float, *, exactly: bool) -> None:
+        """Drive some vehicles for a time in s, see `drivetrain.advance`: their bodies are to get the mean velocities."""
+        rows = np.flatnonzero(which)
+        if len(rows):
+            ahead, aside, turn = drivetrain.advance(self, rows, seconds, exactly=exactly)
+            yaw = np.radians(self.rotation[rows, 1])
+            cos, sin = np.cos(yaw), np.sin(yaw)
+            self._motions[rows] = np.stack((cos * ahead - sin * aside, sin * ahead + cos * aside, turn), axis=1) / seconds
 
     def _release_controls(self) -> None:
         """Reset the controls that held for the latest tick alone."""
@@ -169,33 +187,25 @@ class Vehicles(Drivetrains):
 
     def write_velocities(self, seconds: float) -> None:
         """See `MovingBodies.write_velocities`."""
-        drivetrain.steer(self, seconds)
-        moved = np.zeros((3, len(self)))
         driven = self.simulated & (self.autopilot | self.awake)
-        for which, exactly in ((driven & self.autopilot, False), (driven & ~self.autopilot, True)):
-            rows = np.flatnonzero(which)
-            if len(rows):
-                moved[:, rows] = drivetrain.advance(self, rows, seconds, exactly=exactly)
+        self._drive(driven & ~self.autopilot, seconds, exactly=True)
         np.copyto(self.brake_input, self.brake, where=~driven)
         in_motion = self._in_motion()
-        for values in (self.speed, self.sideways, self.turning):
-            values[self.awake & ~in_motion] = 0
-        yaw = np.radians(self.rotation[:, 1])
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        velocities = np.stack((cos * moved[0] - sin * moved[1], sin * moved[0] + cos * moved[1], moved[2]), axis=1)
-        velocities /= seconds
-        self._written = velocities
-        self.set_body_velocities(self.awake, velocities)
+        stops = self.awake & ~in_motion
+        for values in (self.speed, self.sideways, self.turning, *self._motions.T):
+            values[stops] = 0
+        self.set_body_velocities(self.awake, self._motions)
         self.awake = in_motion
 
     def read_bodies(self) -> None:
         """See `MovingBodies.read_bodies`."""
         states = self.plane.states(self.body_id)
         moving = self.simulated
-        self.position[moving, :2] = states[moving, :2]
-        yaw = (np.degrees(states[moving, 2]) + 180) % 360 - 180
+        self.position[moving, :2] = same_everywhere(states[moving, :2])
+        yaw = same_everywhere((np.degrees(states[moving, 2]) + 180) % 360 - 180)
         self.rotation[moving, 1] = np.where(yaw == -180, 180.0, yaw)  # within (-180, 180], as CARLA's
-        change = states[:, 3:] - self._written
+        change = states[:, 3:] - self._motions
+        self._motions = states[:, 3:]
         hit = moving & change.any(axis=1)
         if hit.any():
             change[~hit] = 0
@@ -214,9 +224,9 @@ class Vehicles(Drivetrains):
         yaw = np.radians(self.rotation[:, 1])
         cos, sin = np.cos(yaw), np.sin(yaw)
         moved = self._moved
-        self.velocity[moved, 0] = (cos * self.speed - sin * self.sideways)[moved]
-        self.velocity[moved, 1] = (sin * self.speed + cos * self.sideways)[moved]
-        self.angular_velocity[moved, 2] = np.degrees(self.turning)[moved]
+        self.velocity[moved, 0] = same_everywhere(cos * self.speed - sin * self.sideways)[moved]
+        self.velocity[moved, 1] = same_everywhere(sin * self.speed + cos * self.sideways)[moved]
+        self.angular_velocity[moved, 2] = same_everywhere(np.degrees(self.turning))[moved]
         self._accelerate(seconds)
 
     def _settle(self, rows: NDArray[np.intp], seconds: float) -> None:
@@ -224,14 +234,12 @@ class Vehicles(Drivetrains):
         yaw = np.radians(self.rotation[rows, 1])
         cos, sin = np.cos(yaw), np.sin(yaw)
         front, rear = self.front[rows], self.rear[rows]
-        x, y = self.position[rows, 0], self.position[rows, 1]
-        z = self.position[rows, 2]
-        heights = self._height(
+        x, y, z = self.position[rows].T
+        high, low = self._height(
             np.concatenate((x + cos * front, x - cos * rear)),
             np.concatenate((y + sin * front, y - sin * rear)),
             np.concatenate((z, z)),
-        )
-        high, low = heights[: len(rows)], heights[len(rows) :]
+        ).reshape(2, -1)
         wheelbase = self.wheelbase[rows]
         steep = np.abs(high - low) > _STEEPEST * wheelbase  # one axle is beyond the edge of a bridge
         if steep.any():

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 _OLD_TYRES: Final = {"lat_stiff_max_load": 2.0, "lat_stiff_value": 17.0, "long_stiff_value": 1000.0}
 """The tyres of UE4, which CARLA has recorded since 0.9.12."""
 _OLD_SWITCH_TIME: Final = 0.5  # s, of UE4
-_LONGEST: Final = 2000.0  # cm between a vehicle and its wheels
+_NEAR: Final = 50.0  # cm between a wheel and its usual place
+_ALIKE: Final = 0.25  # the least size of a rectangle of wheels, as a share of the usual one
 _HALF_HEIGHT: Final = 1.0  # m, of trigger volumes, which stand on the road
 
 
@@ -69,23 +70,14 @@ def physics(vehicle: Vehicle) -> Physics:
 def physics_control(record: Physics, place: Pose, usual: PhysicsControl) -> PhysicsControl:
     """Return the physics of a vehicle as a record has it.
 
-    Its wheels have places in the world: those far from the pose of the vehicle get their usual places. A record does not
-    tell how long it takes to shift, nor do those of CARLA up to 0.9.11 have the stiffness of tyres, which was UE4's then, as
-    was the time to shift.
+    `place` is the pose of its spawn. A record does not tell how long it takes to shift, nor do those of CARLA up to 0.9.11
+    have the stiffness of tyres, which was UE4's then, as was the time to shift.
     """
     names = [name for name in record.wheels.dtype.names or () if not name.startswith("position_")]
     is_old = "long_stiff_value" not in names
-    yaw = np.radians(place[5])
-    along, aside = record.wheels["position_x"] - place[0], record.wheels["position_y"] - place[1]
-    near = len(record.wheels) and float(np.hypot(along, aside).max()) < _LONGEST
     wheels = []
-    for number, row in enumerate(record.wheels):
+    for row, position in zip(record.wheels, _own_places(record, place, usual), strict=True):
         values = {name: float(row[name]) for name in names}
-        if near:
-            x, y = float(along[number]), float(aside[number])
-            position = Vector(np.cos(yaw) * x + np.sin(yaw) * y, np.cos(yaw) * y - np.sin(yaw) * x)
-        else:
-            position = usual.wheels[number].position if number < len(usual.wheels) else Vector()
         wheels.append(WheelPhysics(**(_OLD_TYRES if is_old else {}) | values, position=position))
     return PhysicsControl(
         torque_curve=tuple((float(x), float(y)) for x, y in record.torque_curve),
@@ -97,6 +89,28 @@ def physics_control(record: Physics, place: Pose, usual: PhysicsControl) -> Phys
         wheels=wheels,
         **{name: getattr(record, name) for name in PHYSICS_NUMBERS},
     )
+
+
+def _own_places(record: Physics, place: Pose, usual: PhysicsControl) -> list[Vector]:
+    """Return the places of the wheels of a record in the axes of the vehicle, in cm.
+
+    In the record, they are in the world. Where they are not beside the usual ones at the pose of the spawn, the vehicle had
+    moved on: they are turned and shifted as a whole to the usual ones, as near as possible. Places that do not look like
+    those of wheels become the usual ones.
+    """
+    known = [wheel.position for wheel in usual.wheels]
+    usually = np.array([place.x + 1j * place.y for place in known])
+    with np.errstate(invalid="ignore"):  # NaN
+        wheels = record.wheels["position_x"] + 1j * record.wheels["position_y"].astype(np.float64)
+    if len(wheels) == len(usually) and np.isfinite(wheels).all():
+        own = (wheels - complex(*place[:2])) * np.exp(-1j * np.radians(place[5]))
+        if np.abs(own - usually).max() < _NEAR:
+            return [Vector(at.real, at.imag) for at in own.tolist()]
+        centre, wheels = usually.mean(), wheels - wheels.mean()
+        turn = np.vdot(wheels, usually - centre)
+        if abs(turn) > _ALIKE * np.vdot(usually - centre, usually - centre).real:
+            return [Vector(at.real, at.imag) for at in (wheels * turn / abs(turn) + centre).tolist()]
+    return [*known, *[Vector()] * len(wheels)][: len(wheels)]
 
 
 def transform(pose: Iterable[float]) -> Transform:

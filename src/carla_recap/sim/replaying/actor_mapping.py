@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from carla_recap.model.lives import ActorLife, BoundingBox
+    from carla_recap.model.records import Physics
     from carla_recap.replay import Scene
     from carla_recap.sim.blueprints import BlueprintLibrary
     from carla_recap.sim.episode import Actor, Episode
@@ -64,6 +65,7 @@ class ActorMapping:
         self._earlier = earlier
         self._replay_sensors = replay_sensors
         self._spawned: set[int] = set()
+        self._physics: dict[int, Physics | None] = {}
         self.replayed: dict[int, Actor] = {}
         self.released: dict[int, Actor] = {}
         self.substitutes: dict[str, str] = {}
@@ -105,6 +107,16 @@ class ActorMapping:
         self._spawned.discard(id)
         self.changes += 1
 
+    def change_physics(self, actors: Mapping[int, ActorLife]) -> None:
+        """Give replayed vehicles the physics that have been recorded since they were spawned."""
+        for id, replayed in self.replayed.items():
+            recorded = actors[id].physics if id in actors else None
+            if recorded is not None and recorded is not self._physics.get(id) and isinstance(replayed, Vehicle):
+                self._physics[id] = recorded
+                control = _physics(actors[id], replayed.blueprint)
+                if control is not None and control is not replayed.blueprint.physics:
+                    replayed.physics_control = control
+
     def forget_dead(self) -> None:
         """Forget replayed actors that have been destroyed."""
         self.released = {id: actor for id, actor in self.released.items() if actor.is_alive}
@@ -138,6 +150,7 @@ class ActorMapping:
             return None
         spawned = place(self._episode, blueprint, transform(pose), parent, wanted_id=actor.id)
         self._spawned.add(actor.id)
+        self._physics[actor.id] = actor.physics
         if actor.type_id != model:
             self.substitutes[actor.type_id] = model
             if isinstance(spawned, Prop):

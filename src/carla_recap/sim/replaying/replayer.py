@@ -354,6 +354,7 @@ class Replayer:
         if scene.spawned:
             yield from self._mapping.add({came.actor.id: came.actor for came in scene.spawned}.values(), scene)
             self._mapping.forget_dead()  # what clients have destroyed between two steps
+        self._mapping.change_physics(scene.actors)
         self._kinematic.move(scene, delta, seconds)
         self._collisions.report()
         self._move_doors(scene)

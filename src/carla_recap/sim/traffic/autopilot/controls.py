@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.scene.lamps import BRAKE, BRAKING, LEFT_BLINKER, RIGHT_BLINKER
+from carla_recap.sim.physics.vehicles import same_everywhere
 from carla_recap.sim.traffic.autopilot.drivers import EMERGENCY_BRAKING, STANDING_GAP
 from carla_recap.sim.traffic.autopilot.routes import CURVE_BRAKING, shift_poses, transition_progress
 
@@ -68,7 +69,7 @@ def set_steering(state: AutopilotState) -> None:
     away_x, away_y = cars.x + front * cars.cos - x[:, 0], cars.y + front * cars.sin - y[:, 0]
     offset = away_y * np.cos(heading[:, 0]) - away_x * np.sin(heading[:, 0])
     angle = _steering_angle(cars, offset, heading[:, 1] - cars.yaw, network.curvature(points)[:, 1])
-    vehicles.steer[cars.rows] = np.clip(angle / vehicles.steer_limit[cars.rows], -1, 1)
+    vehicles.steer[cars.rows] = same_everywhere(np.clip(angle / vehicles.steer_limit[cars.rows], -1, 1))
 
 
 def _steering_angle(cars: DrivenVehicles, offset: Floats, heading_error: Floats, curvature: Floats) -> Floats:
