@@ -63,10 +63,10 @@ def test_the_crash_that_the_autopilot_avoids_is_a_near_miss():
 def test_in_the_blocked_lane_three_cars_queue_behind_the_van_one_after_another():
     assert rows("collisions", "blocked") == []
     assert rows("blocked", "blocked", "id", "type_id", "start", "duration")[1:] == [
-        (41, "vehicle.mercedes.sprinter", 5.75, 54.2),
-        (42, "vehicle.tesla.model3", 11.05, 48.9),
-        (43, "vehicle.audi.a2", 14.5, 45.45),
-        (44, "vehicle.mini.cooper_s", 15.4, 44.55),
+        (41, "vehicle.mercedes.sprinter", 6.9, 53.05),
+        (42, "vehicle.tesla.model3", 11.35, 48.6),
+        (43, "vehicle.audi.a2", 14.9, 45.05),
+        (44, "vehicle.mini.cooper_s", 15.8, 44.15),
     ]
     places = [x for (x,) in rows("blocked", "blocked", "x")][1:]
     assert places == sorted(places)  # they drive towards lower x
@@ -79,7 +79,7 @@ def test_at_the_junction_there_are_no_collisions_and_some_actors_wait():
         (49, "vehicle.audi.tt", 13.55, 16.4),
         (56, "vehicle.seat.leon", 14.05, 15.9),
         (54, "vehicle.nissan.patrol", 14.45, 15.5),
-        (46, "vehicle.nissan.patrol", 17.3, 12.65),
+        (46, "vehicle.nissan.patrol", 19.0, 10.95),
         (64, "walker.pedestrian.0019", 17.95, 10.1),
     ]
 
