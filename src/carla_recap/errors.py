@@ -14,6 +14,7 @@ RecapWarning               part of a file is left out
 from __future__ import annotations
 
 import sys
+from threading import local
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -108,3 +109,15 @@ class MissingExtra(NotSetUp):
 
 class RecapWarning(UserWarning):
     """Part of a file was left out; the message contains how much, and why."""
+
+    _made = local()
+
+    def __init__(self, *arguments: object) -> None:
+        super().__init__(*arguments)
+        RecapWarning._made.count = RecapWarning.made_in_thread() + 1
+
+    @classmethod
+    def made_in_thread(cls) -> int:
+        """Return how many there were so far in this thread, shown or not: filters of warnings are those of all threads."""
+        count: int = getattr(cls._made, "count", 0)
+        return count

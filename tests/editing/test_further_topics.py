@@ -13,7 +13,7 @@ from carla_recap.formats.mcap.reader import McapReader
 from carla_recap.formats.mcap.recovery import recover_summary
 from carla_recap.formats.mcap.writer import McapWriter
 from carla_recap.formats.sources import LocalSource
-from tests.formats.mcap.forge import chunk_places
+from tests.formats.mcap.forge import chunk_places, rewrite
 from tests.samples import drive, images, save, write
 from tests.sensed import HEADER, camera, noise, plain, sensed
 from tests.waiting import time_limit
@@ -156,6 +156,14 @@ def test_a_recovered_file_has_frames_and_messages_up_to_the_same_seconds(killed,
     with open_recording(tmp_path / "saved.mcap") as recording:
         last = recording.sensors[0].last or 0.0
     assert abs(last - recovery.duration) <= 5.1
+
+
+def test_what_is_declared_in_chunks_as_other_programs_do_is_recovered_without_a_summary(run, tmp_path):
+    whole = rewrite(run, tmp_path / "whole.mcap", chunk_size=1 << 16)
+    cut = save(tmp_path / "cut.mcap", whole.read_bytes()[:-40])
+    assert recover(cut, tmp_path / "saved.mcap").frames == 200
+    saved = tmp_path / "saved.mcap"
+    assert (topics_of(saved), messages_of(saved), images(saved)) == (topics_of(run), messages_of(run), images(run))
 
 
 def test_a_damaged_chunk_of_images_costs_only_its_images(tmp_path):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import sys
 import warnings
+from concurrent.futures import ThreadPoolExecutor
+from threading import Event
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -168,3 +170,23 @@ def test_arrays_are_made_once_unless_making_them_warns(folder: Path) -> None:
     with pytest.warns(RecapWarning, match="of 3 lanes"):
         cache.kept(b"map", "lines", ["roads"], make)
     assert cache.read_entry(key) is None
+
+
+def test_warnings_of_other_threads_are_shown_at_once_and_are_not_those_of_what_is_made(folder: Path) -> None:
+    begun, warned = Event(), Event()
+
+    def make() -> dict[str, list[np.ndarray]]:
+        begun.set()
+        assert warned.wait(10)
+        return {"points": [np.zeros(3)]}
+
+    with ThreadPoolExecutor(1) as threads, warnings.catch_warnings(record=True) as shown:
+        warnings.simplefilter("always")
+        making = threads.submit(cache.kept, b"map", "lines", ["roads"], make)
+        assert begun.wait(10)
+        warnings.warn("the recording was cut short", RecapWarning, stacklevel=1)
+        assert [str(each.message) for each in shown] == ["the recording was cut short"]
+        warned.set()
+        making.result()
+    assert len(shown) == 1
+    assert len([*folder.iterdir()]) == 1

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import sys
-import warnings
 from contextlib import suppress
 from functools import cache
 from hashlib import sha256
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from carla_recap.errors import RecapWarning
 from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
@@ -77,15 +77,9 @@ def kept(content: bytes, what: str, sources: Sequence[str], make: Callable[[], A
             return _unpacked(data)
         except Exception:  # whatever an invalid entry causes
             remove_entry(key)
-    caught: list[warnings.WarningMessage] = []
-    try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            made = make()
-    finally:
-        for each in caught:
-            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
-    if not caught:
+    before = RecapWarning.made_in_thread()
+    made = make()
+    if RecapWarning.made_in_thread() == before:
         write_entry(key, _packed(made))
     return made
 

@@ -213,7 +213,7 @@ class Summary:
         channels: The channels, by id.
         chunks: The chunks, in order of time.
         metadata: The offsets of metadata records, by name.
-        schema_spans: Where the content of each schema's record is in the file: offset and size.
+        schema_spans: Where the content of each schema's record is in the file: offset and size; or itself, if in a chunk.
         channel_spans: The same of each channel.
         messages: The number of messages; None if unknown.
         counts: The number of messages of each channel, as far as it is known.
@@ -226,15 +226,15 @@ class Summary:
         self.channels: dict[int, ChannelRecord] = {}
         self.chunks: list[ChunkIndex] = []
         self.metadata: dict[str, int] = {}
-        self.schema_spans: dict[int, ByteRange] = {}
-        self.channel_spans: dict[int, ByteRange] = {}
+        self.schema_spans: dict[int, ByteRange | bytes] = {}
+        self.channel_spans: dict[int, ByteRange | bytes] = {}
         self.messages: int | None = None
         self.counts: Counter[int] = Counter()
         self.chunk_count: int | None = None
         self.finished = False
 
-    def add(self, opcode: int, data: memoryview, offset: int) -> None:
-        """Add what a record, whose content is at an offset in the file, says, if it is of such a kind.
+    def add(self, opcode: int, data: memoryview, offset: int | None = None) -> None:
+        """Add what a record, whose content is at an offset in the file or in a chunk, says, if it is of such a kind.
 
         Raises:
             ValueError: It is broken.
@@ -246,12 +246,12 @@ class Summary:
             if opcode == Opcode.SCHEMA:
                 (id,) = _U16.unpack_from(data)
                 self.schemas[id], _ = _string(data, _U16.size)
-                self.schema_spans[id] = offset, len(data)
+                self.schema_spans[id] = bytes(data) if offset is None else (offset, len(data))
             elif opcode == Opcode.CHANNEL:
                 id, schema = _CHANNEL.unpack_from(data)
                 topic, end = _string(data, _CHANNEL.size)
                 self.channels[id] = ChannelRecord(id, schema, topic, _string(data, end)[0])
-                self.channel_spans[id] = offset, len(data)
+                self.channel_spans[id] = bytes(data) if offset is None else (offset, len(data))
             elif opcode == Opcode.METADATA_INDEX:
                 at, _ = _METADATA_INDEX.unpack_from(data)
                 self.metadata[_string(data, _METADATA_INDEX.size)[0]] = at

@@ -61,11 +61,12 @@ def recover_summary(source: ByteSource) -> tuple[index.Summary, Damage]:
             end = scan.next_chunk(at + 1)
             damage.bytes += end - at
         at = end
-    # What the file's own summary says is known good by its checksum, and counts first; the scan may have missed some of it.
-    summary.schemas |= own.schemas
-    summary.channels = own.channels | {id: each for id, each in summary.channels.items() if id not in own.channels}
-    summary.schema_spans |= own.schema_spans
-    summary.channel_spans |= own.channel_spans
+    # What stands in chunks, and what the file's own summary says, is known good by a checksum; the summary counts first.
+    for known in (scan.in_chunks, own):
+        summary.schemas |= known.schemas
+        summary.channels = known.channels | {id: each for id, each in summary.channels.items() if id not in known.channels}
+        summary.schema_spans |= known.schema_spans
+        summary.channel_spans |= known.channel_spans
     met = {chunk.offset for chunk in summary.chunks}
     scan.damage = Damage()
     for offset in (chunk.offset for chunk in own.chunks if chunk.offset not in met):
@@ -98,11 +99,13 @@ class _Scan:
 
     Attributes:
         summary: What was found.
+        in_chunks: The schemas and channels that are declared inside of chunks, as other programs write them.
         damage: What was found broken.
     """
 
     def __init__(self, source: ByteSource) -> None:
         self.summary = index.Summary()
+        self.in_chunks = index.Summary()
         self.damage = Damage()
         self._source = source
         self._window = (0, b"")  # an offset, and the bytes from there on
@@ -110,6 +113,7 @@ class _Scan:
         self._unpacked = _UNPACKED_LEAST + _UNPACKED_FACTOR * source.size
         self._messages = _MESSAGES_LEAST + source.size // _MESSAGE_BYTES
         self._parsed = index.RECORDS_LIMIT
+        self._declared = _SMALL  # bytes of declarations in chunks, which stay in memory
 
     def take(self, at: int) -> int | None:
         """Add the record at an offset to the summary; return its end, None where no whole record is found."""
@@ -172,8 +176,14 @@ class _Scan:
         if self._unpacked < 0:
             raise ValueError("more bytes of records than a file of this size can mean")
         data = index.open_chunk(source.read(at + schema.RECORD.size, length, "a record"))[2]
-        chunk, messages = _described(data, at, size, self._messages)
+        chunk, messages, declarations = _described(data, at, size, self._messages)
         self._messages -= messages.total()
+        for opcode, content in declarations:
+            self._parsed -= 1
+            self._declared -= len(content)
+            if self._parsed < 0 or self._declared < 0:
+                raise ValueError("more schemas and channels than are read")
+            self.in_chunks.add(opcode, memoryview(content))
         self.summary.counts += messages
         self._false += length
         self.summary.chunks.append(chunk)
@@ -220,21 +230,25 @@ def _announced(start: bytes, length: int) -> int:
     return int(size)
 
 
-def _described(data: bytes, offset: int, size: int, most: int) -> tuple[index.ChunkIndex, Counter[int]]:
-    """Return a chunk as its messages have it, since its times are under no checksum, and how many each channel has."""
-    channels: list[int] = []
-    times, at = [], 0
-    while at + schema.MESSAGE.size <= len(data):
-        opcode, length, channel, _, log_time, _ = schema.MESSAGE.unpack_from(data, at)
-        if not opcode:
-            raise ValueError(f"no record at byte {at} of a chunk's content")
-        if opcode == Opcode.MESSAGE:
+def _described(
+    data: bytes, offset: int, size: int, most: int
+) -> tuple[index.ChunkIndex, Counter[int], list[tuple[int, bytes]]]:
+    """Return a chunk as its messages have it, since its times are under no checksum, and how many each channel has.
+
+    Also return the opcodes and contents of the schemas and channels that are declared in it.
+    """
+    channels, times, declarations = list[int](), list[int](), list[tuple[int, bytes]]()
+    for opcode, start, end in index.split_records(data):
+        if not opcode or (opcode == Opcode.MESSAGE and end - start < schema.MESSAGE_FIELDS):
+            raise ValueError(f"no record at byte {start} of a chunk's content")
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            declarations.append((opcode, data[start:end]))
+        elif opcode == Opcode.MESSAGE:
+            _, _, channel, _, time, _ = schema.MESSAGE.unpack_from(data, start - schema.RECORD.size)
             channels.append(channel)
-            times.append(log_time)
+            times.append(time)
             if len(times) > most:
                 raise ValueError("more messages than a file of this size can mean")
-        at += schema.RECORD.size + length
-    if at > len(data):
-        raise ValueError("the last record of a chunk is not whole")
     counts = Counter(channels)
-    return index.ChunkIndex(min(times, default=0), max(times, default=0), offset, size, frozenset(counts)), counts
+    chunk = index.ChunkIndex(min(times, default=0), max(times, default=0), offset, size, frozenset(counts))
+    return chunk, counts, declarations

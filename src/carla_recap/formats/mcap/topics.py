@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import struct
 from collections import Counter
+from contextlib import suppress
 from functools import cached_property
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
 
     from carla_recap.formats.mcap.index import ChannelRecord, ChunkIndex, Summary
-    from carla_recap.formats.sources import ByteSource
+    from carla_recap.formats.sources import ByteRange, ByteSource
 
 _SCHEMA_LIMIT: Final = 16 << 20
 """The largest schema of a further topic that is read, in bytes."""
@@ -216,28 +217,29 @@ class FurtherTopics:
     def _topic(self, channel: ChannelRecord) -> Topic:
         """Return a topic; its metadata are empty where they are broken, or too large."""
         metadata: dict[str, str] = {}
-        span = self._summary.channel_spans.get(channel.id)
-        if span is not None and span[1] <= index.METADATA_LIMIT:
-            try:
-                metadata = index.parse_channel_metadata(self._source.read(*span, "a channel"))
-            except ValueError:
-                metadata = {}
+        with suppress(ValueError):
+            metadata = index.parse_channel_metadata(self._declared(self._summary.channel_spans, channel.id, index.METADATA_LIMIT))
         message = self._summary.schemas.get(channel.schema, "")
         encoding = self._schema(channel.schema)[0] if message else ""
         return Topic(channel.topic, message, lambda: self._schema(channel.schema)[1], metadata, channel.encoding, encoding)
 
     def _schema(self, id: int) -> tuple[str, bytes]:
         """Return the encoding and the data of a schema; nothing where the file has none of that id."""
-        span = self._summary.schema_spans.get(id)
-        location = self._source.location
-        if span is None:
+        if id not in self._summary.schema_spans:
             return "", b""
-        if span[1] > _SCHEMA_LIMIT:
-            raise FormatError(location, span[0], f"a schema of {span[1]} bytes; at most {_SCHEMA_LIMIT} are read")
         try:
-            return index.parse_schema(self._source.read(*span, "a schema"))
+            return index.parse_schema(self._declared(self._summary.schema_spans, id, _SCHEMA_LIMIT))
         except ValueError as error:
-            raise FormatError(location, span[0], str(error)) from None
+            raise FormatError(self._source.location, None, f"schema {id}: {error}") from None
+
+    def _declared(self, places: dict[int, ByteRange | bytes], id: int, limit: int) -> bytes:
+        """Return the content of a record that declares a schema or a channel."""
+        place = places.get(id, b"")
+        if isinstance(place, bytes):
+            return place
+        if place[1] > limit:
+            raise ValueError(f"expected at most {limit} bytes, found {place[1]}")
+        return self._source.read(*place, "a declaration")
 
     def _ids(self) -> set[int]:
         return {channel.id for channels in self._channels.values() for channel in channels}
