@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from random import Random
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from carla_recap.model import braking
 from carla_recap.model.batch import Batch
 from carla_recap.model.braking import BrakingDetector
 from carla_recap.model.frame import Frame
 from carla_recap.model.records import ActorKind, Spawn
+from tests.twins import braking as twin
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -119,13 +123,58 @@ def test_a_vehicle_whose_spawn_comes_after_its_records_is_reported() -> None:
     assert [each.id for each in detector.finish()] == [1]
 
 
-@pytest.mark.parametrize("every", [1, 3])
+@pytest.mark.parametrize("every", [1, 7, 40])
 def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch, every: int) -> None:
-    cars = {id: slowing(6 + id, id / 2) for id in range(1, 8)} | {100: slowing(0)}
-    options = {"frames": 1000, "has_velocities": False, "tick": 0.005, "every": every}
+    cars = {id: slowing(6.2, id / 3, 2.0) for id in range(1, 12)} | {100: slowing(0)}
+    options = {"frames": 1200, "has_velocities": False, "tick": 0.005, "every": every}
     whole = detected(cars, **options).finish()
-    assert len(whole) == 7
-    for name, size in (("_FRAMES", 300), ("_BLOCK", 100), ("_CELLS", 200), ("_CACHED", 300)):
-        with monkeypatch.context() as patch:
-            patch.setattr(braking, name, size)
-            assert detected(cars, **options).finish() == whole
+    assert len(whole) == 11
+    monkeypatch.setattr(braking, "_BLOCK", 50)
+    monkeypatch.setattr(braking, "_CELLS", 200)
+    assert detected(cars, **options).finish() == whole
+
+
+def drives(choose: Random, count: int, tick: float) -> list[Frame]:
+    """Return frames of four vehicles that brake now and then; each is in some frames alone, and the clock may go back."""
+    speeds, ways = dict.fromkeys(range(1, 5), 20.0), dict.fromkeys(range(1, 5), 0.0)
+    rates, presence = dict.fromkeys(speeds, 0.0), {id: choose.choice((1.0, 1.0, 0.7, 0.1)) for id in speeds}
+    has_velocities, restarts, frames, elapsed = choose.choice((0.0, 0.5, 1.0)), choose.choice((0.0, 0.02)), [], 0.0
+    for number in range(count):
+        poses, velocities = [], []
+        for id in speeds:
+            if choose.random() < tick / 0.4:
+                rates[id] = choose.choice((0.0, 0.0, choose.uniform(-12, 12), choose.uniform(-80, 10)))
+            speeds[id] = min(max(speeds[id] + rates[id] * tick, 0.0), 45.0)
+            ways[id] += speeds[id] * tick
+            if choose.random() < presence[id]:
+                poses.append((id, 100 * ways[id], 100.0 * id, 0.0, 0.0, 0.0, 0.0))
+                if choose.random() < has_velocities:
+                    velocities.append((id, speeds[id], 0.0, choose.choice((0.0, 0.0, np.nan)), 0.0, 0.0, 0.0))
+        poses.append((9, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        frame = Frame(number, number + 1, elapsed, tick, [])
+        frames.append(frame.replace(transforms=poses, velocities=velocities))
+        elapsed += tick if choose.random() >= restarts else choose.choice((0.0, -tick, -10 * tick, 30 * tick))
+    return frames
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(0, 120),
+    tick=st.floats(0.001, 0.6),
+    block=st.integers(1, 1000),
+    cells=st.integers(1, 500),
+    deceleration=st.floats(0.5, 20),
+)
+@settings(max_examples=settings.default.max_examples // 2)
+def test_as_the_twin_has_it_in_blocks_of_any_size(
+    seed: int, count: int, tick: float, block: int, cells: int, deceleration: float
+) -> None:
+    frames = drives(Random(seed), count, tick)
+    detector = BrakingDetector(range(1, 5), deceleration)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(braking, "_BLOCK", block)
+        patch.setattr(braking, "_CELLS", cells)
+        for frame in frames:
+            detector.batch(Batch.of(frame))
+        found = [(each.id, each.start, each.stop) for each in detector.finish()]
+    assert found == twin.braking(frames, range(1, 5), deceleration)

@@ -17,13 +17,13 @@ from carla_recap.model.records import CM, ActorKind
 from carla_recap.model.segment import SegmentBuffer, segments
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Collection, Iterable
 
     from numpy.typing import NDArray
 
     from carla_recap.model.batch import Batch
     from carla_recap.model.records import Spawn
-    from carla_recap.util.arrays import Booleans, Floats
+    from carla_recap.util.arrays import Booleans, Floats, Integers
 
 
 HARD: Final = 6.0
@@ -36,12 +36,9 @@ _FEWEST: Final = 3  # frames of hard braking
 _DIGITS: Final = 6  # of decelerations, beyond which they depend on where the frames that are read begin
 _SURE: Final = 0.999  # a deceleration below this share of another one is below it in spite of rounding
 
-_BLOCK: Final = 100_000  # records that are evaluated together
-_FRAMES: Final = 4096  # that are evaluated together, at most
-_MARGIN: Final = 64  # frames that a block shares with the next one, also of vehicles that are in every fourth frame alone
-_MOST: Final = 15  # frames of a vehicle before and after a moment, of which the speeds count
-_CELLS: Final = 1 << 20  # vehicles times frames whose positions are collected together, at most
-_CACHED: Final = 1 << 14  # vehicles times frames that are evaluated together, at most; more are slower
+_BLOCK: Final = 100_000  # records that are evaluated together, at least
+_CELLS: Final = 1 << 15  # vehicles times frames that are evaluated together, at most; more are slower
+_REACH: Final = 2.5  # s: two of the longest steps, and a bit, are between frames that a deceleration depends on
 
 
 class Braking(NamedTuple):
@@ -67,8 +64,8 @@ class Braking(NamedTuple):
 class BrakingDetector:
     """Finds braking of vehicles from a deceleration in m/s² on in the frames of a recording.
 
-    Speeds are those recorded, and the slopes of the positions where no velocities are recorded. Frames are evaluated some
-    thousand together. Vehicles do not depend on each other, so that of many, some are evaluated at a time.
+    Speeds are those recorded, and the slopes of the positions where no velocities are recorded. Frames are evaluated in
+    blocks, each with the frames of some seconds before and after it. Vehicles do not depend on each other.
     """
 
     def __init__(self, vehicles: Collection[int], deceleration: float) -> None:
@@ -77,11 +74,11 @@ class BrakingDetector:
         self._others: set[int] = set()  # other ids that frames have listed
         self._listed = b""  # the ids of the latest segment
         self._transforms, self._velocities = SegmentBuffer(), SegmentBuffer()
-        self._elapsed: list[float] = []  # of the frames of the block
-        self._count = 0  # transforms of vehicles in the frames that are not evaluated yet
-        self._first = 0  # the number of the block's first frame
-        self._done = 0  # the number of the first frame that is not evaluated yet
-        self._hard = [np.zeros(0, _HARD)]  # the frames in which vehicles brake hard
+        self._elapsed: list[float] = []  # of the frames that are held
+        self._first = 0  # the number of the first of these
+        self._done = 0  # the number of the frame after those that are evaluated
+        self._new = self._held = 0  # frames and transforms of vehicles since the latest block, and those held from before
+        self._hard = [np.zeros(0, _HARD)]
         self._hard_by_id: dict[int, NDArray[np.void]] = {}  # in the order of time
 
     def add_spawns(self, spawns: Iterable[Spawn]) -> bool:
@@ -95,16 +92,15 @@ class BrakingDetector:
         transforms = batch.records("transforms")
         if not transforms.shape[1]:
             return
-        self._count += self._add(self._transforms, transforms)
+        self._new += len(batch) + self._add(self._transforms, transforms)
         self._add(self._velocities, batch.records("velocities"))
         self._elapsed.extend(batch.elapsed.tolist())
-        frames = len(self._elapsed)
-        if frames > 4 * _MARGIN and (self._count >= _BLOCK or frames >= _FRAMES):
-            self._evaluate(frames - _MARGIN)
+        if self._new >= max(_BLOCK, self._held):
+            self._end_block()
 
     def finish(self) -> list[Braking]:
         """Return the hard braking in all frames, by id, then start."""
-        self._evaluate(len(self._elapsed))
+        self._evaluate(np.array(self._elapsed), len(self._elapsed))
         hard = np.concatenate(self._hard)
         hard = hard[np.lexsort((hard["frame"], hard["id"]))]
         of_vehicles = np.split(hard, np.flatnonzero(np.diff(hard["id"])) + 1)
@@ -153,32 +149,48 @@ class BrakingDetector:
         buffer.add(found, len(records))
         return sum(len(segment) * len(segment.ids) for segment in found)
 
-    def _evaluate(self, until: int) -> None:
-        """Evaluate the frames of the block before one; the last of them stay as the margin of the next block."""
-        elapsed, every = np.array(self._elapsed), self._transforms.ids(least=_FEWEST)
-        for ids in _pieces(every, _CELLS // max(len(elapsed), 1)):
+    def _end_block(self) -> None:
+        """Evaluate the frames that no later one can affect, and keep those that can affect others than these.
+
+        No motion follows over a frame at which the clock stands still or goes back.
+        """
+        elapsed = np.array(self._elapsed)
+        clock = _restarts(elapsed)
+        restart = int(np.searchsorted(clock, clock[-1]))
+        until = restart + int(np.searchsorted(elapsed[restart:], elapsed[-1] - _REACH))
+        kept = restart + int(np.searchsorted(elapsed[restart:], elapsed[until] - _REACH))
+        self._evaluate(elapsed, until)
+        for buffer in (self._transforms, self._velocities):
+            buffer.drop(kept)
+        del self._elapsed[:kept]
+        self._first += kept
+        self._held = (self._held + self._new) * len(self._elapsed) // len(elapsed)
+        self._new = 0
+
+    def _evaluate(self, elapsed: Floats, until: int) -> None:
+        """Evaluate the frames that are held, of some elapsed seconds, before one."""
+        every, clock = self._transforms.ids(), _restarts(elapsed)
+        step = max(_CELLS // max(len(elapsed), 1), 1)
+        for ids in (every[start : start + step] for start in range(0, len(every), step)):
             places, present = self._transforms.dense("xyz", ids)
             velocities, recorded = self._velocities.dense("xyz", ids)
             recorded &= np.isfinite(velocities).all(axis=0)
-            for few in _pieces(np.arange(len(ids)), _CACHED // len(elapsed)):
-                rows = slice(few[0], few[-1] + 1)
-                hard = self._hard_frames(places[:, rows], present[rows], velocities[:, rows], recorded[rows], elapsed)
-                hard["id"] = ids[rows][hard["id"]]
-                hard = hard[(hard["frame"] >= self._done - self._first) & (hard["frame"] < until)]
-                hard["frame"] += self._first
-                hard["before"] += self._first
-                self._hard.append(hard)
+            hard = self._hard_frames(places, present, velocities, recorded, elapsed, clock)
+            hard["id"] = ids[hard["id"]]
+            hard["frame"] += self._first
+            hard["before"] += self._first
+            self._hard.append(hard[(hard["frame"] >= self._done) & (hard["frame"] < self._first + until)])
         self._done = self._first + until
-        dropped = max(until - _MARGIN, 0)
-        self._transforms.drop(dropped)
-        self._velocities.drop(dropped)
-        del self._elapsed[:dropped]
-        self._first += dropped
-        self._count = 0
 
     @np.errstate(all="ignore")
     def _hard_frames(
-        self, places: NDArray[Any], present: Booleans, velocities: NDArray[Any], recorded: Booleans, elapsed: Floats
+        self,
+        places: NDArray[Any],
+        present: Booleans,
+        velocities: NDArray[Any],
+        recorded: Booleans,
+        elapsed: Floats,
+        clock: Integers,
     ) -> NDArray[np.void]:
         """Return the frames in which vehicles brake hard, by vehicle, then frame; an id is the number of the vehicle.
 
@@ -193,7 +205,7 @@ class BrakingDetector:
         if recorded.any():
             speed = np.where(recorded, np.hypot(*velocities[:2]), np.nan).take(there).astype(np.float64)
         seconds = np.diff(time)
-        joined = steps_joined(time, metres, speed, vehicle)
+        joined = steps_joined(time, metres, speed, vehicle * len(elapsed) + clock[frame])
         before, after = neighbours(joined)
         steps, between = metres[:2].take(after, axis=1) - metres[:2].take(before, axis=1), time[after] - time[before]
         # The slope of a line through speeds is a mean of the slopes between neighbours, one of which is as steep.
@@ -206,7 +218,7 @@ class BrakingDetector:
             return np.zeros(0, _HARD)
         speed = np.where(np.isnan(speed[rows]), np.hypot(*steps[:, rows]) / between[rows], speed[rows])
         joined = np.append(joined, False)[rows[:-1]]
-        deceleration = -slope(time[rows], speed[None], HALF_WINDOW, joined=joined, most=_MOST)[0]
+        deceleration = -slope(time[rows], speed[None], HALF_WINDOW, joined=joined)[0]
         kept = np.flatnonzero(deceleration >= self._deceleration)
         rows, found = rows[kept], np.zeros(len(kept), _HARD)
         found["before"] = frame[before[rows]]
@@ -223,6 +235,11 @@ _HARD: Final = np.dtype(
 """A frame in which a vehicle brakes hard, and its frame before."""
 
 
+def _restarts(elapsed: Floats) -> Integers:
+    """Return how often the clock has stood still or gone back until each frame."""
+    return np.append(0, np.cumsum(~(np.diff(elapsed) > 0)))[: len(elapsed)]
+
+
 def _follow(rows: NDArray[np.void]) -> Booleans:
     """Return whether each next frame of hard braking is the vehicle's next frame."""
     return np.asarray(rows["before"][1:] == rows["frame"][:-1])
@@ -234,12 +251,6 @@ def _can_be_braking(rows: NDArray[np.void]) -> Booleans:
     for first, last in runs(rows["deceleration"] <= FIRMEST_BRAKING, _follow(rows)):
         found[first : last + 1] = times[last] - times[first] >= SHORTEST - SAME_TIME
     return found
-
-
-def _pieces(values: NDArray[Any], most: int) -> Iterator[NDArray[Any]]:
-    """Yield values in pieces of some number at most, but of one at least."""
-    step = max(most, 1)
-    return (values[start : start + step] for start in range(0, len(values), step))
 
 
 def _runs(rows: NDArray[np.void], goes_on: Booleans) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -33,6 +33,8 @@ FIRMEST_BRAKING: Final = 15.0
 """The deceleration in m/s² that no brakes and tyres exceed; a collision does, and faulty records do."""
 LONGEST_STEP: Final = 1.0
 """The longest time between two frames of an actor from which its motion between them follows, in s."""
+MAX_FRAMES: Final = 1000
+"""The most frames before and after a moment of which values count: those of half a second at 2,000 Hz."""
 
 _SLACK: Final = 3.0  # a jump is longer than the recorded velocity explains by more than this factor
 
@@ -147,24 +149,23 @@ def runs(flags: Booleans, joined: Booleans) -> Iterator[tuple[int, int]]:
     yield from zip(np.flatnonzero(first).tolist(), np.flatnonzero(last).tolist(), strict=True)
 
 
-def slope(time: Floats, values: Floats, half_window: float, *, joined: Booleans | None = None, most: int = 32) -> Floats:
+def slope(time: Floats, values: Floats, half_window: float, *, joined: Booleans | None = None) -> Floats:
     """Return the slopes of straight lines through the values around each moment; NaN where there are none.
 
-    A single wrong value has little effect on such a slope.
+    A single wrong value has little effect on such a slope. At most `MAX_FRAMES` before and after a moment count.
 
     Args:
         time: The times of the frames in s, (frames,).
         values: The values, (series, frames); NaN where they are unknown.
         half_window: The time before and after a moment of which the values count, in s; the frames next to it do, too.
         joined: Whether each frame and the next one belong together, (frames - 1,); None: if at most 1 s is between them.
-        most: The number of frames before and after a moment that count, at most.
     """
     known = ~np.isnan(values)
     values = np.where(known, values, 0.0)
     count = known.astype(np.float64)
     times, sums, squares, products = np.zeros((4, *values.shape))
     linked = joined
-    for apart in range(1, min(most + 1, len(time))):
+    for apart in range(1, min(MAX_FRAMES + 1, len(time))):
         with np.errstate(invalid="ignore"):
             seconds = time[apart:] - time[:-apart]
             near = (seconds > 0) & (seconds <= (LONGEST_STEP if apart == 1 else half_window + SAME_TIME))

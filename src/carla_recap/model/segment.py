@@ -104,28 +104,11 @@ class SegmentBuffer:
         self._segments = [each.later(-count) for each in self._within(count, self.frames)]
         self.frames -= count
 
-    def ids(self, start: int = 0, stop: int | None = None, *, least: int = 1) -> Ids:
-        """Return the ids in some frames, ascending.
-
-        Args:
-            start: The first frame.
-            stop: The frame before which to stop; None: until the last one.
-            least: The number of records that an id has at least, in the segments of these frames.
-        """
-        lengths: dict[bytes, int] = {}
-        for each in self._within(start, self.frames if stop is None else stop):
-            listed = each.ids.tobytes()
-            lengths[listed] = lengths.get(listed, 0) + len(each)
-        if not lengths:
-            return np.zeros(0, np.uint32)
-        kind = self._segments[0].ids.dtype
-        parts = [np.frombuffer(listed, kind) for listed in lengths]
-        if least == 1:
-            return np.unique(np.concatenate(parts))
-        ids, places = np.unique(np.concatenate(parts), return_inverse=True)
-        counts = np.bincount(places, np.repeat(list(lengths.values()), [len(part) for part in parts]))
-        frequent: Ids = ids[counts >= least]
-        return frequent
+    def ids(self, start: int = 0, stop: int | None = None) -> Ids:
+        """Return the ids in some frames, ascending; without a stop, until the last one."""
+        found = self._within(start, self.frames if stop is None else stop)
+        parts = {each.ids.tobytes(): each.ids for each in found}
+        return np.unique(np.concatenate([np.zeros(0, np.uint32), *parts.values()]))
 
     def dense(
         self, fields: Sequence[str], ids: Ids, start: int = 0, stop: int | None = None

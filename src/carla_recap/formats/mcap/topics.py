@@ -218,7 +218,9 @@ class FurtherTopics:
         """Return a topic; its metadata are empty where they are broken, or too large."""
         metadata: dict[str, str] = {}
         with suppress(ValueError):
-            metadata = index.parse_channel_metadata(self._declared(self._summary.channel_spans, channel.id, index.METADATA_LIMIT))
+            metadata = index.parse_channel_metadata(
+                self._declared(self._summary.channel_spans, channel.id, index.METADATA_LIMIT)
+            )
         message = self._summary.schemas.get(channel.schema, "")
         encoding = self._schema(channel.schema)[0] if message else ""
         return Topic(channel.topic, message, lambda: self._schema(channel.schema)[1], metadata, channel.encoding, encoding)
