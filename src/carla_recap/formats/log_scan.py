@@ -153,7 +153,6 @@ class Scanner:
         self._counted = [type is not None and type.framing is Framing.LIST for type in types]
         self._types = types
         self._wanted = [True] * 256 if wanted is None else wanted
-        self._skipped = [id > FRAME_END and not wanted for id, wanted in enumerate(self._wanted)]
         self._ignored = -1 if wanted is None else len(EMPTY_LIST)  # the size of packets that have no records
         self._sparse = sparse
         self._lenient = lenient
@@ -178,85 +177,36 @@ class Scanner:
                 self.lost_bytes += following - offset
                 offset = following
         self.count, self._offset = index, offset
-        while True:
-            if not (preamble or self._lenient):
-                yield from self._ordinary_runs()
-            found = self._frame(self._offset, preamble=preamble)
-            if found is None:
-                break
+        short_runs = wait = 0  # in a row; the number of frames until the next run is searched for
+        while (found := self._frame(self._offset, preamble=preamble)) is not None:
             packets, end = found
-            self.offsets.append(self._offset)
+            stride, frames = end - self._offset, 1
+            if wait:
+                wait -= 1
+            elif not (preamble or self._lenient):
+                frames = self._alike(self._offset - window.base, stride)
+                short_runs = short_runs + 1 if frames < _SHORT_RUN else 0
+                wait = min(1 << short_runs, _LONGEST_WAIT) if short_runs > 1 else 0
+            self.offsets.extend(self._offset + row * stride for row in range(frames))
             if packets or not self._sparse:
-                size = end - self._offset
-                yield Run(self.count, self._offset, 1, size, packets, preamble, window.data, window.base)
-            self.count += 1
+                yield Run(self.count, self._offset, frames, stride, packets, preamble, window.data, window.base)
             if not preamble:
-                self.last = self._offset
-            self._offset, preamble = end, False
+                self.last = self._offset + (frames - 1) * stride
+            self.count += frames
+            self._offset, preamble = self._offset + frames * stride, False
         self.end = self._offset
 
-    def _ordinary_runs(self) -> Iterator[Run]:
-        """Yield the runs up to a frame that needs care: the last one, a broken one, or one that is larger than a window."""
-        window, unpack, header, first = self._window, PACKET.unpack_from, PACKET.size, _FIRST_PACKET
-        wanted, skipped, ignored, sparse = self._wanted, self._skipped, self._ignored, self._sparse
-        short_runs = wait = 0  # in a row; the number of frames until the next run is searched for
-        window.begin(self._offset)
-        while True:
-            data, base = window.data, window.base
-            start, limit = self._offset - base, window.size - base - header
-            if not data.startswith(START_HEAD, start):
-                return
-            try:
-                while True:
-                    packets = []
-                    end = start + first
-                    while True:
-                        id, size = unpack(data, end)
-                        end += size + header
-                        if skipped[id]:
-                            continue
-                        if id > FRAME_END:
-                            if size != ignored:
-                                packets.append((id, end - size - start, size))
-                        elif id == FRAME_START:
-                            break
-                        elif size:
-                            return
-                        elif wanted[id]:
-                            packets.append((id, end - start, 0))
-                    end -= first
-                    stride = end - start
-                    if size != START.size or stride > PACKETS_LIMIT * header:
-                        return
-                    frames = 1
-                    if wait:
-                        wait -= 1
-                    elif data.startswith(START_HEAD, end + stride) or end + stride > limit:
-                        frames = self._alike(data, start, stride)
-                        short_runs = short_runs + 1 if frames < _SHORT_RUN else 0
-                        wait = min(1 << short_runs, _LONGEST_WAIT) if short_runs > 1 else 0
-                    at = base + start
-                    self.offsets.extend(range(at, at + frames * stride, stride))
-                    if packets or not sparse:
-                        yield Run(self.count, at, frames, stride, packets, False, data, base)
-                    start += frames * stride
-                    self.count += frames
-                    self._offset = base + start
-                    self.last = self._offset - stride
-            except struct.error:  # the frame goes on after what is in memory
-                if start == 0 or base + len(data) == window.size:
-                    return
-            data = b""
-            window.move(self._offset)
-
-    def _alike(self, data: bytes, start: int, stride: int) -> int:
-        """Return the number of frames like the one of `stride` bytes that starts at an index of some data, whole.
+    def _alike(self, start: int, stride: int) -> int:
+        """Return the number of frames like the one of `stride` bytes that starts at an index of the window, whole.
 
         Of a frame of two packets, for example, these bytes are compared (`^^`), and nothing between them:
 
             00 18000000 (id, duration, elapsed) 06 8e000000 0500 (5 transforms) 01 00000000
             ^^ ^^^^^^^^                         ^^ ^^^^^^^^ ^^^^                ^^ ^^^^^^^^
         """
+        data, limit = self._window.data, self._window.size - self._window.base - PACKET.size
+        if not data.startswith(START_HEAD, start + 2 * stride) and start + 2 * stride <= limit:
+            return 1
         # Headers, and numbers of records, are compared as the last bytes of words; words begin at every byte.
         where, masks = [0], [(1 << 8 * PACKET.size) - 1]
         end = start + _FIRST_PACKET
@@ -269,51 +219,54 @@ class Scanner:
         words = np.ndarray(((len(data) - start) // stride, stride - _WORD + 1), "<u8", data, start, (stride, 1))
         same = equal_rows(words, np.array(where), np.array(masks, np.uint64))
         following = start + same * stride
-        ends = data.startswith(START_HEAD, following) or self._window.base + following + PACKET.size > self._window.size
+        ends = data.startswith(START_HEAD, following) or following > limit
         return max(same if ends else same - 1, 1)
 
     def _frame(self, offset: int, *, preamble: bool) -> tuple[list[PacketSpan], int] | None:
         """Return the wanted packets of a frame, and where it ends; None where none begins."""
-        window, head, lenient = self._window, PACKET.unpack_from, self._lenient
-        size = window.size
-        here = offset if preamble else offset + _FIRST_PACKET
-        if offset + (PACKET.size if preamble else _FIRST_PACKET) > size:
+        window, header, unpack = self._window, PACKET.size, PACKET.unpack_from
+        wanted, ignored, lenient = self._wanted, self._ignored, self._lenient
+        if offset + (header if preamble else _FIRST_PACKET) > window.size:
             return None
         window.begin(offset)
         data, base = window.data, window.base
         if not preamble and not data.startswith(START_HEAD, offset - base):
             return None
-        last = base + len(data) - PACKET.size
+        here = offset - base + (0 if preamble else _FIRST_PACKET)
+        last, limit = len(data) - header, -1 if lenient else window.size - base
         packets: list[PacketSpan] = []
+        number = 0
         while True:
             if here > last:
                 data = b""  # so that its memory serves again
-                if not window.grow(offset, here + PACKET.size - offset):
+                if not window.grow(offset, base + here + header - offset):
                     break
-                data, base = window.data, window.base
-                last = base + len(data) - PACKET.size
-            id, length = head(data, here - base)
-            if id == FRAME_START and length == START.size:
-                break
-            end = here + PACKET.size + length
-            if (id <= FRAME_END and length) or not id or end > size or lenient:
-                step = self._next_packet(here, id, length)
+                data, here, base = window.data, here + base - window.base, window.base
+                last, limit = len(data) - header, -1 if lenient else window.size - base
+            id, length = unpack(data, here)
+            end = here + header + length
+            if id <= FRAME_END or end > limit:
+                if id == FRAME_START and length == START.size:
+                    break
+                step = self._next_packet(base + here, id, length)
                 if step is None:
                     break
-                if step != end or not id or (id == FRAME_END and length):
-                    self.lost_bytes += step - here
-                    here = step
+                if step != base + end or not id or (id == FRAME_END and length):
+                    self.lost_bytes += step - base - here
+                    here = step - base
                     continue
-            packets.append((id, here + PACKET.size - offset, length))
-            if len(packets) > PACKETS_LIMIT and lenient:
-                self.lost_bytes += PACKET.size + packets.pop()[2]
-            elif len(packets) > PACKETS_LIMIT:
-                raise FormatError(self._location, here, f"more than {PACKETS_LIMIT} packets in a frame")
+            number += 1
+            if number > PACKETS_LIMIT and not lenient:
+                raise FormatError(self._location, base + here, f"more than {PACKETS_LIMIT} packets in a frame")
+            if number > PACKETS_LIMIT:
+                self.lost_bytes += header + length
+            elif wanted[id] and length != ignored:
+                packets.append((id, base + here + header - offset, length))
             here = end
+        here += base
         if window.base + len(window.data) < here:
             window.grow(offset, here - offset)
-        wanted, ignored = self._wanted, self._ignored
-        return [packet for packet in packets if wanted[packet[0]] and packet[2] != ignored], here
+        return packets, here
 
     def _next_packet(self, here: int, id: int, size: int) -> int | None:
         """Return where to go on from a packet: after it if it is sound, else None at the end of what is readable."""
