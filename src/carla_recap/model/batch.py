@@ -24,52 +24,14 @@ _FIRST_STEP: Final = 128  # rows that are compared at once, at first
 _GROWTH: Final = 8
 
 
-class Column:
-    """The packets at one position in the frames of a batch: all of one type, size and number of records.
+class ConstantColumn:
+    """The same packet in each frame, such as one without records; see `Column`."""
 
-    Attributes:
-        id: The packet id, as of CARLA 0.9.16.
-        type: The record type; None for an unknown id.
-    """
-
-    __slots__ = ("_size", "id", "type")
-
-    def __init__(self, id: int, type: RecordType | None, size: int = 0) -> None:
-        self.id = id
-        self.type = type
-        self._size = size
-
-    @property
-    def size(self) -> int:
-        """Bytes of each payload."""
-        return self._size
-
-    @property
-    def records(self) -> NDArray[np.void]:
-        """The records of all frames, (frames, records of each); for types whose records have one size."""
-        raise NotImplementedError
-
-    def packet(self, row: int) -> Packet:
-        """Return the packet of one of the frames."""
-        raise NotImplementedError
-
-    def payloads(self, count: int) -> NDArray[np.uint8]:
-        """Return the payloads of the first `count` frames as bytes, (count, size)."""
-        data = b"".join(self.packet(row).payload for row in range(count))
-        return np.frombuffer(data, np.uint8).reshape(count, self.size)
-
-    def sliced(self, start: int, stop: int) -> Column:
-        """Return the column of some of the frames."""
-        raise NotImplementedError
-
-
-class ConstantColumn(Column):
-    """The same packet in each frame, such as one without records."""
-
-    __slots__ = ("_count", "_packet")
+    __slots__ = ("_count", "_packet", "id", "type")
 
     def __init__(self, packet: Packet, count: int = 1) -> None:
-        super().__init__(packet.id, packet.type)
+        self.id = packet.id
+        self.type = packet.type
         self._packet = packet
         self._count = count
 
@@ -80,31 +42,31 @@ class ConstantColumn(Column):
 
     @property
     def records(self) -> NDArray[np.void]:
-        """See `Column.records`."""
+        """The records of all frames, (frames, records of each); for types whose records have one size."""
         records = self._packet.records
         assert isinstance(records, np.ndarray)
         return read_only(records[None]) if self._count == 1 else np.broadcast_to(records, (self._count, len(records)))
 
     def packet(self, row: int) -> Packet:
-        """See `Column.packet`."""
+        """Return the packet of one of the frames."""
         return self._packet
 
     def payloads(self, count: int) -> NDArray[np.uint8]:
-        """See `Column.payloads`."""
+        """Return the payloads of the first frames as bytes, (count, size)."""
         return np.broadcast_to(np.frombuffer(self._packet.payload, np.uint8), (count, self.size))
 
-    def sliced(self, start: int, stop: int) -> Column:
-        """See `Column.sliced`."""
+    def sliced(self, start: int, stop: int) -> ConstantColumn:
+        """Return the column of some of the frames."""
         return ConstantColumn(self._packet, stop - start)
 
 
-class PackedColumn(Column):
+class PackedColumn:
     """Payloads of some size in CARLA's layout, at equal distances (`stride` bytes) in a buffer, from an offset on.
 
     `origin` is the location of the file that the buffer was read from, and the offset of the buffer's first byte in it.
     """
 
-    __slots__ = ("_buffer", "_count", "_offset", "_origin", "_stride")
+    __slots__ = ("_buffer", "_count", "_offset", "_origin", "_stride", "id", "size", "type")
 
     def __init__(
         self,
@@ -117,7 +79,9 @@ class PackedColumn(Column):
         count: int,
         origin: tuple[str, int | None] | None = None,
     ) -> None:
-        super().__init__(id, type, size)
+        self.id = id
+        self.type = type
+        self.size = size
         self._buffer = buffer
         self._offset = offset
         self._stride = stride
@@ -126,7 +90,7 @@ class PackedColumn(Column):
 
     @property
     def records(self) -> NDArray[np.void]:
-        """See `Column.records`: a strided view of the buffer."""
+        """The records of all frames, (frames, records of each): a strided view of the buffer."""
         type = self.type
         assert type is not None
         itemsize = type.dtype.itemsize
@@ -142,20 +106,24 @@ class PackedColumn(Column):
         return np.ndarray(shape, type.dtype, self._buffer, self._offset + start, strides)
 
     def packet(self, row: int) -> Packet:
-        """See `Column.packet`."""
+        """Return the packet of one of the frames."""
         start = self._offset + row * self._stride
-        return Packet(self.id, self.type, None, None, self._origin, (self._buffer, start, self._size))
+        return Packet(self.id, self.type, None, None, self._origin, (self._buffer, start, self.size))
 
     def payloads(self, count: int) -> NDArray[np.uint8]:
-        """See `Column.payloads`: a strided view of the buffer."""
+        """Return the payloads of the first frames as bytes, (count, size): a strided view of the buffer."""
         if not self.size:
             return np.empty((count, 0), np.uint8)
         return np.ndarray((count, self.size), np.uint8, self._buffer, self._offset, (self._stride, 1))
 
-    def sliced(self, start: int, stop: int) -> Column:
-        """See `Column.sliced`."""
+    def sliced(self, start: int, stop: int) -> PackedColumn:
+        """Return the column of some of the frames."""
         offset = self._offset + start * self._stride
         return PackedColumn(self.id, self.type, self.size, self._buffer, offset, self._stride, stop - start, self._origin)
+
+
+Column = ConstantColumn | PackedColumn
+"""The packets at one position in the frames of a batch: all of one id, type (None for an unknown id), size and count."""
 
 
 def packed(type: RecordType, records: NDArray[np.void]) -> PackedColumn:

@@ -260,14 +260,6 @@ class RecordsCodec:
         names = {"names": list(fields), "formats": formats, "offsets": list(offsets.values())}
         self.wire: np.dtype[np.void] = np.dtype({**names, "itemsize": self.stride})  # type: ignore[call-overload]
 
-    def body_size(self, payload: Buffer) -> int | None:
-        """Return the size of the body of a payload; None where its size is not that of its records."""
-        size = len(payload)
-        if self._single:
-            return self.stride if size == self._dtype.itemsize else None
-        count = payload[0] | payload[1] << 8 if size > 1 else 0
-        return count * self.stride if size == U16.size + count * self._dtype.itemsize else None
-
     def count_in(self, size: int) -> int | None:
         """Return the number of records in a body of some bytes; None where no body has that size."""
         count, rest = divmod(size, self.stride)
@@ -290,19 +282,19 @@ class RecordsCodec:
         for name in self._dtype.names or ():
             bodies[name] = records[name]
 
-    def encode(self, payloads: Sequence[Buffer]) -> list[memoryview] | None:
-        """Return the bodies of some payloads; None where one of them has another size, or numbers that do not fit."""
-        sizes = [size for size in map(self.body_size, payloads) if size is not None]
-        if len(sizes) < len(payloads):
+    def encode(self, payload: Buffer) -> bytes | None:
+        """Return the body of a payload; None where it has another size, or numbers that do not fit."""
+        size = len(payload)
+        count = 1 if self._single else payload[0] | payload[1] << 8 if size > 1 else 0
+        if size != self.payload_size(count):
             return None
-        records = np.frombuffer(b"".join([memoryview(payload)[self._start :] for payload in payloads]), self._dtype)
+        records = np.frombuffer(payload, self._dtype, count, self._start)
         if not self.fits(records):
             return None
-        bodies = np.empty(len(records), self._blank.dtype)
+        bodies = np.empty(count, self._blank.dtype)
         bodies[:] = self._blank
         self.fill(bodies.view(self.wire), records)
-        data = bodies.view(np.uint8).data if len(bodies) else memoryview(b"")
-        return [data[start:end] for start, end in pairwise([0, *accumulate(sizes)])]
+        return bodies.tobytes()
 
     def matches(self, bodies: NDArray[np.uint8]) -> bool:
         """Return whether bodies, (messages, bytes), are as `encode` writes them."""
@@ -392,19 +384,10 @@ def encode(type: RecordType, payload: Buffer) -> bytes:
         PayloadError: The payload contradicts the type's layout.
     """
     if type.fixed:
-        return bytes(encode_many(type, [payload])[0])
+        return records_codec(type).encode(payload) or _encode_any(type, payload)
     template = _templates.get(type)
     bodies = template.encode(_row(payload)) if template else None
     return _encode_any(type, payload) if bodies is None else bodies.tobytes()
-
-
-def encode_many(type: RecordType, payloads: Sequence[Buffer]) -> Sequence[Buffer]:
-    """Return the bodies of messages of a type whose records have one size.
-
-    Raises:
-        PayloadError: A payload contradicts the type's layout.
-    """
-    return records_codec(type).encode(payloads) or [_encode_any(type, payload) for payload in payloads]
 
 
 def encode_rows(type: RecordType, payloads: NDArray[np.uint8]) -> NDArray[np.uint8] | None:

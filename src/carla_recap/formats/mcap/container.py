@@ -23,7 +23,6 @@ from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
-from carla_recap.formats.mcap.codec import encode_many
 from carla_recap.formats.mcap.schema import CHUNK, FOOTER, MAGIC, MESSAGE, MESSAGE_FIELDS, MESSAGE_INDEX, RECORD, U64
 from carla_recap.util.files import AtomicFile
 
@@ -35,7 +34,6 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Topic
     from carla_recap.model.layout import Buffer
-    from carla_recap.model.records import RecordType
 
 _COMPRESSION: Final = "zstd"
 _WORKERS: Final = 2
@@ -49,7 +47,7 @@ class ChunkBuilder:
     """A chunk being filled.
 
     Attributes:
-        size: About how many bytes it will have.
+        size: How many bytes it has.
         start: First log time in ns.
         end: Last log time in ns.
     """
@@ -57,41 +55,25 @@ class ChunkBuilder:
     def __init__(self) -> None:
         self.size = 0
         self.start = self.end = 0
-        # Channel, sequence, log and publish time, head and body of each message that is to be encoded; and by type the
-        # indexes of those whose bodies are encoded together, with their payloads.
-        self._messages: list[tuple[int, int, int, int, bytes, bytes]] = []
-        self._waiting: dict[RecordType, tuple[list[int], list[Buffer]]] = {}
         self._parts: list[Buffer] = []
         self._index: dict[int, array[int]] = {}
-        self._end = 0  # of the parts, in bytes
 
     @property
     def is_empty(self) -> bool:
         """Whether nothing was added so far."""
-        return not self._messages and not self._parts
+        return not self._parts
 
     def add(self, channel: int, sequence: int, times: tuple[int, int], head: bytes, body: bytes) -> None:
-        """Add a message."""
+        """Add a message, at its log and publish time in ns."""
         time = times[0]
-        if self.is_empty:
-            self.start = self.end = time
-        elif time < self.start:
-            self.start = time
-        if time > self.end:
-            self.end = time
-        self.size += MESSAGE.size + len(head) + len(body)
-        self._messages.append((channel, sequence, *times, head, body))
+        self.start = min(self.start, time) if self._parts else time
+        self.end = max(self.end, time) if self._parts else time
+        length = MESSAGE_FIELDS + len(head) + len(body)
+        self._parts += (MESSAGE.pack(Opcode.MESSAGE, length, channel, sequence, *times), head, body)
+        self._index.setdefault(channel, array("Q")).extend((time, self.size))
+        self.size += RECORD.size + length
 
-    def encode_later(self, type: RecordType, payload: Buffer, size: int) -> None:
-        """Give the latest message a body of a known size, which is encoded together with others of its type."""
-        waiting = self._waiting.get(type)
-        if waiting is None:
-            waiting = self._waiting[type] = ([], [])
-        waiting[0].append(len(self._messages) - 1)
-        waiting[1].append(payload)
-        self.size += size
-
-    def add_records(self, records: Sequence[Buffer], index: Mapping[int, NDArray[np.uint64]], start: int, end: int) -> None:
+    def add_records(self, records: Buffer, index: Mapping[int, NDArray[np.uint64]], start: int, end: int) -> None:
         """Add messages that are records already, and have log times from `start` to `end` in ns.
 
         `index` has by channel the log time in ns and the offset in the records of each message, (messages, 2).
@@ -99,39 +81,15 @@ class ChunkBuilder:
         if self.is_empty:
             self.start = start
         self.end = end
-        self._encode()
         for channel, entries in index.items():
-            entries[:, 1] += np.uint64(self._end)
+            entries[:, 1] += np.uint64(self.size)
             self._index.setdefault(channel, array("Q")).frombytes(entries.tobytes())
-        self._parts += records
-        size = sum(map(len, records))
-        self._end += size
-        self.size += size
+        self._parts.append(records)
+        self.size += len(records)
 
     def finish(self) -> tuple[bytes, dict[int, array[int]]]:
         """Return the records, and by channel the log time and offset of each message."""
-        self._encode()
         return b"".join(self._parts), self._index
-
-    def _encode(self) -> None:
-        """Turn the messages into records."""
-        bodies: dict[int, Buffer] = {}
-        for type, (indexes, payloads) in self._waiting.items():
-            bodies.update(zip(indexes, encode_many(type, payloads), strict=True))
-        parts, index, end, pack = self._parts, self._index, self._end, MESSAGE.pack
-        for number, (channel, sequence, log_time, publish_time, head, body) in enumerate(self._messages):
-            data = bodies.get(number, body)
-            length = MESSAGE_FIELDS + len(head) + len(data)
-            entries = index.get(channel)
-            if entries is None:
-                entries = index[channel] = array("Q")
-            entries.append(log_time)
-            entries.append(end)
-            parts += (pack(Opcode.MESSAGE, length, channel, sequence, log_time, publish_time), head, data)
-            end += RECORD.size + length
-        self._end = end
-        self._messages.clear()
-        self._waiting.clear()
 
 
 @dataclass(frozen=True)

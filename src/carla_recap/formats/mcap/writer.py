@@ -149,7 +149,7 @@ class McapWriter(ChunkedFile, Writer):
         count = min(room, len(batch), self._cut_at_frame - self._sequence)
         count = max(1, int(np.searchsorted(times[:count, 0], self._cut_at)))
         index = template.number(rows[:count], self._sequence, times[:count])
-        chunk.add_records([rows[:count].reshape(-1).data], index, int(times[0, 0]), int(times[count - 1, 0]))
+        chunk.add_records(rows[:count].reshape(-1).data, index, int(times[0, 0]), int(times[count - 1, 0]))
         part = batch[:count]
         self._digest.batch(part, self._sequence)
         self._sequence += count - 1
@@ -260,17 +260,11 @@ class McapWriter(ChunkedFile, Writer):
         if type is None or type.opaque or not type.topic or len(payload) > OBJECTS_LIMIT:
             return self._add_raw(packet, head, times)
         chunk, channel = self._chunks[type.group], self._channel_of[id]
-        size = records_codec(type).body_size(payload) if type.fixed else None
-        if size is not None:
-            chunk.add(channel, self._sequence, times, head, b"")
-            chunk.encode_later(type, payload, size)
-            self._cut_within_frame(type.group)
-            return schema.FILLED
         try:
-            if type.fixed:
-                packet.warn_of(check(type, payload))
-                self._digest.found_irregular(type)
             body = encode(type, payload)
+            if type.fixed and (surplus := check(type, payload)):
+                packet.warn_of(surplus)
+                self._digest.found_irregular(type)
         except PayloadError as error:
             raise packet.error(error) from None
         if len(head) + len(body) > OBJECTS_LIMIT:
