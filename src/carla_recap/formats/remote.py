@@ -164,11 +164,7 @@ def modified_at(url: str) -> float | None:
 
 
 def upload(path: Path, url: str) -> None:
-    """Copy a file to an object, which appears when all of it is there.
-
-    Raises:
-        RecapError: It cannot be written.
-    """
+    """Copy a file to an object, which appears when all of it is there, or raise `RecapError`."""
     store, key = address_of(url)
     try:
         log_info(__name__, "uploads %s", unsigned(url))

@@ -51,12 +51,7 @@ class ByteSource:
         self._lock = Lock()
 
     def read(self, offset: int, size: int, what: str) -> bytes:
-        """Return some bytes; messages say `what` they should be.
-
-        Raises:
-            FormatError: There are no such bytes.
-            RecapError: They cannot be read.
-        """
+        """Return some bytes, or raise `FormatError` or `RecapError`, which say `what` they should be."""
         raise NotImplementedError
 
     def read_ranges(self, spans: Iterable[ByteRange], what: str, *, whole: bool = False) -> Iterator[bytes]:
@@ -67,11 +62,7 @@ class ByteSource:
         return (self.read(offset, size, what) for offset, size in spans)
 
     def check_open(self) -> None:
-        """Check that it is not closed.
-
-        Raises:
-            Closed: It was.
-        """
+        """Raise `Closed` if it is closed."""
         raise NotImplementedError
 
     def close(self) -> None:
@@ -130,11 +121,7 @@ def scheme_of(location: Path | str) -> str:
 
 
 def is_remote(location: Path | str) -> bool:
-    """Return whether a location is read over the network.
-
-    Raises:
-        RecapError: It is a URL of an unknown kind.
-    """
+    """Return whether a location is read over the network, or raise `RecapError` for an unknown kind of URL."""
     scheme = scheme_of(location)
     if scheme in ("", "file"):
         return False

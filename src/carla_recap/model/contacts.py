@@ -254,12 +254,7 @@ def velocity_before(id: int, frame: Frame | None, earlier: Frame | None) -> Vect
     """Return the velocity of an actor just before a contact in m/s, left-handed; NaN where it is unknown.
 
     It is that of `carla_recap.model.motion`, but derived from frames before the contact alone: in that of the contact, the
-    actor may have been stopped, or thrown.
-
-    Args:
-        id: The actor.
-        frame: The frame before the contact, if there is one.
-        earlier: The frame before that one, if there is one.
+    actor may have been stopped, or thrown: `frame` is the one before the contact, and `earlier` the one before that.
     """
     if frame is None:
         return UNKNOWN

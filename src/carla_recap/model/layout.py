@@ -315,11 +315,7 @@ class _Cursor:
 
 
 def locate(type: PacketType, payload: Buffer) -> tuple[Span, int]:
-    """Find the records of a payload; return them, and the number of bytes behind them.
-
-    Raises:
-        PayloadError: The payload is too short for what it announces, or too large to parse.
-    """
+    """Find the records of a payload, and the number of bytes behind them, or raise `PayloadError`."""
     return _read(type, payload, _Cursor.span)
 
 
@@ -348,22 +344,14 @@ def _read(type: PacketType, payload: Buffer, read: Callable[[_Cursor, CompiledLa
 
 
 def check(type: PacketType, payload: Buffer) -> int:
-    """Return the number of bytes that the payload has too many, found without parsing.
-
-    Raises:
-        PayloadError: The payload is too short for what it announces, or too large to parse.
-    """
+    """Return the number of bytes behind the records, found without parsing, or raise `PayloadError`."""
     if type.opaque:
         return 0
     return len(payload) if type.framing is Framing.MARKER else locate(type, payload)[1]
 
 
 def unpack(type: PacketType, payload: Buffer) -> tuple[Records, int]:
-    """Return the records of a payload, and the number of bytes left over behind them.
-
-    Raises:
-        PayloadError: The payload is too short for what it announces, or too large to parse.
-    """
+    """Return the records of a payload, and the number of bytes left over behind them, or raise `PayloadError`."""
     if type.framing is Framing.MARKER or type.opaque:
         return np.empty(0, type.dtype), 0 if type.opaque else len(payload)
     if type.fixed and type.framing is Framing.LIST and len(payload) >= U16.size:  # as `locate`, in a tenth of the time
@@ -378,11 +366,7 @@ def unpack(type: PacketType, payload: Buffer) -> tuple[Records, int]:
 
 
 def pack(type: PacketType, records: Records) -> bytes:
-    """Return the payload of some records.
-
-    Raises:
-        RecordError: More records than a packet can count, or a value that does not fit its field.
-    """
+    """Return the payload of some records, or raise `RecordError`."""
     if type.framing is Framing.MARKER:
         return b""
     if type.framing is Framing.SINGLE and isinstance(records, np.ndarray):

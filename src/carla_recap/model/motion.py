@@ -129,20 +129,14 @@ def neighbours(joined: Booleans) -> tuple[Indices, Indices]:
 
     If the first two of three frames belong together, that is 0 0 2 and 1 1 2.
 
-    Args:
-        joined: Whether each frame and the next one belong together, (frames - 1,).
+    `joined` says whether each frame and the next one belong together, (frames - 1,).
     """
     frame = np.arange(len(joined) + 1)
     return frame - np.append(False, joined), frame + np.append(joined, False)
 
 
 def runs(flags: Booleans, joined: Booleans) -> Iterator[tuple[int, int]]:
-    """Yield the first and the last of consecutive frames that are flagged.
-
-    Args:
-        flags: Whether each frame is flagged, (frames,).
-        joined: Whether each frame and the next one belong together, (frames - 1,).
-    """
+    """Yield the first and last of runs of flagged frames, (frames,); each and the next one are joined, (frames - 1,)."""
     goes_on = flags[1:] & flags[:-1] & joined
     first = flags & ~np.append(False, goes_on)[: len(flags)]
     last = flags & ~np.append(goes_on, False)[: len(flags)]

@@ -52,15 +52,7 @@ def box_row(id: int, centre: Any, extent: Any) -> Row:
 def physics_record(
     id: int, control: Any, torque_curve: Iterable[Row], steering_curve: Iterable[Row], wheels: Iterable[Row]
 ) -> Physics:
-    """Return the record of the physics of a vehicle.
-
-    Args:
-        id: The id of the vehicle.
-        control: A `PhysicsControl`, or that of CARLA's client.
-        torque_curve: Its curve as pairs of numbers.
-        steering_curve: Its curve as pairs of numbers.
-        wheels: Its wheels as rows.
-    """
+    """Return the record of the physics of a vehicle, of a `PhysicsControl` or that of CARLA's client; wheels are rows."""
     centre = control.center_of_mass
     gears = ((gear.ratio, gear.down_ratio, gear.up_ratio) for gear in control.forward_gears)
     return Physics(

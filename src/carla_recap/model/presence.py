@@ -68,12 +68,7 @@ class RoadHeights:
     def away(self, ids: NDArray[np.integer], places: Floats) -> Booleans:
         """Return which actors are too far from the roads to be there; sensors may be anywhere.
 
-        Args:
-            ids: The actors.
-            places: Where they are in cm, as recorded, (moments, actors, 3 or more); NaN where that is unknown.
-
-        Returns:
-            Whether each is away, (moments, actors).
+        Places are in cm, as recorded, (moments, actors, 3 or more), NaN where unknown; the answer is (moments, actors).
         """
         z, (lowest, highest) = places[..., 2], self._bounds
         low, high = np.fmin.reduce(z, axis=None, initial=lowest / CM), np.fmax.reduce(z, axis=None, initial=highest / CM)

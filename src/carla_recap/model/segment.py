@@ -59,9 +59,8 @@ def segments(records: NDArray[np.void], *, cuts: Booleans | None = None) -> Iter
 
     For example, frames with the ids 7 8, 7 8, 7 8 9 have a segment of two frames and one of one frame.
 
-    Args:
-        records: The records of consecutive frames, (frames, records of each), as those of a batch.
-        cuts: Whether a segment begins with a frame anyway, for all frames but the first.
+    The records are those of consecutive frames, (frames, records of each), as of a batch. `cuts` are frames, of all but the
+    first, with which a segment begins anyway.
     """
     ids = np.ascontiguousarray(records["id"])
     edges = [0, len(ids)]
@@ -118,14 +117,7 @@ class SegmentBuffer:
         For example, if 7 is in both of two frames, and 8 in the second one, x is [[3, 4], [0, 9]], and where it is known
         [[True, True], [False, True]].
 
-        Args:
-            fields: The fields, of one type.
-            ids: The actors, ascending.
-            start: The first frame.
-            stop: The frame before which to stop; None: until the last one.
-
-        Returns:
-            The values, (fields, actors, frames), and whether they are known, (actors, frames).
+        Ids are ascending. Values are (fields, actors, frames), of one type, and whether they are known is (actors, frames).
         """
         stop = self.frames if stop is None else stop
         found = list(self._within(start, stop))

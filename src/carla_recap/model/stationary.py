@@ -56,11 +56,7 @@ class BlockedRow:
 
 
 def check_limits(min_time: float, min_distance: float) -> None:
-    """Refuse limits of stationary intervals that are below 0 or NaN.
-
-    Raises:
-        RecapError: One of them is.
-    """
+    """Raise `RecapError` if a limit of stationary intervals is below 0 or NaN."""
     for name, value, unit in (("min_time", min_time, "s"), ("min_distance", min_distance, "cm")):
         if not value >= 0:
             raise RecapError(f"{name}: expected 0 {unit} or more, found {value:g} {unit}")

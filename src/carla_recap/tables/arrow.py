@@ -31,11 +31,7 @@ _HINTS: Final = {int: "int64", float: "float64", bool: "bool_", str: "string"}
 
 
 def require(feature: str) -> None:
-    """Check that pyarrow is installed, which a feature needs.
-
-    Raises:
-        MissingExtra: It is not installed.
-    """
+    """Raise `MissingExtra` if pyarrow, which a feature needs, is not installed."""
     try:
         import pyarrow  # noqa: F401
     except ImportError:
@@ -143,21 +139,13 @@ class ParquetFile:
         self.rows = 0
 
     def write(self, table: pa.Table) -> None:
-        """Add a row group.
-
-        Raises:
-            RecapError: The file cannot be written.
-        """
+        """Add a row group, or raise `RecapError`."""
         with writing(self._path):
             self._writer.write_table(table)
         self.rows += len(table)
 
     def close(self) -> None:
-        """Finish the file.
-
-        Raises:
-            RecapError: The file cannot be written.
-        """
+        """Finish the file, or raise `RecapError`."""
         with writing(self._path):
             self._writer.close()
 
@@ -169,10 +157,6 @@ class ParquetFile:
 
 
 def write_parquet(path: Path | str, table: pa.Table) -> None:
-    """Write a table as a Parquet file.
-
-    Raises:
-        RecapError: The file cannot be written.
-    """
+    """Write a table as a Parquet file, or raise `RecapError`."""
     with ParquetFile(Path(path), table.schema) as file:
         file.write(table)

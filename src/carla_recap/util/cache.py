@@ -64,11 +64,7 @@ def kept(content: bytes, what: str, sources: Sequence[str], make: Callable[[], A
 
     What warns while it is made is not kept, so that it warns each time.
 
-    Args:
-        content: The content of the map, or a digest of it.
-        what: What is made of it.
-        sources: The folders of the modules by which it is made.
-        make: Makes it.
+    `content` is that of the map, or a digest of it, and `what` is made of it by modules in the folders `sources`.
     """
     key = content_key(what.encode() + b"\n" + content, *sources)
     data = read_entry(key)

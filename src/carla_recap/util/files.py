@@ -98,11 +98,7 @@ class AtomicFile:
             self.abort()
 
     def close(self) -> None:
-        """Finish the file, and move it to its destination.
-
-        Raises:
-            RecapError: It cannot be written, or without `force`, the destination exists.
-        """
+        """Finish the file, and move it to its destination, or raise `RecapError`."""
         if self._file.closed:
             return
         try:
@@ -201,32 +197,20 @@ class WholeFile(AtomicFile):
         self._begin(lambda: None)
 
     def write(self, data: bytes) -> None:
-        """Write bytes.
-
-        Raises:
-            RecapError: The disk is full or broken, or the file is closed.
-        """
+        """Write bytes, or raise `RecapError`."""
         self._put(data)
         if self._live:
             self._sync()
 
 
 def check_path(destination: Path | str) -> None:
-    """Refuse a destination that is a URL.
-
-    Raises:
-        RecapError: It is one.
-    """
+    """Raise `RecapError` for a destination that is a URL."""
     if isinstance(destination, str) and "://" in destination:
         raise RecapError(f"{destination}: is a URL; a path was expected, since only files of this machine are written")
 
 
 def read_document(path: Path | str, largest: int, expected: str) -> str:
-    """Return the text of a small file, in UTF-8; errors say what was `expected`, such as "a rig".
-
-    Raises:
-        RecapError: It cannot be read, or is no such text.
-    """
+    """Return the text of a small file, in UTF-8, or raise `RecapError`, which says what is `expected`, such as "a rig"."""
     try:
         if Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir():
             raise RecapError(f"{path}: is not a regular file; expected {expected}")
@@ -260,11 +244,7 @@ def writing(path: Path | str) -> Iterator[None]:
 
 
 def make_folder(folder: Path | str) -> None:
-    """Create a folder and those above it, if they are not there.
-
-    Raises:
-        RecapError: It cannot be created.
-    """
+    """Create a folder and those above it where they are missing, or raise `RecapError`."""
     with writing(folder):
         try:
             Path(folder).mkdir(parents=True, exist_ok=True)
@@ -273,11 +253,7 @@ def make_folder(folder: Path | str) -> None:
 
 
 def prepare_file(path: Path | str) -> None:
-    """Create the folder of a file that will be written, and check that it can be.
-
-    Raises:
-        RecapError: It cannot.
-    """
+    """Create the folder of a file that will be written; raise `RecapError` if it cannot be."""
     check_path(path)
     with writing(path):
         Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -285,11 +261,7 @@ def prepare_file(path: Path | str) -> None:
 
 
 def check_folder(folder: Path | str, *, force: bool) -> None:
-    """Refuse a destination that is no folder, or, without `force`, a folder that is not empty.
-
-    Raises:
-        RecapError: It is such a destination.
-    """
+    """Raise `RecapError` for a destination that is no folder, or, without `force`, a folder that is not empty."""
     check_path(folder)
     folder = Path(folder)
     with writing(folder):
@@ -302,13 +274,10 @@ def check_folder(folder: Path | str, *, force: bool) -> None:
 
 @contextmanager
 def new_folder(folder: Path | str) -> Iterator[Path]:
-    """Yield a folder beside the destination, which is moved there at the end.
+    """Yield a folder beside the destination, which is moved there at the end, or raise `RecapError`.
 
     If the destination exists, its files of the same names are replaced, and all others stay. What processes that were
     killed have left beside it is removed.
-
-    Raises:
-        RecapError: The destination cannot be written to. Errors of the block name the destination, too.
     """
     folder = Path(folder)
     partial = _partial_path(folder.absolute())
@@ -330,12 +299,7 @@ def new_folder(folder: Path | str) -> Iterator[Path]:
 
 @contextmanager
 def scratch_folder(folder: Path, others: Iterable[Path]) -> Iterator[None]:
-    """Make a folder for a `with` block, which is removed at its end.
-
-    Args:
-        folder: The path of the folder.
-        others: Paths of such folders, which are removed, too, where the process that made them is gone.
-    """
+    """Make a folder for a `with` block; remove it at its end, and the `others` now, whose processes are gone."""
     from shutil import rmtree
 
     for other in others:

@@ -112,11 +112,7 @@ def _keywords(arguments: ast.arguments) -> Keywords:
 
 
 def module_of_file(path: Path) -> ModuleType:
-    """Return the module of a file, which is imported anew if it has changed.
-
-    Raises:
-        ImportError: It is no Python file. What the file itself raises is passed on.
-    """
+    """Return the module of a file, which is imported anew if it has changed, or raise `ImportError`."""
     status = path.stat()
     return _imported(path, status.st_mtime_ns, status.st_size)
 

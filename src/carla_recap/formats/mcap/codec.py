@@ -94,11 +94,7 @@ def message_class(module: str, name: str) -> type[Message]:
 
 
 def parse(module: str, name: str, data: Buffer) -> Any:
-    """Return a message, parsed by protobuf; see `message_class`.
-
-    Raises:
-        WireError: It is none of that name, or too large to parse.
-    """
+    """Return a message, parsed by protobuf, or raise `WireError`; see `message_class`."""
     from google.protobuf.message import DecodeError
 
     if len(data) > OBJECTS_LIMIT:
@@ -378,11 +374,7 @@ _templates: dict[RecordType, PacketTemplate] = {}  # of the latest packet of eac
 
 
 def encode(type: RecordType, payload: Buffer) -> bytes:
-    """Return the body of a message.
-
-    Raises:
-        PayloadError: The payload contradicts the type's layout.
-    """
+    """Return the body of a message, or raise `PayloadError`."""
     if type.fixed:
         return records_codec(type).encode(payload) or _encode_any(type, payload)
     template = _templates.get(type)
@@ -404,11 +396,7 @@ def encode_rows(type: RecordType, payloads: NDArray[np.uint8]) -> NDArray[np.uin
 
 
 def decode(type: RecordType, data: Buffer) -> bytes:
-    """Return the payload of a message.
-
-    Raises:
-        WireError: The message contradicts its schema.
-    """
+    """Return the payload of a message, or raise `WireError`."""
     if type.fixed:
         found = records_codec(type).decode([data])
         return pack(type, found[0]) if found else _decode_by_protobuf(type, data)
@@ -438,11 +426,7 @@ def decode_rows(type: RecordType, messages: NDArray[np.uint8]) -> NDArray[np.uin
 
 
 def decode_records(type: RecordType, messages: Sequence[Buffer]) -> list[Any]:
-    """Return the records of some messages, those of one size as tuples.
-
-    Raises:
-        WireError: A message contradicts its schema.
-    """
+    """Return the records of some messages, those of one size as tuples, or raise `WireError`."""
     together = records_codec(type).decode(messages) if type.fixed else None
     if together is not None:
         return [row for records in together for row in records.tolist()]

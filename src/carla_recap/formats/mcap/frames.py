@@ -195,11 +195,7 @@ class FrameAssembler:
         self._plans: dict[tuple[bytes, bytes], _Plan] = {}
 
     def add(self, chunks: list[tuple[ChunkIndex, bytes]]) -> None:
-        """Take in the messages of some chunks.
-
-        Raises:
-            FormatError: The chunks are damaged, or more of them overlap than fit in memory.
-        """
+        """Take in the messages of some chunks, or raise `FormatError`."""
         wanted = self._selection.channels
         held = sum(run.number * len(run.slots) for run in self._runs)
         for chunk, data in chunks:
@@ -381,11 +377,7 @@ def _of_same_frames(runs: list[MessageRun]) -> Iterator[list[MessageRun]]:
 
 
 def channel_messages(location: str, chunk: ChunkIndex, data: bytes, channel: int) -> Iterator[memoryview]:
-    """Yield the messages of a channel in a chunk.
-
-    Raises:
-        FormatError: The chunk is damaged.
-    """
+    """Yield the messages of a channel in a chunk, or raise `FormatError`."""
     try:
         for run in message_runs(data, _NO_CHANNEL):
             slots = [slot for slot in run.slots if slot[0] == channel]
@@ -395,11 +387,7 @@ def channel_messages(location: str, chunk: ChunkIndex, data: bytes, channel: int
 
 
 def parsed(location: str, module: str, name: str, data: Buffer) -> Any:
-    """Return a message, parsed by protobuf; see `codec.parse`.
-
-    Raises:
-        FormatError: It is none of that name, or too large to parse.
-    """
+    """Return a message, parsed by protobuf, or raise `FormatError`; see `codec.parse`."""
     try:
         return codec.parse(module, name, data)
     except codec.WireError as error:

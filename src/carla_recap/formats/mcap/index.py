@@ -45,11 +45,7 @@ _STATISTICS: Final = struct.Struct("<QHIIIIQQ")
 
 
 def read_record(source: ByteSource, offset: int, opcode: Opcode, what: str, limit: int = CHUNK_LIMIT) -> bytes:
-    """Return the content of the record at an offset.
-
-    Raises:
-        FormatError: It is of another kind, or too large.
-    """
+    """Return the content of the record at an offset, or raise `FormatError`."""
     found, size = RECORD.unpack(source.read(offset, RECORD.size, what))
     if found != opcode or size > limit:
         raise FormatError(source.location, offset, f"expected {what}, found a record of kind {found} with {size} bytes")
@@ -57,11 +53,7 @@ def read_record(source: ByteSource, offset: int, opcode: Opcode, what: str, limi
 
 
 def split_records(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, start and end of each record in a run of whole records.
-
-    Raises:
-        ValueError: The last one is not whole.
-    """
+    """Yield opcode, start and end of each record in a run of whole records, or raise `ValueError`."""
     at, size = 0, len(data)
     while at < size:
         if at + RECORD.size > size:
@@ -113,11 +105,7 @@ def _breaking(opcode: int) -> Iterator[None]:
 
 
 def parse_metadata(content: bytes) -> tuple[str, dict[str, str]]:
-    """Return the name and the values of a metadata record.
-
-    Raises:
-        ValueError: It is broken.
-    """
+    """Return the name and the values of a metadata record, or raise `ValueError`."""
     with _breaking(Opcode.METADATA):
         name, offset = _string(memoryview(content), 0)
         return name, _strings(memoryview(content), offset)
@@ -145,11 +133,7 @@ def parse_schema(content: bytes) -> tuple[str, bytes]:
 
 
 def decompress(compression: str, data: bytes | memoryview, size: int) -> bytes:
-    """Return a chunk's records, never more than the chunk says.
-
-    Raises:
-        ValueError: They are not of the size that the chunk says, or damaged.
-    """
+    """Return a chunk's records, never more than the chunk says; raise `ValueError` if they are damaged."""
     if size > CHUNK_LIMIT:
         raise ValueError(f"a chunk of {size} bytes, at most {CHUNK_LIMIT} are read")
     try:
@@ -173,11 +157,7 @@ def decompress(compression: str, data: bytes | memoryview, size: int) -> bytes:
 
 
 def open_chunk(content: bytes | memoryview) -> tuple[int, int, bytes]:
-    """Return first and last log time, and the records, of a chunk record's content.
-
-    Raises:
-        ValueError: It is damaged.
-    """
+    """Return first and last log time, and the records, of a chunk record's content, or raise `ValueError`."""
     if len(content) < CHUNK.size:
         raise ValueError("a chunk of less than its fixed fields")
     start, end, size, crc, name_size = CHUNK.unpack_from(content)
@@ -261,12 +241,7 @@ class Summary:
 
 
 def read_summary(source: ByteSource) -> Summary:
-    """Return the summary of a finished file.
-
-    Raises:
-        NotARecording: It is no MCAP file.
-        FormatError: It is damaged, or was never finished.
-    """
+    """Return the summary of a finished file, or raise `NotARecording`, or `FormatError` if it is damaged or not finished."""
     path, size = source.location, source.size
     is_short = size < len(MAGIC)
     # The start of a remote file is a request of its own; the end has the magic, too.

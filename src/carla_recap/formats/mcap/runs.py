@@ -166,12 +166,7 @@ def _extended(run: MessageRun, frame_channel: int) -> MessageRun:
 
 
 def column(type: RecordType, run: MessageRun, slot: Slot) -> Column:
-    """Return the messages in a slot of the frames of a run, decoded.
-
-    Raises:
-        ValueError: They cannot be decoded together.
-        WireError: The first one contradicts its schema.
-    """
+    """Return the messages in a slot of the frames of a run, decoded, or raise `ValueError` if they cannot be together."""
     _, offset, size = slot
     if not type.fixed:
         payloads = decode_rows(type, run.bytes_at(offset, size))

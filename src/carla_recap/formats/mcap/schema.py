@@ -219,11 +219,7 @@ def checked(values: dict[str, str]) -> dict[str, str]:
 
 
 def unchecked(values: dict[str, str]) -> dict[str, str]:
-    """Return metadata without the checksum that they came with.
-
-    Raises:
-        ValueError: It does not match.
-    """
+    """Return metadata without the checksum that they came with, or raise `ValueError`."""
     plain = {key: value for key, value in values.items() if key != CHECKSUM}
     if values.get(CHECKSUM) != _checksum(plain):
         raise ValueError("the checksum does not match")
@@ -251,11 +247,7 @@ def header_metadata(header: Header) -> dict[str, str]:
 
 
 def parameters_metadata(header: Header) -> dict[str, str]:
-    """Return the parameters of a header as MCAP metadata.
-
-    Raises:
-        RecordError: They are too long, or one has a name that has another meaning there.
-    """
+    """Return the parameters of a header as MCAP metadata, or raise `RecordError`."""
     if CHECKSUM in header.parameters:
         raise RecordError(f"expected another name of a parameter than {CHECKSUM!r}")
     values = {_unicode(name): _unicode(value) for name, value in header.parameters.items()}
@@ -270,11 +262,7 @@ def _unicode(text: str) -> str:
 
 
 def parse_header(metadata: dict[str, str]) -> Header:
-    """Return the header that a file's metadata describe.
-
-    Raises:
-        ValueError: They do not.
-    """
+    """Return the header that a file's metadata describe, or raise `ValueError`."""
     wide, shifted = metadata["double_precision"] == "1", metadata["shifted_packet_ids"] == "1"
     raw = bytes.fromhex(metadata["carla_header"]) if "carla_header" in metadata else None
     date, version = int(metadata["date"]), int(metadata["version"])
@@ -295,9 +283,5 @@ def parse_header(metadata: dict[str, str]) -> Header:
 
 
 def parse_extent(metadata: dict[str, str]) -> Extent:
-    """Return how far the recording goes, from a file's metadata.
-
-    Raises:
-        ValueError: They do not say.
-    """
+    """Return how far the recording goes, from a file's metadata, or raise `ValueError`."""
     return Extent(int(metadata["frames"]), int(metadata["last_frame"]), float(metadata["duration"]))

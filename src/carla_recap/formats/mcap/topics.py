@@ -78,11 +78,7 @@ class FurtherTopics:
 
     @cached_property
     def topics(self) -> dict[str, FurtherTopic]:
-        """The topics by name, but for those whose schemas are damaged or too large.
-
-        Raises:
-            FormatError: The file is damaged.
-        """
+        """The topics by name, but for those whose schemas are damaged or too large."""
         counts, spans = (self._summary.counts, self._spans()) if self._is_indexed else self._measured()
         groups = self._groups()
         found = {}
@@ -102,12 +98,7 @@ class FurtherTopics:
     def messages(
         self, topics: Collection[str] | None, start: float, stop: float, *, in_order: bool
     ) -> Iterator[TopicMessage]:
-        """Yield messages; see `Reader.further_messages`.
-
-        Raises:
-            RecapError: There is no such topic.
-            FormatError: The file is damaged, or made to cost memory or time.
-        """
+        """Yield messages; see `Reader.further_messages`."""
         channels = self._channels_of(self._channels.keys() if topics is None else topics)
         return self._read(channels, start - SAME_TIME, stop - SAME_TIME, in_order=in_order)
 
@@ -115,10 +106,6 @@ class FurtherTopics:
         """Return the latest message of each topic; see `Reader.latest_messages`.
 
         Chunks are read from the latest one back, until those before have nothing later.
-
-        Raises:
-            RecapError: There is no such topic.
-            FormatError: The file is damaged, or made to cost memory or time.
         """
         channels = self._channels_of(topics)
         end = self._clock.at(elapsed + SAME_TIME)
