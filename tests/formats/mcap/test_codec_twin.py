@@ -125,8 +125,8 @@ def test_messages_of_others_are_decoded_as_protobuf_does(type: RecordType, data:
     expected = [twin.decoded(type, message) for message in found]
     assert [codec.decode(type, message) for message in found] == expected
     if type.fixed:
-        together = codec.records_codec(type).decode(found)
-        assert together is None or [codec.pack(type, each) for each in together] == expected
+        fast = [codec.records_codec(type).decode(message) for message in found]
+        assert all(payload in (None, right) for payload, right in zip(fast, expected, strict=True))
     else:
         for message, payload in zip(found, expected, strict=True):
             rows = codec.decode_rows(type, np.frombuffer(message * 2, np.uint8).reshape(2, -1))

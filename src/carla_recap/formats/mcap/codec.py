@@ -18,7 +18,6 @@ import struct
 from contextlib import suppress
 from functools import cache, lru_cache
 from importlib import import_module
-from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -35,7 +34,6 @@ from carla_recap.model.layout import (
     PayloadError,
     compiled,
     locate,
-    pack,
     unpack,
 )
 from carla_recap.model.records import Group
@@ -244,11 +242,11 @@ class RecordsCodec:
         self._start = 0 if self._single else U16.size
         form = wire_numbers(numbers, ITEMS if self._single else 1)
         header = b"" if self._single else tag(ITEMS, LEN) + varint(len(form.blank))
-        blank = np.frombuffer(header + form.blank, np.uint8)
+        self._blank = np.frombuffer(header + form.blank, np.uint8)
         targets = form.targets + len(header)
-        self.stride = len(blank)
-        self._blank = blank.view(np.void(self.stride).dtype)
-        self._constants = [(offset, blank[offset]) for offset in {*range(self.stride)} - {*targets.tolist()}]
+        self.stride = len(self._blank)
+        self._fixed_bits = np.full(self.stride, 0xFF, np.uint8)
+        self._fixed_bits[targets] = form.masks
         fields: Any = type.dtype.fields
         offsets = {name: int(targets[offset]) for name, (_, offset, *_) in fields.items()}
         self._masks = {name: mask for name, (_, offset, *_) in fields.items() if (mask := form.masks[offset])}
@@ -287,35 +285,28 @@ class RecordsCodec:
         records = np.frombuffer(payload, self._dtype, count, self._start)
         if not self.fits(records):
             return None
-        bodies = np.empty(count, self._blank.dtype)
+        bodies = np.empty((count, self.stride), np.uint8)
         bodies[:] = self._blank
-        self.fill(bodies.view(self.wire), records)
+        self.fill(bodies.view(self.wire)[:, 0], records)
         return bodies.tobytes()
 
     def matches(self, bodies: NDArray[np.uint8]) -> bool:
         """Return whether bodies, (messages, bytes), are as `encode` writes them."""
         records = bodies.reshape(len(bodies), bodies.shape[1] // self.stride, self.stride)
-        fields: Any = self.wire.fields
-        return not (
-            any((records[:, :, offset] != value).any() for offset, value in self._constants)
-            or any((records[:, :, fields[name][1]] & mask).any() for name, mask in self._masks.items())
-        )
+        return not ((records ^ self._blank) & self._fixed_bits).any()
 
-    def decode(self, messages: Sequence[Buffer]) -> list[NDArray[np.void]] | None:
-        """Return the records of each of some messages; None where one is not as `encode` writes it."""
-        counts = [self.count_in(len(message) - HEAD.size) for message in messages]
-        if None in counts:
+    def decode(self, message: Buffer) -> bytes | None:
+        """Return the payload of a message; None where it is not as `encode` writes it."""
+        size = len(message) - HEAD.size
+        count = self.count_in(size)
+        if count is None or read_head(message) is None:
             return None
-        if not have_heads(np.frombuffer(b"".join([message[: HEAD.size] for message in messages]), HEAD_DTYPE)):
+        if not self.matches(np.frombuffer(message, np.uint8, size, HEAD.size)[None]):
             return None
-        bodies = b"".join([message[HEAD.size :] for message in messages])
-        if not self.matches(np.frombuffer(bodies, np.uint8).reshape(1, -1)):
-            return None
-        records, found = np.empty(len(bodies) // self.stride, self._dtype), np.frombuffer(bodies, self.wire)
+        records, found = np.empty(count, self._dtype), np.frombuffer(message, self.wire, count, HEAD.size)
         for name in self._dtype.names or ():
             records[name] = found[name]
-        records.flags.writeable = False
-        return [records[start:end] for start, end in pairwise([0, *accumulate(count or 0 for count in counts)])]
+        return (b"" if self._single else U16.pack(count)) + records.tobytes()
 
 
 @cache
@@ -398,8 +389,7 @@ def encode_rows(type: RecordType, payloads: NDArray[np.uint8]) -> NDArray[np.uin
 def decode(type: RecordType, data: Buffer) -> bytes:
     """Return the payload of a message, or raise `WireError`."""
     if type.fixed:
-        found = records_codec(type).decode([data])
-        return pack(type, found[0]) if found else _decode_by_protobuf(type, data)
+        return records_codec(type).decode(data) or _decode_by_protobuf(type, data)
     template = _templates.get(type)
     payloads = template.decode(_row(data)) if template else None
     if payloads is not None:
@@ -427,9 +417,6 @@ def decode_rows(type: RecordType, messages: NDArray[np.uint8]) -> NDArray[np.uin
 
 def decode_records(type: RecordType, messages: Sequence[Buffer]) -> list[Any]:
     """Return the records of some messages, those of one size as tuples, or raise `WireError`."""
-    together = records_codec(type).decode(messages) if type.fixed else None
-    if together is not None:
-        return [row for records in together for row in records.tolist()]
     try:
         found = [unpack(type, decode(type, message))[0] for message in messages]
     except PayloadError as error:

@@ -9,31 +9,27 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import defaultdict
-from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from carla_recap.errors import FormatError
 from carla_recap.formats.mcap import codec
-from carla_recap.formats.mcap.codec import decode, records_codec
+from carla_recap.formats.mcap.codec import decode
 from carla_recap.formats.mcap.runs import BrokenRecords, column, message_runs
 from carla_recap.formats.mcap.schema import EMPTY, FILLED, FRAME_MESSAGE, FRAME_TOPIC, FRAMELESS, RAW_MESSAGE, RAW_TOPIC
 from carla_recap.model.batch import Batch, ConstantColumn
 from carla_recap.model.frame import Frame, Packet
-from carla_recap.model.layout import EMPTY_LIST, pack
+from carla_recap.model.layout import EMPTY_LIST
 from carla_recap.model.records import FRAME_END, FRAME_START
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from carla_recap.formats.mcap.index import ChunkIndex
     from carla_recap.formats.mcap.runs import MessageRun
     from carla_recap.formats.mcap.schema import ChannelSpec
     from carla_recap.model.batch import Column
-    from carla_recap.model.layout import Buffer, PayloadError, Records
+    from carla_recap.model.layout import Buffer, PayloadError
     from carla_recap.model.records import RecordType, Table
 
 MESSAGES_LIMIT: Final = 500_000
@@ -75,67 +71,38 @@ class Channels:
         return wanted | ({self.frames} & self.specs.keys()) if frames else wanted
 
 
-class ChannelMessages:
-    """The messages of a channel in some chunks; those whose records have one size are decoded together."""
-
-    def __init__(self, channel: int, type: RecordType | None, location: str) -> None:
-        self.channel = channel
-        self.type = type
-        self.location = location
-        self.messages: list[memoryview] = []
-
-    @cached_property
-    def records(self) -> list[NDArray[np.void]] | None:
-        """The records of all messages; None where each message is to be decoded by itself."""
-        return records_codec(self.type).decode(self.messages) if self.type is not None and self.type.fixed else None
-
-
 class MessagePacket(Packet):
     """A packet that came as a message, decoded on first use."""
 
-    __slots__ = ("_index", "_source")
+    __slots__ = ("_data",)
 
-    def __init__(self, source: ChannelMessages, index: int) -> None:
-        assert source.type is not None
-        self.id, self.type = source.type.id, source.type
-        self._payload = self._records = self._part = None
-        self._origin = source.location, None
-        self._source = source
-        self._index = index
+    def __init__(self, type: RecordType, location: str, data: memoryview) -> None:
+        super().__init__(type.id, type, origin=(location, None))
+        self._data = data
 
     @property
     def payload(self) -> Buffer:
         """The bytes behind the packet header."""
         if self._payload is None:
-            together = self._source.records
             assert self.type
             try:
-                if together is not None:
-                    self._payload = pack(self.type, together[self._index])
-                else:
-                    self._payload = decode(self.type, self._source.messages[self._index])
+                self._payload = decode(self.type, self._data)
             except codec.WireError as error:
                 raise self._broken(error) from None
         return self._payload
-
-    @property
-    def records(self) -> Records:
-        """The records."""
-        together = self._source.records
-        return super().records if together is None else together[self._index]
 
     def error(self, error: PayloadError) -> FormatError:
         """Return the error of a payload, kept in the message as it is, that contradicts its layout."""
         return self._broken(error)
 
     def _broken(self, error: ValueError) -> FormatError:
-        head = codec.read_head(self._source.messages[self._index])
+        head, (location, _) = codec.read_head(self._data), self._origin or ("", None)
         name = self.type.topic if self.type else ""
         where = f"{name} of frame {head[0]}" if head else name
-        return FormatError(self._source.location, None, f"{where}: {error}")
+        return FormatError(location, None, f"{where}: {error}")
 
 
-Found = tuple[ChannelMessages, int]  # a message: those of its channel, and its index among them
+Found = tuple[int, memoryview]  # a message: its channel, and its data
 
 
 class _Plan(NamedTuple):
@@ -229,33 +196,19 @@ class FrameAssembler:
             if count < run.number:
                 rest.append(run.part(count, run.number))
         self._runs = rest
-        sources: dict[int, ChannelMessages] = {}
-        found: list[tuple[int, Batch | list[Found]]] = []
         for runs in _of_same_frames(ready):
-            alone = len(runs) == 1 and runs[0].number > 1 and not self._selection.sparse
-            batch = self._alike(runs[0]) if alone else None
-            found += self._split(runs, sources) if batch is None else [(batch.index, batch)]
-        for sequence, each in found:
-            try:
-                yield each if isinstance(each, Batch) else Batch.of(self._frame(sequence, each))
-            except FormatError:
-                if not self._lenient:
-                    raise
-
-    def _split(self, runs: list[MessageRun], sources: dict[int, ChannelMessages]) -> Iterator[tuple[int, list[Found]]]:
-        """Yield the number of each frame of some runs, and its messages, after adding these to those of their channels."""
-        for row in range(runs[0].number):
-            found: list[Found] = []
-            for run in runs:
-                start = run.start + row * run.stride
-                for channel, offset, size in run.slots:
-                    source = sources.get(channel)
-                    if source is None:
-                        type = self._channels.types.get(channel)
-                        source = sources[channel] = ChannelMessages(channel, type, self._location)
-                    found.append((source, len(source.messages)))
-                    source.messages.append(run.data[start + offset : start + offset + size])
-            yield runs[0].sequence + row, found
+            first = runs[0]
+            alone = len(runs) == 1 and first.number > 1 and not self._selection.sparse
+            if alone and (batch := self._alike(first)) is not None:
+                yield batch
+                continue
+            for row in range(first.number):
+                try:
+                    found = [(slot[0], run.message(row, slot)) for run in runs for slot in run.slots]
+                    yield Batch.of(self._frame(first.sequence + row, found))
+                except FormatError:
+                    if not self._lenient:
+                        raise
 
     def _too_much(self, chunk: ChunkIndex) -> FormatError:
         limits = f"{PENDING_LIMIT} bytes or {MESSAGES_LIMIT} messages"
@@ -289,34 +242,37 @@ class FrameAssembler:
 
     def _frame(self, index: int, found: list[Found]) -> Frame:
         """Return the frame of some messages."""
-        waiting: dict[int, list[Found]] = {}  # by channel, the first one last
-        for each in reversed(found):
-            waiting.setdefault(each[0].channel, []).append(each)
+        waiting: dict[int, list[memoryview]] = {}  # by channel, the first one last
+        for channel, data in reversed(found):
+            waiting.setdefault(channel, []).append(data)
         own, read = waiting.get(self._channels.frames), self._selection
         if own is None or read.sparse:
             return self._frame_of_messages(index, found)
-        id, elapsed, duration, *kept = self._read_frame(_data(own[-1]))
+        id, elapsed, duration, *kept = self._read_frame(own[-1])
         plan, raw = self._plan(*kept), self._channels.raw
         packets: list[Packet] = []
         for step in plan.steps:
             if isinstance(step, Packet):
                 packets.append(step)
             elif messages := waiting.get(step):
-                packets.append(self._raw_packet(messages) if step == raw else MessagePacket(*messages.pop()))
+                packets.append(self._raw_packet(messages) if step == raw else self._packet(step, messages.pop()))
         if len(packets) < len(plan.steps) and not (elapsed < read.start or elapsed >= read.stop < math.inf):
             self._warn(id)
         return Frame(index, id, elapsed, duration, packets, preamble=plan.preamble)
 
     def _frame_of_messages(self, index: int, found: list[Found]) -> Frame:
         """Return a frame without its own message, which is not read, or lost."""
-        packets: list[Packet] = [MessagePacket(source, row) for source, row in found if source.type is not None]
-        data = _data(found[0])
+        packets: list[Packet] = [self._packet(*each) for each in found if each[0] in self._channels.types]
+        channel, data = found[0]
         head = codec.read_head(data)
         if head is None:
-            spec = self._channels.specs[found[0][0].channel]
+            spec = self._channels.specs[channel]
             message = parsed(self._location, spec.module, spec.message, data)
             head = message.frame, message.elapsed
         return Frame(index, *head, math.nan, packets)
+
+    def _packet(self, channel: int, data: memoryview) -> Packet:
+        return MessagePacket(self._channels.types[channel], self._location, data)
 
     def _read_frame(self, data: memoryview) -> tuple[int, float, float, bytes, bytes]:
         """Return what the message of a frame says; see `codec.read_frame`."""
@@ -347,13 +303,13 @@ class FrameAssembler:
             return self._channels.of(type.topic)
         return self._channels.raw
 
-    def _raw_packet(self, waiting: list[Found]) -> Packet:
+    def _raw_packet(self, waiting: list[memoryview]) -> Packet:
         """Return a packet of raw pieces, and take these out of those that wait."""
-        message = parsed(self._location, "raw_packet", RAW_MESSAGE, _data(waiting.pop()))
+        message = parsed(self._location, "raw_packet", RAW_MESSAGE, waiting.pop())
         pieces = [message.data]
         missing = message.size - len(message.data)
         while missing > 0 and waiting:
-            pieces.append(parsed(self._location, "raw_packet", RAW_MESSAGE, _data(waiting.pop())).data)
+            pieces.append(parsed(self._location, "raw_packet", RAW_MESSAGE, waiting.pop()).data)
             missing -= len(pieces[-1])
         if not FRAME_START < message.id <= 0xFF:
             raise FormatError(self._location, None, f"expected a raw packet of an id from 1 to 255, found {message.id}")
@@ -392,8 +348,3 @@ def parsed(location: str, module: str, name: str, data: Buffer) -> Any:
         return codec.parse(module, name, data)
     except codec.WireError as error:
         raise FormatError(location, None, str(error)) from None
-
-
-def _data(found: Found) -> memoryview:
-    source, index = found
-    return source.messages[index]
