@@ -219,18 +219,13 @@ class RemoteSource(ByteSource):
 
     def read_ranges(self, spans: Iterable[ByteRange], what: str, *, whole: bool = False) -> Iterator[bytes]:
         """Yield the bytes of each of some spans; see `ByteSource.read_ranges`."""
-        windows = _windows(spans, self._tail[0], _WINDOW if whole else _FIRST_WINDOW)
-        first = next(windows, None)
-        if first is None:
-            return
-        yield from _each(self._fetch_all(first, what))
         # The second window is asked for when all of the first one was used: many a read ends there.
         coming: Future[deque[bytes]] | None = None
-        for window in windows:
-            fetched = coming.result() if coming is not None else None
+        for number, window in enumerate(_windows(spans, self._tail[0], _WINDOW if whole else _FIRST_WINDOW)):
+            fetched = coming.result() if coming is not None else deque[bytes]()
             coming = _started(partial(self._fetch_all, window, what))
-            if fetched is not None:
-                yield from _each(fetched)
+            yield from _each(fetched if number else coming.result())
+            coming = coming if number else None
         if coming is not None:
             yield from _each(coming.result())
 

@@ -161,26 +161,25 @@ class FrameAssembler:
         self._runs: list[MessageRun] = []  # of frames that may have further messages, in the order of the file
         self._plans: dict[tuple[bytes, bytes], _Plan] = {}
 
-    def add(self, chunks: list[tuple[ChunkIndex, bytes]]) -> None:
-        """Take in the messages of some chunks, or raise `FormatError`."""
+    def add(self, chunk: ChunkIndex, data: bytes) -> None:
+        """Take in the messages of a chunk, or raise `FormatError`."""
         wanted = self._selection.channels
         held = sum(run.number * len(run.slots) for run in self._runs)
-        for chunk, data in chunks:
-            try:
-                for run in message_runs(data, self._channels.frames):
-                    messages = run.number * len(run.slots)
-                    held += messages
-                    self._allowance -= messages
-                    if held > MESSAGES_LIMIT:
-                        raise self._too_much(chunk)
-                    if slots := tuple(slot for slot in run.slots if slot[0] in wanted):
-                        self._runs.append(run._replace(slots=slots))
-            except BrokenRecords as error:
-                raise FormatError(self._location, chunk.offset, f"damaged chunk: {error}") from None
+        try:
+            for run in message_runs(data, self._channels.frames):
+                messages = run.number * len(run.slots)
+                held += messages
+                self._allowance -= messages
+                if held > MESSAGES_LIMIT:
+                    raise self._too_much(chunk)
+                if slots := tuple(slot for slot in run.slots if slot[0] in wanted):
+                    self._runs.append(run._replace(slots=slots))
+        except BrokenRecords as error:
+            raise FormatError(self._location, chunk.offset, f"damaged chunk: {error}") from None
         if self._allowance < 0:
-            raise FormatError(self._location, chunks[-1][0].offset, "more messages than a file of this size can mean")
+            raise FormatError(self._location, chunk.offset, "more messages than a file of this size can mean")
         if sum(map(len, {id(run.data): run.data for run in self._runs}.values())) > PENDING_LIMIT:
-            raise self._too_much(chunks[-1][0])
+            raise self._too_much(chunk)
 
     def complete(self, horizon: int | None) -> Iterator[Batch]:
         """Yield the frames that are complete, in order: those before the first log time in ns of chunks to come, if any are.

@@ -38,9 +38,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-BLOCK_SIZE: Final = 256 << 10
-"""Chunks that are smaller than this, in bytes, are taken several at a time."""
-_LARGE_BLOCK: Final = 4 << 20  # bytes
 _LIMITS: Final = {schema.STATIONARY: 2, schema.BRAKING: 1, schema.CONTACTS: 0}  # numbers before that of the rows
 
 
@@ -255,33 +252,16 @@ class McapReader(Reader):
                 self.location, chunk.offset, f"damaged chunk: {error}; 'carla-recap recover' saves the rest"
             ) from None
 
-    def _blocks(self, chunks: list[ChunkIndex], *, whole: bool) -> Iterator[list[tuple[ChunkIndex, bytes]]]:
-        """Yield chunks with their records; small ones several at a time."""
-        block: list[tuple[ChunkIndex, bytes]] = []
-        size, least = 0, 0  # the first block is a small one: many a read ends there
-        for index, data in enumerate(self._opened(chunks, whole=whole), 1):
-            chunk = chunks[index - 1]
-            block.append((chunk, data))
-            size += len(data)
-            # The events of a frame, in a chunk that begins with that of its state, complete the frame.
-            together = index < len(chunks) and chunks[index].start == chunk.start and size < _LARGE_BLOCK
-            if size >= least and not together:
-                yield block
-                block, size, least = [], 0, BLOCK_SIZE
-        if block:
-            yield block
-
     def _assemble(self, chunks: list[ChunkIndex], selection: ReadSelection) -> Iterator[Batch]:
         """Yield the frames of some chunks, in order."""
         # A message takes 16 bytes in the index alone: a file with many more of them than bytes was made to cost time.
         allowance = 2 * MESSAGES_LIMIT + self._source.size // 4
         warn, lenient = self._warn_of_lost, self._lenient
         frames = FrameAssembler(self.location, self._channels, selection, allowance, warn, lenient=lenient)
-        count = 0
-        for block in self._blocks(chunks, whole=selection.sparse):
-            frames.add(block)
-            count += len(block)
-            yield from frames.complete(chunks[count].start if count < len(chunks) else None)
+        horizons = [*(chunk.start for chunk in chunks[1:]), None]
+        for chunk, horizon, data in zip(chunks, horizons, self._opened(chunks, whole=selection.sparse), strict=False):
+            frames.add(chunk, data)
+            yield from frames.complete(horizon)
 
     def _warn_of_lost(self, frame: int) -> None:
         if not self._warned:

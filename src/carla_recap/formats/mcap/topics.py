@@ -290,16 +290,10 @@ class FurtherTopics:
 
     def _groups(self) -> dict[int, str]:
         """Return the name of the group of each channel that shares chunks with others."""
-        joined: dict[int, int] = {}  # the least known channel of the group of each
-
-        def least(id: int) -> int:
-            while joined.setdefault(id, id) != id:
-                joined[id] = joined[joined[id]]
-                id = joined[id]
-            return id
-
+        groups: list[frozenset[int]] = []
         ids = self._ids()
         for channels in {chunk.channels & ids for chunk in self._summary.chunks}:
-            found = {least(id) for id in channels} if len(channels) > 1 else set()
-            joined.update(dict.fromkeys(found, min(found, default=0)))
-        return {id: f"{least(id)}" for id in [*joined]}
+            if len(channels) > 1:
+                near = [group for group in groups if group & channels]
+                groups = [group for group in groups if group not in near] + [channels.union(*near)]
+        return {id: f"{min(group)}" for group in groups for id in group}
