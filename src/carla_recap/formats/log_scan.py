@@ -97,11 +97,7 @@ class Window:
             self.move(offset)
 
     def grow(self, offset: int, size: int = 0) -> bool:
-        """Hold more bytes from an offset on than now, at least `size`; return whether the file has more.
-
-        Raises:
-            FormatError: That would be more than `FRAME_LIMIT`, or the file has shrunk.
-        """
+        """Hold more bytes from an offset on than now, at least `size`; return whether the file has more."""
         held = max(self.base + len(self.data) - offset, 0)
         if offset + held >= self.size or offset + size > self.size:
             return False

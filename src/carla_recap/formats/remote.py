@@ -100,11 +100,7 @@ class ObjectAddress(NamedTuple):
 
 
 def address_of(url: str) -> ObjectAddress:
-    """Return the object at a URL. Keys, endpoint and region come from the environment, as obstore reads it.
-
-    Raises:
-        RecapError: The URL, or what the environment says, makes no sense.
-    """
+    """Return the object at a URL. Keys, endpoint and region come from the environment, as obstore reads it."""
     scheme = scheme_of(url)
     root, _, key = url.partition("://")[2].partition("/")
     if not root:
@@ -127,11 +123,7 @@ class ListedObject(NamedTuple):
 
 
 def list_objects(url: str, source: str = "") -> Iterator[ListedObject]:
-    """Yield the objects below a URL, in the order of the server, as they are listed; messages name the `source` instead.
-
-    Raises:
-        RecapError: They cannot be listed.
-    """
+    """Yield the objects below a URL, in the order of the server, as they are listed; messages name the `source` instead."""
     store, key = address_of(url)
     root = url[: len(url) - len(key)]
     root = root if root.endswith("/") else f"{root}/"
@@ -149,11 +141,7 @@ def list_objects(url: str, source: str = "") -> Iterator[ListedObject]:
 
 
 def modified_at(url: str) -> float | None:
-    """Return the time of the last change of an object, in s since 1970; None if there is no such object.
-
-    Raises:
-        RecapError: The server does not say.
-    """
+    """Return the time of the last change of an object, in s since 1970; None if there is no such object."""
     store, key = address_of(url)
     try:
         return _started(partial(obstore.head, store, key)).result()["last_modified"].timestamp()
@@ -366,11 +354,7 @@ def copy_of(url: str) -> BinaryIO:
 
 
 def copied(source: RemoteSource) -> BinaryIO:
-    """Return a copy of an object, an unbuffered file without a name that is removed when it is closed.
-
-    Raises:
-        RecapError: It cannot be read, or the disk is full.
-    """
+    """Return a copy of an object, an unbuffered file without a name that is removed when it is closed."""
     folder = tempfile.gettempdir()
     try:
         free = disk_usage(folder).free

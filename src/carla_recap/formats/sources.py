@@ -131,11 +131,7 @@ def is_remote(location: Path | str) -> bool:
 
 
 def path_of(location: Path | str) -> Path:
-    """Return the path of a file; of the URL of an object, one with the same name, which says nothing about this machine.
-
-    Raises:
-        RecapError: It is no URL, or a `file:` URL of another machine.
-    """
+    """Return the path of a file; of the URL of an object, one with the same name, which says nothing about this machine."""
     scheme = scheme_of(location)
     try:
         url = urlsplit(str(location) if scheme else "")

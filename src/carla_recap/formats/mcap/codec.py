@@ -376,10 +376,7 @@ def encode(type: RecordType, payload: Buffer) -> bytes:
 def encode_rows(type: RecordType, payloads: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
     """Return the bodies of messages of varying size that have the structure of the first payload, (messages, bytes).
 
-    None where a payload has another structure, or one that its message does not give back.
-
-    Raises:
-        PayloadError: The first payload contradicts the type's layout.
+    None where a payload has another structure, or one that its message does not give back; `PayloadError` for the first.
     """
     encode(type, payloads[0].tobytes())
     template = _templates.get(type)
@@ -406,9 +403,6 @@ def decode_rows(type: RecordType, messages: NDArray[np.uint8]) -> NDArray[np.uin
     """Return the payloads of messages of varying size that have the structure of the first one, (messages, bytes).
 
     None where one of them has another.
-
-    Raises:
-        WireError: The first message contradicts its schema.
     """
     decode(type, messages[0].tobytes())
     template = _templates.get(type)

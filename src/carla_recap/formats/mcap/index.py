@@ -214,11 +214,7 @@ class Summary:
         self.finished = False
 
     def add(self, opcode: int, data: memoryview, offset: int | None = None) -> None:
-        """Add what a record, whose content is at an offset in the file or in a chunk, says, if it is of such a kind.
-
-        Raises:
-            ValueError: It is broken.
-        """
+        """Add what a record, whose content is at an offset in the file or in a chunk, says, if it is of such a kind."""
         if opcode == Opcode.CHUNK_INDEX:
             self.chunks.append(_chunk_index(data))
             return
