@@ -182,7 +182,7 @@ class FrameAssembler:
             raise self._too_much(chunk)
 
     def complete(self, horizon: int | None) -> Iterator[Batch]:
-        """Yield the frames that are complete, in order: those before the first log time in ns of chunks to come, if any are."""
+        """Yield the frames that are complete, in order: those before the first log time in ns of chunks to come, if any."""
         ready, rest = [], []
         for run in self._runs:
             count = run.number if horizon is None else run.number_before(horizon)

@@ -89,7 +89,7 @@ class MessageRun(NamedTuple):
 
 
 def message_runs(data: bytes, frame_channel: int) -> Iterator[MessageRun]:
-    """Yield the frames of a chunk's records, in their order; those that differ on the frames' channel in runs of their own."""
+    """Yield the frames of a chunk's records in order; those that differ on the frames' channel in runs of their own."""
     view, offset = memoryview(data), 0
     before: MessageRun | None = None
     while offset < len(data):
