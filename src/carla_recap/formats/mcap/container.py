@@ -73,7 +73,7 @@ class ChunkBuilder:
         self._index.setdefault(channel, array("Q")).extend((time, self.size))
         self.size += RECORD.size + length
 
-    def add_records(self, records: Buffer, index: Mapping[int, NDArray[np.uint64]], start: int, end: int) -> None:
+    def add_records(self, records: Sequence[Buffer], index: Mapping[int, NDArray[np.uint64]], start: int, end: int) -> None:
         """Add messages that are records already, and have log times from `start` to `end` in ns.
 
         `index` has by channel the log time in ns and the offset in the records of each message, (messages, 2).
@@ -84,8 +84,8 @@ class ChunkBuilder:
         for channel, entries in index.items():
             entries[:, 1] += np.uint64(self.size)
             self._index.setdefault(channel, array("Q")).frombytes(entries.tobytes())
-        self._parts.append(records)
-        self.size += len(records)
+        self._parts += records
+        self.size += sum(map(len, records))
 
     def finish(self) -> tuple[bytes, dict[int, array[int]]]:
         """Return the records, and by channel the log time and offset of each message."""

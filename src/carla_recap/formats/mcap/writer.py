@@ -149,7 +149,7 @@ class McapWriter(ChunkedFile, Writer):
         count = min(room, len(batch), self._cut_at_frame - self._sequence)
         count = max(1, int(np.searchsorted(times[:count, 0], self._cut_at)))
         index = template.number(rows[:count], self._sequence, times[:count])
-        chunk.add_records(rows[:count].reshape(-1).data, index, int(times[0, 0]), int(times[count - 1, 0]))
+        chunk.add_records([rows[:count].reshape(-1).data], index, int(times[0, 0]), int(times[count - 1, 0]))
         part = batch[:count]
         self._digest.batch(part, self._sequence)
         self._sequence += count - 1
