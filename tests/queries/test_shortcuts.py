@@ -55,9 +55,8 @@ def test_no_hard_braking_is_missed(path, monkeypatch):
         found = hard_braking(recording)
         monkeypatch.setattr(braking, "_SURE", -math.inf)  # every vehicle is examined
         assert found == hard_braking(recording)
-        monkeypatch.setattr(braking, "_FRAMES", 70)
+        monkeypatch.setattr(braking, "_BLOCK", 70)
         monkeypatch.setattr(braking, "_CELLS", 200)
-        monkeypatch.setattr(braking, "_CACHED", 100)
         assert found == hard_braking(recording)
     assert len(found) > 5
 

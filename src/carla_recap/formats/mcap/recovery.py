@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -113,7 +114,8 @@ class _Scan:
         self._unpacked = _UNPACKED_LEAST + _UNPACKED_FACTOR * source.size
         self._messages = _MESSAGES_LEAST + source.size // _MESSAGE_BYTES
         self._parsed = index.RECORDS_LIMIT
-        self._declared = _SMALL  # bytes of declarations in chunks, which stay in memory
+        self._declared = _SMALL  # bytes of declarations in chunks, which stay in memory; others do not count
+        self._declarations: set[tuple[int, bytes]] = set()
 
     def take(self, at: int) -> int | None:
         """Add the record at an offset to the summary; return its end, None where no whole record is found."""
@@ -179,11 +181,12 @@ class _Scan:
         chunk, messages, declarations = _described(data, at, size, self._messages)
         self._messages -= messages.total()
         for opcode, content in declarations:
-            self._parsed -= 1
-            self._declared -= len(content)
-            if self._parsed < 0 or self._declared < 0:
-                raise ValueError("more schemas and channels than are read")
-            self.in_chunks.add(opcode, memoryview(content))
+            if (opcode, content) not in self._declarations and len(content) <= self._declared and self._parsed:
+                self._parsed -= 1
+                self._declared -= len(content)
+                self._declarations.add((opcode, content))
+                with suppress(ValueError):  # a broken one costs no messages
+                    self.in_chunks.add(opcode, memoryview(content))
         self.summary.counts += messages
         self._false += length
         self.summary.chunks.append(chunk)
