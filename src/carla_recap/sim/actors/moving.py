@@ -265,8 +265,10 @@ class Vehicle(MovingActor):
         rows.add_velocities(change)
 
     def add_force(self, force: Vector) -> None:
-        """Apply a force in N during the next tick, in the axes of the world; see `add_impulse`."""
-        self.add_impulse(self.episode.impulse(force))
+        """Apply a force in N during the next tick, whatever its length, in the axes of the world; see `add_impulse`."""
+        rows, row = self.rows, self.row
+        expect_push("the change of velocity", self.episode.impulse(force), rows.mass[row].item(), of=self)
+        rows.force[row] += (force.x, force.y)
 
     def set_door(self, door: int, open: bool) -> None:
         """Open or close a door: 0 front left, 1 front right, 2 rear left, 3 rear right, 4 hood, 5 trunk, 6 all."""

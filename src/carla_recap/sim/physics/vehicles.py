@@ -52,6 +52,8 @@ class Vehicles(Drivetrains):
     """Whether a control was applied since the latest tick."""
     awake: Booleans = column(False)
     """Whether it moves, or is about to."""
+    force: Floats = column(np.zeros(2))
+    """The external force of the next tick in N, in the world, (n, 2)."""
 
     def __init__(self, plane: Plane, height: Height) -> None:
         super().__init__(plane, height)
@@ -143,6 +145,9 @@ class Vehicles(Drivetrains):
         """See `MovingBodies.begin_tick`; vehicles steer, and the autopilot's are driven for all of the tick."""
         if not self.sticky.all():
             self._release_controls()
+        if self.force.any():
+            self.add_velocities(np.where(self.simulated[:, None], self.force * seconds / self.mass[:, None], 0.0))
+            self.force[:] = 0
         self._choose_gears()
         slow = (self.speed != 0) | (self.sideways != 0) | (self.turning != 0)  # what is too slow to go on has yet to stop
         self.awake = self._in_motion() | slow & self.simulated
