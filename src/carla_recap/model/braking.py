@@ -237,7 +237,7 @@ _HARD: Final = np.dtype(
 
 def _restarts(elapsed: Floats) -> Integers:
     """Return how often the clock has stood still or gone back until each frame."""
-    return np.append(0, np.cumsum(~(np.diff(elapsed) > 0)))[: len(elapsed)]
+    return np.append(0, np.cumsum(~(elapsed[1:] > elapsed[:-1])))[: len(elapsed)]
 
 
 def _follow(rows: NDArray[np.void]) -> Booleans:
