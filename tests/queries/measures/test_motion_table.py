@@ -52,6 +52,7 @@ def test_tables_follow_each_other_and_have_the_time_before_and_after(
         assert table.time[0] <= max(time[each.start] - before, 0) + 1e-6
         assert table.time[-1] >= min(time[each.stop - 1] + after, time[-1]) - 1e-6
         assert table.x[0] == pytest.approx(10 * table.time, abs=1e-3)
+        assert all(values.dtype == np.float64 for values in (table.x, table.y, table.z, table.yaw, table.vx, table.vy))
 
 
 def test_a_table_has_no_more_poses_than_fit(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:

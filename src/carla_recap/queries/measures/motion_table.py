@@ -263,7 +263,7 @@ class MotionCollector:
         for buffer, fields in ((self._poses, ("x", "y", "z", "yaw")), (self._velocities, "xyz")):
             recorded, known = buffer.dense(fields, ids, start, stop)
             there = known[rows] & alive
-            found.append((np.where(there, recorded[:, rows], np.float64(np.nan)), there))
+            found.append((np.where(there, recorded[:, rows].astype(np.float64), np.nan), there))
         (pose, there), (velocity, _) = found
         boxes = [box_of(actor) for actor in actors]
         size = 2 * np.array([(box.extent_x, box.extent_y, box.extent_z) for box in boxes]).reshape(-1, 3)
