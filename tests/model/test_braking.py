@@ -15,6 +15,7 @@ from carla_recap.model.batch import Batch
 from carla_recap.model.braking import BrakingDetector
 from carla_recap.model.frame import Frame
 from carla_recap.model.records import ActorKind, Spawn
+from carla_recap.model.segment import SegmentBuffer
 from tests.twins import braking as twin
 
 if TYPE_CHECKING:
@@ -131,7 +132,19 @@ def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch, every: int) -> N
     assert len(whole) == 11
     monkeypatch.setattr(braking, "_BLOCK", 50)
     monkeypatch.setattr(braking, "_CELLS", 200)
+    monkeypatch.setattr(braking, "_COLLECTED", 2000)
     assert detected(cars, **options).finish() == whole
+
+
+def test_frames_of_vehicles_that_come_and_go_are_collected_a_few_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    collected, dense = [], SegmentBuffer.dense
+    monkeypatch.setattr(SegmentBuffer, "dense", lambda *options: collected.append(options) or dense(*options))
+    detector = BrakingDetector(range(1, 501), 6.0)
+    for number in range(1000):  # two of each vehicle
+        records = {"transforms": [(number // 2 + 1, *6 * [0.0])]}
+        detector.batch(Batch.of(Frame(number, number + 1, number * TICK, TICK, []).replace(**records)))
+    assert detector.finish() == []
+    assert len(collected) == 2  # transforms and velocities
 
 
 def drives(choose: Random, count: int, tick: float) -> list[Frame]:
@@ -163,17 +176,19 @@ def drives(choose: Random, count: int, tick: float) -> list[Frame]:
     tick=st.floats(0.001, 0.6),
     block=st.integers(1, 1000),
     cells=st.integers(1, 500),
+    collected=st.integers(1, 2000),
     deceleration=st.floats(0.5, 20),
 )
 @settings(max_examples=settings.default.max_examples // 2)
 def test_as_the_twin_has_it_in_blocks_of_any_size(
-    seed: int, count: int, tick: float, block: int, cells: int, deceleration: float
+    seed: int, count: int, tick: float, block: int, cells: int, collected: int, deceleration: float
 ) -> None:
     frames = drives(Random(seed), count, tick)
     detector = BrakingDetector(range(1, 5), deceleration)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(braking, "_BLOCK", block)
         patch.setattr(braking, "_CELLS", cells)
+        patch.setattr(braking, "_COLLECTED", collected)
         for frame in frames:
             detector.batch(Batch.of(frame))
         found = [(each.id, each.start, each.stop) for each in detector.finish()]

@@ -17,7 +17,7 @@ from carla_recap.model.records import CM, ActorKind
 from carla_recap.model.segment import SegmentBuffer, segments
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable
+    from collections.abc import Collection, Iterable, Iterator
 
     from numpy.typing import NDArray
 
@@ -38,6 +38,7 @@ _SURE: Final = 0.999  # a deceleration below this share of another one is below 
 
 _BLOCK: Final = 100_000  # records that are evaluated together, at least
 _CELLS: Final = 1 << 15  # vehicles times frames that are evaluated together, at most; more are slower
+_COLLECTED: Final = 1 << 21  # vehicles times frames that are collected together, at most: each time goes over all frames
 _REACH: Final = 2.5  # s: two of the longest steps, and a bit, are between frames that a deceleration depends on
 
 
@@ -170,16 +171,17 @@ class BrakingDetector:
     def _evaluate(self, elapsed: Floats, until: int) -> None:
         """Evaluate the frames that are held, of some elapsed seconds, before one."""
         every, clock = self._transforms.ids(), _restarts(elapsed)
-        step = max(_CELLS // max(len(elapsed), 1), 1)
-        for ids in (every[start : start + step] for start in range(0, len(every), step)):
+        for collected in _pieces(len(every), _COLLECTED // max(len(elapsed), 1)):
+            ids = every[collected]
             places, present = self._transforms.dense("xyz", ids)
             velocities, recorded = self._velocities.dense("xyz", ids)
             recorded &= np.isfinite(velocities).all(axis=0)
-            hard = self._hard_frames(places, present, velocities, recorded, elapsed, clock)
-            hard["id"] = ids[hard["id"]]
-            hard["frame"] += self._first
-            hard["before"] += self._first
-            self._hard.append(hard[(hard["frame"] >= self._done) & (hard["frame"] < self._first + until)])
+            for rows in _pieces(len(ids), _CELLS // len(elapsed)):
+                hard = self._hard_frames(places[:, rows], present[rows], velocities[:, rows], recorded[rows], elapsed, clock)
+                hard["id"] = ids[rows][hard["id"]]
+                hard["frame"] += self._first
+                hard["before"] += self._first
+                self._hard.append(hard[(hard["frame"] >= self._done) & (hard["frame"] < self._first + until)])
         self._done = self._first + until
 
     @np.errstate(all="ignore")
@@ -233,6 +235,12 @@ _HARD: Final = np.dtype(
     + [(name, "f8") for name in ("time", "x", "y", "z", "speed", "deceleration")]
 )
 """A frame in which a vehicle brakes hard, and its frame before."""
+
+
+def _pieces(count: int, most: int) -> Iterator[slice]:
+    """Yield the slices of a number of rows, with at most some rows each, but with one at least."""
+    step = max(most, 1)
+    return (slice(start, start + step) for start in range(0, count, step))
 
 
 def _restarts(elapsed: Floats) -> Integers:
