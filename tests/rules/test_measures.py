@@ -9,10 +9,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from carla_recap import check, open_recording
+from carla_recap import Spawn, attributes, check, create_recording, open_recording
 from carla_recap.queries.measures import MEASURES, MeasureSearch
 from carla_recap.queries.roads import roads_of
 from carla_recap.rules.rule_sets import parse_rules
+from carla_recap.rules.values import Selector
 from tests.rules.conftest import HERO, TICK, Judge, straight, write
 from tests.samples import SAMPLES
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 PAIRED = [measure.name for measure in MEASURES.values() if measure.other] + ["post_encroachment_time"]
 """The measures in relation to another actor."""
+CAR, WALKER, HERO_ROLE = "vehicle.tesla.model3", "walker.pedestrian.0001", attributes(role_name="hero")
 
 
 def drive(*parts: tuple[float, float]) -> np.ndarray:
@@ -198,10 +200,10 @@ def test_a_measure_in_relation_to_some_others(rule: str, status: str, message: s
     assert (found.status, message in found.message) == (status, True), found.message
 
 
-def measured(path: Path, ids: list[int], subject: int, others: set[int] | None) -> str:
+def measured(path: Path, ids: list[int], subject: int, with_: str = "any") -> str:
     """The measures of an actor in relation to others, of which those of several actors are computed."""
     with open_recording(path) as recording:
-        search = MeasureSearch(recording.reader, ids, over_time=dict.fromkeys(PAIRED, ids), others=others)
+        search = MeasureSearch(recording.reader, ids, over_time=dict.fromkeys(PAIRED, ids), others=Selector(with_).matches)
         rows = [(row.measure, row.value, row.time) for row in search.find() if row.actor == subject]
     values = [search.values[name, subject] for name in PAIRED]
     return str([row for row in rows if row[0] in PAIRED] + [(each.time.tolist(), each.value.tolist()) for each in values])
@@ -221,8 +223,27 @@ def test_measures_in_relation_to_walkers_are_those_of_a_recording_without_other_
         again = {number for number, each in enumerate(kept) if each in walkers}
         write(tmp_path / "some.log", [ways[each] for each in kept], {}, again)
         ids = [HERO + number for number in range(len(ways))]
-        found = measured(tmp_path / "all.log", ids, HERO + subject, {HERO + each for each in walkers})
-        assert found == measured(tmp_path / "some.log", [HERO], HERO, None)
+        found = measured(tmp_path / "all.log", ids, HERO + subject, "walker")
+        assert found == measured(tmp_path / "some.log", [HERO], HERO)
+
+
+def test_a_vehicle_with_the_id_of_an_earlier_walker_is_no_walker(tmp_path: Path) -> None:
+    """The walker is 30 m beside the hero for 2 s; from 4 s on, a car with its id stands 1 m ahead."""
+    path, id = tmp_path / "again.log", HERO + 1
+    with create_recording(path, map_name="Straight") as recorder:
+        for frame in range(160):
+            events = {
+                0: {"spawned": [Spawn(HERO, 1, type_id=CAR, attributes=HERO_ROLE), Spawn(id, 2, type_id=WALKER)]},
+                40: {"destroyed": [(id,)]},
+                80: {"spawned": [Spawn(id, 1, type_id=CAR)]},
+            }
+            there = {} if 40 <= frame < 80 else {id: (0.0, 3000.0) if frame < 40 else (600.0, 0.0)}
+            poses = [(each, *place, 0, 0, 0, 0) for each, place in {HERO: (0.0, 0.0), **there}.items()]
+            recorder.add_frame(frame * TICK, transforms=poses, **events.get(frame, {}))
+    for more in ("", ', tolerate = "0.1 s"'):
+        rules = parse_rules(f'[rules.it]\ngap = {{ of = "hero", with = "walker", min = "5 m"{more} }}', "rules.toml")
+        with open_recording(path) as recording:
+            assert check(recording, rules)[0].status == "pass"
 
 
 def test_until_a_collision() -> None:

@@ -214,8 +214,8 @@ class Facts:
                 over_time.setdefault(measure, set()).update(life.id for life in movers if of.matches(life))
         wanted = [each for needs in self._needs for each in (*needs.extremes, *needs.values) if each.other == other]
         ids = {actor.id for actor in movers if any(each.of.matches(actor) for each in wanted)}
-        others = None if other.text == ANY else {life.id for life in movers if other.matches(life)}
-        if not ids or others == set():
+        others = None if other.text == ANY else other.matches
+        if not ids or not any(map(other.matches, movers)):
             return [], {}
         roads = self._roads if any(MEASURES[each.measure].needs_roads for each in wanted) else None
         search = MeasureSearch(self.recording.reader, ids, roads=roads, over_time=over_time, others=others)

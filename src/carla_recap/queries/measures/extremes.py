@@ -23,9 +23,10 @@ from carla_recap.roads.polylines import stations
 from carla_recap.tables.trajectories import MOTION, RowCollector, Trajectory, portions, trajectories_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
     from carla_recap.formats.base import Reader
+    from carla_recap.model.lives import ActorLife
     from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.queries.measures.series import Subjects
     from carla_recap.roads.network import RoadNetwork
@@ -83,7 +84,7 @@ class MeasureSearch:
         start: float = -math.inf,
         stop: float = math.inf,
         over_time: Mapping[str, Collection[int]] | None = None,
-        others: Collection[int] | None = None,
+        others: Callable[[ActorLife | None], bool] | None = None,
     ) -> None:
         self._source, self._start, self._stop = source, start, stop
         lives, self._contacts = lives_and_contacts(source, stop=stop)
@@ -116,7 +117,8 @@ class MeasureSearch:
             self._measure(table)
         for each in self._crossings.finish():
             for subject, met in ((each.id2, each.id1), (each.id1, each.id2)):
-                if subject in self._subjects and (self._others is None or met in self._others):
+                counts = self._others is None or self._others(self._lives.at(met, each.time))
+                if counts and subject in self._subjects:
                     values = np.array([each.time]), np.array([each.post_encroachment_time]), np.array([met], np.int64)
                     self._note(subject, "post_encroachment_time", MeasureValues(*values))
         self._note_driving()

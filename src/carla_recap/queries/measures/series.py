@@ -20,7 +20,7 @@ from carla_recap.queries.measures.pairs import PairFrames, ahead, near_pairs, on
 from carla_recap.queries.recorded_actors import lives_and_contacts
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.contacts import Contacts
@@ -43,17 +43,22 @@ MARGIN: Final = 2.0
 
 
 def series_of(
-    table: MotionTable, subjects: Indices, others: Collection[int] | None = None, *, shortest: Floats | None = None
+    table: MotionTable,
+    subjects: Indices,
+    others: Callable[[ActorLife], bool] | None = None,
+    *,
+    shortest: Floats | None = None,
 ) -> MeasureSeries:
     """Return the measures of the actors in some rows, in the frames of a table, (subjects, frames); margins have no values.
 
-    With `others`, these ids alone count. With `shortest`, only those times to collision count of actors that also meet on
-    the paths that they take, see `on_collision_course`, and of each actor those below its least known one in s; NaN: all.
+    With `others`, those actors alone count of which it is true. With `shortest`, only those times to collision count of
+    actors that also meet on the paths that they take, see `on_collision_course`, and of each actor those below its least
+    known one in s; NaN: all.
     """
     shape = len(subjects), len(table.time)
     position = np.full(len(table.ids), -1)
     position[subjects] = np.arange(len(subjects))
-    counts = np.isin(table.ids, list(others)) if others is not None else np.ones(len(table.ids), np.bool_)
+    counts = np.array([others is None or others(actor) for actor in table.actors], np.bool_)
     gaps, times, headways = _Least(shape), _Least(shape), _Least(shape)
     for pairs in near_pairs(table, position >= 0, np.maximum(RANGE / 2, table.radius + table.fastest * HORIZON)):
         if others is not None:
@@ -256,7 +261,7 @@ class SeriesCollector:
         rows = np.flatnonzero(np.isin(table.ids, list(self._parts)))
         if not len(rows) or self._other not in (None, *table.ids.tolist()):
             return
-        others = None if self._other is None else {self._other}
+        others = None if self._other is None else lambda life: life.id == self._other
         found = series_of(table, rows, others).columns().values()
         for number, row in enumerate(rows.tolist()):
             present = np.flatnonzero(~np.isnan(table.x[row, table.core])) + table.first
