@@ -46,6 +46,14 @@ def test_of_a_car_behind_a_slower_one(drive: Drive) -> None:
     assert found["speed"] == pytest.approx(15, abs=1e-3)
 
 
+def test_the_efficiency_in_a_part_has_the_traffic_that_the_hero_met_before(drive: Drive) -> None:
+    """A car at 15 m/s, which counts with the speed that it had near the hero, is near it in the first 4 s alone."""
+    car = straight(2, 60, 5, 15, 180, role_name="background", has_velocity=False)
+    reader = drive([straight(1, 0, 0, 10, role_name="hero"), car], seconds=30)
+    for start in (-math.inf, 10.0):
+        assert values(measures(reader, start=start))["driving_efficiency"] == pytest.approx(100 * 10 / 15, abs=0.01)
+
+
 def test_times_to_collision_over_time_are_those_of_all_frames(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
     """The hero stops 11 m before a car after 4.5 s, and goes on at 2 m/s from 6 s on: longer times than before."""
     monkeypatch.setattr(pairs, "ELEMENTS", 64)

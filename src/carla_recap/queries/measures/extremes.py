@@ -20,7 +20,7 @@ from carla_recap.queries.measures.series import HORIZON, measured_actors, series
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from carla_recap.queries.roads import roads_of, warn_without_roads
 from carla_recap.roads.polylines import stations
-from carla_recap.tables.trajectories import MOTION, RowCollector, Trajectory, portions, trajectories_of
+from carla_recap.tables.trajectories import MOTION, RowCollector, Trajectory, portions, trajectories, trajectories_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
@@ -87,6 +87,7 @@ class MeasureSearch:
         others: Callable[[ActorLife | None], bool] | None = None,
     ) -> None:
         self._source, self._start, self._stop = source, start, stop
+        self._is_whole = start == -math.inf and stop == math.inf
         lives, self._contacts = lives_and_contacts(source, stop=stop)
         self._subjects = measured_actors(source, lives, actors)
         self._lives, self._crossings = lives, CrossingSearch(POST_ENCROACHMENT_TIME)
@@ -106,7 +107,7 @@ class MeasureSearch:
         if self._subjects:
             types = TYPES if self._roads is None else (*TYPES, *ROAD_TYPES)
             for batches in portions(self._source.batches(types, start=self._start, stop=self._stop)):
-                if self._heroes:
+                if self._heroes and self._is_whole:
                     self._driven.add(batches)
                 for batch in batches:
                     if self._roads is not None:
@@ -156,6 +157,8 @@ class MeasureSearch:
     def _note_driving(self) -> None:
         """Note the numbers of Bench2Drive, of heroes that are vehicles."""
         paths = trajectories_of(self._driven.finish(), self._lives.reuses())
+        if self._heroes and not self._is_whole:  # the speeds in a part follow from what is before and after it, too
+            paths = trajectories(self._source, {*self._heroes, *self._traffic})
         for id in self._heroes:
             drive = Drive.of(self._subjects[id], paths.get(id, Trajectory.empty(id))).during(self._start, self._stop)
             if len(drive) > 1:
