@@ -15,7 +15,10 @@ from mcap.writer import IndexType
 
 from carla_recap import FormatError, RecapError, RecordError, convert, open_recording
 from carla_recap.formats import open_reader
+from carla_recap.formats.mcap.index import ChannelRecord, ChunkIndex, Summary
 from carla_recap.formats.mcap.recovery import recover_summary
+from carla_recap.formats.mcap.schema import LogClock
+from carla_recap.formats.mcap.topics import FurtherTopics
 from carla_recap.formats.mcap.writer import (
     FURTHER_CHUNK_SECONDS,
     FURTHER_CHUNK_SIZE,
@@ -71,6 +74,31 @@ def test_the_state_is_written_as_without_further_topics(tmp_path, live):
     further = {"/sensors/front/image", "/sensors/imu/imu", "/note"}
     own = [chunk.data for chunk, topics in chunk_topics(tmp_path / "sensed.mcap") if not topics & further]
     assert own == [chunk.data for chunk, _ in chunk_topics(tmp_path / "plain.mcap")]
+
+
+def grouped(path, *chunks):
+    """Return the groups of the topics of a file without content, whose chunks have messages of some channels."""
+    summary, source = Summary(), LocalSource(path)
+    summary.chunks = [ChunkIndex(0, 0, 0, 0, frozenset(channels)) for channels in chunks]
+    for id in frozenset[int]().union(*chunks):
+        summary.channels[id], summary.counts[id] = ChannelRecord(id, 0, f"/{id}", "json"), 1
+    with closing(source):
+        topics = FurtherTopics(source, summary, (), LogClock(HEADER), lambda _: iter(())).topics
+    return {int(name[1:]): topic.group for name, topic in topics.items()}
+
+
+def test_groups_are_of_topics_that_share_chunks(tmp_path):
+    path = tmp_path / "empty"
+    path.touch()
+    assert grouped(path, (4, 5), (1, 9), (5, 9), (2, 3), (3, 2), (6,)) == {
+        **dict.fromkeys((1, 4, 5, 9), "1"),
+        2: "2",
+        3: "2",
+        6: "",
+    }
+    with time_limit():
+        groups = grouped(path, *((id, id + 1) for id in range(0, 60_000, 2)))
+    assert groups == {id: f"{id - id % 2}" for id in range(60_000)}
 
 
 @pytest.mark.parametrize("live", [False, True])

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 import struct
-from collections import Counter
+from collections import Counter, defaultdict
 from contextlib import suppress
 from functools import cached_property
+from itertools import pairwise
 from operator import attrgetter, itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -290,10 +291,18 @@ class FurtherTopics:
 
     def _groups(self) -> dict[int, str]:
         """Return the name of the group of each channel that shares chunks with others."""
-        groups: list[frozenset[int]] = []
+        near: dict[int, set[int]] = defaultdict(set)
         ids = self._ids()
         for channels in {chunk.channels & ids for chunk in self._summary.chunks}:
-            if len(channels) > 1:
-                near = [group for group in groups if group & channels]
-                groups = [group for group in groups if group not in near] + [channels.union(*near)]
-        return {id: f"{min(group)}" for group in groups for id in group}
+            for one, other in pairwise(sorted(channels)):
+                near[one].add(other)
+                near[other].add(one)
+        groups: dict[int, str] = {}
+        for least in sorted(near):
+            waiting = [least]
+            while waiting:
+                id = waiting.pop()
+                if id not in groups:
+                    groups[id] = f"{least}"
+                    waiting += near[id]
+        return groups
