@@ -946,8 +946,10 @@ def test_a_replay_goes_on_when_an_actor_is_destroyed_before_all_are_spawned(tmp_
         again = flat_world()
         steps = again.replayer.begin(again.replayer.open(tmp_path / "a.log"), again.reload, keep_town=True)
         for _ in steps:
+            assert not again.replayer.shows_start
             if victim in again.actors:
                 again.actors[victim].destroy()
+        assert again.replayer.shows_start
         again.tick()
         assert again.replayer.is_playing
         assert victim not in again.actors

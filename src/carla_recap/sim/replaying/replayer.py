@@ -237,6 +237,7 @@ class Replayer:
                 yield
                 if self._player is not player:
                     raise SimError(f"{path}: its replay was stopped before it had begun")
+            self._shows_start = True
         except BaseException:
             if self._close is close:
                 self.stop()
@@ -329,7 +330,7 @@ class Replayer:
         self._doors, self._weather = {}, None
         self._frozen = episode.signals.frozen.copy()
         episode.signals.held = True
-        self._shows_start = True
+        self._shows_start = False
         return self._show(scene, 0.0, 0.0)
 
     def _release_to_autopilot(self) -> None:
