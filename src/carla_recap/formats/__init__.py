@@ -33,14 +33,8 @@ def open_reader(location: Path | str) -> Reader:
     While a server records, the file of that name has no frames. This function waits until it has, since clients do not
     wait for the end of `stop_recorder`.
 
-    Warns:
-        RecapWarning: The recording is incomplete, and has not changed for `_PATIENCE` seconds.
-
-    Raises:
-        NotARecording: The content is in neither format.
-        FormatError: The content is damaged.
-        RecapError: The file cannot be read.
-        MissingExtra: It is remote, and the extra for that is not installed.
+    A `RecapWarning` says that the recording is incomplete, and has not changed for `_PATIENCE` seconds. A `NotARecording` is
+    in neither format, a `FormatError` says that it is damaged, and `MissingExtra` that a remote one needs an extra.
     """
     if is_remote(location):
         return _open_remote(str(location))
@@ -145,12 +139,7 @@ def _open_remote(url: str) -> Reader:
 
 
 def read_start(location: Path | str) -> bytes:
-    """Return the first bytes of a local file, which say its format.
-
-    Raises:
-        NotARecording: It is not a regular file.
-        RecapError: It cannot be read.
-    """
+    """Return the first bytes of a local file, which say its format; a `NotARecording` is not a regular file."""
     try:
         path = path_of(location)
         if not path.is_dir() and path.exists() and not path.is_file():
@@ -169,11 +158,7 @@ def read_start(location: Path | str) -> bytes:
 
 
 def format_of(path: Path | str) -> str:
-    """Return the suffix of a destination, which says its format.
-
-    Raises:
-        RecapError: The suffix belongs to no format.
-    """
+    """Return the suffix of a destination, which says its format; a `RecapError` if it belongs to none."""
     suffix = Path(path).suffix.lower()
     if suffix not in SUFFIXES:
         found = f"unknown format {suffix!r}" if suffix else "no suffix, which says the format"

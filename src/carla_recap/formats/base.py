@@ -25,56 +25,33 @@ PIECE = 1 << 20
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of a file, as MCAP has them.
+    """A topic of a file, as MCAP has them."""
 
-    Attributes:
-        name: The name, such as `/scene`.
-        message: The full name of the message, as its schema has it; "" for messages without a schema.
-        schema: Returns the message's schema; of protobuf, the descriptors of all files that it needs.
-        metadata: What the channel says beside it.
-        encoding: The encoding of the messages, as MCAP names it.
-        schema_encoding: The encoding of the schema, as MCAP names it.
-    """
-
-    name: str
-    message: str
-    schema: Callable[[], bytes]
-    metadata: Mapping[str, str] = field(default_factory=dict)
-    encoding: str = "protobuf"
-    schema_encoding: str = "protobuf"
+    name: str  # the name, such as `/scene`
+    message: str  # the full name of the message, as its schema has it; "" for messages without a schema
+    schema: Callable[[], bytes]  # returns the message's schema; of protobuf, the descriptors of all files that it needs
+    metadata: Mapping[str, str] = field(default_factory=dict)  # what the channel says beside it
+    encoding: str = "protobuf"  # the encoding of the messages, as MCAP names it
+    schema_encoding: str = "protobuf"  # the encoding of the schema, as MCAP names it
 
 
 @dataclass(frozen=True)
 class FurtherTopic:
-    """A topic that a recording has beside its own, such as a sensor's.
+    """A topic that a recording has beside its own, such as a sensor's."""
 
-    Attributes:
-        topic: Its name, metadata, and the schema of its messages.
-        count: The number of messages.
-        first: The elapsed time of the first message, in s; None where there is none.
-        last: The elapsed time of the last message, in s; None where there is none.
-        group: Topics of the same group share chunks.
-    """
-
-    topic: Topic
-    count: int
-    first: float | None
-    last: float | None
-    group: str
+    topic: Topic  # its name, metadata, and the schema of its messages
+    count: int  # the number of messages
+    first: float | None  # the elapsed time of the first message, in s; None where there is none
+    last: float | None  # the elapsed time of the last message, in s; None where there is none
+    group: str  # topics of the same group share chunks
 
 
 class TopicMessage(NamedTuple):
-    """A message of a further topic.
+    """A message of a further topic."""
 
-    Attributes:
-        topic: The name of the topic.
-        elapsed: Its time, in elapsed seconds, to the nanosecond.
-        data: The message, encoded.
-    """
-
-    topic: str
-    elapsed: float
-    data: bytes
+    topic: str  # its name
+    elapsed: float  # its time, in elapsed seconds, to the nanosecond
+    data: bytes  # the message, encoded
 
 
 PartName = Literal["stretches", "braking", "contacts"]
@@ -83,29 +60,19 @@ PartName = Literal["stretches", "braking", "contacts"]
 
 @dataclass(frozen=True)
 class DigestPart:
-    """A part of the digest of a recording, which is kept among its events.
+    """A part of the digest of a recording, which is kept among its events."""
 
-    Attributes:
-        limits: What it depends on: of stretches the least duration in s and the distance in cm, of braking the deceleration
-            in m/s².
-        read: Returns its rows, as `formats/mcap/schema.py` has them, in no order; None if some are missing.
-    """
-
+    # What it depends on: of stretches the least duration in s and the distance in cm, of braking the deceleration in m/s².
     limits: tuple[float, ...]
+    # Returns its rows, as `formats/mcap/schema.py` has them, in no order; None if some are missing.
     read: Callable[[], list[tuple[Any, ...]] | None]
 
 
 class Reader:
-    """An open recording.
+    """An open recording."""
 
-    Attributes:
-        path: Its path; of a URL, one with the same name, which says nothing about this machine.
-        location: Its path or URL, as given.
-        header: Its header.
-    """
-
-    path: Path
-    location: str
+    path: Path  # its path; of a URL, one with the same name, which says nothing about this machine
+    location: str  # its path or URL, as given
     header: Header
     _source: ByteSource
 
@@ -131,17 +98,11 @@ class Reader:
         start: float = -math.inf,
         stop: float = math.inf,
     ) -> Iterator[Batch]:
-        """Yield the frames in batches of frames that are alike.
+        """Yield the frames in batches of frames that are alike, with elapsed seconds from `start` to before `stop`.
 
-        Args:
-            types: Names of record types: frames hold the packets of these alone, and no empty ones. None: all packets.
-            sparse: Leave out frames that hold no packet of `types`; in MCAP, durations may be unknown (NaN) then.
-            start: The first elapsed time, in seconds.
-            stop: The elapsed time at which to stop, in seconds (exclusive). A frame within `SAME_TIME` of either counts as
-                being at it.
-
-        Raises:
-            FormatError: The file contradicts its format.
+        A frame within `SAME_TIME` of either counts as being at it. With names of record types, frames hold the packets of
+        these alone, and no empty ones; None: all packets. With `sparse`, frames that hold no packet of these are left out;
+        in MCAP, durations may be unknown (NaN) then. A `FormatError` says where the file contradicts its format.
         """
         self.check_open()
         start, stop = start - SAME_TIME, stop - SAME_TIME
@@ -161,9 +122,7 @@ class Reader:
     def frames_by_index(self, indexes: Iterable[int], types: Collection[str]) -> Iterator[Frame] | None:
         """Return the frames at some indexes, in their order; None if that would take reading all frames.
 
-        Args:
-            indexes: The positions of frames in the recording, from 0.
-            types: Names of record types, as in `batches`.
+        Indexes are positions in the recording, from 0; types are names, as in `batches`.
         """
         return None
 
@@ -172,11 +131,7 @@ class Reader:
         raise NotImplementedError
 
     def digest(self, part: PartName) -> DigestPart | None:
-        """Return a part of the digest; None if the file has none.
-
-        Raises:
-            FormatError: The file contradicts its format.
-        """
+        """Return a part of the digest; None if the file has none."""
         return None
 
     def tail(self) -> Iterator[bytes]:
@@ -184,11 +139,7 @@ class Reader:
         raise NotImplementedError
 
     def further_topics(self) -> dict[str, FurtherTopic]:
-        """Return the topics beside those of a recording, by name; none in formats that have no others.
-
-        Raises:
-            FormatError: The file contradicts its format.
-        """
+        """Return the topics beside those of a recording, by name; none in formats that have no others."""
         return {}
 
     def messages(self, topic: str, start: float = -math.inf, stop: float = math.inf) -> Iterator[tuple[float, bytes]]:
@@ -203,17 +154,10 @@ class Reader:
         *,
         in_order: bool = True,
     ) -> Iterator[TopicMessage]:
-        """Yield the messages of further topics.
+        """Yield the messages of further topics by their names, or of all, between elapsed seconds as in `batches`.
 
-        Args:
-            topics: The names of the topics; None: all further topics.
-            start: The first elapsed time, in seconds.
-            stop: The elapsed time at which to stop, in seconds (exclusive), both within `SAME_TIME`, as in `batches`.
-            in_order: Yield them in order of time; else in that of the file's chunks, of which one is in memory at a time.
-
-        Raises:
-            RecapError: There is no such topic.
-            FormatError: The file contradicts its format.
+        They come in order of time, or else in that of the file's chunks, of which one is in memory at a time. A `RecapError`
+        says that there is no such topic.
         """
         for topic in topics or ():
             raise RecapError(f"{self.location}: has no further topic {topic!r:.200}; only MCAP files have some")
@@ -222,22 +166,13 @@ class Reader:
     def latest_messages(self, topics: Collection[str], elapsed: float) -> list[TopicMessage]:
         """Return the latest message of each of some further topics at a time, in order of time.
 
-        Args:
-            topics: The names of the topics.
-            elapsed: The time in seconds; messages count up to `SAME_TIME` after it.
-
-        Raises:
-            RecapError: There is no such topic.
-            FormatError: The file contradicts its format.
+        The time is in elapsed seconds, and messages count up to `SAME_TIME` after it. A `RecapError` says that there is no
+        such topic.
         """
         return list(self.further_messages(topics, elapsed, elapsed))
 
     def check_open(self) -> None:
-        """Check that it is not closed.
-
-        Raises:
-            Closed: It was.
-        """
+        """Raise `Closed` if it was closed."""
         self._source.check_open()
 
     def close(self) -> None:

@@ -58,20 +58,11 @@ class LogReader(Reader):
     """Reads a CARLA log from a path, a `file:` URL, or in place of it from an unbuffered `file`: a copy of an object.
 
     If it is `lenient`, it leaves out what contradicts the format, and goes on with the next frame that looks complete.
-
-    Attributes:
-        path: Its path.
-        location: The location, as given.
-        header: The header.
-        lost_bytes: The number of bytes that were left out so far.
-
-    Raises:
-        NotARecording: The file is no CARLA log.
-        FormatError: The header contradicts the format.
+    It raises `NotARecording` for a file that is no CARLA log, and `FormatError` for a header that contradicts the format.
     """
 
     def __init__(self, location: Path | str, *, lenient: bool = False, file: BinaryIO | None = None) -> None:
-        self.lost_bytes = 0
+        self.lost_bytes = 0  # the number of bytes that were left out so far
         self._lenient = lenient
         self._warned = False
         self._extent: Extent | None = None
@@ -343,11 +334,7 @@ def pack_header(header: Header) -> bytes:
 
 
 class LogWriter(Writer):
-    """Writes a CARLA log; if it is `live`, the frames every `SYNC_SECONDS` of recording. See `AtomicFile`.
-
-    Raises:
-        RecapError: The destination cannot be written.
-    """
+    """Writes a CARLA log; if it is `live`, the frames every `SYNC_SECONDS` of recording. See `AtomicFile`."""
 
     def __init__(self, path: Path | str, header: Header, *, live: bool = False, force: bool = True) -> None:
         start = pack_header(header)

@@ -43,27 +43,16 @@ PacketSpan = tuple[int, int, int]  # id of a packet as in the file, offset in th
 
 
 class Run(NamedTuple):
-    """Frames of one shape that follow each other in a file.
+    """Frames of one shape that follow each other in a file."""
 
-    Attributes:
-        first: The position of the first one in the recording.
-        offset: The offset of the first one in the file, in bytes.
-        frames: The number of frames.
-        stride: Bytes from one frame to the next.
-        packets: The wanted packets of each frame.
-        preamble: Whether these are packets before the first frame starts.
-        data: The bytes of the frames, and what surrounds them.
-        base: The offset of the data in the file.
-    """
-
-    first: int
-    offset: int
-    frames: int
-    stride: int
-    packets: Sequence[PacketSpan]
-    preamble: bool
-    data: bytes
-    base: int
+    first: int  # the position of the first one in the recording
+    offset: int  # the offset of the first one in the file, in bytes
+    frames: int  # the number of frames
+    stride: int  # bytes from one frame to the next
+    packets: Sequence[PacketSpan]  # the wanted packets of each frame
+    preamble: bool  # whether these are packets before the first frame starts
+    data: bytes  # the bytes of the frames, and what surrounds them
+    base: int  # the offset of the data in the file
 
 
 class Window:
@@ -71,18 +60,13 @@ class Window:
 
     Reading copies, unlike a mapping of the file; but a file that shrinks meanwhile is an error then, instead of a signal
     that ends the process.
-
-    Attributes:
-        base: The offset of the data in the file.
-        data: The bytes.
-        size: The size of the file, in bytes.
     """
 
     def __init__(self, source: ByteSource, piece: int | None = None) -> None:
         self._source = source
         self._piece = piece or _WINDOW
-        self.size = source.size
-        self.base = 0
+        self.size = source.size  # the size of the file, in bytes
+        self.base = 0  # the offset of the data in the file
         self.data = b""
 
     def read(self, offset: int, size: int) -> bytes:
@@ -116,22 +100,11 @@ class Window:
 
 
 class Scanner:
-    """Scans a log for its frames.
+    """Scans a log for its frames; messages name the location, a path or URL.
 
-    Args:
-        location: The path or URL of the file, for messages.
-        window: The file.
-        types: The record types by packet id, as in the file.
-        wanted: Whether packets are wanted, by their id in the file, if they have records; None for all packets.
-        sparse: Leave out frames without wanted packets.
-        lenient: Leave out what contradicts the format, and go on with the next frame that looks complete.
-
-    Attributes:
-        count: The position in the recording after the last frame that was found.
-        last: The offset of that frame in the file; None before any.
-        end: The offset after the last complete packet, once the scan has come to it.
-        lost_bytes: Bytes that were left out so far.
-        offsets: The offset in the file of each frame that was found so far.
+    By the packet id in the file are the record types, and whether packets with records are wanted, None for all packets.
+    With `sparse`, frames without wanted packets are left out; with `lenient`, what contradicts the format, up to the next
+    frame that looks complete.
     """
 
     def __init__(
@@ -154,11 +127,11 @@ class Scanner:
         self._lenient = lenient
         self._next_complete: tuple[int, int | None] = (0, -1)  # an offset, and the first frame after it that looks complete
         self._offset = 0
-        self.count = 0
-        self.last: int | None = None
-        self.end: int | None = None
-        self.lost_bytes = 0
-        self.offsets = array("q")
+        self.count = 0  # the position in the recording after the last frame that was found
+        self.last: int | None = None  # the offset of that frame in the file; None before any
+        self.end: int | None = None  # the offset after the last complete packet, once the scan has come to it
+        self.lost_bytes = 0  # bytes that were left out so far
+        self.offsets = array("q")  # the offset in the file of each frame that was found so far
 
     def runs(self, index: int, offset: int, *, preamble: bool) -> Iterator[Run]:
         """Yield the runs from the frame at an index on; `preamble`: whether it is the packets before the first frame."""

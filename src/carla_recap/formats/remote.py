@@ -177,11 +177,7 @@ def _store(root: str, settings: frozenset[tuple[str, str]]) -> ObjectStore:
 
 
 class RemoteSource(ByteSource):
-    """An object in an object store, or a file on a web server; see `ByteSource`.
-
-    Raises:
-        RecapError: It cannot be read.
-    """
+    """An object in an object store, or a file on a web server; see `ByteSource`."""
 
     is_remote = True
 

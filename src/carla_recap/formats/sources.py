@@ -29,25 +29,16 @@ WEB: Final = ("http", "https")
 
 
 class ByteSource:
-    """What a reader reads from; threads may read at the same time.
+    """What a reader reads from; threads may read at the same time."""
 
-    Attributes:
-        location: Its path or URL, as given; for messages.
-        path: Its path; of a URL, one with the same name, which says nothing about this machine.
-        size: Its size, in bytes.
-        etag: What identifies its content in an object store; None for a local file, or if the server does not say.
-        bytes_read: The number of bytes that were read so far.
-        is_remote: Whether it is read over the network.
-    """
-
-    size = 0
-    etag: str | None = None
-    bytes_read = 0
-    is_remote = False
+    size = 0  # bytes
+    etag: str | None = None  # what identifies its content in an object store; None: a local file, or the server does not say
+    bytes_read = 0  # so far
+    is_remote = False  # whether it is read over the network
 
     def __init__(self, location: Path | str) -> None:
-        self.location = os.fspath(location)
-        self.path = path_of(location)
+        self.location = os.fspath(location)  # its path or URL, as given; for messages
+        self.path = path_of(location)  # its path; of a URL, one with the same name, which says nothing about this machine
         self._lock = Lock()
 
     def read(self, offset: int, size: int, what: str) -> bytes:

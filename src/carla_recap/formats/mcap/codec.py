@@ -172,14 +172,7 @@ def tail(piece: bytes) -> bytes:
 
 
 class WireNumbers:
-    """How numbers that follow each other in a payload are written in a message, from a field number (`first`) on.
-
-    Attributes:
-        blank: The bytes of the message, all numbers being zero.
-        targets: The offset in the message of each byte of a number.
-        masks: Of each of these bytes, the bits that are not free: a number of one byte is to fit a varint of one byte.
-        values: The numbers in the message, as bytes.
-    """
+    """How numbers that follow each other in a payload are written in a message, from a field number (`first`) on."""
 
     def __init__(self, numbers: Numbers, first: int = 1) -> None:
         blank, targets, masks, values = bytearray(), list[int](), bytearray(), "<"
@@ -193,10 +186,11 @@ class WireNumbers:
             masks += bytes((0 if size > 1 else 0xFE if kind == FLAG else 0x80,)) * size
             blank += bytes(size)
             values += f"{len(name)}x{size}s"
-        self.blank = bytes(blank)
-        self.targets = np.array(targets)
+        self.blank = bytes(blank)  # the bytes of the message, all numbers being zero
+        self.targets = np.array(targets)  # the offset in the message of each byte of a number
+        # Of each of these bytes, the bits that are not free: a number of one byte is to fit a varint of one byte.
         self.masks = np.frombuffer(bytes(masks), np.uint8)
-        self.values = struct.Struct(values)
+        self.values = struct.Struct(values)  # the numbers in the message, as bytes
         fixed_bits = np.full(len(blank), 0xFF, np.uint8)
         fixed_bits[self.targets] = self.masks
         self._fixed_bits = int.from_bytes(fixed_bits.tobytes(), "little")
@@ -227,12 +221,7 @@ def wire_numbers(numbers: Numbers, first: int = 1) -> WireNumbers:
 
 
 class RecordsCodec:
-    """Encodes and decodes the packets of a type whose records have one size.
-
-    Attributes:
-        stride: Bytes of a record in a body.
-        wire: The numpy type of a record in a body: its numbers, with gaps for what is the same in each.
-    """
+    """Encodes and decodes the packets of a type whose records have one size."""
 
     def __init__(self, type: RecordType) -> None:
         (numbers,) = compiled(type).steps
@@ -244,7 +233,7 @@ class RecordsCodec:
         header = b"" if self._single else tag(ITEMS, LEN) + varint(len(form.blank))
         self._blank = np.frombuffer(header + form.blank, np.uint8)
         targets = form.targets + len(header)
-        self.stride = len(self._blank)
+        self.stride = len(self._blank)  # bytes of a record in a body
         self._fixed_bits = np.full(self.stride, 0xFF, np.uint8)
         self._fixed_bits[targets] = form.masks
         fields: Any = type.dtype.fields
@@ -252,6 +241,7 @@ class RecordsCodec:
         self._masks = {name: mask for name, (_, offset, *_) in fields.items() if (mask := form.masks[offset])}
         formats = [dtype for dtype, *_ in fields.values()]
         names = {"names": list(fields), "formats": formats, "offsets": list(offsets.values())}
+        # The numpy type of a record in a body: its numbers, with gaps for what is the same in each.
         self.wire: np.dtype[np.void] = np.dtype({**names, "itemsize": self.stride})  # type: ignore[call-overload]
 
     def count_in(self, size: int) -> int | None:
@@ -319,23 +309,14 @@ def records_codec(type: RecordType) -> RecordsCodec:
 
 
 class PacketTemplate(NamedTuple):
-    """A structure of packets.
+    """A structure of packets."""
 
-    Attributes:
-        payload: A packet of this structure.
-        body: The body of its message.
-        sources: The offset in the payload of each byte of a number.
-        targets: Its offset in the body.
-        payload_mask: The bits in which all packets of this structure agree.
-        body_mask: The same of the bodies.
-    """
-
-    payload: NDArray[np.uint8]
-    body: NDArray[np.uint8]
-    sources: NDArray[np.intp]
-    targets: NDArray[np.intp]
-    payload_mask: NDArray[np.uint8]
-    body_mask: NDArray[np.uint8]
+    payload: NDArray[np.uint8]  # a packet of this structure
+    body: NDArray[np.uint8]  # the body of its message
+    sources: NDArray[np.intp]  # the offset in the payload of each byte of a number
+    targets: NDArray[np.intp]  # its offset in the body
+    payload_mask: NDArray[np.uint8]  # the bits in which all packets of this structure agree
+    body_mask: NDArray[np.uint8]  # the same of the bodies
 
     def encode(self, payloads: NDArray[np.uint8]) -> NDArray[np.uint8] | None:
         """Return the bodies of some payloads, (packets, bytes); None where one has another structure."""

@@ -44,17 +44,11 @@ _of_thread: Final = local()
 
 
 class ChunkBuilder:
-    """A chunk being filled.
-
-    Attributes:
-        size: How many bytes it has.
-        start: First log time in ns.
-        end: Last log time in ns.
-    """
+    """A chunk being filled."""
 
     def __init__(self) -> None:
-        self.size = 0
-        self.start = self.end = 0
+        self.size = 0  # bytes
+        self.start = self.end = 0  # the first and the last log time in ns
         self._parts: list[Buffer] = []
         self._index: dict[int, array[int]] = {}
 

@@ -42,21 +42,15 @@ _NO_CHANNEL: Final = -1
 
 
 class Channels:
-    """The channels of a file that are those of a recording.
-
-    Attributes:
-        frames: The channel of the frames' own messages; -1 where the file has none.
-        raw: The channel of packets without a message of their own; -1 where the file has none.
-        types: The record type of each channel that has one.
-    """
+    """The channels of a file that are those of a recording."""
 
     def __init__(self, specs: dict[int, ChannelSpec], table: Table) -> None:
         self.specs = specs
         self.table = table
-        self.types = {id: spec.type for id, spec in specs.items() if spec.type}
+        self.types = {id: spec.type for id, spec in specs.items() if spec.type}  # of each channel that has one
         self._by_topic = {spec.topic: id for id, spec in specs.items()}
-        self.frames = self.of(FRAME_TOPIC)
-        self.raw = self.of(RAW_TOPIC)
+        self.frames = self.of(FRAME_TOPIC)  # the channel of the frames' own messages; -1 where the file has none
+        self.raw = self.of(RAW_TOPIC)  # the channel of packets without a message of their own; -1 where the file has none
 
     def of(self, topic: str) -> int:
         """Return the channel of a topic; -1 where the file has none."""
@@ -106,33 +100,20 @@ Found = tuple[int, memoryview]  # a message: its channel, and its data
 
 
 class _Plan(NamedTuple):
-    """How to put a frame together.
+    """How to put a frame together."""
 
-    Attributes:
-        preamble: Whether these are packets before the first frame starts.
-        steps: Its packets; of those that come as messages, the channel.
-    """
-
-    preamble: bool
-    steps: list[Packet | int]
+    preamble: bool  # whether these are packets before the first frame starts
+    steps: list[Packet | int]  # its packets; of those that come as messages, the channel
 
 
 class ReadSelection(NamedTuple):
-    """What is read.
-
-    Attributes:
-        channels: The channels.
-        whole: Whether all packets are wanted, empty ones too.
-        sparse: Whether frames are wanted for their messages alone; their own messages are not read.
-        start: The elapsed time in seconds from which on frames are expected to be complete.
-        stop: The elapsed time in seconds until which they are.
-    """
+    """What is read."""
 
     channels: set[int]
-    whole: bool = False
-    sparse: bool = False
-    start: float = -math.inf
-    stop: float = math.inf
+    whole: bool = False  # whether all packets are wanted, empty ones too
+    sparse: bool = False  # whether frames are wanted for their messages alone; their own messages are not read
+    start: float = -math.inf  # the elapsed time in seconds from which on frames are expected to be complete
+    stop: float = math.inf  # the elapsed time in seconds until which they are
 
 
 class FrameAssembler:

@@ -186,32 +186,20 @@ class ChunkIndex(NamedTuple):
 
 
 class Summary:
-    """The content of an MCAP file, as its summary describes it.
-
-    Attributes:
-        schemas: The names of the schemas, by id.
-        channels: The channels, by id.
-        chunks: The chunks, in order of time.
-        metadata: The offsets of metadata records, by name.
-        schema_spans: Where the content of each schema's record is in the file: offset and size; or itself, if in a chunk.
-        channel_spans: The same of each channel.
-        messages: The number of messages; None if unknown.
-        counts: The number of messages of each channel, as far as it is known.
-        chunk_count: The number of chunks; None if unknown.
-        finished: Whether the data section ends properly.
-    """
+    """The content of an MCAP file, as its summary describes it."""
 
     def __init__(self) -> None:
-        self.schemas: dict[int, str] = {}
-        self.channels: dict[int, ChannelRecord] = {}
-        self.chunks: list[ChunkIndex] = []
-        self.metadata: dict[str, int] = {}
+        self.schemas: dict[int, str] = {}  # the names of the schemas, by id
+        self.channels: dict[int, ChannelRecord] = {}  # the channels, by id
+        self.chunks: list[ChunkIndex] = []  # the chunks, in order of time
+        self.metadata: dict[str, int] = {}  # the offsets of metadata records, by name
+        # Where the content of each schema's record is in the file: offset and size; or itself, if in a chunk.
         self.schema_spans: dict[int, ByteRange | bytes] = {}
-        self.channel_spans: dict[int, ByteRange | bytes] = {}
-        self.messages: int | None = None
-        self.counts: Counter[int] = Counter()
-        self.chunk_count: int | None = None
-        self.finished = False
+        self.channel_spans: dict[int, ByteRange | bytes] = {}  # the same of each channel
+        self.messages: int | None = None  # the number of messages; None if unknown
+        self.counts: Counter[int] = Counter()  # the number of messages of each channel, as far as it is known
+        self.chunk_count: int | None = None  # the number of chunks; None if unknown
+        self.finished = False  # whether the data section ends properly
 
     def add(self, opcode: int, data: memoryview, offset: int | None = None) -> None:
         """Add what a record, whose content is at an offset in the file or in a chunk, says, if it is of such a kind."""

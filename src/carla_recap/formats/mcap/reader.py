@@ -45,11 +45,8 @@ class McapReader(Reader):
     """Reads a recording from MCAP: from a path, or from a source, which `close` closes.
 
     Summary and header are given where they are known better than by the file itself. If it is `lenient`, frames that
-    contradict their schema are left out.
-
-    Raises:
-        NotARecording: It is no MCAP file, or none with a recording.
-        FormatError: It is damaged, or was never finished.
+    contradict their schema are left out. A `NotARecording` is no MCAP file, or none with a recording; a `FormatError` says
+    that it is damaged, or was never finished.
     """
 
     def __init__(

@@ -33,17 +33,11 @@ _WINDOW: Final = 1 << 20
 
 @dataclass
 class Damage:
-    """What was found broken.
+    """What was found broken."""
 
-    Attributes:
-        chunks: Chunks that were dropped.
-        bytes: Bytes that belong to nothing whole.
-        finished: Whether the file has a valid end.
-    """
-
-    chunks: int = 0
-    bytes: int = 0
-    finished: bool = True
+    chunks: int = 0  # chunks that were dropped
+    bytes: int = 0  # bytes that belong to nothing whole
+    finished: bool = True  # whether the file has a valid end
 
 
 def recover_summary(source: ByteSource) -> tuple[index.Summary, Damage]:
@@ -96,18 +90,13 @@ def _declare_lost(summary: index.Summary) -> None:
 
 
 class _Scan:
-    """Goes through a file, and takes what is whole. What it costs is in proportion to the size of the file.
-
-    Attributes:
-        summary: What was found.
-        in_chunks: The schemas and channels that are declared inside of chunks, as other programs write them.
-        damage: What was found broken.
-    """
+    """Goes through a file, and takes what is whole. What it costs is in proportion to the size of the file."""
 
     def __init__(self, source: ByteSource) -> None:
-        self.summary = index.Summary()
+        self.summary = index.Summary()  # what was found
+        # The schemas and channels that are declared inside of chunks, as other programs write them.
         self.in_chunks = index.Summary()
-        self.damage = Damage()
+        self.damage = Damage()  # what was found broken
         self._source = source
         self._window = (0, b"")  # an offset, and the bytes from there on
         self._false = _FALSE_LEAST + _FALSE_FACTOR * source.size

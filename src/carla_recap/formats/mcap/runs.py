@@ -35,25 +35,15 @@ class BrokenRecords(ValueError):
 
 
 class MessageRun(NamedTuple):
-    """Frames with the same slots that follow each other in a chunk.
+    """Frames with the same slots that follow each other in a chunk."""
 
-    Attributes:
-        sequence: The sequence number of the first one, which is its position in the recording.
-        number: The number of frames.
-        data: The records of the chunk.
-        start: The offset in the data of the messages of the first frame, in bytes.
-        stride: Bytes from one frame to the next.
-        slots: The messages of each frame.
-        time: The log time of the first frame in ns.
-    """
-
-    sequence: int
-    number: int
-    data: memoryview
-    start: int
-    stride: int
-    slots: tuple[Slot, ...]
-    time: int
+    sequence: int  # the sequence number of the first one, which is its position in the recording
+    number: int  # the number of frames
+    data: memoryview  # the records of the chunk
+    start: int  # the offset in the data of the messages of the first frame, in bytes
+    stride: int  # bytes from one frame to the next
+    slots: tuple[Slot, ...]  # the messages of each frame
+    time: int  # the log time of the first frame in ns
 
     @property
     def times(self) -> NDArray[np.uint64]:

@@ -165,15 +165,12 @@ class LogClock:
     """Recording time as MCAP times: nanoseconds since 1970.
 
     Log times always grow, so that the order of a file is the order of time, even where a recording's clock jumps.
-
-    Attributes:
-        last: The latest log time.
-        steady: Whether each log time is its frame's own so far: the recording's clock never stood still nor jumped.
     """
 
     def __init__(self, header: Header) -> None:
         self._base = min(max(0, header.date) * SECOND, LATEST)
-        self.last = self._base - 1
+        self.last = self._base - 1  # the latest log time
+        # Whether each log time is its frame's own so far: the recording's clock never stood still nor jumped.
         self.steady = True
 
     def at(self, elapsed: float) -> int | None:

@@ -359,19 +359,13 @@ def _schema(module: str, message: str) -> bytes:
 
 
 class FrameTemplate:
-    """The messages of frames that differ in nothing but their numbers, made of a batch of such frames; see `has_template`.
-
-    Attributes:
-        key: What batches with the same template have in common.
-        size: The bytes of all messages of a frame.
-        offsets: Channel and offset of each message.
-        additional: Whether some packets are such as CARLA writes only when it records additional data.
-    """
+    """The messages of frames that differ in nothing but their numbers, made of a batch of them; see `has_template`."""
 
     def __init__(self, channels: Mapping[int, int], frame_channel: int, batch: Batch) -> None:
-        self.key = template_key(batch)
+        self.key = template_key(batch)  # what batches with the same template have in common
+        # Whether some packets are such as CARLA writes only when it records additional data.
         self.additional = any(column.type is not None and column.type.additional for column in batch.columns)
-        self.offsets: list[tuple[int, int]] = []
+        self.offsets: list[tuple[int, int]] = []  # channel and offset of each message
         bodies: list[tuple[int, bytes]] = []
         for column in _filled(batch):
             type = column.type
@@ -388,7 +382,7 @@ class FrameTemplate:
             self.offsets.append((channel, len(template)))
             length = schema.MESSAGE_FIELDS + codec.HEAD.size + len(body)
             template += schema.MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, 0, 0) + codec.head(0, 0.0) + body
-        self.size = len(template)
+        self.size = len(template)  # the bytes of all messages of a frame
         self._template = np.frombuffer(bytes(template), np.uint8)
 
     def encode(self, batch: Batch) -> NDArray[np.uint8] | None:
