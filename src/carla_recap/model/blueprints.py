@@ -105,13 +105,10 @@ def box_of(actor: ActorLife) -> BoundingBox:
 
 
 def blueprint_like(family: str, length: float, width: float, number: int) -> str:
-    """Return a blueprint that can stand for a vehicle or walker of which the size alone is known.
+    """Return a blueprint that can stand for a vehicle or walker of which the size alone is known, in m, NaN if unknown.
 
-    Args:
-        family: CARLA's base type: car, van, truck, bus, motorcycle, bicycle; or vehicle for any of these; or walker.
-        length: The length in m; NaN if it is unknown.
-        width: The width in m; NaN if it is unknown.
-        number: Chooses among those of about this size, so that they differ.
+    The family is CARLA's base type: car, van, truck, bus, motorcycle, bicycle; or vehicle for any of these; or walker. The
+    number chooses among those of about this size, so that they differ.
     """
     if family == "walker":
         rows = _walkers()

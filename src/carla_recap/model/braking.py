@@ -43,23 +43,15 @@ _REACH: Final = 2.5  # s: two of the longest steps, and a bit, are between frame
 
 
 class Braking(NamedTuple):
-    """A vehicle brakes hard.
+    """A vehicle brakes hard."""
 
-    Attributes:
-        id: The vehicle.
-        start: The beginning, in elapsed seconds.
-        stop: The end, in elapsed seconds.
-        x, y, z: The position at the start, in cm, left-handed.
-        speed: The speed over the ground at the start, in m/s.
-    """
-
-    id: int
-    start: float
-    stop: float
-    x: float
+    id: int  # the vehicle
+    start: float  # the beginning, in elapsed seconds
+    stop: float  # the end, in elapsed seconds
+    x: float  # the position at the start, in cm, left-handed
     y: float
     z: float
-    speed: float
+    speed: float  # the speed over the ground at the start, in m/s
 
 
 class BrakingDetector:

@@ -41,21 +41,14 @@ Key = tuple[int, int, int]
 
 
 class Impact(NamedTuple):
-    """Where two actors are when they touch, and how fast they were just before.
+    """Where two actors are when they touch, and how fast they were just before."""
 
-    Attributes:
-        frame_index: The index of the frame in which they touch, from 0.
-        id1: The actor with the collision sensor.
-        id2: The other actor.
-        positions: The position of each in this frame, in cm, left-handed; NaN where it is unknown.
-        velocities: The velocity of each in the frame before, in m/s, left-handed; NaN where it is unknown; see
-            `velocity_before`.
-    """
-
-    frame_index: int
-    id1: int
-    id2: int
+    frame_index: int  # the index of the frame in which they touch, from 0
+    id1: int  # the actor with the collision sensor
+    id2: int  # the other actor
+    # The position of each in this frame, in cm, left-handed; NaN where it is unknown.
     positions: tuple[Vector, Vector] = (UNKNOWN, UNKNOWN)
+    # The velocity of each in the frame before, in m/s, left-handed; NaN where it is unknown; see `velocity_before`.
     velocities: tuple[Vector, Vector] = (UNKNOWN, UNKNOWN)
 
     @classmethod
@@ -89,24 +82,15 @@ class Impact(NamedTuple):
 
 @dataclass(slots=True)
 class Contact:
-    """Two actors touching: collision records of a pair, each in the next frame or less than a second after the one before.
+    """Two actors touching: collision records of a pair, each in the next frame or less than 1 s after the one before."""
 
-    Attributes:
-        number: The number of the contact, from 1.
-        ids: The actors of the first record, the one with the collision sensor first.
-        heroes: Whether each is the hero.
-        frame_index: The index of the frame in which it begins, from 0.
-        start: The time of its first record, in elapsed seconds.
-        stop: The time of its last record, in elapsed seconds.
-        impact: Where the actors are at the start, and how fast they were just before; None if it was not looked up.
-    """
-
-    number: int
-    ids: tuple[int, int]
-    heroes: tuple[bool, bool]
-    frame_index: int
-    start: float
-    stop: float
+    number: int  # the number of the contact, from 1
+    ids: tuple[int, int]  # the actors of the first record, the one with the collision sensor first
+    heroes: tuple[bool, bool]  # whether each is the hero
+    frame_index: int  # the index of the frame in which it begins, from 0
+    start: float  # the time of its first record, in elapsed seconds
+    stop: float  # the time of its last record, in elapsed seconds
+    # Where the actors are at the start, and how fast they were just before; None if it was not looked up.
     impact: Impact | None = None
 
     @property

@@ -53,32 +53,20 @@ class Header:
 
 @dataclass(frozen=True)
 class Extent:
-    """The size of a recording.
+    """The size of a recording."""
 
-    Attributes:
-        frames: The number of frames.
-        last_id: The id of the last one.
-        duration: The elapsed time of the last one, in seconds.
-    """
-
-    frames: int = 0
-    last_id: int = 0
-    duration: float = 0.0
+    frames: int = 0  # the number of frames
+    last_id: int = 0  # the id of the last one
+    duration: float = 0.0  # the elapsed time of the last one, in seconds
 
 
 class Packet:
     """One packet: records of a type, or bytes of an unknown one. Never changes.
 
-    Records are parsed from the payload, and the payload is packed from records, when first asked for.
-
-    Args:
-        id: The packet id, as of CARLA 0.9.16.
-        type: The record type; None for an unknown id.
-        payload: The bytes, where they are a buffer of their own.
-        records: The records, where they are known already.
-        origin: The location of the file that the packet was read from, and the offset in it of the payload, or of the
-            buffer, if known.
-        part: A buffer that holds the payload, and the offset and the size of the payload in it.
+    Records are parsed from the payload, and the payload is packed from records, when first asked for. They are given
+    where they are known, the payload where it is a buffer of its own, else as a `part`: a buffer, and the offset and the
+    size of the payload in it. `origin` is the location of the file that the packet was read from, and the offset in it of
+    the payload, or of the buffer, if known.
     """
 
     __slots__ = ("_origin", "_part", "_payload", "_records", "id", "type")
@@ -92,8 +80,8 @@ class Packet:
         origin: tuple[str, int | None] | None = None,
         part: tuple[Buffer, int, int] | None = None,
     ) -> None:
-        self.id = id
-        self.type = type
+        self.id = id  # as of CARLA 0.9.16
+        self.type = type  # None for an unknown id
         self._payload = payload
         self._records = records
         self._origin = origin
@@ -116,11 +104,7 @@ class Packet:
 
     @property
     def records(self) -> Records:
-        """The records; none for an unknown packet.
-
-        Raises:
-            FormatError: The payload contradicts the type's layout.
-        """
+        """The records; none for an unknown packet, a `FormatError` if the payload contradicts the type's layout."""
         if self._records is None:
             if self.type is None or self.type.opaque:
                 return []

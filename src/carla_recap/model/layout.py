@@ -84,15 +84,10 @@ class Many:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """The fields of a record, in CARLA's order; packed, little-endian. Field k has protobuf field number k.
+    """The fields of a record, in CARLA's order; packed, little-endian. Field k has protobuf field number k."""
 
-    Args:
-        fields: Name → kind, or `Many`.
-        make: The class of a record whose size varies; None where the size is fixed, and records are array rows.
-    """
-
-    fields: dict[str, str | Many]
-    make: type | None = None
+    fields: dict[str, str | Many]  # name → kind, or `Many`
+    make: type | None = None  # the class of a record whose size varies; None: the size is fixed, records are array rows
 
     def dtype(self, wide: bool) -> np.dtype[np.void]:
         """Return the numpy type of a fixed-size record. `wide`: REAL is float64."""
@@ -111,23 +106,14 @@ class Layout:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PacketType:
-    """How the packets of a type are packed.
+    """How the packets of a type are packed."""
 
-    Attributes:
-        name: The name in Python: `frame["transforms"]`.
-        layout: The fields of one record.
-        framing: How the packet counts its records.
-        wide: Whether this is UE5's double-precision layout.
-        opaque: Whether packets are kept as raw bytes, never parsed.
-        dtype: The numpy type of a record; without fields where the size varies.
-    """
-
-    name: str
-    layout: Layout
-    framing: Framing = Framing.LIST
-    wide: bool = False
-    opaque: bool = False
-    dtype: np.dtype[np.void] = field(init=False)
+    name: str  # the name in Python: `frame["transforms"]`
+    layout: Layout  # the fields of one record
+    framing: Framing = Framing.LIST  # how the packet counts its records
+    wide: bool = False  # whether this is UE5's double-precision layout
+    opaque: bool = False  # whether packets are kept as raw bytes, never parsed
+    dtype: np.dtype[np.void] = field(init=False)  # the numpy type of a record; without fields where the size varies
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "dtype", compiled(self).dtype)
@@ -142,17 +128,11 @@ class PacketType:
 
 
 class Numbers:
-    """A step of a layout: numbers that follow each other.
-
-    Attributes:
-        fields: Field number and kind of each, by name.
-        codes: The format character of each, as in `struct`.
-        struct: Their layout.
-    """
+    """A step of a layout: numbers that follow each other."""
 
     def __init__(self, fields: Mapping[str, tuple[int, str]]) -> None:
-        self.fields = fields
-        self.codes = "".join(_STRUCT_CODES[kind] for _, kind in fields.values())
+        self.fields = fields  # field number and kind of each, by name
+        self.codes = "".join(_STRUCT_CODES[kind] for _, kind in fields.values())  # the format characters, as in `struct`
         self.struct = struct.Struct("<" + self.codes)
 
 
@@ -176,18 +156,12 @@ Step = Numbers | Text | Items
 
 
 class CompiledLayout:
-    """A layout as steps.
-
-    Attributes:
-        steps: The steps, in order.
-        make: The class of a record; None where the size is fixed.
-        dtype: The numpy type of a record whose size is fixed.
-    """
+    """A layout as steps."""
 
     def __init__(self, steps: Sequence[Step], make: type | None, dtype: np.dtype[np.void]) -> None:
         self.steps = steps
-        self.make = make
-        self.dtype = dtype
+        self.make = make  # the class of a record; None where the size is fixed
+        self.dtype = dtype  # the numpy type of a record whose size is fixed
 
     @property
     def choices(self) -> int:
@@ -231,35 +205,25 @@ def _compile(layout: Layout, full: Layout, wide: bool) -> CompiledLayout:
 
 
 class Span(NamedTuple):
-    """Some records in a payload.
-
-    Attributes:
-        layout: Their layout.
-        offset: The offset of the first one, in bytes.
-        number: The number of records.
-        records: Of each record whose size varies, what each step of the layout is in the payload: the offset of numbers,
-            the bytes of a text, the span of an array.
-    """
+    """Some records in a payload."""
 
     layout: CompiledLayout
-    offset: int
-    number: int
+    offset: int  # the offset of the first one, in bytes
+    number: int  # the number of records
+    # Of each record whose size varies, what each step of the layout is in the payload: the offset of numbers, the bytes of a
+    # text, the span of an array.
     records: list[list[int | slice | Span]]
 
 
 class _Cursor:
-    """Goes through a payload, and takes the `choice`-th of alternative layouts.
-
-    Attributes:
-        offset: The offset of what comes next, in bytes.
-    """
+    """Goes through a payload, and takes the `choice`-th of alternative layouts."""
 
     def __init__(self, name: str, data: Buffer, choice: int) -> None:
         self._name = name
         self._data = data
         self._size = len(data)
         self._choice = choice
-        self.offset = 0
+        self.offset = 0  # the offset of what comes next, in bytes
 
     def span(self, layout: CompiledLayout, count: int) -> Span:
         """Go over some records."""

@@ -232,10 +232,8 @@ def find_actor(
 ) -> ActorLife:
     """Return the actor that is asked for by its id, or as "hero"; of several that had its id, the first.
 
-    Messages call it `what`, and say the purpose, such as "to follow".
-
-    Raises:
-        RecapError: There is no such actor; the message names the hero, and vehicles and walkers of near ids.
+    If there is none, a `RecapError` names the hero, and vehicles and walkers of near ids; it calls the actor `what`, and
+    says the purpose, such as "to follow".
     """
     known, end = list(known), f" {purpose}" if purpose else ""
     if wanted != HERO and not isinstance(wanted, Integral):

@@ -50,10 +50,8 @@ def possible_step(seconds: Floats | float, speed: Floats | float = np.nan, *, le
     That is three times the way at the recorded velocity, or the way at 100 m/s if none is recorded, and at least 5 m. In
     0.2 s, a step of 19 m is possible, but a jump if the recorded velocity is 30 m/s, which explains 18 m.
 
-    Args:
-        seconds: The time of the step, in s.
-        speed: The greater one of the velocities recorded at its ends, in m/s; NaN if none is.
-        least: The shortest step that can be a jump if no velocity is recorded, in m: 0 where a speed is derived from it.
+    The speed is the greater one of the velocities recorded at the ends of the step, in m/s, NaN if none is. `least` is the
+    shortest step that can be a jump if no velocity is recorded, in m: 0 where a speed is derived from it.
     """
     seconds, speed = np.asarray(seconds), np.asarray(speed)
     return np.where(np.isnan(speed), np.maximum(TOP_SPEED * seconds, least), np.maximum(_SLACK * speed * seconds, JUMP))
@@ -69,14 +67,9 @@ def steps_joined(
 ) -> Booleans:
     """Return whether motion follows from each place of an actor and its next one, (n - 1,).
 
-    It does if the next one is later, by 1 s at most, and not reached by a jump; no place that is not finite is joined.
-
-    Args:
-        time: Elapsed seconds, (n,).
-        places: The places in m, (axes, n).
-        speed: The recorded speeds in m/s, (n,); NaN where none is.
-        actor: A number of the actor at each place, if there are several, one after the other, (n,).
-        longest: The longest time from a place to the next one, in s.
+    It does if the next one is later, by `longest` s at most, without a jump; no place that is not finite is joined.
+    Times are elapsed seconds, (n,), places are in m, (axes, n), and recorded speeds in m/s, (n,), NaN where none is. `actor`
+    is a number of the life at each place, if there are several, one after the other, (n,).
     """
     speed = np.where(np.isfinite(speed), speed, np.nan) * np.ones(len(time))
     with np.errstate(all="ignore"):
@@ -91,12 +84,8 @@ def motion_of(
 ) -> tuple[Floats, Booleans]:
     """Return the velocities at places in m/s, (axes, n), and whether motion follows from each and its next one, (n - 1,).
 
-    Args:
-        time: Elapsed seconds, (n,).
-        places: The places in m, (axes, n).
-        recorded: The recorded velocities in m/s, (axes, n); one counts if it is finite along all axes.
-        actor: A number of the life at each place, if there are several, one after the other, (n,).
-        longest: The longest time from a place to the next one, in s; no velocity is derived over more than 1 s.
+    Arguments are as of `steps_joined`; a recorded velocity in m/s, (axes, n), counts if it is finite along all axes. No
+    velocity is derived over more than 1 s.
     """
     known = np.isfinite(recorded).all(axis=0)
     joined = steps_joined(time, places, np.where(known, np.sqrt((recorded**2).sum(axis=0)), np.nan), actor, longest=longest)
@@ -109,11 +98,8 @@ def motion_of(
 def rates(time: Floats, values: Floats, joined: Booleans, *, period: float | None = None) -> Floats:
     """Return the changes of values per second between the neighbours of each frame, (..., n); NaN without a neighbour.
 
-    Args:
-        time: Elapsed seconds, (n,).
-        values: The values, (..., n).
-        joined: Whether each frame and the next one belong together, (n - 1,).
-        period: Of angles, a whole turn: the change is the shorter way around.
+    Times are elapsed seconds, (n,); `joined` says whether each frame and the next one belong together, (n - 1,). A period is
+    a whole turn of angles, of which the change is the shorter way around.
     """
     before, after = neighbours(joined)
     with np.errstate(all="ignore"):
@@ -146,13 +132,10 @@ def runs(flags: Booleans, joined: Booleans) -> Iterator[tuple[int, int]]:
 def slope(time: Floats, values: Floats, half_window: float, *, joined: Booleans | None = None) -> Floats:
     """Return the slopes of straight lines through the values around each moment; NaN where there are none.
 
-    A single wrong value has little effect on such a slope. At most `MAX_FRAMES` before and after a moment count.
-
-    Args:
-        time: The times of the frames in s, (frames,).
-        values: The values, (series, frames); NaN where they are unknown.
-        half_window: The time before and after a moment of which the values count, in s; the frames next to it do, too.
-        joined: Whether each frame and the next one belong together, (frames - 1,); None: if at most 1 s is between them.
+    A single wrong value has little effect on such a slope. The values of `half_window` before and after a moment count, in
+    s, and the frames next to it, but at most `MAX_FRAMES` on each side. Times are in s, (frames,), and values (series,
+    frames), NaN where they are unknown. `joined` says whether each frame and the next one belong together, (frames - 1,);
+    None: if at most 1 s is between them.
     """
     known = ~np.isnan(values)
     values = np.where(known, values, 0.0)

@@ -223,25 +223,15 @@ _WEATHER = _reals(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RecordType(PacketType):
-    """A row of the table.
+    """A row of the table."""
 
-    Attributes:
-        id: CARLA's packet id, as of 0.9.16.
-        topic: The MCAP topic.
-        message: The protobuf message of `carla_recap.v1` that holds one packet.
-        items: The message's repeated field that holds the records; for `SINGLE`, the field that holds the value.
-        group: The chunk group in MCAP.
-        always: CARLA writes the packet in every frame, empty or not.
-        additional: CARLA writes the packet only when it records additional data.
-    """
-
-    id: int
-    topic: str
-    message: str
-    items: str
-    group: Group = Group.STATE
-    always: bool = False
-    additional: bool = False
+    id: int  # CARLA's packet id, as of 0.9.16
+    topic: str  # the MCAP topic
+    message: str  # the protobuf message of `carla_recap.v1` that holds one packet
+    items: str  # the message's repeated field that holds the records; for `SINGLE`, the field that holds the value
+    group: Group = Group.STATE  # the chunk group in MCAP
+    always: bool = False  # CARLA writes the packet in every frame, empty or not
+    additional: bool = False  # CARLA writes the packet only when it records additional data
 
     def __reduce__(self) -> tuple[Callable[..., RecordType], tuple[Any, ...]]:
         """Other processes have the same table."""
@@ -258,15 +248,11 @@ class RecordType(PacketType):
         return f"carla_recap.v1.{self.message}" + ("Double" if self.wide and self.layout.has_reals else "")
 
     def records(self, values: Any) -> Records:
-        """Return records of this type from arrays, columns, rows or objects.
+        """Return records of this type from values; a `RecordError` if they do not fit names the type and its fields.
 
-        Args:
-            values: A structured array of `dtype`; columns by name (a single value stands for all rows, a missing field is
-                zero); rows, each a tuple, a mapping, or, of a type with one field, a number; where the size varies, objects
-                such as `Spawn`; for a clock, its number.
-
-        Raises:
-            RecordError: The values do not fit; the message names the type and its fields.
+        They are a structured array of `dtype`; columns by name (a single value stands for all rows, a missing field is
+        zero); rows, each a tuple, a mapping, or, of a type with one field, a number; where the size varies, objects such as
+        `Spawn`; for a clock, its number.
         """
         try:
             if not self.fixed:
@@ -413,11 +399,7 @@ class Table(Sequence[RecordType]):
         return self._rows[index]
 
     def named(self, name: str) -> RecordType:
-        """Return the row of a name.
-
-        Raises:
-            RecordError: No type has that name.
-        """
+        """Return the row of a name; a `RecordError` if no type has it."""
         try:
             return self._named[name]
         except KeyError:

@@ -18,19 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Segment:
-    """Consecutive frames in which the records of a type have the same ids, in the same order.
+    """Consecutive frames in which the records of a type have the same ids, in the same order."""
 
-    Attributes:
-        first: The number of the first frame.
-        ids: The ids of the actors of interest, (actors,).
-        columns: The positions of their records in each frame, (actors,).
-        records: All records, (frames, records of each).
-    """
-
-    first: int
-    ids: Ids
-    columns: Indices
-    records: NDArray[np.void]
+    first: int  # the number of the first frame
+    ids: Ids  # the ids of the actors of interest, (actors,)
+    columns: Indices  # the positions of their records in each frame, (actors,)
+    records: NDArray[np.void]  # all records, (frames, records of each)
 
     def __len__(self) -> int:
         return len(self.records)
@@ -83,11 +76,7 @@ def last_of_each(ids: Ids) -> Indices:
 
 
 class SegmentBuffer:
-    """The segments of a record type in the latest frames of a recording.
-
-    Attributes:
-        frames: The number of frames.
-    """
+    """The segments of a record type in the latest frames of a recording."""
 
     def __init__(self) -> None:
         self.frames = 0

@@ -66,14 +66,9 @@ class StationaryTracker:
     """Finds the stationary intervals of all actors in the frames of a recording.
 
     An actor is stationary while it stays within a distance of its anchor, the position that it last moved to, at first that
-    of its first transform. A walker that lies on the ground is not stationary.
-
-    Args:
-        table: The record types of the recording.
-        min_time: The shortest interval to report, in seconds.
-        min_distance: The distance from the anchor at which an actor has moved, in cm.
-        compat: Whether to reproduce the mistakes of CARLA 0.9.16, where the first anchor is the origin of the world, and
-            an interval of 0 s is one, too.
+    of its first transform. A walker that lies on the ground is not stationary. The shortest interval is in s, and the
+    distance from the anchor at which an actor has moved in cm. `compat` reproduces the mistakes of CARLA 0.9.16, where the
+    first anchor is the origin of the world, and an interval of 0 s is one, too.
     """
 
     def __init__(
