@@ -109,8 +109,7 @@ class Exported(NamedTuple):
 def find_format(destination: Path | str, to: str | None = None, *, is_folder: bool = False) -> ExportFormat:
     """Return the format of an export by its name, or by the suffix of the destination, unless that is a folder of several.
 
-    Raises:
-        RecapError: There is no such format, or the destination has another suffix.
+    A `RecapError` says that there is no such format, or that the destination has another suffix.
     """
     if to is not None and to not in FORMATS:
         raise RecapError(f"expected a format of exports, one of {', '.join(FORMATS)}, found {to!r}")

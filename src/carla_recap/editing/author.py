@@ -97,9 +97,6 @@ def packets_of(table: Table, records: Mapping[str, Any], *, additional_data: boo
     """Return the packets of a frame, between its start and its end, in the order of CARLA's recorder.
 
     Types that CARLA writes in each frame, or with additional data, get empty packets if they have no records.
-
-    Raises:
-        RecordError: The records do not fit their type.
     """
     given = {table.named(name).id: values for name, values in records.items()}
     if min(given, default=FRAME_END + 1) <= FRAME_END:

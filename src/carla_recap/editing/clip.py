@@ -79,11 +79,7 @@ def clip(
 
 
 def clip_begin(reader: Reader, start: float) -> float:
-    """Return the elapsed seconds of the first frame of a clip of a recording; see `clip`.
-
-    Raises:
-        RecapError: The start lies outside the recording, or it has no frames.
-    """
+    """Return the elapsed seconds of the first frame of a clip; a `RecapError` if it is outside, or there are no frames."""
     return origin(ClipCutter(reader).first_frame(Player(reader, start=start).start))
 
 
@@ -95,11 +91,7 @@ class ClipCutter:
         self._initial_state = InitialState(reader)
 
     def first_frame(self, start: float) -> Frame:
-        """Return the first frame of a clip that starts at a time.
-
-        Raises:
-            RecapError: The recording has no frames.
-        """
+        """Return the first frame of a clip that starts at a time; a `RecapError` if the recording has none."""
         found = self._reader.frame_at(start)
         if found is None or found.preamble:
             found = next((frame for frame in self._reader.frames() if not frame.preamble), None)

@@ -73,9 +73,7 @@ class TopicCopy:
 
     Copied are messages from `start` to `stop`; times count from `origin`, all in elapsed seconds of the recording. Of topics
     with a single message, such as a map or a calibration, an earlier one is copied, too; its time is that of the start then.
-
-    Warns:
-        RecapWarning: They are left out, since the copy is no MCAP file, which alone can hold them.
+    A `RecapWarning` says that they are left out, since the copy is no MCAP file, which alone can hold them.
     """
 
     def __init__(
@@ -126,11 +124,7 @@ class TopicCopy:
 
 
 def check_destination(source: Path | str, destination: Path | str, *, force: bool) -> None:
-    """Check that a destination is not the source, and that it does not exist or `force` is true.
-
-    Raises:
-        RecapError: It is the source, or it exists.
-    """
+    """Raise `RecapError` if a destination is the source, or if it exists and `force` is false."""
     target = Path(destination)
     with writing(destination):
         same = not is_remote(source) and target.exists() and path_of(source).exists() and target.samefile(path_of(source))
@@ -140,11 +134,7 @@ def check_destination(source: Path | str, destination: Path | str, *, force: boo
 
 
 def check_free(destination: Path | str, *, force: bool) -> None:
-    """Check that a destination does not exist, or that `force` is true.
-
-    Raises:
-        RecapError: It exists, or is a URL.
-    """
+    """Raise `RecapError` if a destination is a URL, or if it exists and `force` is false."""
     check_path(destination)
     with writing(destination):
         exists = Path(destination).exists() or Path(destination).is_symlink()
@@ -153,11 +143,7 @@ def check_free(destination: Path | str, *, force: bool) -> None:
 
 
 def check_new(destination: Path | str, *, force: bool) -> None:
-    """Check that a recording can be written to a destination; see `check_free`.
-
-    Raises:
-        RecapError: The suffix is of no format, the folder is missing, or the destination exists.
-    """
+    """Raise `RecapError` if a recording's suffix is of no format, its folder is missing, or the destination is not free."""
     format_of(destination)
     check_free(destination, force=force)
     path = Path(destination)

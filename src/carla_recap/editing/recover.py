@@ -129,8 +129,7 @@ def finish_partial(
 ) -> RecapError:
     """Finish a recording whose writer has failed with the frames written so far; if that fails, keep the partial file.
 
-    Returns:
-        An error with the reason, and with the end of the recording or the path of the partial file.
+    The error that is returned has the reason, and the end of the recording or the path of the partial file.
     """
     partial = writer.abandon()
     if not partial.exists():

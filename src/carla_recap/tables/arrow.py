@@ -115,9 +115,6 @@ class ParquetFile:
     """Writes a Parquet file table by table, each as a row group; a context manager.
 
     Integers, texts and times are dictionary-encoded; other real numbers are not, which would take three times as long.
-
-    Attributes:
-        rows: The number of rows written.
     """
 
     def __init__(self, path: Path, schema: pa.Schema) -> None:
@@ -136,7 +133,7 @@ class ParquetFile:
                 use_dictionary=[*repeating, "time"] if "time" in schema.names else repeating,
             )
         self._path = path
-        self.rows = 0
+        self.rows = 0  # the number of rows written
 
     def write(self, table: pa.Table) -> None:
         """Add a row group, or raise `RecapError`."""

@@ -25,19 +25,12 @@ _STYLE: Final = "text-align: {}; white-space: nowrap"
 
 
 class Preview(NamedTuple):
-    """What is shown of a table.
+    """What is shown of a table."""
 
-    Attributes:
-        name: What it is a table of.
-        columns: The columns of the rows that are shown, by name.
-        units: The units of columns.
-        length: The number of rows of the whole table.
-    """
-
-    name: str
-    columns: Mapping[str, Sequence[Any]]
-    units: Mapping[str, str]
-    length: int
+    name: str  # what it is a table of
+    columns: Mapping[str, Sequence[Any]]  # the columns of the rows that are shown, by name
+    units: Mapping[str, str]  # the units of columns
+    length: int  # the number of rows of the whole table
 
 
 def first_and_last(values: Any) -> Any:

@@ -79,12 +79,7 @@ def _plain_column(values: Any) -> Any:
 
 
 class RecordTableBuilder:
-    """Collects the records of a type, of the table of the recording's build, from batches.
-
-    Attributes:
-        rows: The number of gathered records.
-        memory: The size of the gathered records in bytes, roughly.
-    """
+    """Collects the records of a type, of the table of the recording's build, from batches."""
 
     def __init__(self, type: RecordType) -> None:
         self._type = type
@@ -115,7 +110,7 @@ class RecordTableBuilder:
         return RecordTable(self._type, frames, times, fields | flags)
 
     def _clear(self) -> None:
-        self.rows = self.memory = 0
+        self.rows = self.memory = 0  # the number of gathered records, and their size in bytes, roughly
         self._frames: list[NDArray[np.uint64]] = []
         self._times: list[NDArray[np.float64]] = []
         self._pieces: list[Fields] = []
@@ -150,12 +145,7 @@ _NO_TIMES: Final = np.empty(0)
 
 
 def record_table(reader: Reader, name: str) -> RecordTable:
-    """Return the records of a type of a recording.
-
-    Raises:
-        RecordError: There is no such type.
-        FormatError: The file contradicts its format.
-    """
+    """Return the records of a type of a recording; a `RecordError` if there is no such type."""
     builder = RecordTableBuilder(reader.header.table.named(name))
     for batch in reader.batches((name,)):
         builder.add(batch)

@@ -181,12 +181,7 @@ class LightStates(Columns):
 
 
 def trajectories(reader: Reader, actors: Collection[int] | None = None, *, axes: Axes = "right-handed") -> Trajectories:
-    """Return the trajectories of some actors, or of all, in one pass over a recording; see `Recording.trajectory`.
-
-    Raises:
-        RecapError: There are no such axes.
-        FormatError: The file contradicts its format.
-    """
+    """Return the trajectories of some actors, or of all, in one pass over a recording; see `Recording.trajectory`."""
     if axes not in get_args(Axes):
         raise RecapError(f"axes must be one of {', '.join(get_args(Axes))}, not {axes!r}")
     return trajectories_of(actor_rows(reader, MOTION, actors), spawn_times(reader), axes=axes)
@@ -248,17 +243,11 @@ def _trajectory(id: int, poses: ActorRows, recorded: ActorRows | None, spawned: 
 
 @dataclass(frozen=True, eq=False)
 class ActorRows:
-    """The records of one actor, a row for each frame that has one.
+    """The records of one actor, a row for each frame that has one."""
 
-    Attributes:
-        frame: The indices of the frames in the recording, (n,).
-        time: The elapsed seconds of the frames, (n,).
-        records: The records, (n,).
-    """
-
-    frame: Integers
-    time: Floats
-    records: NDArray[np.void]
+    frame: Integers  # the indices of the frames in the recording, (n,)
+    time: Floats  # the elapsed seconds of the frames, (n,)
+    records: NDArray[np.void]  # the records, (n,)
 
 
 def actor_rows(

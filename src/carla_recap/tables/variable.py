@@ -26,15 +26,10 @@ Fields = dict[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class Lists:
-    """A list of nested records for each record.
+    """A list of nested records for each record."""
 
-    Attributes:
-        lengths: The number of nested records of each record, (n,).
-        fields: The fields of all nested records, one after the other.
-    """
-
-    lengths: NDArray[np.int64]
-    fields: Fields
+    lengths: NDArray[np.int64]  # the number of nested records of each record, (n,)
+    fields: Fields  # the fields of all nested records, one after the other
 
     def __len__(self) -> int:
         return len(self.lengths)
@@ -52,10 +47,7 @@ class Lists:
 def record_fields(column: Column, frames: int) -> Iterator[tuple[int, int, Fields]]:
     """Yield the fields of the records in a column of packets, for runs of packets with the same counts and texts.
 
-    Only the first packet of a run is parsed.
-
-    Yields:
-        The number of frames, the number of records in each of them, and the fields of all of these records.
+    Each has the numbers of frames and of records in each of them; the first packet of a run alone is parsed.
     """
     assert column.type is not None
     payloads, row = column.payloads(frames), 0

@@ -59,13 +59,8 @@ class AtomicFile:
     If the process dies, the partial file remains, for `recover`: of a live file, everything that was handed over to the
     system; if the system goes down, too, everything that was on the disk, which is at most `_SYNC_SECONDS` behind.
 
-    Args:
-        path: The destination.
-        live: Keep the partial file, too, if the file cannot be finished.
-        force: Replace a file that exists when this one is complete; else that is an error.
-
-    Raises:
-        RecapError: The destination cannot be written to; it may be neither a folder nor a device nor a pipe.
+    If it is `live`, the partial file is kept, too, if it cannot be finished. With `force`, it replaces a file that exists
+    when it is complete; else that is an error. So is a destination that is a folder, a device or a pipe (`RecapError`).
     """
 
     def __init__(self, path: Path | str, *, live: bool = False, force: bool = True) -> None:
@@ -186,11 +181,7 @@ class AtomicFile:
 
 
 class WholeFile(AtomicFile):
-    """A file of bytes; if it is `live`, what is written is synced, so that a partial file remains if the process dies.
-
-    Raises:
-        RecapError: The destination cannot be written to.
-    """
+    """A file of bytes; if it is `live`, what is written is synced, so that a partial file remains if the process dies."""
 
     def __init__(self, path: Path | str, *, live: bool = False, force: bool = True) -> None:
         super().__init__(path, live=live, force=force)

@@ -23,29 +23,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Keywords:
-    """What a function can be called with by keyword, beside its first argument.
-
-    Attributes:
-        names: The names.
-        required: Those without a default.
-        has_any: Whether it takes any others, too.
-    """
+    """What a function can be called with by keyword, beside its first argument."""
 
     names: tuple[str, ...]
-    required: frozenset[str]
-    has_any: bool
+    required: frozenset[str]  # those without a default
+    has_any: bool  # whether it takes any others, too
 
 
 @dataclass(frozen=True, slots=True)
 class FileFunction:
-    """A function in a Python file; the file is run when the function is first called in a process.
+    """A function in a Python file; the file is run when the function is first called in a process."""
 
-    Attributes:
-        path: The absolute path of the file.
-        name: The name of the function.
-    """
-
-    path: str
+    path: str  # the absolute path of the file
     name: str
 
     def __call__(self, *arguments: Any, **keywords: Any) -> Any:
@@ -57,10 +46,7 @@ class FileFunction:
 def function_in(place: str) -> tuple[FileFunction, Keywords | None]:
     """Return the function at a place such as `FILE.py:function`, and what it can be called with, None if that is not plain.
 
-    The file is compiled, and not run.
-
-    Raises:
-        RecapError: There is no such file or function, or the file is no Python.
+    The file is compiled, and not run. A `RecapError` says that there is no such file or function, or that it is no Python.
     """
     file, colon, name = place.rpartition(":")
     if not colon or not file or not name.isidentifier():
