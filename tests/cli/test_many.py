@@ -305,7 +305,7 @@ def test_numbers_of_processes_without_a_sense_are_refused(number):
 def test_limits_of_near_misses_are_options():
     for name, option, value in (
         ("avoided.mcap", "--time-to-collision", 1.2),
-        ("junction.mcap", "--post-encroachment-time", 5),
+        ("blocked.mcap", "--post-encroachment-time", 5),
     ):
         near = json.loads(
             answer("incidents", CROSSING.with_name(name), "--kinds", "near-miss", "--json", option, str(value))

@@ -49,7 +49,7 @@ def test_names_and_folders_are_kept_and_a_failure_is_a_line(runs):
     junk = "carla-recap: runs/c.log: is not a recording (neither CARLA's log nor MCAP)"
     assert messages(done)[1:] == [
         junk,
-        "wrote out/deep/b.mcap: 1200 frames, 59.95 s, 440 kB",
+        "wrote out/deep/b.mcap: 1200 frames, 59.95 s, 427 kB",
         "recordings: 2 done, 0 skipped, 1 failed",
     ]
 
