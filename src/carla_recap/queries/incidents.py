@@ -66,9 +66,6 @@ class IncidentSearch:
     """Finds the incidents of a recording in its batches, which are read for something else, too.
 
     The spawns, the ends and the collisions of all actors are read at once; for `near` and `series`, see `Search`.
-
-    Attributes:
-        actors: The actors until the end of the part that is looked at.
     """
 
     def __init__(
@@ -83,7 +80,7 @@ class IncidentSearch:
         self._source, self._options = source, options
         self._kinds = kinds_named(options.kinds)
         actors, contacts = lives_and_contacts(source, stop=options.stop)
-        self.actors = actors
+        self.actors = actors  # until the end of the part that is looked at
         self._actor = None if options.actor is None else find_actor(source.location, actors, options.actor).id
         search = Search(source=source, options=options, actors=actors, contacts=contacts, near=near, series=series)
         makers = dict.fromkeys(kind.detector for name, kind in KINDS.items() if name in self._kinds)
@@ -102,10 +99,7 @@ class IncidentSearch:
                 self.add(batch)
 
     def add(self, batch: Batch) -> None:
-        """Process the next frames.
-
-        They have at least their transforms, velocities, spawns and destructions, and for roads their states of lights.
-        """
+        """Process frames, with at least transforms, velocities, spawns and destructions, and for roads states of lights."""
         for detector in self._detectors:
             detector.add(batch)
 

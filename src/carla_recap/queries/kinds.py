@@ -112,10 +112,7 @@ KINDS: Final[Mapping[str, IncidentKind]] = {
             singular="near miss",
             plural="near misses",
             text="two actors almost collide; see [near misses](measures.md#near-misses)",
-            measures=(
-                MEASURES["time_to_collision"],
-                MEASURES["post_encroachment_time"],
-            ),
+            measures=(MEASURES["time_to_collision"], MEASURES["post_encroachment_time"]),
             dark="#ffd24d",
             light="#806300",
             detector=NearMissIncidents,
@@ -163,11 +160,7 @@ ALL: Final = "all"
 
 
 def kind_named(text: str) -> IncidentKind:
-    """Return a kind by its name, with spaces, hyphens or underscores.
-
-    Raises:
-        RecapError: There is no such kind.
-    """
+    """Return a kind by its name, with spaces, hyphens or underscores; a `RecapError` if there is none."""
     found = KINDS.get(" ".join(text.replace("-", " ").replace("_", " ").split()).lower())
     if found is None:
         raise RecapError(f"{text!r} is no kind of incident; there are {', '.join(kind.option for kind in KINDS.values())}")
@@ -177,8 +170,7 @@ def kind_named(text: str) -> IncidentKind:
 def kinds_named(kinds: Collection[str] | Literal["all"] | None) -> frozenset[str]:
     """Return the names of kinds; None: those that are found without reading every frame; "all", alone or among them: all.
 
-    Raises:
-        RecapError: There is no such kind.
+    A `RecapError` says that there is no such kind.
     """
     if kinds is None:
         return frozenset(name for name, kind in KINDS.items() if not kind.every_frame)

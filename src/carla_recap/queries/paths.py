@@ -164,10 +164,7 @@ class PathDifference:
     squares: float = 0.0
 
     def add(self, time: Floats, mine: Floats, theirs: Floats, tolerance: float) -> None:
-        """Add the poses of both in the next frames, x, y and z in cm and yaw in degrees, (4, frames).
-
-        Paths differ beyond the tolerance, in m.
-        """
+        """Add the poses of both in the next frames, x, y, z in cm and yaw in degrees, (4, frames); the tolerance is in m."""
         same = (mine == theirs) | (np.isnan(mine) & np.isnan(theirs))
         steps = np.where(same, 0.0, mine - theirs)
         distance = np.sqrt((steps[:3] ** 2).sum(axis=0)) * CM

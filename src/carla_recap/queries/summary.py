@@ -94,16 +94,12 @@ class SummarySearch:
     """Reads the motion of a recording once, for its summary, its incidents, and for what else asks for it.
 
     If the options are about a part of the recording, incidents are looked for in a read of their own.
-
-    Attributes:
-        actors: All actors.
-        incidents: The incidents, after the read.
     """
 
     def __init__(self, source: Reader, options: IncidentOptions) -> None:
         self._source, self._search, self._is_whole = source, IncidentSearch(source, options), options.is_whole
-        self.actors = list(self._search.actors if options.stop == math.inf else actors(source))
-        self.incidents: Sequence[Incident] = ()
+        self.actors = list(self._search.actors if options.stop == math.inf else actors(source))  # all
+        self.incidents: Sequence[Incident] = ()  # after the read
         self._heroes = heroes_of(self.actors)
         self._rows = RowCollector(MOTION, {hero.id for hero in self._heroes})
 

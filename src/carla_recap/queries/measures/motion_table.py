@@ -161,11 +161,7 @@ class MotionTable:
         (x, y, z), yaw = self.offset[actor].T, self.yaw[actor, frame]
         cos, sin = np.cos(yaw), np.sin(yaw)
         return np.stack(
-            (
-                self.x[actor, frame] - cos * x + sin * y,
-                self.y[actor, frame] - sin * x - cos * y,
-                self.z[actor, frame] - z,
-            ),
+            (self.x[actor, frame] - cos * x + sin * y, self.y[actor, frame] - sin * x - cos * y, self.z[actor, frame] - z),
             axis=1,
         )
 

@@ -30,17 +30,12 @@ _BEHIND: Final = 0.5  # m behind a stop line at which a vehicle may still stop
 
 
 class StopLines:
-    """The stop lines of traffic lights and stop signs of a road network.
-
-    Attributes:
-        signal: The signal of each line, (lines,).
-        is_stop: Whether each is that of a stop sign, (lines,).
-        middle: The middle of each: x, y, z in m, (lines, 3).
-    """
+    """The stop lines of traffic lights and stop signs of a road network."""
 
     def __init__(self, network: RoadNetwork) -> None:
         lines = network.stop_lines
         self._kinds = network.signals["kind"][lines["signal"]]
+        # Of each line: its signal and whether it is that of a stop sign, (lines,), and its middle: x, y, z in m, (lines, 3).
         self.signal, self._signals, self.is_stop = lines["signal"], network.signals, self._kinds == roads.STOP
         self.middle = np.stack([(lines[f"{axis}0"] + lines[f"{axis}1"]) / 2 for axis in "xyz"], axis=1)
         self._half = np.hypot(lines["x1"] - lines["x0"], lines["y1"] - lines["y0"]) / 2
