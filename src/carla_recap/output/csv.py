@@ -16,10 +16,7 @@ if TYPE_CHECKING:
 
 
 def csv(answer: AnyAnswer) -> Iterator[str]:
-    """Yield an answer as CSV, in pieces: the names of the fields of the row's class, then a line for each row.
-
-    Numbers that are not finite, and what is unknown, are empty.
-    """
+    """Yield an answer as CSV, in pieces: names of fields, then a line for each row; empty where unknown or not finite."""
     yield heading(answer.row_type)
     yield from rows(answer)
 

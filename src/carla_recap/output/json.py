@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 def json(answer: AnyAnswer, warnings: Sequence[str] | None = None) -> Iterator[str]:
     """Yield an answer as one JSON object, in pieces; its `rows` have the fields and units of the row's class.
 
-    That of info also lists the sensors whose data the recording has.
-
-    Numbers that are not finite become null.
+    That of info also lists the sensors whose data the recording has. Numbers that are not finite become null.
     """
     yield encoded(_header(answer.header))[:-1] + ', "rows": ['
     separator = "\n"
