@@ -129,11 +129,7 @@ def load_rules(path: Path | str) -> RuleSet:
 
 
 def parse_rules(text: str, path: Path | str) -> RuleSet:
-    """Return the rules of a text in TOML; paths of baselines are relative to the folder of its path.
-
-    Raises:
-        RulesError: The text is wrong.
-    """
+    """Return the rules of a text in TOML, with baselines relative to its path's folder; a `RulesError` if it is wrong."""
     for number, line in enumerate(text.split("\n"), 1):
         if line.count(".") > _MOST_DOTS:
             raise RulesError([f"{path}: line {number}: expected keys of a few names, found {line.count('.')} dots"])

@@ -436,10 +436,7 @@ _TABLE: Final = (
         plain="places",
     ),
     ConditionKind(
-        "distance",
-        "each of the actors drives that far; jumps do not count",
-        (OF, bounds(LENGTH), SCOPE),
-        DistanceDriven,
+        "distance", "each of the actors drives that far; jumps do not count", (OF, bounds(LENGTH), SCOPE), DistanceDriven
     ),
     ConditionKind("duration", "the recording is that long", (bounds(TIME),), partial(Size, unit="s")),
     ConditionKind("frames", "the recording has that many frames", (bounds(COUNT),), partial(Size, unit="frames")),
