@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import warnings
 
 import pytest
 from hypothesis import given
@@ -13,7 +14,7 @@ from carla_recap.formats.mcap.index import read_summary
 from carla_recap.formats.mcap.recovery import recover_summary
 from carla_recap.formats.sources import LocalSource
 from tests import strategies
-from tests.formats.mcap.forge import MAGIC, Forge, chunk_places, data_records, message, packed, seal
+from tests.formats.mcap.forge import MAGIC, Forge, chunk_places, chunk_records, data_records, message, packed, seal
 from tests.samples import save
 from tests.waiting import time_limit
 
@@ -50,6 +51,25 @@ def test_a_file_without_an_end_has_all_its_chunks(driven):
     assert sorted(chunk.offset for chunk in summary.chunks) == whole[:-1]
     assert not damage.finished
     assert damage.bytes == 100
+
+
+@pytest.mark.parametrize("repeated", [True, False])
+def test_declarations_that_chunks_repeat_cost_nothing_and_too_many_are_said(driven, monkeypatch, repeated):
+    """Those of 300 bytes, of which memory has room for one."""
+    monkeypatch.setattr("carla_recap.formats.mcap.recovery._DECLARED", 500)
+    parts, number = data_records(driven), 0
+    for index, part in enumerate(parts):
+        if isinstance(part, records.Chunk):
+            schema = records.Schema(id=99, data=bytes(200), encoding="e", name=f"{0 if repeated else number:0100}")
+            parts[index], number = seal(packed(schema) + chunk_records(part)), number + 1
+    whole = Forge(parts).write(driven).read_bytes()
+    save(driven, whole[: offsets_of(whole)[-1]])
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        summary, damage = recovered(driven)
+    assert (len(summary.chunks), damage.chunks, damage.bytes) == (number - 1, 0, 0)
+    assert summary.schemas[99] == f"{0:0100}"
+    left_out = f"{number - 2} schemas and channels that chunks declare are left out, as they are too many or too large"
+    assert [str(each.message) for each in caught] == ([] if repeated else [f"{driven}: {left_out}"])
 
 
 @pytest.mark.parametrize("place", [0, 1, 5, 40, 60, 200])

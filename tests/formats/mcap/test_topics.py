@@ -13,7 +13,7 @@ from mcap import records
 from mcap.reader import make_reader
 from mcap.writer import IndexType
 
-from carla_recap import FormatError, RecapError, RecordError, convert, open_recording
+from carla_recap import FormatError, RecapError, RecapWarning, RecordError, convert, open_recording
 from carla_recap.formats import open_reader
 from carla_recap.formats.mcap.index import ChannelRecord, ChunkIndex, Summary
 from carla_recap.formats.mcap.recovery import recover_summary
@@ -474,7 +474,7 @@ def test_a_schema_that_is_damaged_hides_its_topic_alone(tmp_path):
     data = path.read_bytes()
     broken = packed(schema).replace((100).to_bytes(4, "little") + b"xxxx", (10_000).to_bytes(4, "little") + b"xxxx")
     path.write_bytes(without_crc(data.replace(packed(schema), broken)))
-    with open_recording(path) as recording:
+    with open_recording(path) as recording, pytest.warns(RecapWarning, match="schemas are left out: /bad$"):
         assert list(recording.reader.further_topics()) == ["/good"]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from mcap.opcode import Opcode
 
-from carla_recap.errors import FormatError
+from carla_recap.errors import FormatError, RecapWarning
 from carla_recap.formats.mcap import index, schema
 from carla_recap.model.frame import Header
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 DATA_END_SIZE: Final = 4
 _MODEST: Final = 64 << 10
 _SMALL: Final = 16 << 20  # no record but a chunk is larger
+_DECLARED: Final = 16 << 20  # bytes of declarations in chunks, which stay in memory
 _FALSE_FACTOR: Final = 4  # times the size of the file: bytes read for what turns out to be no chunk
 _FALSE_LEAST: Final = 16 << 20
 _UNPACKED_FACTOR: Final = 100  # times the size of the file: bytes of records that are unpacked
@@ -68,6 +70,9 @@ def recover_summary(source: ByteSource) -> tuple[index.Summary, Damage]:
         scan.take(offset)
     for offset in (offset for name, offset in own.metadata.items() if name not in summary.metadata):
         scan.take(offset)
+    if scan.undeclared:
+        text = f"{scan.undeclared} schemas and channels that chunks declare are left out, as they are too many or too large"
+        warnings.warn(f"{source.location}: {text}", RecapWarning, stacklevel=2)
     _declare_lost(summary)
     summary.chunks.sort(key=lambda chunk: (chunk.start, chunk.offset))
     return summary, damage
@@ -103,7 +108,8 @@ class _Scan:
         self._unpacked = _UNPACKED_LEAST + _UNPACKED_FACTOR * source.size
         self._messages = _MESSAGES_LEAST + source.size // _MESSAGE_BYTES
         self._parsed = index.RECORDS_LIMIT
-        self._declared = _SMALL  # bytes of declarations in chunks, which stay in memory; others do not count
+        self.undeclared = 0  # declarations in chunks beyond what is kept in memory, repeated ones included
+        self._declared = _DECLARED
         self._declarations: set[tuple[int, bytes]] = set()
 
     def take(self, at: int) -> int | None:
@@ -170,12 +176,16 @@ class _Scan:
         chunk, messages, declarations = _described(data, at, size, self._messages)
         self._messages -= messages.total()
         for opcode, content in declarations:
-            if (opcode, content) not in self._declarations and len(content) <= self._declared and self._parsed:
-                self._parsed -= 1
-                self._declared -= len(content)
-                self._declarations.add((opcode, content))
-                with suppress(ValueError):  # a broken one costs no messages
-                    self.in_chunks.add(opcode, memoryview(content))
+            if (opcode, content) in self._declarations:
+                continue
+            if len(content) > self._declared or not self._parsed:
+                self.undeclared += 1
+                continue
+            self._parsed -= 1
+            self._declared -= len(content)
+            self._declarations.add((opcode, content))
+            with suppress(ValueError):  # a broken one costs no messages
+                self.in_chunks.add(opcode, memoryview(content))
         self.summary.counts += messages
         self._false += length
         self.summary.chunks.append(chunk)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import struct
+import warnings
 from collections import Counter, defaultdict
 from contextlib import suppress
 from functools import cached_property
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from mcap.opcode import Opcode
 
-from carla_recap.errors import FormatError, RecapError
+from carla_recap.errors import FormatError, RecapError, RecapWarning
 from carla_recap.formats.base import FurtherTopic, Topic, TopicMessage
 from carla_recap.formats.mcap import index
 from carla_recap.formats.mcap.frames import MESSAGES_LIMIT, PENDING_LIMIT
@@ -79,10 +80,10 @@ class FurtherTopics:
 
     @cached_property
     def topics(self) -> dict[str, FurtherTopic]:
-        """The topics by name, but for those whose schemas are damaged or too large."""
+        """The topics by name, but for those whose schemas are damaged or too large, of which a warning says which."""
         counts, spans = (self._summary.counts, self._spans()) if self._is_indexed else self._measured()
         groups = self._groups()
-        found = {}
+        found, broken = {}, []
         for name, channels in self._channels.items():
             ids = [channel.id for channel in channels]
             known = [spans[id] for id in ids if id in spans]
@@ -92,8 +93,12 @@ class FurtherTopics:
             try:
                 topic = self._topic(channels[0])
             except FormatError:
+                broken.append(name)
                 continue
             found[name] = FurtherTopic(topic, count, first, last, groups.get(ids[0], ""))
+        if broken:
+            text = f"topics with damaged or too large schemas are left out: {first_of(broken)}"
+            warnings.warn(f"{self._source.location}: {text}", RecapWarning, stacklevel=2)
         return found
 
     def messages(
