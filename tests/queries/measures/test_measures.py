@@ -311,6 +311,19 @@ def test_over_time(drive: Drive) -> None:
         time_series(reader, 4)
 
 
+@pytest.mark.parametrize("elements", [64, 1 << 20])
+def test_of_several_at_the_same_distance_the_least_id_is_named(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch, elements: int
+) -> None:
+    """Boxes that overlap, whichever actors are measured and however few pairs are compared at once."""
+    monkeypatch.setattr(pairs, "ELEMENTS", elements)
+    reader = drive([Mover(id, lambda t, id=id: id / 4) for id in (1, 2, 3, 4)], seconds=0.5)  # type: ignore[misc]
+    for actors in ([1, 2, 3, 4], [3, 4], [2, 3]):
+        series = measures_over_time(reader, actors).series
+        for id in actors:
+            assert set(series[id].nearest) == set(series[id].threat) == {2 if id == 1 else 1}
+
+
 @pytest.mark.parametrize("pair", [("hero", "hero"), ("hero", 1), (1, "hero"), (2, 2)])
 def test_a_pair_is_two_different_actors(drive: Drive, pair: tuple[Any, Any]) -> None:
     reader = drive([straight(1, 0, 0, 15, role_name="hero"), straight(2, 40, 0, 10)], seconds=0.5)

@@ -107,7 +107,7 @@ def series_of(
 
 
 class _Least:
-    """The least value of each subject in each frame, and the other actor that it is in relation to."""
+    """The least value of each subject in each frame, and the row of the other actor, the first one of several alike."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.value = np.full(shape, np.inf)
@@ -116,11 +116,12 @@ class _Least:
     def add(self, row: Indices, pairs: PairFrames, values: Floats) -> None:
         """Add values of pairs, whose first actors are the subjects in some rows."""
         kept = np.flatnonzero(values < np.inf)
-        key = row[kept] * self.value.shape[1] + pairs.frame[kept]
-        before = self.value.ravel()[key]
-        np.minimum.at(self.value.ravel(), key, values[kept])
-        is_least = (values[kept] == self.value.ravel()[key]) & (values[kept] < before)
-        self.other.ravel()[key[is_least]] = pairs.other[kept[is_least]]
+        key, value, other = row[kept] * self.value.shape[1] + pairs.frame[kept], self.value.ravel(), self.other.ravel()
+        before = value[key]
+        np.minimum.at(value, key, values[kept])
+        other[key[value[key] < before]] = np.iinfo(other.dtype).max
+        is_least = values[kept] == value[key]
+        np.minimum.at(other, key[is_least], pairs.other[kept[is_least]])
 
 
 def _add_gaps(gaps: _Least, row: Indices, pairs: PairFrames) -> None:
