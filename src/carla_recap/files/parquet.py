@@ -118,7 +118,7 @@ class _RecordFile:
             self.flush()
 
     def flush(self) -> None:
-        """Write the gathered records as a row group."""
+        """Write the collected records as a row group."""
         if not self._builder.rows:
             return
         table = self._builder.take().to_arrow()

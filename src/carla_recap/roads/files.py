@@ -56,7 +56,7 @@ def _parts(path: Path, what: str = "map") -> Iterator[bytes]:
 
 @contextmanager
 def expecting(path: Path, what: str = "an OpenDRIVE map") -> Iterator[None]:
-    """Make errors about the content of a file a `FormatError` that names it, and what was expected."""
+    """Turn errors about the content of a file into a `FormatError` that names the file and what it should be."""
     try:
         yield
     except (ValueError, ArithmeticError) as error:

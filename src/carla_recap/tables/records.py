@@ -102,7 +102,7 @@ class RecordTableBuilder:
             self._add(batch, len(batch), records.shape[1], {name: flat[name] for name in self._type.layout.fields})
 
     def take(self) -> RecordTable:
-        """Return the table of the gathered records, and forget them."""
+        """Return the table of the collected records, and forget them."""
         fields = joined(self._type, self._pieces)
         flags = {name: fields[name] != 0 for name, kind in self._type.layout.fields.items() if kind == FLAG}
         frames, times = np.concatenate([_NO_FRAMES, *self._frames]), np.concatenate([_NO_TIMES, *self._times])
@@ -110,7 +110,7 @@ class RecordTableBuilder:
         return RecordTable(self._type, frames, times, fields | flags)
 
     def _clear(self) -> None:
-        self.rows = self.memory = 0  # the number of gathered records, and their size in bytes, roughly
+        self.rows = self.memory = 0  # the number of collected records, and their size in bytes, roughly
         self._frames: list[NDArray[np.uint64]] = []
         self._times: list[NDArray[np.float64]] = []
         self._pieces: list[Fields] = []

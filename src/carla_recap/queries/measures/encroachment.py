@@ -131,7 +131,7 @@ class _Arrivals(NamedTuple):
     """Moments at which actors are where others were; arrays of one length."""
 
     first: Indices  # the row of the actor that was there first
-    second: Indices  # that of the one that arrives
+    second: Indices  # that of the actor that arrives
     left: Indices  # the moment at which the first one is there
     arrived: Indices
 
@@ -226,7 +226,7 @@ class _Grid:
         )
 
     def _counts(self, hits: _Arrivals, begin: Indices, end: Indices) -> Booleans:
-        """Return in which hits the pair does not touch in the moments around, and the one that arrives does not follow.
+        """Return in which hits the pair does not touch in the moments around, and the second does not follow the first one.
 
         It follows if the other one had the same position and heading before.
         """
