@@ -61,6 +61,13 @@ def frames_in(path):
 # --- chunks ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("time", [math.nan, -math.nan])
+def test_a_duration_that_is_no_number_keeps_its_sign(tmp_path, time):
+    path = write(tmp_path / "run.mcap", HEADER, [Frame(0, 0, 0.0, 0.0, []), Frame(1, 0, time, 0.0, [])])
+    with open_recording(path) as recording:
+        assert math.copysign(1, recording.reader.extent().duration) == math.copysign(1, time)
+
+
 def test_state_and_events_never_share_a_chunk(recording):
     groups = {type.topic: type.group for type in UE4} | {"/carla/raw": Group.STATE, "/frames": Group.STATE}
     groups |= dict.fromkeys(DIGEST, Group.EVENTS)

@@ -80,7 +80,7 @@ def test_at_rest_there_is_no_headway_in_time() -> None:
 
 
 def test_a_leader_that_is_not_slower_requires_no_deceleration() -> None:
-    assert required_deceleration([5, 0, 0], [3, 3, 4], [4, 3, 3]).tolist() == [0, 0, math.inf]
+    assert required_deceleration([5, 0, 0, 0], [3, 3, 4, 1e-200], [4, 3, 3, 0]).tolist() == [0, 0, math.inf, math.inf]
 
 
 def test_what_is_not_a_number_gives_no_number_and_no_warning() -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from functools import cache, partial
-from math import ceil
+from math import ceil, isnan
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from carla_recap.model.frame import Extent, Frame, Header, Packet
 from carla_recap.model.layout import EMPTY_LIST, OBJECTS_LIMIT, Framing, PayloadError, check
 from carla_recap.model.lives import HERO
 from carla_recap.model.records import FRAME_END, FRAME_START, Group
+from carla_recap.util.text import number
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -335,10 +336,11 @@ class McapWriter(ChunkedFile, Writer):
         super()._finish()
 
     def _extent_metadata(self, events_at: int | None) -> dict[str, str]:
+        duration = float(self._extent.duration)
         return {
             "frames": str(self._extent.frames),
             "last_frame": str(self._extent.last_id),
-            "duration": repr(float(self._extent.duration)),
+            "duration": number(duration) if isnan(duration) else repr(duration),
             "hero_ids": ",".join(map(str, self._heroes)),
             "additional_data": str(int(self._additional)),
             "steady_clock": str(int(self._clock.steady)),

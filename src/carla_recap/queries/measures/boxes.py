@@ -108,9 +108,9 @@ def required_deceleration(gap: ArrayLike, speed: ArrayLike, leader_speed: ArrayL
 
     It is the deceleration rate to avoid a crash (DRAC): the squared difference of speeds, in m/s, over twice the gap in m.
     """
-    faster = np.maximum(np.subtract(speed, leader_speed), 0.0)
+    faster, room = np.maximum(np.subtract(speed, leader_speed), 0.0), 2 * np.maximum(gap, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        braking = faster * faster / (2 * np.maximum(gap, 0.0))
+        braking = np.where(room == 0, math.inf, faster * faster / room)
     return np.asarray(np.where(faster > 0, braking, faster))
 
 
