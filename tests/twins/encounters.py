@@ -121,7 +121,7 @@ class Twin:
     def braking(self, a: Pose, leader: Pose, distance: float) -> float:
         """Return the deceleration with which an actor avoids its leader, at a distance from it."""
         faster = max(a.speed - leader.vx * math.cos(a.yaw) - leader.vy * math.sin(a.yaw), 0.0)
-        return faster**2 / (2 * distance) if distance else math.inf if faster else 0.0
+        return faster**2 / (2 * distance) if distance else math.inf if faster > 0 else faster
 
     # --- paths -----------------------------------------------------------------------------------------
 

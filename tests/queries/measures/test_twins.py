@@ -66,7 +66,7 @@ def test_near_misses(tmp_path: Path, seed: int, longest: float, soonest: float, 
 @settings(max_examples=EXAMPLES)
 @example(1117692447, 7)  # an actor that turns where it stands
 @example(2805, 1)  # two leaders at the distance 0
-@example(34194, 1)  # one that is hardly slower
+@example(34194, 1)  # a leader at the distance 0 of an actor whose speed is unknown
 @example(2629714983, 1)  # a contact with an actor that has no pose around then
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1, 7, 23, 1024]))
 def test_measures(tmp_path: Path, seed: int, frames: int) -> None:
