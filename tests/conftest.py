@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 import signal
@@ -47,7 +48,7 @@ _SETTINGS = {
         HealthCheck.data_too_large,
     ],
 }
-settings.register_profile("suite", max_examples=60, derandomize=True, database=None, **_SETTINGS)
+settings.register_profile("suite", max_examples=30, derandomize=True, database=None, **_SETTINGS)
 settings.register_profile("search", max_examples=1500, **_SETTINGS)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "suite"))
 
@@ -62,6 +63,18 @@ _NEEDS = {
     "not installed|could not import": "packages of extras: `make test` installs them",
 }
 """What skipped tests need, by a pattern of the reason."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let one process have all tests of a file, whose fixtures are made once."""
+    if config.getoption("dist", None) == "load":
+        config.option.dist = "loadfile"
+
+
+def pytest_collection_finish() -> None:
+    """Keep what is collected out of the search for garbage, which looks at all of it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -89,8 +89,8 @@ def test_no_callback_of_the_client_is_left_when_the_interpreter_ends(tmp_path: P
         hero.set_attribute("role_name", "hero")
         for pose in world.get_map().get_spawn_points()[:10]:
             world.try_spawn_actor(hero, pose)
-        ended = list(threads.map(interrupted, range(9)))
-    assert [code for code, _ in ended] == [0] * 9, ended
+        ended = list(threads.map(interrupted, range(6)))
+    assert [code for code, _ in ended] == [0] * 6, ended
 
 
 @pytest.mark.parametrize("name", ["a.mcap", "a.log"])

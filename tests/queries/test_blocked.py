@@ -174,7 +174,7 @@ def test_a_repeated_record_behind_packets_without_one(make: Make) -> None:
 
 
 def test_an_actor_that_is_listed_thousands_of_times(make: Make) -> None:
-    count = 18_000
+    count = 6_000
     transforms = np.zeros(count, Header("Town01", 0).table.named("transforms").dtype)
     transforms["id"] = 7
     transforms["x"] = np.where(np.arange(count) % 3 == 2, 100.0, 0.0)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carla_recap import import_tracks, open_recording
+from carla_recap import clip, import_tracks, open_recording
 from carla_recap.model.lives import ROAD_USERS
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.replay import Player
@@ -137,7 +137,8 @@ def recorded(request, tmp_path_factory):
     elif name == "without a spawn":
         path = write(folder / "without.log", without_a_spawn(), tick=0.1)
     else:
-        path = SAMPLES / f"{name.partition(' ')[0]}.mcap"
+        sample, path = f"{name.partition(' ')[0]}.mcap", folder / "clip.mcap"
+        clip(SAMPLES / sample, path, start=10.0, duration=8.0)
     with open_recording(path) as opened:
         yield opened, next(iter(opened.collisions())).elapsed + 1.0 if "middle" in name else 0.0
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
 
-EXAMPLES = int(os.environ.get("TWIN_EXAMPLES", "25"))
+EXAMPLES = int(os.environ.get("TWIN_EXAMPLES", "10"))
 LIMITS = st.one_of(st.sampled_from([0.0, 1.0, 1.5, 3.0]), st.floats(-1, 1.7781).map(lambda power: min(10**power, 60.0)))
 
 
