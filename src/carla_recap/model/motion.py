@@ -54,7 +54,8 @@ def possible_step(seconds: Floats | float, speed: Floats | float = np.nan, *, le
     shortest step that can be a jump if no velocity is recorded, in m: 0 where a speed is derived from it.
     """
     seconds, speed = np.asarray(seconds), np.asarray(speed)
-    return np.where(np.isnan(speed), np.maximum(TOP_SPEED * seconds, least), np.maximum(_SLACK * speed * seconds, JUMP))
+    unknown, derived = np.isnan(speed), np.asarray(np.maximum(TOP_SPEED * seconds, least))
+    return derived if unknown.all() else np.where(unknown, derived, np.maximum(_SLACK * speed * seconds, JUMP))
 
 
 def steps_joined(
@@ -71,7 +72,7 @@ def steps_joined(
     Times are elapsed seconds, (n,), places are in m, (axes, n), and recorded speeds in m/s, (n,), NaN where none is. `actor`
     is a number of the life at each place, if there are several, one after the other, (n,).
     """
-    speed = np.where(np.isfinite(speed), speed, np.nan) * np.ones(len(time))
+    speed = np.broadcast_to(np.where(np.isfinite(speed), speed, np.nan), len(time))
     with np.errstate(all="ignore"):
         seconds, distance = np.diff(time), np.sqrt((np.diff(places) ** 2).sum(axis=0))
         joined = (seconds > 0) & (seconds <= longest)
@@ -88,11 +89,13 @@ def motion_of(
     velocity is derived over more than 1 s.
     """
     known = np.isfinite(recorded).all(axis=0)
-    joined = steps_joined(time, places, np.where(known, np.sqrt((recorded**2).sum(axis=0)), np.nan), actor, longest=longest)
+    speed = np.sqrt((recorded**2).sum(axis=0)) if known.any() else np.nan
+    joined = steps_joined(time, places, speed, actor, longest=longest)
     if known.all():
         return recorded, joined
     near = joined if longest <= LONGEST_STEP else joined & (np.diff(time) <= LONGEST_STEP)
-    return np.where(known, recorded, rates(time, places, near)), joined
+    derived = rates(time, places, near)
+    return np.where(known, recorded, derived) if known.any() else derived, joined
 
 
 def rates(time: Floats, values: Floats, joined: Booleans, *, period: float | None = None) -> Floats:

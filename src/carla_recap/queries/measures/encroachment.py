@@ -202,54 +202,68 @@ class _Grid:
                     there, here = second * len(self.step) + arrived, first * len(self.step) + left
                     dx, dy = then_x.take(there) - x.take(here), then_y.take(there) - y.take(here)
                     reach = table.radius[first] + table.radius[second]
-                    row, at, then = np.nonzero(hit & (dx * dx + dy * dy <= reach * reach) & (lag > 0) & (lag <= lags))
+                    hit = hit & (dx * dx + dy * dy <= reach * reach) & (lag > 0) & (lag <= lags)
+                    row, at, then = np.unravel_index(np.flatnonzero(hit), hit.shape)
                     found.append(
                         self._crossing(
                             _Arrivals(first[row, 0, 0], second[row, 0, 0], left[row, 0, then], arrived[row, at, 0])
                         )
                     )
-        return _Arrivals(*map(np.concatenate, zip(*found, strict=True)))
+        arrivals = _Arrivals(*map(np.concatenate, zip(*found, strict=True)))
+        arrivals = arrivals.take(~self._touching(arrivals))
+        return arrivals.take(~self._following(arrivals))
 
     def _crossing(self, hits: _Arrivals) -> _Arrivals:
-        """Return the hits in which boxes overlap, on one level, on crossing paths, of pairs that do not touch or follow."""
+        """Return the hits in which boxes overlap, on one level, on crossing paths."""
         first, second, left, arrived = hits
         height = (self.table.height[first] + self.table.height[second]) / 2
         kept = np.abs(np.sin(self.yaw[second, arrived] - self.yaw[first, left])) >= _ACROSS
         hits = hits.take(kept & (np.abs(self.z[second, arrived] - self.z[first, left]) <= height))
-        hits = hits.take(overlaps(self._boxes(hits.first, hits.left), self._boxes(hits.second, hits.arrived)))
+        return hits.take(overlaps(self._boxes(hits.first, hits.left), self._boxes(hits.second, hits.arrived)))
+
+    def _around(self, hits: _Arrivals) -> tuple[Indices, Indices]:
+        """Return the first moment within 3 s before each leaving, and the one behind those within 3 s after the arrival."""
         begin = np.searchsorted(self.step, self.step[hits.left] - round(AROUND / STEP))
-        end = np.searchsorted(self.step, self.step[hits.arrived] + round(AROUND / STEP), side="right")
-        few = max(1, ELEMENTS // int((end - begin).max(initial=1)))
-        parts = (slice(start, start + few) for start in range(0, len(begin), few))
-        return hits.take(
-            np.concatenate([np.zeros(0, np.bool_), *(self._counts(hits.take(p), begin[p], end[p]) for p in parts)])
-        )
+        return begin, np.searchsorted(self.step, self.step[hits.arrived] + round(AROUND / STEP), side="right")
 
-    def _counts(self, hits: _Arrivals, begin: Indices, end: Indices) -> Booleans:
-        """Return in which hits the pair does not touch in the moments around, and the second does not follow the first one.
-
-        It follows if the other one had the same position and heading before.
-        """
-        first, second, _, arrived = hits
-        moments = np.minimum(begin[:, None] + np.arange((end - begin).max()), end[:, None] - 1)
-        here, there = (actor[:, None] * len(self.step) + moments for actor in (first, second))
-        x, y = self.x.take(here), self.y.take(here)
-        dx, dy = self.x.take(there) - x, self.y.take(there) - y
-        reach = self.table.radius[first] + self.table.radius[second]
-        row, column = np.nonzero(dx * dx + dy * dy <= (reach * reach)[:, None])
-        near = moments[row, column]
-        touching = np.bincount(row, overlaps(self._boxes(first[row], near), self._boxes(second[row], near)), len(first)) > 0
+    def _touching(self, hits: _Arrivals) -> Booleans:
+        """Return in which hits the pair touches in the moments around."""
+        begin, end = self._around(hits)
+        pairs, pair = np.unique(hits.first * len(self.x) + hits.second, return_inverse=True)
+        found, few = np.zeros(len(pair), np.bool_), max(1, ELEMENTS // max(1, len(self.step)))
+        for start in range(0, len(pairs), few):
+            first, second = np.divmod(pairs[start : start + few], len(self.x))
+            reach = self.table.radius[first] + self.table.radius[second]
+            dx, dy = self.x[second] - self.x[first], self.y[second] - self.y[first]
+            near = dx * dx + dy * dy <= (reach * reach)[:, None]
+            row, moment = np.nonzero(near)
+            near[row, moment] = overlaps(self._boxes(first[row], moment), self._boxes(second[row], moment))
+            count = np.pad(np.cumsum(near, axis=1), ((0, 0), (1, 0)))
+            some = np.flatnonzero((pair >= start) & (pair < start + few))
+            row = pair[some] - start
+            found[some] = count[row, end[some]] > count[row, begin[some]]
         for one, other, frames in self.table.touching:
             times = self.table.clock[frames]
-            is_pair = ((first == one) & (second == other)) | ((first == other) & (second == one))
-            touching |= is_pair & (self.time[begin] <= times[-1] + STEP) & (self.time[end - 1] >= times[0] - STEP)
-        dx, dy = x - self.x[second, arrived, None], y - self.y[second, arrived, None]
-        distance = np.where(moments <= arrived[:, None], dx * dx + dy * dy, math.nan)
-        nearest, rows = np.nan_to_num(distance, nan=math.inf).argmin(axis=1), np.arange(len(first))
-        turn = self.yaw[first, moments[rows, nearest]] - self.yaw[second, arrived]
-        reach = (self.table.width[first] + self.table.width[second]) / 2
-        follows = (distance[rows, nearest] <= reach * reach) & (np.cos(turn) >= _ALONG)
-        return np.asarray(~touching & ~follows)
+            is_pair = ((hits.first == one) & (hits.second == other)) | ((hits.first == other) & (hits.second == one))
+            found |= is_pair & (self.time[begin] <= times[-1] + STEP) & (self.time[end - 1] >= times[0] - STEP)
+        return found
+
+    def _following(self, hits: _Arrivals) -> Booleans:
+        """Return in which hits the second one follows the first, which had the same position and heading before."""
+        begin, found = self._around(hits)[0], np.zeros(len(hits.first), np.bool_)
+        few = max(1, ELEMENTS // int((hits.arrived + 1 - begin).max(initial=1)))
+        for start in range(0, len(begin), few):
+            first, second, _, arrived = hits.take(slice(start, start + few))
+            moments = arrived[:, None] - np.arange(int((arrived + 1 - begin[start : start + few]).max()))[::-1]
+            moments = np.maximum(moments, begin[start : start + few, None])
+            there = first[:, None] * len(self.step) + moments
+            dx, dy = self.x.take(there) - self.x[second, arrived, None], self.y.take(there) - self.y[second, arrived, None]
+            distance = np.nan_to_num(dx * dx + dy * dy, nan=math.inf)
+            nearest, rows = distance.argmin(axis=1), np.arange(len(first))
+            turn = self.yaw[first, moments[rows, nearest]] - self.yaw[second, arrived]
+            reach = (self.table.width[first] + self.table.width[second]) / 2
+            found[start : start + few] = (distance[rows, nearest] <= reach * reach) & (np.cos(turn) >= _ALONG)
+        return found
 
     def _boxes(self, actor: Indices, moment: Indices) -> Boxes:
         table = self.table

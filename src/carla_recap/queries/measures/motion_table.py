@@ -205,9 +205,8 @@ class MotionCollector:
             return
         for buffer, name in ((self._velocities, TYPES[1]), (self._poses, TYPES[0])):
             records = batch.records(name)
-            found = [segment.only(np.isin(segment.ids, self._known)) for segment in segments(records)]
-            buffer.add(found, len(records))
-        self._size = max(1, min(_FRAMES, _VALUES // max(len(found[-1].ids) if found else 0, 1)))
+            buffer.add(segments(records), len(records))
+        self._size = max(1, min(_FRAMES, _VALUES // max(records.shape[1], 1)))
         self._time = np.concatenate((self._time, batch.elapsed))
         yield from self._tables()
 
@@ -226,8 +225,8 @@ class MotionCollector:
                 stop = int(np.searchsorted(clock, clock[last - 1] + self._after, side="right"))
                 margins = first - start + stop - last
                 contacts = self._contacts_within(self._time[start:stop])
-                touching = [id for each in contacts for id in each.ids if id in self._lives]  # also without poses then
-                ids = np.union1d(self._poses.ids(start, stop), np.array(touching, np.uint32))
+                touching = np.array([id for each in contacts for id in each.ids], np.uint32)  # also without poses then
+                ids = np.intersect1d(np.append(self._poses.ids(start, stop), touching), self._known)
                 if last - first <= max(margins, 1) or len(ids) * (stop - start) <= _VALUES:
                     break
                 last = first + (last - first + 1) // 2
@@ -258,8 +257,9 @@ class MotionCollector:
         found = []
         for buffer, fields in ((self._poses, ("x", "y", "z", "yaw")), (self._velocities, "xyz")):
             recorded, known = buffer.dense(fields, ids, start, stop)
-            there = known[rows] & alive
-            found.append((np.where(there, recorded[:, rows].astype(np.float64), np.nan), there))
+            values, there = recorded[:, rows].astype(np.float64), known[rows] & alive
+            np.copyto(values, np.nan, where=~there)
+            found.append((values, there))
         (pose, there), (velocity, _) = found
         boxes = [box_of(actor) for actor in actors]
         size = 2 * np.array([(box.extent_x, box.extent_y, box.extent_z) for box in boxes]).reshape(-1, 3)

@@ -59,7 +59,8 @@ def meeting(bounds: Bounds, ones: Indices, others: Indices, apart: int = 0) -> I
         near = (left[ones, None, here] <= right[None, others, there]) & (
             left[None, others, there] <= right[ones, None, here]
         )
-        one, other, block = np.nonzero(near)  # NaN, of those that are absent, is near nothing
+        found = np.flatnonzero(near)  # NaN, of those that are absent, is near nothing
+        one, other, block = np.unravel_index(found, near.shape)
         one, other, block = ones[one], others[other], block + first
         near = (low[one, block] <= high[other, block - apart]) & (low[other, block - apart] <= high[one, block])
         yield one[near], other[near], block[near]
@@ -236,6 +237,7 @@ def _path_ahead(
     wanted = covered[actor, frame][:, None] + distance
     known = np.minimum(wanted, length[:, None])
     present = np.flatnonzero(~np.isnan(table.x))
+    stations = covered.take(present)
     x, y, yaw = (
         np.where(  # an actor may stand and turn
             distance == 0,
@@ -243,7 +245,7 @@ def _path_ahead(
             np.where(
                 wanted >= length[:, None],
                 values[actor, end][:, None],
-                np.interp(known, covered.take(present), values.take(present)),
+                np.interp(known, stations, values.take(present)),
             ),
         )
         for values in (table.x, table.y, table.heading)
