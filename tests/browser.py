@@ -40,7 +40,14 @@ def browser(*arguments: str) -> Iterator[Chrome]:
 
 
 @pytest.fixture(scope="session")
-def chromium() -> Iterator[Chrome]:
+def shared_browser() -> Iterator[Chrome]:
     """A browser for all tests."""
     with browser("disable-gpu") as chrome:
         yield chrome
+
+
+@pytest.fixture
+def chromium(shared_browser: Chrome) -> Iterator[Chrome]:
+    """The browser for all tests; it keeps no page, which would go on playing beside the tests after it."""
+    yield shared_browser
+    shared_browser.get("about:blank")

@@ -16,14 +16,14 @@ from hypothesis import HealthCheck, settings
 
 from carla_recap import formats
 from carla_recap.model.frame import Header
-from tests.browser import chromium
+from tests.browser import chromium, shared_browser
 from tests.samples import drive, save, small_log, write
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-__all__ = ["chromium"]
+__all__ = ["chromium", "shared_browser"]
 
 # CARLA's library is not published for every system and Python.
 collect_ignore = [] if all(map(find_spec, ("carla", "pymunk", "msgpack"))) else ["capture", "server", "sim"]

@@ -106,10 +106,10 @@ def test_force_keeps_other_files(tmp_path: Path) -> None:
     (tmp_path / "page" / "data").mkdir(parents=True)
     for name in ("mine.txt", "index.html", "data/mine.png"):
         (tmp_path / "page" / name).write_text("mine")
-    page = report(CROSSING, tmp_path / "page", force=True)
+    page = report(record(tmp_path / "a.log", [{}]), tmp_path / "page", force=True)
     assert (page / "mine.txt").read_text() == (page / "data" / "mine.png").read_text() == "mine"
     assert "canvas" in (page / "index.html").read_text()
-    assert names_in(tmp_path) == ["page"]
+    assert names_in(tmp_path) == ["a.log", "page"]
 
 
 def test_a_failure_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,8 +118,8 @@ def test_a_failure_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(module, "copy_files", fail)
     with pytest.raises(RecapError, match="page: cannot be written: No space left"):
-        report(CROSSING, tmp_path / "page")
-    assert names_in(tmp_path) == []
+        report(record(tmp_path / "a.log", [{}]), tmp_path / "page")
+    assert names_in(tmp_path) == ["a.log"]
 
 
 def test_hostile_texts_stay_texts_in_scripts(tmp_path: Path) -> None:
