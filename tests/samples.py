@@ -26,6 +26,7 @@ ROOT = Path(__file__).parents[1]
 """The folder of the repository."""
 
 SAMPLES = ROOT / "samples"
+CRASH, CROSSING = SAMPLES / "crash.mcap", SAMPLES / "crossing.log"
 CARLA_LOGS = ROOT.parent / "shared" / "data" / "carla-logs"
 RANDOM_LOGS = CARLA_LOGS.with_name("random-logs")
 DATE = 1_637_671_165

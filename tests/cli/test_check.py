@@ -17,10 +17,9 @@ from click.testing import CliRunner
 from carla_recap.cli.check import check
 from carla_recap.errors import RecapError
 from tests.cli.command import COMMAND, ENVIRONMENT, error, on_terminal, run, wrote
-from tests.samples import ROOT, names_in, save
+from tests.samples import SAMPLES, names_in, save
 from tests.waiting import time_limit
 
-SAMPLES = ROOT / "samples"
 RULES = SAMPLES / "rules.toml"
 ALONE = ("--jobs", "1")
 """Options that start no processes, which would import the package first."""

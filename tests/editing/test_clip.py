@@ -3,7 +3,6 @@ from __future__ import annotations
 import math
 from contextlib import nullcontext
 from itertools import islice, pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -20,6 +19,7 @@ from carla_recap.queries.incidents import incidents
 from carla_recap.replay.player import Player
 from carla_recap.replay.state import ReplayState
 from tests.samples import (
+    CROSSING,
     carla_log,
     images,
     listed,
@@ -39,11 +39,12 @@ from tests.samples import start as frame_start
 from tests.strategies import recordings, signature
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from carla_recap.formats.base import Reader
     from carla_recap.model.lives import ActorLife
     from carla_recap.replay.scene import Scene
 
-CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
 FORMATS = [(a, b) for a in (".log", ".mcap") for b in (".log", ".mcap")]
 
 

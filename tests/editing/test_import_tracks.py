@@ -16,9 +16,7 @@ import pytest
 from carla_recap import RecapError, RecapWarning, create_recording, export_csv, import_tracks, open_recording
 from carla_recap.model.blueprints import blueprint_sizes
 from carla_recap.model.records import ActorKind, Spawn
-from tests.samples import CARLA_LOGS
-
-SAMPLES = Path(__file__).parents[2] / "samples"
+from tests.samples import CARLA_LOGS, SAMPLES
 
 
 @pytest.fixture

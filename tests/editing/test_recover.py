@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import struct
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -17,6 +16,7 @@ from tests import strategies
 from tests.formats.mcap.forge import MAGIC, chunk_places, edited
 from tests.samples import (
     END,
+    SAMPLES,
     carla_log,
     drive,
     images,
@@ -30,9 +30,6 @@ from tests.samples import (
     write,
 )
 from tests.waiting import time_limit
-
-SAMPLES = Path(__file__).parents[2] / "samples"
-
 
 # --- MCAP ------------------------------------------------------------------------------------------------
 

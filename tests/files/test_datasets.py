@@ -22,13 +22,13 @@ from carla_recap.files.coco import encoded
 from carla_recap.files.nuscenes import TABLES, VERSION
 from carla_recap.sensors.sensing import DETECTION, Sample, sense
 from tests.files.readers import kitti_calibration, kitti_labels, size_of
+from tests.samples import ROOT
 from tests.sensors.cars import AHEAD, BOX, CAMERA_HEIGHT, CARS, GAP, LEFT, RAISED, RIGHT, SPEED, STEP, drive
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from carla_recap.sensors.sensing import SensedFrame
 
-ROOT = Path(__file__).parents[2]
 DEVKIT = ROOT / "build" / "nuscenes" / "bin" / "python"
 PLACE = {"x": 2.0, "y": 0.0, "z": CAMERA_HEIGHT}
 CAMERA = {**PLACE, "width": 800, "height": 600, "fov": 90.0}

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from carla_recap import Spawn, create_recording, export_openscenario, open_recording
+from tests.samples import CRASH
 
-CRASH = Path(__file__).parents[2] / "samples" / "crash.mcap"
 ROWS = [(7, 0, 0, 0, 0, 0, 0), (8, 0, 0, 0, 0, 0, 0)]
 
 

@@ -17,8 +17,8 @@ pytest.importorskip("betterosi", reason="the extra `osi` is not installed")
 
 from carla_recap.files.osi import export_osi
 from carla_recap.files.osi.message_types import GROUND_TRUTH, MAP, message_class
+from tests.samples import SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 BRICKFIELD = Path(__file__).parents[2] / "src" / "carla_recap" / "sim" / "towns" / "Brickfield.xodr"
 
 

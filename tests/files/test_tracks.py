@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import csv
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from carla_recap import RecapError, RecapWarning, Spawn, create_recording, export_csv, open_recording
-
-CRASH = Path(__file__).parents[2] / "samples" / "crash.mcap"
+from tests.samples import CRASH
 
 
 def rows(path):

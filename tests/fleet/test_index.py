@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -18,12 +17,12 @@ from carla_recap.model.records import attributes
 from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.roads import find_map, find_road_network
 from tests.fleet.indexes import contents, recordings
+from tests.samples import SAMPLES
 from tests.sensed import sensed
 from tests.waiting import PATIENCE
 
 pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 NAMES = ("blocked.mcap", "crash.mcap", "crossing.log")
 
 

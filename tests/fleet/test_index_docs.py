@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import pytest
 
 from carla_recap import open_index, write_index
+from tests.samples import ROOT
 
 pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
 
-ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "index-and-sql.md").read_text("utf-8")
 QUESTIONS = re.findall(r"^\*\*\d+\. (.*?)\*\*\n\n```sql\n(.*?)```\n\n```csv\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE)
 OTHERS = set(re.findall("^```sql\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE)) - {query for _, query, _ in QUESTIONS}

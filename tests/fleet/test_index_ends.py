@@ -16,11 +16,11 @@ from benchmarks.campaign import BROKEN, make
 from carla_recap import RecapError, open_index, write_index
 from carla_recap.fleet.index.tables import TABLES
 from tests.fleet.indexes import contents
+from tests.samples import SAMPLES
 from tests.waiting import wait_until
 
 pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 WRITE = """
 import sys
 from carla_recap.fleet.index import writing

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-from pathlib import Path
 from time import process_time
 from xml.etree import ElementTree
 
@@ -11,9 +10,8 @@ from carla_recap.errors import RecapError
 from carla_recap.fleet.check import CheckedRecording
 from carla_recap.fleet.junit import junit, write_junit
 from carla_recap.rules.rule_sets import Verdict, make_rules
-from tests.samples import names_in
+from tests.samples import SAMPLES, names_in
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 CHECKED = [
     CheckedRecording(
         "runs/my run.mcap",

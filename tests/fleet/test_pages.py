@@ -3,7 +3,6 @@ from __future__ import annotations
 import re
 import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -12,10 +11,9 @@ from carla_recap.fleet.pages import MOST, overview, write_pages
 from carla_recap.fleet.sources import find_sources
 from carla_recap.queries.info import info
 from carla_recap.rules.rule_sets import Verdict, load_rules, parse_rules
-from tests.samples import names_in, reading, save
+from tests.samples import SAMPLES, names_in, reading, save
 from tests.show.page.conftest import data
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 RULES = load_rules(SAMPLES / "rules.toml")
 NASTY = "</style></p><img src=x onerror=alert(1)>\"'&amp;\x1b"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -11,10 +11,12 @@ from carla_recap.fleet.outcomes import Outcome
 from carla_recap.fleet.scores import ScoreLimits, checked, score_sources
 from carla_recap.fleet.sources import find_sources
 from carla_recap.queries.score import ScoreOptions
+from tests.samples import CRASH, SAMPLES
 
-SAMPLES = Path(__file__).parents[2] / "samples"
+if TYPE_CHECKING:
+    from pathlib import Path
+
 ROUTES = SAMPLES / "routes.xml"
-CRASH = SAMPLES / "crash.mcap"
 
 
 def of_crash(**options: str) -> Score:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -15,9 +13,7 @@ from carla_recap import ActorKind, RecapError, Spawn, attributes, create_recordi
 from carla_recap.metrics import MetricsLog
 from carla_recap.model.frame import Frame, Header, Packet
 from carla_recap.model.records import UE4
-from tests.samples import write
-
-CRASH = Path(__file__).parents[2] / "samples" / "crash.mcap"
+from tests.samples import CRASH, write
 
 
 def xyz(vector):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from html import escape
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,8 +12,8 @@ import pytest
 
 from carla_recap import create_recording, open_recording
 from tests.replay.scripts import pose, spawn, write
+from tests.samples import CRASH
 
-CRASH = Path(__file__).parents[2] / "samples" / "crash.mcap"
 HERO = 41
 
 

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,15 +13,15 @@ from carla_recap.formats import create_writer
 from carla_recap.model.frame import LAST_FRAME_DURATION, Frame, Header, Packet
 from carla_recap.model.records import FRAME_END, UE4, Spawn, attributes
 from carla_recap.queries.differences import differences
-from tests.samples import RANDOM_LOGS, carla_log, reading
+from tests.samples import RANDOM_LOGS, SAMPLES, carla_log, reading
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
 
     from carla_recap.formats.base import Reader
     from carla_recap.queries.differences import Differences
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 CRASH, JUNCTION = SAMPLES / "crash.mcap", SAMPLES / "junction.mcap"
 HEADER = Header("Town01", 1_600_000_000)
 RATE = 20.0

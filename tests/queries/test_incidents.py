@@ -4,7 +4,6 @@ import json as stdlib
 import math
 import re
 from contextlib import closing
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,15 +22,15 @@ from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.tables import column_names
 from tests.queries.conftest import TICK, write
 from tests.queries.measures.conftest import record, straight
-from tests.samples import carla_log, reading
+from tests.samples import CROSSING, carla_log, reading
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from carla_recap.formats.base import Reader
     from tests.queries.conftest import Make
 
-CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
 RATE = 20.0
 
 

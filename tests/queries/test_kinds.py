@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -20,11 +19,11 @@ from carla_recap.queries.measures import MEASURES, measures
 from carla_recap.rules.rule_sets import check, parse_rules
 from carla_recap.show.page import write_report
 from carla_recap.show.page.script import kind_data
+from tests.samples import CRASH
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable
-
-CRASH = Path(__file__).parents[2] / "samples" / "crash.mcap"
+    from pathlib import Path
 
 
 class FastDetector:

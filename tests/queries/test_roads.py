@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import closing
-from pathlib import Path
 
 import pytest
 
@@ -12,8 +11,8 @@ from carla_recap.formats import open_reader
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.measures import measures_on_roads
 from carla_recap.queries.roads import roads_of
+from tests.samples import CROSSING
 
-CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
 WARNING = "'Crossing' is unknown; rules of the road are left out; --map or CARLA_RECAP_MAPS says where maps are"
 
 

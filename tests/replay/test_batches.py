@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -14,14 +13,14 @@ from carla_recap.formats import create_writer
 from carla_recap.model.frame import Frame, Header
 from carla_recap.replay import Player
 from tests.replay.scripts import FRAMES, build, pose, spawn, state, write
-from tests.samples import carla_log
+from tests.samples import CROSSING, carla_log
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from carla_recap import Recording
     from carla_recap.replay import SceneBatch
     from tests.replay.conftest import Record
-
-CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
 
 
 def same_scenes(recording: Recording, **options: Any) -> list[SceneBatch]:

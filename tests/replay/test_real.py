@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,14 +11,14 @@ from carla_recap import convert, open_recording
 from carla_recap.model.frame import Header
 from carla_recap.replay import Player
 from tests.replay.scripts import build, pose, spawn, velocity, x_of
-from tests.samples import carla_log
+from tests.samples import CROSSING, carla_log
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from carla_recap import Recording
 
-CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
 NAMES = ("carla-0.9.10-lane-center", "carla-0.9.13-lane-center", "crossing")
 
 

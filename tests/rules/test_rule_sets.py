@@ -4,7 +4,6 @@ import shutil
 import subprocess
 import sys
 from contextlib import closing
-from pathlib import Path
 from textwrap import dedent
 
 import pytest
@@ -15,11 +14,8 @@ from carla_recap.formats.mcap.reader import McapReader
 from carla_recap.queries.measures import MEASURES, SHORT_NAMES
 from carla_recap.recording import Recording
 from carla_recap.rules.rule_sets import RulesError, make_rules, parse_rules
-from tests.samples import carla_log, save, warnings_ignored
+from tests.samples import SAMPLES, carla_log, save, warnings_ignored
 from tests.waiting import PATIENCE, time_limit
-
-ROOT = Path(__file__).parents[2]
-SAMPLES = ROOT / "samples"
 
 
 @pytest.fixture

@@ -69,6 +69,13 @@ def port_of(process: subprocess.Popen[str]) -> int:
     return int(process.stdout.readline().rsplit(":", 1)[1])
 
 
+def free_port() -> int:
+    """Return a port at which nothing listens."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
 def refuses_connections(port: int) -> bool:
     """Return whether no server listens at a port."""
     with suppress(ConnectionRefusedError):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -13,9 +12,10 @@ from pathlib import Path
 import pytest
 
 import carla_recap
+from tests.samples import SAMPLES
+from tests.server.client import free_port
 from tests.waiting import PATIENCE
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 SCRIPT = SAMPLES / "leaderboard.sh"
 PEER = Path(__file__).parents[3] / "shared" / "peer"
 FOLDERS = {"LEADERBOARD_ROOT": "leaderboard", "SCENARIO_RUNNER_ROOT": "scenario_runner", "CARLA_ROOT": "carla"}
@@ -66,12 +66,6 @@ def run(environment: dict[str, str], *arguments: object) -> subprocess.Completed
         timeout=PATIENCE,
         check=False,
     )
-
-
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")

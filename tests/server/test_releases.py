@@ -26,13 +26,14 @@ from carla_recap.sim.actors.moving import Vehicle
 from carla_recap.sim.blueprints import standard_library
 from carla_recap.sim.geometry import Transform
 from carla_recap.sim.physics.physics_control import PhysicsControl
+from tests.samples import ROOT
+from tests.server.client import free_port
 from tests.server.inside import Inside
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-ROOT = Path(__file__).parents[2]
 SCRIPT = Path(__file__).with_name("releases_script.py")
 BY_NAME = {release.name: release for release in RELEASES}
 RUN = ("0.9.15", "0.10.0")
@@ -59,12 +60,6 @@ def python_of(release: str) -> str:
     if not python.exists():
         pytest.skip(f"CARLA's client {release} is not installed: `make clients` does that")
     return str(python)
-
-
-def free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 def output_of(release: str, *arguments: object) -> str:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.samples import CRASH
 from tests.server.client import Data, sensor
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     import carla
 
-CRASH = Path(__file__).parents[2] / "samples" / "crash.mcap"
 HERO, WALKER = "vehicle.tesla.model3", "walker.pedestrian.0004"
 START, IMPACT = 9.5, 12.1  # s
 DELTA = 0.05

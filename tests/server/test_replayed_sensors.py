@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import carla
@@ -12,14 +11,14 @@ import pytest
 from carla_recap import open_recording
 from carla_recap.server import running
 from tests.roads.towns import town
-from tests.samples import carla_log
+from tests.samples import SAMPLES, carla_log
 from tests.server.client import SYNCHRONOUS, Data, ahead, connect, of_frame, sensor, settle, spawn, start, straight
 from tests.waiting import PATIENCE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 CRASH, JUNCTION = SAMPLES / "crash.mcap", SAMPLES / "junction.mcap"
 HERO, CHANGING = 41, 54
 """The ids of the hero of one recording, and of a car that changes lanes in the other."""

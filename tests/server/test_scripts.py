@@ -6,10 +6,8 @@ import importlib
 import re
 import runpy
 import signal
-import socket
 import subprocess
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import carla
@@ -19,12 +17,14 @@ from carla_recap.errors import RecapError
 from carla_recap.server import running
 from carla_recap.sim import World, load_town
 from carla_recap.sim.scenarios import Crash
+from tests.samples import SAMPLES
+from tests.server.client import free_port
 from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 TEXTS = {path.stem: path.read_text() for path in SAMPLES.glob("*.py")}
 SCRIPTS = sorted(name for name, text in TEXTS.items() if "from common import" in text and "def main" in text)
 BEHIND = (10.0**2 + 5.0**2) ** 0.5
@@ -53,9 +53,7 @@ def port(recordings: Path) -> Iterator[int]:
 @pytest.fixture(scope="module")
 def traffic() -> int:
     """A port for a traffic manager."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
+    return free_port()
 
 
 def command(port: int, script: str, *arguments: object) -> list[str]:

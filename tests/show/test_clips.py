@@ -1,8 +1,7 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -14,9 +13,10 @@ from carla_recap.queries.incidents import IncidentOptions
 from carla_recap.roads import RoadMap
 from carla_recap.show import rrd
 from carla_recap.show.clips import IncidentClip, clips
-from tests.samples import images, names_in, save
+from tests.samples import CROSSING, images, names_in, save
 
-CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,6 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,15 +20,19 @@ from carla_recap.scene.ahead import NO_LIGHT, stop_points
 from carla_recap.scene.follow import followed_series
 from carla_recap.show.foxglove import export_foxglove, layout_files
 from tests.replay.scripts import light, pose, spawn, write
-from tests.samples import carla_log
+from tests.samples import ROOT, carla_log
 
 pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is not installed")
 
 
+from typing import TYPE_CHECKING
+
 from tests.show.foxglove_reader import BODIES, bodies, corners, latest, moves, panels, read, seen, xyz
 from tests.waiting import PATIENCE
 
-ROOT = Path(__file__).parents[2]
+if TYPE_CHECKING:
+    from pathlib import Path
+
 CROSSING = ROOT / "samples" / "crossing.log"
 NODE = ROOT / "tests" / "node"
 REAL = ("carla-0.9.10-lane-center.log", "carla-0.9.13-lane-center.log")

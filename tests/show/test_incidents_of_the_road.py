@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,14 +17,15 @@ from carla_recap.scene.captions import PlayedIncidents, incident_lines, shown_op
 from carla_recap.show.page import write_report
 from carla_recap.show.video.film import Film
 from tests.roads.straight_road import LIGHT_POSITION, STRAIGHT_ROAD
+from tests.samples import SAMPLES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
     from carla_recap.queries.incidents import Kind
     from carla_recap.recording import Recording
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 TICK = 0.05
 RUN = "vehicle.mini.cooper_s (7) runs a red light at 36 km/h (light 3)"
 

@@ -19,7 +19,7 @@ from carla_recap.roads import RoadMap, load_map
 from carla_recap.scene import style
 from carla_recap.scene.follow import followed_series
 from tests.replay.scripts import light, pose, spawn, write
-from tests.samples import CARLA_LOGS, carla_log, names_in
+from tests.samples import CARLA_LOGS, CROSSING, carla_log, names_in
 
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
@@ -29,7 +29,6 @@ from carla_recap.show.rerun import APPLICATION, blueprint, bodies, meshes, strea
 from carla_recap.show.rrd import export_rerun
 from tests.show.rerun_reader import Arrangement, Rrd
 
-CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
 HERO, BLOCKING, GONE, LATE, CYCLIST, WALKER, LIGHT, SENSOR = 100, 101, 103, 104, 105, 110, 20, 120  # of the crossing
 REAL = ("carla-0.9.10-lane-center", "carla-0.9.13-lane-center")
 ROADS = RoadMap(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ from carla_recap.show.page import write_report
 from carla_recap.show.page.samples import measure, sample
 from carla_recap.show.video.film import Film
 from tests.replay.scripts import light, pose, spawn, write
-from tests.samples import carla_log
+from tests.samples import SAMPLES, carla_log
 from tests.show.page.conftest import WITHOUT_ROADS, data
 
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
@@ -33,7 +32,6 @@ from carla_recap.show.rrd import export_rerun
 from tests.show.foxglove_reader import corners, latest, read, seen, xyz
 from tests.show.rerun_reader import Rrd
 
-SAMPLES = Path(__file__).parents[2] / "samples"
 MOMENTS = 10
 LAMPS = [material for material, finish in MATERIALS.items() if finish.glow is not None and "LAMP" not in material.name]
 PATIENCE = 2.0  # s after which a long stop has a caption

@@ -6,8 +6,7 @@ import json
 import shutil
 import subprocess
 from collections import defaultdict
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -48,8 +47,11 @@ pytest.importorskip("foxglove_schemas_protobuf", reason="the extra foxglove is n
 from mcap_protobuf.decoder import DecoderFactory
 
 from carla_recap.sensors.messages import SensorMessages
+from tests.samples import ROOT
 
-ROOT = Path(__file__).parents[2]
+if TYPE_CHECKING:
+    from pathlib import Path
+
 CRASH = ROOT / "samples" / "crash.mcap"
 NODE = ROOT / "tests" / "node"
 FRAMES = 3

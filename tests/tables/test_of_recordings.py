@@ -21,6 +21,7 @@ from carla_recap.tables.trajectories import Trajectory
 from carla_recap.util.text import readable
 from tests import strategies
 from tests.samples import (
+    CROSSING,
     END,
     carla_log,
     image,
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
 
     from carla_recap import Recording
 
-CROSSING = Path(__file__).parents[2] / "samples" / "crossing.log"
 every_type = pytest.mark.parametrize("name", [type.name for type in UE4 if type.id > 1])
 both_formats = pytest.mark.parametrize("suffix", [".log", ".mcap"])
 

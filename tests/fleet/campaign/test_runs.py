@@ -16,13 +16,12 @@ from carla_recap.fleet.campaign.results import measured
 from carla_recap.sim import World
 from carla_recap.util.functions import FileFunction
 from tests.fleet.campaign import functions
-from tests.samples import names_in
+from tests.samples import SAMPLES, names_in
 from tests.waiting import time_limit
 
 pytest.importorskip("pymunk", reason="the extra `sim` is not installed")
 
 FILE = str(Path(functions.__file__))
-SAMPLES = Path(__file__).parents[3] / "samples"
 NO_TICK = "no tick was recorded; a function that ticks its world was expected, or a duration"
 FAULTS = {
     "raise": "KeyError: 'three' (functions.py)",

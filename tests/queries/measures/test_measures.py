@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import math
 from contextlib import closing
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,13 +13,12 @@ from carla_recap.output.json import json
 from carla_recap.output.text import text
 from carla_recap.queries.measures import MeasureSearch, measures, measures_over_time, pairs, time_series
 from tests.queries.measures.conftest import Mover, straight
+from tests.samples import SAMPLES
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.queries.measures import Measures
     from tests.queries.measures.conftest import Drive
-
-SAMPLES = Path(__file__).parents[3] / "samples"
 
 
 def of(found: Measures, actor: int = 1) -> dict[str, Any]:

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import math
 from contextlib import closing
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,13 +16,12 @@ from carla_recap.queries.measures.near_misses import TYPES, NearMissDetector
 from carla_recap.queries.measures.pairs import paths_meet
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from tests.queries.measures.conftest import Mover, straight
+from tests.samples import SAMPLES
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
     from carla_recap.queries.measures.encroachment import Encounter
     from tests.queries.measures.conftest import Drive
-
-SAMPLES = Path(__file__).parents[3] / "samples"
 
 
 def near_misses(reader: Reader, ids: frozenset[int] | None = None, **thresholds: float) -> list[Encounter]:

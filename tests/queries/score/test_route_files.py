@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from itertools import pairwise
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -12,8 +12,10 @@ from carla_recap.errors import RecapError
 from carla_recap.formats import open_reader
 from carla_recap.queries.score import read_routes, route_for
 from carla_recap.queries.score.route_files import repetition
+from tests.samples import CRASH
 
-CRASH = Path(__file__).parents[3] / "samples" / "crash.mcap"
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 def position(x: object, y: object = 0.0, z: object = 0.0) -> str:

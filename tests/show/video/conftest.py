@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,14 +12,13 @@ from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering.town import TownMesh
 from carla_recap.scene.materials import Material
 from carla_recap.scene.mesh import Mesh
+from tests.samples import SAMPLES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from carla_recap.recording import Recording
     from carla_recap.rendering.process import RenderProcess
-
-SAMPLES = Path(__file__).parents[3] / "samples"
 
 
 def striped_plane() -> TownMesh:

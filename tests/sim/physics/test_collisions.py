@@ -216,9 +216,9 @@ def test_a_walker_that_lies_is_recorded_as_lying_and_not_blocked(tmp_path: Path)
     spawn_car(world, at(5.0), speed=10.0)
     for suffix in (".mcap", ".log"):
         path = world.recorder.start(tmp_path / f"hit{suffix}", in_process=True)
-        world.run(35.0)
+        world.run(12.0)
         world.stop_recorder()
         with open_recording(path) as recording:
-            assert walker.id not in {row.id for row in recording.blocked(30.0)}
+            assert walker.id not in {row.id for row in recording.blocked(8.0)}
             last = list(recording.reader.frames(("transforms",)))[-1].packets[0].records
             assert last["pitch"][last["id"] == walker.id] == -90

@@ -17,10 +17,10 @@ from carla_recap.sim.town.junctions import SignalKind
 from carla_recap.sim.town.lanes import NO_LANE
 from carla_recap.sim.town.loading import BUILT_IN, Town, load_town, main_lanes, make_town
 from tests.roads.towns import lane, mirrored, opendrive, road, section, town
+from tests.samples import ROOT
 from tests.sim.two_levels import two_levels
 from tests.waiting import time_limit
 
-ROOT = Path(__file__).parents[3]
 NAMES = (BUILT_IN, "Town01", "Town02", "Town10HD")
 LIGHT = (
     '<signals><signal name="" id="7" s="{s}" t="-5" zOffset="0" hOffset="0" orientation="{way}" dynamic="yes" country=""'
