@@ -340,7 +340,7 @@ class LogWriter(Writer):
         start = pack_header(header)
         super().__init__(path, live=live, force=force)
         self._shift = UNSHIFT if header.shifted else {}
-        self._sync_at = 0.0
+        self._elapsed, self._unsynced = -math.inf, math.inf  # of the latest frame, and since a sync, in s
         self._begin(lambda: self._put(start))
 
     def write(self, frame: Frame) -> None:
@@ -376,12 +376,15 @@ class LogWriter(Writer):
             if column.size:
                 data[:, offset : offset + column.size] = column.payloads(len(batch))
         self._put(data.data)
-        self._sync_from(batch.elapsed[-1].item())
+        for elapsed in batch.elapsed.tolist() if self._live else ():
+            self._sync_from(elapsed)
 
     def _sync_from(self, elapsed: float) -> None:
-        if self._live and elapsed >= self._sync_at:
+        self._unsynced += abs(elapsed - self._elapsed)
+        self._elapsed = elapsed
+        if self._live and not self._unsynced < SYNC_SECONDS:  # of a time that is no number, too
             self._sync()
-            self._sync_at = elapsed + SYNC_SECONDS
+            self._unsynced = 0.0
 
     def write_tail(self, piece: bytes) -> None:
         """Add bytes after the last complete packet."""

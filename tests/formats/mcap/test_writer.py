@@ -318,16 +318,17 @@ def test_a_packet_that_contradicts_its_type_is_refused(tmp_path):
     assert names_in(tmp_path) == []
 
 
-def test_a_live_file_can_be_recovered_while_it_is_written(tmp_path):
-    with create_writer(tmp_path / "live.mcap", HEADER, live=True) as writer:
-        for frame in drive(12):
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+@pytest.mark.parametrize("before", [0.0, 100.0])
+def test_a_live_file_can_be_recovered_while_it_is_written(tmp_path, suffix, before):
+    with create_writer(tmp_path / f"live{suffix}", HEADER, live=True) as writer:
+        for frame in (Frame(0, 0, before, 0.0, []), *drive(12)):
             writer.write(frame)
         (partial,) = tmp_path.iterdir()
-        save(tmp_path / "crashed.mcap", partial.read_bytes())
-    recovery = recover(tmp_path / "crashed.mcap", tmp_path / "saved.mcap")
-    assert not recovery.finished
-    assert recovery.duration > 12 - 2 * CHUNK_SECONDS
-    assert images(tmp_path / "saved.mcap") == images(tmp_path / "live.mcap")[: recovery.frames]
+        save(tmp_path / f"crashed{suffix}", partial.read_bytes())
+    recovery = recover(tmp_path / f"crashed{suffix}", tmp_path / f"saved{suffix}")
+    assert recovery.frames > 20 * (12 - 2 * CHUNK_SECONDS)
+    assert images(tmp_path / f"saved{suffix}") == images(tmp_path / f"live{suffix}")[: recovery.frames]
 
 
 @pytest.mark.parametrize("live", [False, True])

@@ -52,7 +52,8 @@ class MessageRun(NamedTuple):
 
     def number_before(self, time: int) -> int:
         """Return the number of frames before a log time in ns."""
-        return int(self.time < time) if self.number == 1 else int(np.searchsorted(self.times, time))
+        # A plain int would make numpy compare as floats, which know a time since 1970 to 256 ns.
+        return int(self.time < time) if self.number == 1 else int(np.searchsorted(self.times, np.uint64(time)))
 
     def part(self, start: int, stop: int) -> MessageRun:
         """Return the run of some of the frames."""

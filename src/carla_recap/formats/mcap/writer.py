@@ -90,7 +90,8 @@ class McapWriter(ChunkedFile, Writer):
         self._further_size = 0  # bytes of the chunks of further topics
         self._clock = schema.LogClock(header)
         self._sequence = -1
-        self._cut_at = self._cut_at_frame = 0
+        self._time = self._span = 0  # of the latest frame, and by how much the clock has gone since a cut, in ns
+        self._cut_at_frame = 0
         self._extent = Extent()
         self._heroes: dict[int, None] = {}
         self._additional = False
@@ -110,7 +111,7 @@ class McapWriter(ChunkedFile, Writer):
         """
         self._check_open()
         times = self._clock.times(frame.elapsed)
-        self._begin_frame(times[0])
+        self._begin_frame(times[1])
         if not frame.preamble:
             self._extent = Extent(self._extent.frames + 1, frame.id, frame.elapsed)
         head = codec.head(frame.id, frame.elapsed)
@@ -148,12 +149,15 @@ class McapWriter(ChunkedFile, Writer):
         chunk = self._chunks[Group.STATE]
         room = max(1, ceil((CHUNK_SIZE - chunk.size) / template.size))
         count = min(room, len(batch), self._cut_at_frame - self._sequence)
-        count = max(1, int(np.searchsorted(times[:count, 0], self._cut_at)))
+        cut_at = np.uint64(self._time - self._span + CHUNK_SECONDS * schema.SECOND)
+        count = max(1, int(np.searchsorted(times[:count, 0], cut_at)))
         index = template.number(rows[:count], self._sequence, times[:count])
         chunk.add_records([rows[:count].reshape(-1).data], index, int(times[0, 0]), int(times[count - 1, 0]))
         part = batch[:count]
         self._digest.batch(part, self._sequence)
         self._sequence += count - 1
+        self._span += int(times[count - 1, 0]) - self._time
+        self._time = int(times[count - 1, 0])
         last, elapsed = part.id[-1].item(), part.elapsed[-1].item()
         self._extent = Extent(self._extent.frames + count, last, elapsed)
         self._additional = self._additional or template.additional
@@ -233,14 +237,16 @@ class McapWriter(ChunkedFile, Writer):
     # --- frames to messages --------------------------------------------------------------------------------------------
 
     def _begin_frame(self, time: int) -> None:
-        """Count a frame; cut the chunks where it is late enough."""
+        """Count a frame; cut the chunks where the clock has gone on, or back, by enough."""
         self._sequence += 1
-        if time >= self._cut_at or self._sequence >= self._cut_at_frame:
+        self._span += abs(time - self._time)
+        self._time = time
+        if self._span >= CHUNK_SECONDS * schema.SECOND or self._sequence >= self._cut_at_frame:
             for group in Group:
                 self._cut(group)
             for further in [*self._further_chunks] if self._live else ():
                 self._cut_further(further)
-            self._cut_at = time + CHUNK_SECONDS * schema.SECOND
+            self._span = 0
             self._cut_at_frame = self._sequence + CHUNK_FRAMES
 
     def _template_of(self, batch: Batch) -> FrameTemplate | None:
