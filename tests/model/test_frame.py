@@ -13,7 +13,7 @@ import pytest
 from carla_recap import FormatError, MissingExtra, NotARecording, RecapWarning, RecordError, Spawn
 from carla_recap.formats.mcap.schema import DIGEST
 from carla_recap.model.frame import Frame, Header, Packet
-from carla_recap.model.records import UE4, UE5
+from carla_recap.model.records import UE4, UE5, Physics
 from tests.samples import listed, transform
 
 
@@ -150,3 +150,11 @@ def test_records_can_be_replaced():
     assert other["transforms"]["id"].tolist() == [8]
     assert (other.index, other.id, other.elapsed, other.duration) == (3, 4, 1.5, 0.5)
     assert frame["transforms"]["id"].tolist() == [7]
+
+
+def test_physics_of_ue5_cannot_be_replaced():
+    frame = Frame(0, 1, 0.0, -1.0, [packet_of("transforms", table=UE5)])
+    physics = Physics(7, *[1.0] * 5, 1, 1.0, 1.0, 1500.0, 0.3, *[0.0] * 3, [], [], [], [])
+    with pytest.raises(RecordError, match="physics: records of UE5 builds are kept as bytes"):
+        frame.replace(physics=[physics])
+    assert frame.replace(physics=[]).packets[1].payload == listed()

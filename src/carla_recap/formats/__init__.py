@@ -22,7 +22,6 @@ _PATIENCE = 5.0  # s without a change
 _PAUSE = 0.01  # s
 _MCAP = b"\x89MCAP"
 _MCAP_END = b"\x89MCAP0\r\n"
-_SMALL = 4096  # bytes; a recording without frames is at most this large
 
 
 def open_reader(location: Path | str) -> Reader:
@@ -41,14 +40,14 @@ def open_reader(location: Path | str) -> Reader:
     path = path_of(location)
     since, before = monotonic(), None
     while True:
-        opened = _identity(path)
+        opened = _inode(path)
         reader = _open(location)
-        if opened is None or not _has_no_frames(reader):
+        if not reader.is_empty:
             return reader
         from carla_recap.util.files import partials
 
         left = partials(path)
-        if not left and _identity(path) == opened:
+        if not left and _inode(path) == opened:
             return reader
         if (written := _sizes(left)) != before:
             since, before = monotonic(), written
@@ -60,13 +59,12 @@ def open_reader(location: Path | str) -> Reader:
         sleep(_PAUSE)
 
 
-def _identity(path: Path | str) -> int | None:
-    """Return the inode of a file that may have no frames; None for one that is larger, or cannot be read."""
+def _inode(path: Path) -> int | None:
+    """Return the inode of a file; None for one that cannot be read."""
     try:
-        status = Path(path).stat()
+        return path.stat().st_ino
     except (OSError, ValueError):
         return None
-    return status.st_ino if status.st_size <= _SMALL else None
 
 
 def unfinished(location: Path | str, partials: list[Path]) -> RecapError:
@@ -82,13 +80,6 @@ def _sizes(paths: list[Path]) -> list[int]:
         with suppress(OSError):
             sizes.append(path.stat().st_size)
     return sizes
-
-
-def _has_no_frames(reader: Reader) -> bool:
-    try:
-        return next(reader.frames(), None) is None
-    except RecapError:  # it is damaged
-        return False
 
 
 def _open(location: Path | str) -> Reader:

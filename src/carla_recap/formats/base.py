@@ -76,6 +76,11 @@ class Reader:
     header: Header
     _source: ByteSource
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether the file has a header alone, as that of a recording that has just begun."""
+        raise NotImplementedError
+
     def frames(
         self,
         types: Collection[str] | None = None,

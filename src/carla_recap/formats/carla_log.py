@@ -91,6 +91,11 @@ class LogReader(Reader):
         start = self._window().read(self._start, 1)
         self._preamble = bool(start) and start[0] != FRAME_START
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether the file ends with the header."""
+        return self._start == self._size
+
     def _batches(self, types: Collection[str] | None, start: float, stop: float, *, sparse: bool) -> Iterator[Batch]:
         names = None if types is None else frozenset(self.header.table.named(name).name for name in types)
         first = (0, self._start) if start == -math.inf else self._first_at(start)

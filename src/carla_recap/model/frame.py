@@ -210,7 +210,8 @@ class Frame:
         new: dict[int, Packet] = {}
         for name, values in records.items():
             type = table.named(name)
-            new[type.id] = Packet(type.id, type, records=type.records(values))
+            found = type.records(values)
+            new[type.id] = Packet(type.id, type, pack(type, found), found)
         packets: list[Packet] = []
         for packet in self.packets:
             if packet.id not in new:

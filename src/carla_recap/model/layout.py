@@ -337,6 +337,8 @@ def pack(type: PacketType, records: Records) -> bytes:
         return records.tobytes()
     if len(records) > MAX_COUNT:
         raise RecordError(f"{type.name}: {len(records)} records, but a packet counts at most {MAX_COUNT}")
+    if type.opaque and len(records):
+        raise RecordError(f"{type.name}: records of UE5 builds are kept as bytes, and cannot be written")
     if isinstance(records, np.ndarray):
         return U16.pack(len(records)) + records.tobytes()
     layout = compiled(type)

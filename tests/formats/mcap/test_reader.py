@@ -24,6 +24,7 @@ from carla_recap import (
     convert,
     create_recording,
     create_writer,
+    formats,
     open_recording,
 )
 from carla_recap.formats.mcap import frames as frames_module
@@ -37,6 +38,7 @@ from tests import strategies
 from tests.formats.mcap import forge
 from tests.formats.mcap.forge import Forge, chunk_records, data_records, messages_in, resealed, rewrite, seal
 from tests.samples import (
+    DATE,
     carla_log,
     drive,
     explore,
@@ -703,3 +705,12 @@ def standing(tmp_path):
 
 def holds(chunk, channel):
     return any(each == channel for each, *_ in messages_in(chunk))
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_the_frames_of_a_recording_that_has_begun_are_waited_for_whatever_its_header(tmp_path, monkeypatch, suffix):
+    monkeypatch.setattr(formats, "_PATIENCE", 0.1)
+    path = write(tmp_path / f"run{suffix}", Header("M" * 5000, DATE), [])
+    save(tmp_path / f".run{suffix}.0a0b0c0d.partial", b"")
+    with pytest.warns(RecapWarning, match="is being recorded, or was interrupted"), open_recording(path) as recording:
+        assert list(recording) == []

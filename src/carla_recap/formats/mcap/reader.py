@@ -72,6 +72,11 @@ class McapReader(Reader):
         self._channels = Channels(_match(self._summary, schema.channel_specs(self.header.table)), self.header.table)
 
     @property
+    def is_empty(self) -> bool:
+        """Whether the file has no chunks."""
+        return not self._summary.chunks
+
+    @property
     def bytes_read(self) -> int:
         """How much of the file was read so far."""
         return self._source.bytes_read
