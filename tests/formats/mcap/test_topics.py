@@ -27,6 +27,7 @@ from carla_recap.formats.mcap.writer import (
     McapWriter,
 )
 from carla_recap.formats.sources import LocalSource
+from carla_recap.model.frame import Header
 from tests.formats.mcap.forge import (
     MAGIC,
     Forge,
@@ -295,6 +296,18 @@ def test_the_latest_messages_are_those_of_a_moment(tmp_path):
         assert [message.elapsed for message in reader.latest_messages(names[:1], 1e6)] == [pytest.approx(9.9)]
         with pytest.raises(RecapError, match="has no further topic '/none'"):
             reader.latest_messages(["/none"], 1.0)
+
+
+@pytest.mark.parametrize(("elapsed", "expected"), [(-1.0, []), (math.nan, []), (0.15, [b"1"]), (1e12, [b"4"])])
+def test_a_time_that_mcap_does_not_have_is_before_or_behind_all_messages(tmp_path, elapsed, expected):
+    with McapWriter(tmp_path / "run.mcap", Header("Town01", 0)) as writer:
+        writer.add_topic(plain("/a"))
+        for number in range(5):
+            writer.write_message("/a", number / 10, b"%d" % number)
+    with open_recording(tmp_path / "run.mcap") as recording:
+        reader = recording.reader
+        assert [message.data for message in reader.latest_messages(["/a"], elapsed)] == expected
+        assert [message.data for message in reader.further_messages(["/a"], stop=elapsed)][-1:] == expected
 
 
 def test_the_latest_messages_are_found_where_others_came_late(tmp_path):

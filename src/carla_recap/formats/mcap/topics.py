@@ -115,6 +115,8 @@ class FurtherTopics:
         """
         channels = self._channels_of(topics)
         end = self._clock.at(elapsed + SAME_TIME)
+        if end is None and not elapsed > 0:  # before all times that MCAP has, or none
+            return []
         found: dict[str, tuple[int, bytes]] = {}
         chunks = [chunk for chunk in self._chunks(channels) if end is None or chunk.start < end]
         for chunk in sorted(chunks, key=attrgetter("end"), reverse=True):
@@ -143,7 +145,7 @@ class FurtherTopics:
 
     def _read(self, channels: dict[int, str], start: float, stop: float, *, in_order: bool) -> Iterator[TopicMessage]:
         first, last = self._clock.at(start), self._clock.at(stop)
-        if (first is None and start > 0) or (last is None and stop < 0):
+        if (first is None and not start < 0) or (last is None and not stop > 0):
             return
         chunks = [
             chunk
