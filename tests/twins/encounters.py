@@ -64,11 +64,13 @@ class Twin:
         return [each for each in self.contacts if set(each.ids) == ids]
 
     def thrown(self, row: int, time: float) -> bool:
-        id = self.table.actors[row].id
+        id, spawned_at = self.table.actors[row].key
         for each in self.contacts:
+            if spawned_at > each.stop + 1e-6:
+                continue
             others = [other for other in each.ids if other != id]
             if id in each.ids and others and each.start - 1e-6 <= time <= each.stop + 5:
-                kinds = {actor.kind for actor in self.table.actors if actor.id == others[0]}
+                kinds = {a.kind for a in self.table.actors if a.id == others[0] and a.spawned_at <= each.stop + 1e-6}
                 if "vehicle" in kinds:
                     return True
         return False

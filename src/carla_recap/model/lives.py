@@ -107,6 +107,11 @@ class ActorLife:
         return self.role_name == HERO
 
     @property
+    def key(self) -> tuple[int, float]:
+        """The id and the time at which it appears, which no other actor has both of."""
+        return self.id, self.spawned_at
+
+    @property
     def end(self) -> float:
         """The elapsed seconds at which it disappears; inf if it stays."""
         return math.inf if self.destroyed_at is None else self.destroyed_at

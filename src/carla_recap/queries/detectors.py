@@ -372,8 +372,6 @@ class RoadIncidents(Detector):
 
     def finish(self) -> Iterator[Incident]:
         """See `Detector.finish`."""
-        actors = self._search.actors
-        for kind, id, span, place, measure, extreme, threshold, text in self._roads.finish():
-            if actors.kind(id, span[0]) == "vehicle":
-                text = f"{actors.name(id, span[0])} {text}"
-                yield self._search.incident(kind, (id,), span, place, MEASURES[measure], extreme, threshold, text)
+        for kind, actor, span, place, measure, extreme, threshold, text in self._roads.finish():
+            text = f"{actor.name} {text}"
+            yield self._search.incident(kind, (actor.id,), span, place, MEASURES[measure], extreme, threshold, text)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
-from carla_recap.model.lives import find_actor
+from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.lives import HERO, find_actor
 from carla_recap.queries import Answer
 from carla_recap.queries.detectors import Incident, IncidentOptions, Search
 from carla_recap.queries.kinds import KINDS, kinds_named, kinds_without_roads
@@ -81,7 +82,7 @@ class IncidentSearch:
         self._kinds = kinds_named(options.kinds)
         actors, contacts = lives_and_contacts(source, stop=options.stop)
         self.actors = actors  # until the end of the part that is looked at
-        self._actor = None if options.actor is None else find_actor(source.location, actors, options.actor).id
+        self._actor = None if options.actor is None else find_actor(source.location, actors, options.actor)
         search = Search(source=source, options=options, actors=actors, contacts=contacts, near=near, series=series)
         makers = dict.fromkeys(kind.detector for name, kind in KINDS.items() if name in self._kinds)
         self._detectors = [make(search) for make in makers]
@@ -112,6 +113,13 @@ class IncidentSearch:
             for incident in detector.finish()
             if incident.kind in self._kinds
             and not (incident.start > stop or incident.stop < start)
-            and (self._actor is None or self._actor in incident.actors)
+            and self._takes_part(incident)
         ]
         return Incidents(sorted(found, key=lambda incident: (incident.start, incident.kind)), self._source, compat=False)
+
+    def _takes_part(self, incident: Incident) -> bool:
+        """Return whether the actor that is asked for takes part: the hero, or any that had an id."""
+        actor = self._actor
+        if actor is None or actor.id not in incident.actors:
+            return actor is None
+        return self._options.actor != HERO or self.actors.at(actor.id, incident.start + SAME_TIME) is actor

@@ -9,8 +9,10 @@ import pytest
 
 from carla_recap.errors import RecapError
 from carla_recap.formats import open_reader
+from carla_recap.model.records import Spawn, attributes
 from carla_recap.output.json import json
 from carla_recap.output.text import text
+from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.measures import MeasureSearch, measures, measures_over_time, pairs, time_series
 from tests.queries.measures.conftest import Mover, straight
 from tests.samples import SAMPLES
@@ -226,6 +228,36 @@ def test_any_time_to_collision_takes_paths_that_meet(drive: Drive, seconds: floa
 def street(drive: Drive) -> Reader:
     walker = straight(9, 5, 5, 1, kind=2, type_id="walker.a", size=(0.5, 0.5))
     return drive([straight(3, 0, 0, 10), straight(4, 20, 0, 5), walker], seconds=0.5)
+
+
+@pytest.mark.parametrize("hero", [1, 2])
+def test_of_an_id_that_is_used_again_each_actor_is_measured(drive: Drive, hero: int) -> None:
+    """A car stands for 5 s; another one that gets its id drives at 10 m/s; the first or the second one is the hero."""
+    name = {"role_name": "hero"}
+    again = Spawn(7, 1, type_id="vehicle.mini.cooper_s", attributes=attributes(**(name if hero == 2 else {})))
+    cars = [Mover(7, lambda t: max(t - 5, 0) * 10, role_name="hero" if hero == 1 else ""), Mover(9, lambda _: 500.0)]
+    source = drive(cars, seconds=9.95, events={100: {"destroyed": [(7,)], "spawned": [again]}})
+
+    def speeds(actors: Any) -> list[tuple[int, bool, float]]:
+        found = measures(source, actors)
+        return [(row.actor, row.hero, row.value) for row in found if row.measure == "speed"]
+
+    one, other = (7, hero == 1, pytest.approx(0)), (7, hero == 2, pytest.approx(10))
+    assert speeds("hero") == speeds(None) == [one if hero == 1 else other]
+    assert speeds(7) == speeds([7]) == [one, other]
+    assert [len(time_series(source, name)) for name in ("hero", 7)] == [100, 200]
+    stops = incidents(source, IncidentOptions(kinds=["blocked"], min_time=3, actor="hero"))
+    assert [each.text for each in stops] == (["hero stands still for 5 s"] if hero == 1 else [])
+    assert len(incidents(source, IncidentOptions(kinds=["blocked"], min_time=3, actor=7))) == 1
+
+
+def test_an_actor_that_gets_the_id_of_one_that_was_hit_is_not_thrown(drive: Drive) -> None:
+    walker = Spawn(2, 2, type_id="walker.pedestrian.0001", attributes=[])
+    movers = [straight(1, 0, 0, 10), straight(2, 60, 0, 0, present=lambda t: not 1.2 <= t < 2), straight(3, 500, 0, 0)]
+    events = {20: {"collisions": [(0, 3, 2, 0, 0)]}, 24: {"destroyed": [(2,)]}, 40: {"spawned": [walker]}}
+    source = drive(movers, seconds=5.5, events=events)
+    (found,) = incidents(source, IncidentOptions(kinds=["near miss"], time_to_collision=3))
+    assert found.start < 3
 
 
 def test_without_a_hero_all_vehicles_are_measured(street: Reader) -> None:

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.formats.base import Reader
+    from carla_recap.model.lives import ActorLife
     from carla_recap.queries.measures.definitions import MeasureValues
     from carla_recap.roads.network import RoadNetwork
 
@@ -96,13 +97,13 @@ class Drives:
         """Return what is found in a recording."""
         self.extremes = defaultdict(dict)
 
-        def note(id: int, name: str, found: MeasureValues) -> None:
+        def note(actor: ActorLife, name: str, found: MeasureValues) -> None:
             found = found.only(np.isfinite(found.value))
             if not len(found.value):
                 return
-            best, known = int(found.value.argmax()), self.extremes[id].get(name)
+            best, known = int(found.value.argmax()), self.extremes[actor.id].get(name)
             if found.value[best] > (known.value if known else 0):
-                self.extremes[id][name] = Extreme(float(found.value[best]), float(found.time[best]))
+                self.extremes[actor.id][name] = Extreme(float(found.value[best]), float(found.time[best]))
 
         search = RoadSearch(reader, self.roads, actors(reader), note)
         for batch in reader.batches(TYPES):
@@ -134,7 +135,7 @@ EASTWARD = along(STEADY, x=50)  # the front is at the line at x = 100 after 4.8 
 
 def test_crossing_the_line_on_red_is_found_with_its_time(drives: Drives) -> None:
     (event,) = drives(EASTWARD, lights=lambda _: RED)
-    assert (event.kind, event.id) == ("red light", CAR)
+    assert (event.kind, event.actor.id) == ("red light", CAR)
     assert event.span[0] == pytest.approx(5 - TICK - LENGTH / 2 / 10, abs=0.02)
     assert event.span[1] == pytest.approx(5 - TICK, abs=0.02)
     assert event.text == f"runs a red light at 36 km/h (light {LIGHT})"
@@ -469,10 +470,10 @@ def test_red_light_runs_among_traffic_in_the_built_in_town_are_found_and_no_othe
         assert world.elapsed - start < 60
     world.stop_recorder()
     found = [event for event in events_in(recording) if event.kind == "red light"]
-    assert {event.id: event.span[0] for event in found} == pytest.approx(crossed, abs=0.11)
+    assert {event.actor.id: event.span[0] for event in found} == pytest.approx(crossed, abs=0.11)
     assert len(found) == len(runners)
     for event in found:
-        assert event.text.endswith(f" (light {runners[event.id][2]})")
+        assert event.text.endswith(f" (light {runners[event.actor.id][2]})")
 
 
 def test_law_abiding_traffic_breaks_no_rule(tmp_path: Path) -> None:
@@ -485,6 +486,17 @@ def test_law_abiding_traffic_breaks_no_rule(tmp_path: Path) -> None:
         world.tick()
     world.stop_recorder()
     assert events_in(recording) == []
+
+
+def test_who_gets_the_id_of_a_vehicle_on_the_road_has_not_left_it(drives: Drives) -> None:
+    spawn = Spawn(CAR, 1, type_id="vehicle.mini.cooper_s", attributes=[])
+    poses = [(50.0 + index, -1.75) if index < 50 else (50.0, 60.0) for index in range(100)]
+    frames: list[dict[str, Any]] = [{"transforms": [(CAR, 100 * x, -100 * y, 0.0, 0.0, 0.0, 0.0)]} for x, y in poses]
+    for index in (0, 50):
+        frames[index]["spawned"] = [spawn]
+    write(drives.path, frames, header=Header("Straight", 1_600_000_000), durations=[TICK] * len(frames))
+    with closing(open_reader(drives.path)) as reader:
+        assert drives.search(reader) == []
 
 
 def events_in(recording: Path) -> list[RoadEvent]:

@@ -14,7 +14,7 @@ from carla_recap.fleet.index.tables import CHILDREN
 from carla_recap.formats import open_reader
 from carla_recap.formats.base import DigestPart
 from carla_recap.model.frame import SAME_TIME, Frame
-from carla_recap.model.lives import ROAD_USERS
+from carla_recap.model.lives import HERO, ROAD_USERS
 from carla_recap.model.lives import TYPES as ACTOR_TYPES
 from carla_recap.model.motion import place_in_metres
 from carla_recap.model.stationary import MIN_DISTANCE
@@ -98,14 +98,14 @@ def _content(
     found = actors(reader)
     roads = _roads(info.map_name, road_map) if measured else None
     kinds = None if not measured else "all" if roads is not None else kinds_without_roads()
-    heroes = [actor.id for actor in found if actor.is_hero and actor.kind in ROAD_USERS] if measured else []
+    has_hero = any(actor.is_hero and actor.kind in ROAD_USERS for actor in found)
     stops = listed_intervals(reader, SHORTEST_STOP, MIN_DISTANCE) or []
     rows: dict[str, Iterable[tuple[Any, ...]]] = {
         "actors": map(_actor_row, found),
         "stationary": map(_stop, stops),
         "collisions": map(_fields("collisions"), collisions(reader)),
         "incidents": map(_fields("incidents"), incidents(reader, IncidentOptions(kinds=kinds, roads=roads))),
-        "measures": map(_fields("measures"), measures(reader, heroes, roads=roads) if heroes else ()),
+        "measures": map(_fields("measures"), measures(reader, HERO, roads=roads) if measured and has_hero else ()),
         "sensors": map(_fields("sensors"), recording.sensors),
     }
     children = [_columns(rows[table.name], len(table.hints)) for table in CHILDREN]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries import Answer
 from carla_recap.queries.measures.definitions import MEASURES, NO_OTHER, MeasureRow, MeasureValues
 from carla_recap.queries.measures.drives import BACKGROUND, Drive, comfort, efficiency
@@ -89,18 +90,18 @@ class MeasureSearch:
         self._source, self._start, self._stop = source, start, stop
         self._is_whole = start == -math.inf and stop == math.inf
         lives, self._contacts = lives_and_contacts(source, stop=stop)
-        self._subjects = measured_actors(source, lives, actors)
+        self._subjects = {actor.key: actor for actor in measured_actors(source, lives, actors)}
         self._lives, self._crossings = lives, CrossingSearch(POST_ENCROACHMENT_TIME)
         self._motion = MotionCollector(lives, self._contacts, before=self._crossings.before, after=HORIZON + SEEN)
         self._over_time, self._others = over_time or {}, others
         self._roads = None if roads is None else RoadSearch(source, roads, lives, self._note)
-        traffic = [life.id for life in lives if life.role_name == BACKGROUND]
-        heroes = [id for id, actor in self._subjects.items() if actor.is_hero and actor.kind == "vehicle"]
-        self._heroes, self._traffic = heroes, dict.fromkeys(traffic)
-        self._driven = RowCollector(MOTION, {*heroes, *traffic} if heroes else ())
+        self._heroes = [actor for actor in self._subjects.values() if actor.is_hero and actor.kind == "vehicle"]
+        self._traffic = [life for life in lives if life.role_name == BACKGROUND]
+        self._drivers = {life.id for life in (*self._heroes, *self._traffic)} if self._heroes else set()
+        self._driven = RowCollector(MOTION, self._drivers)
         self._parts: dict[tuple[str, int], list[MeasureValues]] = defaultdict(list)
         self.values: dict[tuple[str, int], MeasureValues] = {}
-        self._rows: dict[tuple[str, int], MeasureRow] = {}
+        self._rows: dict[tuple[str, int, float], MeasureRow] = {}
 
     def find(self) -> Measures:
         """Return the measures."""
@@ -117,52 +118,55 @@ class MeasureSearch:
         for table in self._motion.finish():
             self._measure(table)
         for each in self._crossings.finish():
-            for subject, met in ((each.id2, each.id1), (each.id1, each.id2)):
-                counts = self._others is None or self._others(self._lives.at(met, each.time))
-                if counts and subject in self._subjects:
-                    values = np.array([each.time]), np.array([each.post_encroachment_time]), np.array([met], np.int64)
+            one, other = self._lives.at(each.id1, each.stop + SAME_TIME), self._lives.at(each.id2, each.start + SAME_TIME)
+            for subject, met in ((other, one), (one, other)):
+                if subject is not None and met is not None and (self._others is None or self._others(met)):
+                    values = np.array([each.time]), np.array([each.post_encroachment_time]), np.array([met.id], np.int64)
                     self._note(subject, "post_encroachment_time", MeasureValues(*values))
         self._note_driving()
         if self._roads is not None:
             self._roads.finish()
         for name, ids in self._over_time.items():
             self.values.update({(name, id): MeasureValues.joined(self._parts[name, id]) for id in ids})
-        rows = (self._rows.get((name, id)) for id in self._subjects for name in MEASURES)
+        rows = (self._rows.get((name, *key)) for key in self._subjects for name in MEASURES)
         return Measures(filter(None, rows), self._source, compat=False)
 
     def _measure(self, table: MotionTable) -> None:
         if self._roads is not None:
             self._roads.evaluate(table)
-        rows = np.flatnonzero(np.isin(table.ids, list(self._subjects)))
+        is_subject = np.array([actor.key in self._subjects for actor in table.actors], np.bool_)
+        rows = np.flatnonzero(is_subject)
         if not len(rows):
             return
-        ids = table.ids[rows].tolist()
+        actors = [table.actors[row] for row in rows]
         kept = self._over_time.get("time_to_collision", ())
-        known = [self._rows.get(("time_to_collision", id)) for id in ids]
-        shortest = [math.nan if id in kept else row.value if row else math.inf for id, row in zip(ids, known, strict=True)]
-        series = series_of(table, rows, self._others, shortest=np.array(shortest))
-        for number, id in enumerate(ids):
-            for start, stop in self._contacts.affected(id, _BEFORE_CONTACT):
+        known = (self._rows.get(("time_to_collision", *actor.key)) for actor in actors)
+        shortest = np.array([row.value if row else math.inf for row in known])
+        shortest[[actor.id in kept for actor in actors]] = math.nan
+        series = series_of(table, rows, self._others, shortest=shortest)
+        for number, actor in enumerate(actors):
+            for start, stop in self._contacts.affected(actor.id, _BEFORE_CONTACT):
                 affected = (table.time >= start) & (table.time <= stop)
                 series.acceleration[number, affected] = series.jerk[number, affected] = np.nan
         time, present = table.time[table.core], ~np.isnan(table.x[rows, table.core])
         for measure in MEASURES.values():
             if (values := measure.values_of(series)) is not None:
                 others = getattr(series, measure.other) if measure.other else np.full(values.shape, NO_OTHER)
-                for number, id in enumerate(ids):
+                for number, actor in enumerate(actors):
                     found = MeasureValues(time, values[number, table.core], others[number, table.core])
-                    self._note(id, measure.name, found.only(present[number]))
-        self._crossings.add(table, np.isin(table.ids, ids))
+                    self._note(actor, measure.name, found.only(present[number]))
+        self._crossings.add(table, is_subject)
 
     def _note_driving(self) -> None:
         """Note the numbers of Bench2Drive, of heroes that are vehicles."""
         paths = trajectories_of(self._driven.finish(), self._lives.reuses())
         if self._heroes and not self._is_whole:  # the speeds in a part follow from what is before and after it, too
-            paths = trajectories(self._source, {*self._heroes, *self._traffic})
-        for id in self._heroes:
-            drive = Drive.of(self._subjects[id], paths.get(id, Trajectory.empty(id))).during(self._start, self._stop)
+            paths = trajectories(self._source, self._drivers)
+        others = [paths[other.id].of_life(other) for other in self._traffic if other.id in paths]
+        for hero in self._heroes:
+            path = paths.get(hero.id, Trajectory.empty(hero.id)).of_life(hero)
+            drive = Drive.of(hero, path).during(self._start, self._stop)
             if len(drive) > 1:
-                others = [paths[other] for other in self._traffic if other in paths]
                 driven = stations(drive.position[:, :2])
                 smooth = comfort(drive.time, drive.velocity, drive.yaw)
                 for name, value in (
@@ -170,21 +174,21 @@ class MeasureSearch:
                     ("driving_smoothness", smooth and smooth.smoothness),
                 ):
                     if value is not None:
-                        self._note(id, name, MeasureValues.of(drive.time[-1:], np.array([value])))
+                        self._note(hero, name, MeasureValues.of(drive.time[-1:], np.array([value])))
 
-    def _note(self, id: int, name: str, found: MeasureValues) -> None:
+    def _note(self, actor: ActorLife, name: str, found: MeasureValues) -> None:
         """Note the extreme value of a measure of an actor in some frames, and keep all values if they are asked for."""
         measure, finite = MEASURES[name], np.isfinite(found.value)
-        if id in self._over_time.get(name, ()):
-            self._parts[name, id].append(found._replace(value=np.where(finite, found.value, np.nan)))
+        if actor.id in self._over_time.get(name, ()):
+            self._parts[name, actor.id].append(found._replace(value=np.where(finite, found.value, np.nan)))
         found = found.only(finite)
-        if not len(found.value) or id not in self._subjects:
+        if not len(found.value) or actor.key not in self._subjects:
             return
         best = int(found.value.argmin() if measure.extreme == "least" else found.value.argmax())
         value, time, other = (column[best].item() for column in (found.value, found.time, found.other))
-        known, actor = self._rows.get((name, id)), self._subjects[id]
+        known = self._rows.get((name, *actor.key))
         is_new = value > 0 or not measure.needs_roads if known is None else measure.key(value) < measure.key(known.value)
         if is_new:
             met = None if other == NO_OTHER else self._lives.at(other, time)
-            sides = (id, actor.type_id, actor.is_hero, met.id if met else None, met.type_id if met else "")
-            self._rows[name, id] = MeasureRow(name, *sides, value, measure.unit, time)
+            sides = (actor.id, actor.type_id, actor.is_hero, met.id if met else None, met.type_id if met else "")
+            self._rows[name, *actor.key] = MeasureRow(name, *sides, value, measure.unit, time)

@@ -139,11 +139,16 @@ class MotionTable:
         found = np.zeros(self.x.shape, np.bool_)
         for contact in self.contacts:
             during = (self.time >= contact.start - SAME_TIME) & (self.time <= contact.stop + THROWN)
-            rows = [self.ids == id for id in contact.ids]
+            rows = [(self.ids == id) & (self._spawned <= contact.stop + SAME_TIME) for id in contact.ids]
             for these, others in (rows, rows[::-1]):
                 if (others & self.is_vehicle).any():
                     found[np.ix_(these, during)] = True
         return found
+
+    @cached_property
+    def _spawned(self) -> Floats:
+        """When each actor appears, in elapsed seconds, (actors,)."""
+        return np.array([actor.spawned_at for actor in self.actors], np.float64)
 
     @cached_property
     def _parents(self) -> Integers:

@@ -50,6 +50,8 @@ TOLERANCE: Final = 5 / 3.6
 SPEEDING_TIME: Final = 1.0
 """How long a vehicle has to drive faster than that, in s."""
 
+_Key = tuple[int, float]  # of an actor
+
 _SUMMED: Final = "wrong way"  # the kind of which the values add up
 _INTERVAL: Final = 0.1  # s between the samples of the motion of a vehicle
 _LONGEST: Final = 2.5  # s from one sample to the next
@@ -65,7 +67,7 @@ class RoadEvent(NamedTuple):
     """A vehicle breaks a rule of the road; see `Incident`."""
 
     kind: str
-    id: int  # of the vehicle
+    actor: ActorLife
     span: tuple[float, float]  # from when until when, in elapsed seconds
     place: tuple[float, float, float]  # at the start, in m, right-handed
     measure: str
@@ -85,14 +87,14 @@ class RoadSearch:
         source: Reader,
         network: RoadNetwork,
         actors: Iterable[ActorLife],
-        note: Callable[[int, str, MeasureValues], None] = lambda *_: None,
+        note: Callable[[ActorLife, str, MeasureValues], None] = lambda *_: None,
     ) -> None:
         self._network, self._note = network, note
         self._motion = MotionCollector(actors, before=_LONGEST)
         self.lights = LightHistory(source, network)
         self._lines = StopLines(network)
-        self._first_on_road: dict[int, float] = {}
-        self._slow: dict[int, tuple[float, ...]] = {}  # where the front of each vehicle was when it last stood
+        self._first_on_road: dict[_Key, float] = {}
+        self._slow: dict[_Key, tuple[float, ...]] = {}  # where the front of each vehicle was when it last stood
         self._crossings: list[_Crossing] = []
         self._runs: dict[str, list[_Run]] = defaultdict(list)
 
@@ -107,7 +109,7 @@ class RoadSearch:
         for table in self._motion.finish():
             self.evaluate(table)
         events = [*self._at_lines(), *self._left_road(), *self._wrong_way(), *self._speeding()]
-        return sorted(events, key=lambda event: (event.span[0], event.kind, event.id))
+        return sorted(events, key=lambda event: (event.span[0], event.kind, event.actor.key))
 
     @np.errstate(all="ignore")
     def evaluate(self, table: MotionTable) -> None:
@@ -117,8 +119,8 @@ class RoadSearch:
             return
         at = motion.lanes(self._network)
         on_road = np.flatnonzero(at.on_road)
-        for row in on_road[np.unique(motion.id[on_road], return_index=True)[1]].tolist():
-            self._first_on_road.setdefault(int(motion.id[row]), float(motion.time[row]))
+        for row in on_road[np.unique(motion.row[on_road], return_index=True)[1]].tolist():
+            self._first_on_road.setdefault(motion.actor(row).key, float(motion.time[row]))
         self._cross(motion)
         outside = np.where(np.isfinite(at.outside), at.outside, roads.REACH)
         self._add_runs("off road", motion, outside > OFF_ROAD, outside)
@@ -142,7 +144,7 @@ class RoadSearch:
             part = values[first : last + 1]
             row = first + int(np.nanargmax(part)) if np.isfinite(part).any() else first
             run = _Run(
-                int(motion.id[first]),
+                motion.actor(first),
                 float(motion.time[first]),
                 float(motion.time[last]),
                 tuple(motion.place[first].tolist()),
@@ -157,7 +159,7 @@ class RoadSearch:
         """Note the values at samples, by vehicle."""
         for first, last in motion.spans():
             found = MeasureValues.of(motion.time[first:last], values[first:last])
-            self._note(int(motion.id[first]), measure, found.only(motion.is_new[first:last]))
+            self._note(motion.actor(first), measure, found.only(motion.is_new[first:last]))
 
     def _cross(self, motion: _Motion) -> None:
         """Add the crossings of stop lines by the fronts and by the centres of vehicles."""
@@ -169,9 +171,9 @@ class RoadSearch:
         def stood(row: int) -> tuple[float, ...] | None:
             """Return where the front of a vehicle was when it last stood until a sample; None if it never did."""
             last = slow[np.searchsorted(slow, row, side="right") - 1] if len(slow) else -1
-            if 0 <= last <= row and motion.id[last] == motion.id[row]:
+            if 0 <= last <= row and motion.row[last] == motion.row[row]:
                 return tuple(points[0][last].tolist())
-            return self._slow.get(int(motion.id[row]))
+            return self._slow.get(motion.actor(row).key)
 
         for by_front, point in zip((True, False), points, strict=True):
             found = self._lines.crossed(point[rows - 1], point[rows], motion.yaw[rows])
@@ -180,20 +182,20 @@ class RoadSearch:
                 time = float(motion.time[row] - (1 - share) * motion.seconds[row])
                 place = stood(row - 1) if by_front and self._lines.is_stop[line] else None
                 has_stopped = place is not None and self._lines.is_before(line, place, STOP_ZONE)
-                id, speed, where = int(motion.id[row]), float(motion.speed[row]), tuple(motion.place[row].tolist())
-                self._crossings.append(_Crossing(time, id, line, by_front, speed, where, has_stopped))
+                speed, where = float(motion.speed[row]), tuple(motion.place[row].tolist())
+                self._crossings.append(_Crossing(time, motion.actor(row), line, by_front, speed, where, has_stopped))
         for first, last in motion.spans():
             if (place := stood(last - 1)) is not None:
-                self._slow[int(motion.id[first])] = place
+                self._slow[motion.actor(first).key] = place
 
     def _at_lines(self) -> Iterator[RoadEvent]:
         """Yield where vehicles cross stop lines, with the front and the centre, although they should not."""
-        fronts: dict[tuple[int, int], _Crossing] = {}
+        fronts: dict[tuple[_Key, int], _Crossing] = {}
         for crossing in sorted(self._crossings, key=lambda crossing: (crossing.time, not crossing.by_front)):
             signal = int(self._lines.signal[crossing.line])
             if crossing.by_front:
-                fronts[crossing.id, signal] = crossing
-            front = None if crossing.by_front else fronts.pop((crossing.id, signal), None)
+                fronts[crossing.actor.key, signal] = crossing
+            front = None if crossing.by_front else fronts.pop((crossing.actor.key, signal), None)
             if front is None:
                 continue
             kind, text, threshold = "red light", "", math.nan
@@ -206,17 +208,17 @@ class RoadSearch:
                 text = f"passes a stop sign{at} without stopping"
             if text:
                 span, extreme = (front.time, crossing.time), (front.speed, front.time)
-                yield RoadEvent(kind, crossing.id, span, front.position, "speed", extreme, threshold, text)
+                yield RoadEvent(kind, crossing.actor, span, front.position, "speed", extreme, threshold, text)
 
     def _left_road(self) -> Iterator[RoadEvent]:
         for run in _joined(self._runs["off road"]):
-            if run.stop - run.start >= OFF_ROAD_TIME and run.start > self._first_on_road.get(run.id, math.inf):
+            if run.stop - run.start >= OFF_ROAD_TIME and run.start > self._first_on_road.get(run.actor.key, math.inf):
                 far = f"{run.value:.1f} m" if run.value < roads.REACH else f"more than {roads.REACH:.0f} m"
                 yield run.event("off road", "distance_off_road", OFF_ROAD, f"leaves the road by {far}")
 
     def _wrong_way(self) -> Iterator[RoadEvent]:
         for run in _joined(self._runs[_SUMMED], summed=True):
-            self._note(run.id, "distance_against_lane", MeasureValues.of(np.array([run.start]), np.array([run.value])))
+            self._note(run.actor, "distance_against_lane", MeasureValues.of(np.array([run.start]), np.array([run.value])))
             if run.stop - run.start >= AGAINST_TIME:
                 text = f"drives {run.value:.0f} m against the direction of its lane"
                 yield run.event("wrong way", "distance_against_lane", AGAINST * AGAINST_TIME, text)
@@ -244,12 +246,13 @@ class _Motion:
     """
 
     def __init__(self, table: MotionTable) -> None:
+        self._actors = table.actors
         present = ~np.isnan(table.x) & table.is_vehicle[:, None] & np.isfinite(table.time)
         latest = np.maximum.accumulate(np.where(present, np.arange(len(table.time)), -1), axis=1)
         before = np.pad(latest[:, :-1], ((0, 0), (1, 0)), constant_values=-1)
         step = np.floor(table.time / _INTERVAL + SAME_TIME)
         actor, frame = np.nonzero(present & ((before < 0) | (step != step[before])))
-        self.id, self.time, self.yaw = table.ids[actor], table.time[frame], table.yaw[actor, frame]
+        self.row, self.time, self.yaw = actor, table.time[frame], table.yaw[actor, frame]
         self.speed, self.place = table.speed[actor, frame], table.locations(actor, frame)
         self.is_new = (frame >= table.first) & (frame < table.last)
         boxes = np.array([_box(life) for life in table.actors]).reshape(-1, 2)[actor]
@@ -262,6 +265,10 @@ class _Motion:
             for values in (np.diff(self.time, prepend=np.nan), *steps, np.hypot(*steps))
         )
 
+    def actor(self, sample: int) -> ActorLife:
+        """Return the vehicle of a sample."""
+        return self._actors[self.row[sample]]
+
     def lanes(self, network: RoadNetwork) -> LanePositions:
         """Return the lanes of all samples."""
         way = np.floor(np.cumsum(np.nan_to_num(self.distance)) / _STILL)
@@ -270,14 +277,14 @@ class _Motion:
 
     def spans(self) -> Iterator[tuple[int, int]]:
         """Yield the first sample of each vehicle, and the one after its last."""
-        edges = np.flatnonzero(np.diff(self.id) != 0) + 1
-        yield from zip([0, *edges.tolist()], [*edges.tolist(), len(self.id)], strict=True)
+        edges = np.flatnonzero(np.diff(self.row) != 0) + 1
+        yield from zip([0, *edges.tolist()], [*edges.tolist(), len(self.row)], strict=True)
 
 
 class _Run(NamedTuple):
     """A vehicle does something for some time."""
 
-    id: int  # of the vehicle
+    actor: ActorLife
     start: float  # in elapsed seconds
     stop: float
     position: tuple[float, float, float]  # where it begins
@@ -289,15 +296,15 @@ class _Run(NamedTuple):
     def event(self, kind: str, measure: str, threshold: float, text: str) -> RoadEvent:
         """Return the event that this is."""
         span, extreme = (self.start, self.stop), (self.value, self.time)
-        return RoadEvent(kind, self.id, span, self.position, measure, extreme, threshold, text)
+        return RoadEvent(kind, self.actor, span, self.position, measure, extreme, threshold, text)
 
 
 def _joined(runs: Iterable[_Run], *, summed: bool = False) -> list[_Run]:
     """Return runs, those of a vehicle joined that have a short time between them, or are one that was evaluated in parts."""
     joined: list[_Run] = []
-    for run in sorted(runs, key=lambda run: (run.id, run.start)):
+    for run in sorted(runs, key=lambda run: (run.actor.key, run.start)):
         last = joined[-1] if joined else None
-        if last is not None and last.id == run.id and (run.start - last.stop <= _GAP or run.before == last.stop):
+        if last is not None and last.actor is run.actor and (run.start - last.stop <= _GAP or run.before == last.stop):
             greater = max(last, run, key=lambda part: part.value)
             value = last.value + run.value if summed else greater.value
             time = run.time if summed else greater.time
@@ -311,7 +318,7 @@ class _Crossing(NamedTuple):
     """A vehicle crosses a stop line."""
 
     time: float  # in elapsed seconds
-    id: int  # of the vehicle
+    actor: ActorLife
     line: int
     by_front: bool  # else by its centre
     speed: float  # m/s

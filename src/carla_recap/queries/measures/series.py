@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.lives import HERO, ROAD_USERS, ActorName, find_actor
+from carla_recap.model.lives import HERO, ROAD_USERS, ActorLife, ActorName, find_actor
 from carla_recap.model.motion import slope
 from carla_recap.queries.measures.boxes import gap, required_deceleration, time_headway
 from carla_recap.queries.measures.definitions import NO_OTHER, MeasureSeries
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.contacts import Contacts
-    from carla_recap.model.lives import ActorLife, ActorLives
+    from carla_recap.model.lives import ActorLives
     from carla_recap.queries.measures.motion_table import MotionTable
     from carla_recap.util.arrays import Floats, Indices
 
@@ -135,8 +135,8 @@ def _add_gaps(gaps: _Least, row: Indices, pairs: PairFrames) -> None:
     gaps.add(row[kept], pairs, gap(*pairs.boxes()))
 
 
-Subjects = Collection[int] | Literal["hero", "all"] | None
-"""The actors to measure: their ids, the heroes, all vehicles and walkers; None: the heroes, without one all vehicles."""
+Subjects = int | Collection[int] | Literal["hero", "all"] | None
+"""The actors to measure: an id or ids, the heroes, all vehicles and walkers; None: the heroes, without one all vehicles."""
 
 MeasureMoment: Final = make_dataclass(
     "MeasureMoment",
@@ -189,7 +189,7 @@ def measures_over_time(
         collectors = [SeriesCollector(*measured_actors(source, lives, actors))]
     else:
         first, second = _find_pair(source, lives, *pair)
-        collectors = [SeriesCollector(first, other=second), SeriesCollector(second, other=first)]
+        collectors = [SeriesCollector(*first, others=second), SeriesCollector(*second, others=first)]
     return MeasuresOverTime(_collected(source, lives, contacts, collectors), source)
 
 
@@ -198,8 +198,9 @@ def time_series(
 ) -> MeasureSeries:
     """Return the measures of an actor over time; see `Recording.time_series`."""
     lives, contacts = lives_and_contacts(source)
-    id, met = (_find(source, lives, actor), None) if other is None else _find_pair(source, lives, actor, other)
-    return _collected(source, lives, contacts, [SeriesCollector(id, other=met)], start, stop)[id]
+    pair = (_find(source, lives, actor), None) if other is None else _find_pair(source, lives, actor, other)
+    (series,) = _collected(source, lives, contacts, [SeriesCollector(*pair[0], others=pair[1])], start, stop).values()
+    return series
 
 
 def _collected(
@@ -219,51 +220,60 @@ def _collected(
     return {id: series for each in collectors for id, series in each.finish().items()}
 
 
-def measured_actors(source: Reader, recorded: ActorLives, wanted: Subjects) -> dict[int, ActorLife]:
-    """Return the actors to measure by id; of those that had one id, the first."""
-    movers: dict[int, ActorLife] = {}
-    for actor in recorded:
-        if actor.kind in ROAD_USERS:
-            movers.setdefault(actor.id, actor)
-    heroes = {id: actor for id, actor in movers.items() if actor.is_hero}
+def measured_actors(source: Reader, recorded: ActorLives, wanted: Subjects) -> list[ActorLife]:
+    """Return the actors to measure; an id stands for all that had it."""
+    movers = [actor for actor in recorded if actor.kind in ROAD_USERS]
+    heroes = [actor for actor in movers if actor.is_hero]
     if wanted is None:
-        return heroes or {id: actor for id, actor in movers.items() if actor.kind == "vehicle"}
+        return heroes or [actor for actor in movers if actor.kind == "vehicle"]
     if wanted == "all":
         return movers
     if wanted == HERO:
-        _find(source, movers.values(), HERO)
+        _find(source, movers, HERO)
         return heroes
     if isinstance(wanted, str):
         raise RecapError(f"actors to measure must be ids, 'hero' or 'all', not {wanted!r}")
-    return {id: movers[id] for id in (_find(source, movers.values(), name) for name in wanted)}
+    names = dict.fromkeys(wanted if isinstance(wanted, Collection) else (wanted,))
+    return [actor for name in names for actor in _find(source, movers, name)]
 
 
-def _find(source: Reader, lives: Iterable[ActorLife], name: ActorName) -> int:
+def _find(source: Reader, lives: Iterable[ActorLife], name: ActorName) -> list[ActorLife]:
+    """Return the hero, or all actors that had an id."""
     movers = [each for each in lives if each.kind in ROAD_USERS]
-    return find_actor(source.location, movers, name, "vehicle or walker", "to measure").id
+    found = find_actor(source.location, movers, name, "vehicle or walker", "to measure")
+    return [found] if name == HERO else [each for each in movers if each.id == found.id]
 
 
-def _find_pair(source: Reader, lives: Iterable[ActorLife], name: ActorName, other: ActorName) -> tuple[int, int]:
+def _find_pair(
+    source: Reader, lives: Iterable[ActorLife], name: ActorName, other: ActorName
+) -> tuple[list[ActorLife], list[ActorLife]]:
     first, second = _find(source, lives, name), _find(source, lives, other)
-    if first == second:
+    if first[0].id == second[0].id:
         raise RecapError(f"{source.location}: {name} and {other} are one actor; expected two")
     return first, second
 
 
 class SeriesCollector:
-    """Collects the measures of actors over time from tables of motion, in relation to all others, or to one alone."""
+    """Collects the measures of actors over time from tables of motion, in relation to all others, or to some alone.
 
-    def __init__(self, *actors: int, other: int | None = None) -> None:
-        self._other = other
-        self._parts: dict[int, list[MeasureSeries]] = {id: [_NONE] for id in actors}
+    An id stands for all actors that had it.
+    """
+
+    def __init__(self, *actors: int | ActorLife, others: Collection[ActorLife] | None = None) -> None:
+        self._wanted = {actor.key if isinstance(actor, ActorLife) else actor for actor in actors}
+        self._others = None if others is None else {actor.key for actor in others}
+        self._parts: dict[int, list[MeasureSeries]] = {
+            actor.id if isinstance(actor, ActorLife) else actor: [_NONE] for actor in actors
+        }
 
     def add(self, table: MotionTable) -> None:
         """Add a table."""
-        rows = np.flatnonzero(np.isin(table.ids, list(self._parts)))
-        if not len(rows) or self._other not in (None, *table.ids.tolist()):
+        rows = np.flatnonzero([not self._wanted.isdisjoint((actor.id, actor.key)) for actor in table.actors])
+        if not len(rows):
             return
-        others = None if self._other is None else lambda life: life.id == self._other
-        found = series_of(table, rows, others).columns().values()
+        others = self._others
+        counts = None if others is None else lambda actor: actor.key in others
+        found = series_of(table, rows, counts).columns().values()
         for number, row in enumerate(rows.tolist()):
             present = np.flatnonzero(~np.isnan(table.x[row, table.core])) + table.first
             self._parts[int(table.ids[row])].append(MeasureSeries(*(values[number, present] for values in found)))
