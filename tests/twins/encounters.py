@@ -63,6 +63,13 @@ class Twin:
         ids = {self.table.actors[one].id, self.table.actors[other].id}
         return [each for each in self.contacts if set(each.ids) == ids]
 
+    def touching(self, row: int, contact: Contact) -> list[int]:
+        """Return the frames of a contact in which an actor is present; in none, the next one that it is, within 1 s."""
+        present = [frame for frame in range(len(self.time)) if self.poses[row][frame] is not None]
+        during = [frame for frame in present if contact.start - 1e-6 <= self.time[frame] <= contact.stop + 1e-6]
+        later = [frame for frame in present if contact.stop < self.time[frame] <= contact.stop + 1]
+        return during or later[:1]
+
     def thrown(self, row: int, time: float) -> bool:
         id, spawned_at = self.table.actors[row].key
         for each in self.contacts:
@@ -120,9 +127,13 @@ class Twin:
             return math.inf
         return max(along + min(x for x, _ in ends) - length / 2, 0.0)
 
+    def forwards(self, a: Pose) -> float:
+        """Return the speed along the heading; 0 in reverse."""
+        return max(a.vx * math.cos(a.yaw) + a.vy * math.sin(a.yaw), 0.0)
+
     def braking(self, a: Pose, leader: Pose, distance: float) -> float:
         """Return the deceleration with which an actor avoids its leader, at a distance from it."""
-        faster = max(a.speed - leader.vx * math.cos(a.yaw) - leader.vy * math.sin(a.yaw), 0.0)
+        faster = max(self.forwards(a) - leader.vx * math.cos(a.yaw) - leader.vy * math.sin(a.yaw), 0.0)
         return faster**2 / (2 * distance) if distance else math.inf if faster > 0 else faster
 
     # --- paths -----------------------------------------------------------------------------------------
@@ -151,11 +162,12 @@ class Twin:
         bend = min(max(turn / length, -0.3), 0.3) if length >= 1 else 0.0
         found, place, beyond = [], 0, 0.0
         x = y = math.nan
-        speed = poses[frame].speed
+        start = poses[frame]
+        speed = start.speed
         for seconds in ahead:
             wanted = speed * seconds
             if wanted == 0:
-                found.append(poses[frame]._replace(vx=0.0, vy=0.0))
+                found.append(start._replace(vx=0.0, vy=0.0))
                 continue
             while place + 1 < len(frames) - 1 and covered[place + 1] < wanted:
                 place += 1
@@ -172,6 +184,8 @@ class Twin:
             more = max(wanted - covered[-1], 0.0) - beyond
             beyond += more
             yaw += bend * beyond
+            if start.vx * math.cos(start.yaw) + start.vy * math.sin(start.yaw) < 0:
+                more = -more
             x, y = x + more * math.cos(yaw), y + more * math.sin(yaw)
             found.append(Pose(x, y, 0.0, yaw, 0.0, 0.0, speed))
         return found

@@ -13,7 +13,7 @@ from carla_recap.model.records import Spawn, attributes
 from carla_recap.output.json import json
 from carla_recap.output.text import text
 from carla_recap.queries.incidents import IncidentOptions, incidents
-from carla_recap.queries.measures import MeasureSearch, measures, measures_over_time, pairs, time_series
+from carla_recap.queries.measures import MeasureSearch, measures, measures_over_time, motion_table, pairs, time_series
 from tests.queries.measures.conftest import Mover, straight
 from tests.samples import SAMPLES
 
@@ -191,6 +191,30 @@ def test_a_recorded_collision_is_a_contact(drive: Drive, suffix: str) -> None:
     assert of(measures(drive(cars, seconds=4)))["gap"].value == pytest.approx(0.057, abs=1e-3)
 
 
+def test_a_recorded_collision_of_an_actor_without_a_pose_then_is_a_contact_in_its_next_frame(drive: Drive) -> None:
+    cars = [straight(1, 0, 0, 5, role_name="hero", present=lambda t: round(t * 20) % 2 == 0), straight(2, 10, 2.76, 0)]
+    found = of(measures(drive(cars, events={41: {"collisions": [(0, 1, 2, 1, 0)]}})))
+    for name in ("gap", "time_to_collision"):
+        assert (found[name].value, found[name].time, found[name].other) == (0, pytest.approx(2.1), 2)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 180.0])
+def test_in_reverse_an_actor_comes_as_near_to_what_it_backs_towards(drive: Drive, yaw: float) -> None:
+    """It stops 0.5 m before a parked car, and stands there for long."""
+    reader = drive(
+        [Mover(1, lambda t: min(3 * t, 6), yaw=lambda _: yaw, role_name="hero"), straight(2, 10.5, 0, 0)], seconds=8
+    )
+    assert values(measures(reader))["time_to_collision"] == pytest.approx(0.65 / 3, abs=0.01)
+    (found,) = incidents(reader, IncidentOptions(kinds=["near miss"]))
+    assert found.value == pytest.approx(0.65 / 3, abs=0.01)
+
+
+def test_an_actor_that_reverses_away_from_a_vehicle_does_not_follow_it(drive: Drive) -> None:
+    found = values(measures(drive([straight(1, 0, 0, -2, role_name="hero"), straight(2, 4.5, 0, 0)])))
+    assert (found["distance_headway"], found["required_deceleration"]) == (pytest.approx(0.5, abs=1e-3), 0)
+    assert "time_headway" not in found
+
+
 def test_a_time_to_collision_with_what_was_hit_does_not_count_for_five_seconds(drive: Drive) -> None:
     """A vehicle hits another one, which the hero then approaches."""
     cars = [straight(1, 0, 0, 10, role_name="hero"), straight(2, 84, 0, 0), straight(3, 84, 2.1, 0)]
@@ -362,6 +386,18 @@ def test_a_pair_is_two_different_actors(drive: Drive, pair: tuple[Any, Any]) -> 
         measures_over_time(reader, pair=pair)
     with pytest.raises(RecapError, match=expected):
         time_series(reader, *pair)
+
+
+def test_of_a_pair_there_are_all_frames_of_the_first_one(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(motion_table, "_FRAMES", 20)
+    series = time_series(drive([straight(1, 0, 0, 5), straight(2, 50, 20, 0, present=lambda t: t < 1)], seconds=20), 1, 2)
+    assert (len(series), series.time[-1], np.count_nonzero(series.gap < math.inf)) == (401, pytest.approx(20), 20)
+
+
+def test_two_walkers_are_no_pair(drive: Drive) -> None:
+    walkers = [straight(id, id, 0, 1, kind=2, type_id="walker.a") for id in (1, 2)]
+    with pytest.raises(RecapError, match="expected a vehicle and another actor, found two walkers, 1 and 2"):
+        time_series(drive(walkers), 1, 2)
 
 
 def test_rows_over_time_are_those_of_the_series(drive: Drive) -> None:

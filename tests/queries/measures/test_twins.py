@@ -95,7 +95,7 @@ def test_measures(tmp_path: Path, seed: int, frames: int) -> None:
                     b = twin.poses[other][frame]
                     if other == row or not twin.counts(row, other):
                         continue
-                    if any(each.start - 1e-6 <= time <= each.stop + 1e-6 for each in twin.contacts_of(row, other)):
+                    if any(frame in twin.touching(row, each) for each in twin.contacts_of(row, other)):
                         gap = seconds = confirmed = 0.0
                     if b is None or not twin.level(row, other, a, b):
                         continue
@@ -108,7 +108,7 @@ def test_measures(tmp_path: Path, seed: int, frames: int) -> None:
                 times.append(time)
                 gaps.append((gap, seconds if seconds <= 10 else math.inf))
                 courses.append(confirmed)
-                headways.append((headway, headway / a.speed if a.speed > 0 else math.inf))
+                headways.append((headway, headway / twin.forwards(a) if twin.forwards(a) > 0 else math.inf))
                 braking.append(twin.braking(a, leader, headway) if leader else 0.0)
             least = {
                 "gap": min((gap for gap, _ in gaps[first:]), default=math.inf),

@@ -18,7 +18,7 @@ LIGHT: Final = 90
 
 
 def traffic(path: Path, seed: int) -> Path:
-    """Record random traffic: actors that turn, brake, vanish, jump, come back under their id, and hit each other."""
+    """Record random traffic: actors that turn, reverse, brake, vanish, jump, get an id again, and hit each other."""
     random = np.random.default_rng(seed)
     rate = float(random.choice([2, 5, 10, 20, 30, 100]))
     frames = int(random.integers(1, 60))
@@ -30,6 +30,7 @@ def traffic(path: Path, seed: int) -> Path:
     span, packets = float(time[-1]), [{"transforms": [], "velocities": []} for _ in range(frames)]
     spawned, boxes = [], []
     for id in range(1, actors + 1):
+        in_reverse = np.random.default_rng((seed, id)).random() < 0.15
         is_walker = id > 1 and random.random() < 0.25
         speed, turn = random.uniform(0, 3 if is_walker else 18), random.choice([0, random.normal(0, 0.4)])
         yaw = random.uniform(-math.pi, math.pi)
@@ -51,7 +52,8 @@ def traffic(path: Path, seed: int) -> Path:
             px, py = (np.interp(now, fine, values) + (60 if now > jump else 0) for values in (x, y))
             angle = float(np.interp(now, fine, heading))
             v = float(np.interp(now, fine, fast))
-            packets[frame]["transforms"].append((id, px * 100, -py * 100, z, 0.0, 0.0, -math.degrees(angle)))
+            facing = math.degrees(angle) + (180 if in_reverse else 0)
+            packets[frame]["transforms"].append((id, px * 100, -py * 100, z, 0.0, 0.0, -facing))
             if has_velocity:
                 velocity = (id, v * math.cos(angle), -v * math.sin(angle), 0.0, 0.0, 0.0, 0.0)
                 packets[frame]["velocities"].append(velocity)

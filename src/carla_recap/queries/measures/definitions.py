@@ -85,7 +85,7 @@ class MeasureSeries(Columns):
         time_to_collision: The least time to collision in s; inf above 10 s.
         threat: The id of the actor that this is the time to; -1 without one.
         distance_headway: The distance to the leader in m, from bumper to bumper; inf without one.
-        time_headway: The same as a time in s; inf at rest.
+        time_headway: The same as a time in s; inf at rest and in reverse.
         required_deceleration: The deceleration to avoid the leader in m/s².
         leader: The id of the leader; -1 without one.
     """
@@ -171,7 +171,7 @@ _TABLE: Final = (
         "time_headway",
         "s",
         "least",
-        "the same, divided by the speed; without a value at rest [1]",
+        "the same, divided by the speed along the heading; without a value at rest or in reverse [1]",
         other="leader",
         two_sided=True,
         short="thw",
@@ -180,8 +180,8 @@ _TABLE: Final = (
         "required_deceleration",
         "m/s²",
         "greatest",
-        "the squared difference of speeds over twice the distance to the leader (DRAC) [1]; it grows without bound before a "
-        "contact",
+        "the squared difference of speeds along the heading over twice the distance to the leader (DRAC) [1]; it grows "
+        "without bound before a contact",
         lambda series: np.where(series.leader >= 0, series.required_deceleration, np.nan),
         other="leader",
         short="drac",

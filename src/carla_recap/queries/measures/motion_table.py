@@ -86,6 +86,11 @@ class MotionTable:
         return np.hypot(self.vx, self.vy)
 
     @cached_property
+    def along(self) -> Floats:
+        """The velocity along the heading in m/s, below 0 in reverse, (actors, frames)."""
+        return np.asarray(np.cos(self.yaw) * self.vx + np.sin(self.yaw) * self.vy)
+
+    @cached_property
     def radius(self) -> Floats:
         """The radius of a circle around the box in m, (actors,)."""
         return np.hypot(self.length, self.width) / 2
@@ -132,6 +137,12 @@ class MotionTable:
             pairs = [(one, other) for one in ones.tolist() for other in others.tolist() if begin < end]
             found += [(one, other, slice(begin, end)) for one, other in pairs if self.free(one, other)]
         return tuple(found)
+
+    def frames_of(self, actor: int, contact: slice) -> Indices:
+        """Return the frames of a contact in which an actor is present; in none, the next one that it is, within 1 s."""
+        present = contact.start + np.flatnonzero(~np.isnan(self.x[actor, contact.start :]))
+        during = present[present < contact.stop]
+        return during if len(during) else present[:1][self.clock[present[:1]] <= self.clock[contact.stop - 1] + LONGEST_STEP]
 
     @cached_property
     def thrown(self) -> Booleans:

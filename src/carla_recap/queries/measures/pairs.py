@@ -257,5 +257,5 @@ def _path_ahead(
     bend = np.divide(turn, length, out=np.zeros(len(actor)), where=length >= _BEND / 3)
     beyond = wanted - known
     yaw += np.clip(bend, -_SHARPEST, _SHARPEST)[:, None] * beyond
-    steps = np.diff(beyond, axis=1, prepend=0.0)
+    steps = np.diff(beyond, axis=1, prepend=0.0) * np.where(table.along[actor, frame] < 0, -1.0, 1.0)[:, None]
     return x + np.cumsum(steps * np.cos(yaw), axis=1), y + np.cumsum(steps * np.sin(yaw), axis=1), yaw

@@ -82,13 +82,14 @@ def series_of(
     for one, second, frames in table.touching:
         for row, met in ((one, second), (second, one)):
             if position[row] >= 0 and counts[met]:
-                there = np.arange(frames.start, frames.stop)[~np.isnan(table.x[row, frames])]
+                there = table.frames_of(row, frames)
                 for least in (gaps, times):
                     least.value[position[row], there], least.other[position[row], there] = 0.0, met
     speed, yaw, frame = table.speed[subjects], table.yaw[subjects], np.arange(shape[1])
+    forwards = np.maximum(table.along[subjects], 0.0)  # a follower approaches its leader
     leader, acceleration = headways.other, slope(table.time, speed, SPEED_WINDOW)
     along = np.cos(yaw) * table.vx[leader, frame] + np.sin(yaw) * table.vy[leader, frame]
-    deceleration = required_deceleration(headways.value, speed, np.where(leader >= 0, along, 0.0))
+    deceleration = required_deceleration(headways.value, forwards, np.where(leader >= 0, along, 0.0))
     ids = np.append(table.ids, NO_OTHER)
     return MeasureSeries(
         time=np.broadcast_to(table.time, speed.shape),
@@ -100,7 +101,7 @@ def series_of(
         time_to_collision=times.value,
         threat=ids[times.other],
         distance_headway=headways.value,
-        time_headway=time_headway(headways.value, speed),
+        time_headway=time_headway(headways.value, forwards),
         required_deceleration=np.where(leader >= 0, deceleration, 0.0),
         leader=ids[leader],
     )
@@ -250,6 +251,8 @@ def _find_pair(
     first, second = _find(source, lives, name), _find(source, lives, other)
     if first[0].id == second[0].id:
         raise RecapError(f"{source.location}: {name} and {other} are one actor; expected two")
+    if not any(each.kind == "vehicle" for each in (*first, *second)):
+        raise RecapError(f"{source.location}: expected a vehicle and another actor, found two walkers, {name} and {other}")
     return first, second
 
 
