@@ -93,7 +93,8 @@ class Twin:
     def touch(self, one: int, other: int, a: Pose, b: Pose, wider: float = 0.0) -> float:
         """Return when two boxes touch at their velocities; inf if never, or if these are unknown."""
         if math.isnan(a.vx + a.vy + b.vx + b.vy):
-            return math.inf
+            still = [pose._replace(vx=0.0, vy=0.0) for pose in (a, b)]
+            return self.touch(one, other, *still, wider)
         first, last = -math.inf, math.inf
         for yaw in (a.yaw, a.yaw + math.pi / 2, b.yaw, b.yaw + math.pi / 2):
             cos, sin = math.cos(yaw), math.sin(yaw)

@@ -13,7 +13,7 @@ from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, Braking, Brak
 from carla_recap.model.braking import TYPES as BRAKING_TYPES
 from carla_recap.model.contacts import MOTION, UNKNOWN, Contact, Impact
 from carla_recap.model.lives import ROAD_USERS, ranked
-from carla_recap.model.motion import place_in_metres
+from carla_recap.model.motion import FIRMEST_BRAKING, place_in_metres
 from carla_recap.model.presence import RoadHeights
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, StationaryTracker, check_limits
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
@@ -59,7 +59,8 @@ class Incident:
         actors: The ids of the actors, the most important first: the hero, else a vehicle, else a walker. A static object
             (a wall, a kerb) is not included.
         type_ids: The blueprint of each actor; empty for an unknown actor.
-        x, y, z: The position of the first actor at the start, in m, right-handed; NaN where it is unknown.
+        x, y, z: The position of the first actor at the start, in m, right-handed; NaN where it is unknown. Of a near miss,
+            where it happens: the position at `time` of the actor that approaches, or arrives second where paths cross.
         measure: What is measured, such as `time_to_collision`.
         value: Its most critical value; NaN where it is unknown.
         unit: The unit of the value.
@@ -97,7 +98,7 @@ class IncidentOptions:
         road_map: The OpenDRIVE file of this map, or the folder to look in; None: the usual folders.
         min_time: The shortest time without a movement that is a long stop, in s.
         min_distance: The distance at which an actor has moved, in cm.
-        deceleration: The deceleration from which on braking is hard, in m/s².
+        deceleration: The deceleration from which on braking is hard, in m/s²; below 15, of the firmest brakes.
         time_to_collision: The greatest time to collision of a near miss, in s; 60 at most.
         post_encroachment_time: The greatest post-encroachment time of a near miss, in s; 60 at most.
         required_deceleration: The least deceleration that a near miss by its time to collision requires, in m/s²; 0: any.
@@ -106,8 +107,8 @@ class IncidentOptions:
         actor: The actor that has to take part in them; None: any.
 
     Raises:
-        RecapError: A limit of long stops is below 0 or NaN, the deceleration is not above 0, a time of near misses is below
-            0 or above 60 s, or the deceleration that they require is below 0.
+        RecapError: A limit of long stops is below 0 or NaN, the deceleration is not above 0 and below 15 m/s², a time of
+            near misses is below 0 or above 60 s, or the deceleration that they require is below 0.
     """
 
     kinds: Collection[str] | Literal["all"] | None = None
@@ -125,8 +126,9 @@ class IncidentOptions:
 
     def __post_init__(self) -> None:
         check_limits(self.min_time, self.min_distance)
-        if not self.deceleration > 0:
-            raise RecapError(f"a deceleration of {self.deceleration:g} m/s² is no braking; it must be above 0")
+        if not 0 < self.deceleration < FIRMEST_BRAKING:
+            limits = f"above 0 and below {FIRMEST_BRAKING:g} m/s², of the firmest brakes"
+            raise RecapError(f"deceleration is {self.deceleration:g} m/s²; expected one {limits}")
         for name in ("time_to_collision", "post_encroachment_time"):
             if not 0 <= (time := getattr(self, name)) <= LONGEST:
                 raise RecapError(f"{name} is {time:g} s; expected 0 to {LONGEST:g} s")
@@ -345,7 +347,7 @@ class NearMissIncidents(Detector):
         actors, options = self._search.actors, self._search.options
         for row in self._detector.finish():
             first, second = (actors.name(id, row.start) for id in (row.id1, row.id2))
-            at = f"at {row.time:.2f} s, at {row.speed * _KMH:.0f} km/h"
+            at = f"at {row.time:.2f} s" + ("" if math.isnan(row.speed) else f", at {row.speed * _KMH:.0f} km/h")
             if row.time_to_collision == 0:
                 text = f"{first} touches {second} {at}, though no collision is recorded"
             elif row.time_to_collision < math.inf:

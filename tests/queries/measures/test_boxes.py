@@ -87,6 +87,8 @@ def test_what_is_not_a_number_gives_no_number_and_no_warning() -> None:
     nowhere = Boxes(math.nan, 0.0, 0.0, 4.0, 2.0, 1.0, 0.0)
     assert np.isnan(gap(car(0, 0), nowhere))
     assert time_to_collision(car(0, 0), nowhere) == math.inf
+    unknown = {"vx": math.nan, "vy": math.nan}
+    assert [time_to_collision(car(0, 0), car(x, 0)._replace(**unknown)) for x in (1, 9)] == [0, math.inf]
     assert np.isnan(required_deceleration(math.nan, 3, 2))
     assert np.isnan(time_headway(math.nan, 3))
 

@@ -34,19 +34,25 @@ def path(x: float, y: float, heading: float, speed: float, seconds: float = 6.0)
     return Path(x + speed * math.cos(yaw) * time, y + speed * math.sin(yaw) * time, yaw + 0 * time)
 
 
-def post_encroachment_time(one: Path, other: Path) -> float:
+def post_encroachment_time(one: Path, other: Path, start: float = 0.0) -> float:
     """The least time between one box of 4 m by 2 m leaving a spot and the other arriving there, up to 3 s; else inf."""
     lives = tuple(ActorLife(id, "", "vehicle", "", 0.0, spawn=Spawn(id)) for id in (1, 2))
     x, y, yaw = map(np.stack, zip(one, other, strict=True))
     sizes = np.full(2, 4.0), np.full(2, 2.0), np.ones(2), np.zeros((2, 3))
     moving = np.full(x.shape, 10.0)
-    table = MotionTable(0, x.shape[1], 0.05 * np.arange(x.shape[1]), lives, x, y, 0 * x, yaw, moving, 0 * x, *sizes)
+    table = MotionTable(0, x.shape[1], start + 0.05 * np.arange(x.shape[1]), lives, x, y, 0 * x, yaw, moving, 0 * x, *sizes)
     search = CrossingSearch(3.0)
     search.add(table, np.ones(2, np.bool_))
     return min((each.post_encroachment_time for each in search.finish()), default=math.inf)
 
 
 EAST = path(-20, 0, 0, 10)
+
+
+def test_crossings_are_found_at_any_time() -> None:
+    """As in a recording whose seconds are those since 1970."""
+    found = [post_encroachment_time(EAST, path(0, -28, 90, 10), start) for start in (0.0, 1.7e9)]
+    assert found == [pytest.approx(0.2, abs=0.01)] * 2
 
 
 @pytest.mark.parametrize(

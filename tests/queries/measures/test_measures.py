@@ -394,6 +394,15 @@ def test_of_a_pair_there_are_all_frames_of_the_first_one(drive: Drive, monkeypat
     assert (len(series), series.time[-1], np.count_nonzero(series.gap < math.inf)) == (401, pytest.approx(20), 20)
 
 
+def test_a_near_miss_is_where_it_happens(drive: Drive) -> None:
+    """Of the hero, which is named first, and a car that crosses its path: where the one that comes second arrives."""
+    (found,) = incidents(
+        drive([straight(1, -10, 0, 5, role_name="hero"), straight(2, 0, -34, 15, yaw=90)], seconds=4),
+        IncidentOptions(kinds=["near miss"]),
+    )
+    assert (found.actors, found.x, found.y) == ((1, 2), pytest.approx(0), pytest.approx(-34 + 15 * found.time))
+
+
 def test_two_walkers_are_no_pair(drive: Drive) -> None:
     walkers = [straight(id, id, 0, 1, kind=2, type_id="walker.a") for id in (1, 2)]
     with pytest.raises(RecapError, match="expected a vehicle and another actor, found two walkers, 1 and 2"):

@@ -311,7 +311,7 @@ def test_the_ways_against_the_lane_of_one_run_add_up(drives: Drives) -> None:
     poses[50:56, 1] = -1.75  # back in its own lane for 0.3 s
     (event,) = drives(poses)
     assert event.extreme[0] == pytest.approx(25 - 6 * 0.25, abs=0.6)
-    assert event.extreme[0] == drives.extremes[CAR]["distance_against_lane"].value
+    assert event.extreme == drives.extremes[CAR]["distance_against_lane"]
     assert event.span == pytest.approx((0.1, 4.9), abs=0.11)
     assert event.extreme[1] == event.span[1]
 

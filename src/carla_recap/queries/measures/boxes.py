@@ -85,22 +85,24 @@ def _corner_distance(
 def time_to_collision(a: Boxes, b: Boxes) -> Floats:
     """Return the time until boxes touch if both keep their velocity, in s: 0 if they overlap, inf if they never touch.
 
+    With an unknown velocity, boxes that do not overlap never touch.
     The result is exact for boxes that do not turn: on each of their four axes, the times at which they overlap are an
     interval; they touch when all four do. The time to collision is due to Hayward, "Near-miss determination through use of
     a scale of danger" (1972).
     """
     vx, vy = np.subtract(b.vx, a.vx), np.subtract(b.vy, a.vy)
-    first, last = np.asarray(-math.inf), np.asarray(math.inf)
+    first, last, inside = np.asarray(-math.inf), np.asarray(math.inf), np.asarray(True)
     for cos, sin, distance, reach in _axes(a, b):
         velocity = vx * cos + vy * sin
         moves = velocity != 0
         speed = np.where(moves, np.abs(velocity), 1.0)
         toward = -np.sign(velocity) * distance  # the distance until the centres are level on this axis
-        always = np.where(np.abs(distance) <= reach, math.inf, -math.inf)
+        level = np.abs(distance) <= reach
+        inside, always = inside & level, np.where(level, math.inf, -math.inf)
         first = np.maximum(first, np.where(moves, (toward - reach) / speed, -always))
         last = np.minimum(last, np.where(moves, (toward + reach) / speed, always))
     touches = (first <= last) & (last >= 0)
-    return np.asarray(np.where(touches, np.maximum(first, 0.0), math.inf))
+    return np.asarray(np.where(inside, 0.0, np.where(touches, np.maximum(first, 0.0), math.inf)))
 
 
 def required_deceleration(gap: ArrayLike, speed: ArrayLike, leader_speed: ArrayLike) -> Floats:

@@ -38,7 +38,7 @@ ENCOUNTER: Final = 3.0
 
 _FINE: Final = 10  # moments per step when the time is refined
 _BLOCK: Final = 16  # moments of which each actor has one bounding box
-_LATEST: Final = 1e9  # s; times above it are none
+_LATEST: Final = 1e10  # s; times above it are none: they are not exact to 1 µs
 _ALONG: Final = math.cos(math.radians(CROSSING))
 _ACROSS: Final = math.sin(math.radians(CROSSING))
 

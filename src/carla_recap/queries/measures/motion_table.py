@@ -142,7 +142,8 @@ class MotionTable:
         """Return the frames of a contact in which an actor is present; in none, the next one that it is, within 1 s."""
         present = contact.start + np.flatnonzero(~np.isnan(self.x[actor, contact.start :]))
         during = present[present < contact.stop]
-        return during if len(during) else present[:1][self.clock[present[:1]] <= self.clock[contact.stop - 1] + LONGEST_STEP]
+        soon = self.clock[present] <= self.clock[contact.stop - 1] + LONGEST_STEP
+        return np.asarray(during if len(during) else present[soon][:1])
 
     @cached_property
     def thrown(self) -> Booleans:

@@ -218,7 +218,7 @@ class RoadSearch:
 
     def _wrong_way(self) -> Iterator[RoadEvent]:
         for run in _joined(self._runs[_SUMMED], summed=True):
-            self._note(run.actor, "distance_against_lane", MeasureValues.of(np.array([run.start]), np.array([run.value])))
+            self._note(run.actor, "distance_against_lane", MeasureValues.of(np.array([run.time]), np.array([run.value])))
             if run.stop - run.start >= AGAINST_TIME:
                 text = f"drives {run.value:.0f} m against the direction of its lane"
                 yield run.event("wrong way", "distance_against_lane", AGAINST * AGAINST_TIME, text)
@@ -267,7 +267,7 @@ class _Motion:
 
     def actor(self, sample: int) -> ActorLife:
         """Return the vehicle of a sample."""
-        return self._actors[self.row[sample]]
+        return self._actors[int(self.row[sample])]
 
     def lanes(self, network: RoadNetwork) -> LanePositions:
         """Return the lanes of all samples."""
