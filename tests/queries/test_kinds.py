@@ -31,6 +31,7 @@ class FastDetector:
 
     types: Collection[str] = ("velocities",)
     also: Collection[str] = ()
+    span = None
 
     def __init__(self, search: Any) -> None:
         self.search, self.found = search, {}

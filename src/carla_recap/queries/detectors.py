@@ -28,8 +28,8 @@ from carla_recap.queries.measures.near_misses import (
     NearMissDetector,
 )
 from carla_recap.queries.measures.near_misses import TYPES as MOTION_TYPES
+from carla_recap.queries.measures.road import BEFORE, RoadSearch
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
-from carla_recap.queries.measures.road import RoadSearch
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
@@ -102,7 +102,8 @@ class IncidentOptions:
         time_to_collision: The greatest time to collision of a near miss, in s; 60 at most.
         post_encroachment_time: The greatest post-encroachment time of a near miss, in s; 60 at most.
         required_deceleration: The least deceleration that a near miss by its time to collision requires, in m/s²; 0: any.
-        start: The elapsed seconds from which on to look for incidents. Collisions and long stops may begin before.
+        start: The elapsed seconds from which on to look for incidents. Collisions, long stops, and what crosses a path or a
+            stop line, may begin before.
         stop: The elapsed seconds until which to look for them. Long stops may end after.
         actor: The actor that has to take part in them; None: any.
 
@@ -194,6 +195,8 @@ class Detector:
     """The record types that it needs; none if it needs no frames."""
     also: Collection[str] = ()
     """The record types that it uses, too, if frames are read."""
+    span: tuple[float, float] | None = None
+    """The times from which on and before which it needs frames, in elapsed seconds; None: the part that is looked at."""
 
     def __init__(self, search: Search, process: Callable[[Batch], object] | None = None) -> None:
         self._search, self._process = search, process
@@ -212,13 +215,14 @@ class CollisionIncidents(Detector):
     """Finds collisions: the contacts of actors, with the place and the speed at which they begin."""
 
     def __init__(self, search: Search) -> None:
-        self._impacts = ImpactSearch(contact.key for contact in search.contacts)
+        self._contacts = [contact for contact in search.contacts if contact.start < search.options.stop]
+        self._impacts = ImpactSearch(contact.key for contact in self._contacts)
         super().__init__(search, partial(self._impacts.batch, is_whole=search.options.start == -math.inf))
         self.also = MOTION if self._impacts.missing else ()
 
     def finish(self) -> Iterator[Incident]:
         """See `Detector.finish`; the impacts that the batches did not have are looked up."""
-        actors, contacts, found = self._search.actors, self._search.contacts, self._impacts.found
+        actors, contacts, found = self._search.actors, self._contacts, self._impacts.found
         missing = {contact.key: contact.start for contact in contacts if contact.key not in found}
         found = found | impacts(self._search.source, missing)
         for contact in contacts:
@@ -339,8 +343,11 @@ class NearMissIncidents(Detector):
             time_to_collision=search.options.time_to_collision,
             post_encroachment_time=search.options.post_encroachment_time,
             required_deceleration=search.options.required_deceleration,
+            start=search.options.start,
+            stop=search.options.stop,
         )
         super().__init__(search, self._detector.batch)
+        self.span = self._detector.span
 
     def finish(self) -> Iterator[Incident]:
         """See `Detector.finish`."""
@@ -369,8 +376,10 @@ class RoadIncidents(Detector):
 
     def __init__(self, search: Search) -> None:
         assert search.options.roads is not None
-        self._roads = RoadSearch(search.source, search.options.roads, search.actors)
+        start, stop = search.options.start, search.options.stop
+        self._roads = RoadSearch(search.source, search.options.roads, search.actors, start=start)
         super().__init__(search, self._roads.add)
+        self.span = start - BEFORE, stop
 
     def finish(self) -> Iterator[Incident]:
         """See `Detector.finish`."""

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
+from carla_recap.model.batch import within
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import HERO, find_actor
 from carla_recap.queries import Answer
 from carla_recap.queries.detectors import Incident, IncidentOptions, Search
 from carla_recap.queries.kinds import KINDS, kinds_named, kinds_without_roads
+from carla_recap.queries.measures.near_misses import UNTIL_CONTACT
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from carla_recap.queries.roads import roads_of, warn_without_roads
 
@@ -80,8 +82,8 @@ class IncidentSearch:
         options = with_roads(source, options or IncidentOptions())
         self._source, self._options = source, options
         self._kinds = kinds_named(options.kinds)
-        actors, contacts = lives_and_contacts(source, stop=options.stop)
-        self.actors = actors  # until the end of the part that is looked at
+        actors, contacts = lives_and_contacts(source, stop=options.stop + UNTIL_CONTACT + SAME_TIME)
+        self.actors = actors  # until the end of the part that is looked at, and a little later
         self._actor = None if options.actor is None else find_actor(source.location, actors, options.actor)
         search = Search(source=source, options=options, actors=actors, contacts=contacts, near=near, series=series)
         makers = dict.fromkeys(kind.detector for name, kind in KINDS.items() if name in self._kinds)
@@ -96,8 +98,12 @@ class IncidentSearch:
     def read(self) -> None:
         """Read the recording as far as it matters."""
         if types := self.types:
-            for batch in self._source.batches(types, start=self._options.start, stop=self._options.stop):
-                self.add(batch)
+            spans = [detector.span or (self._options.start, self._options.stop) for detector in self._detectors]
+            start, stop = min(start for start, _ in spans), max(stop for _, stop in spans)
+            for batch in self._source.batches(types, start=start, stop=stop):
+                for detector, span in zip(self._detectors, spans, strict=True):
+                    for part in within((batch,), *span):
+                        detector.add(part)
 
     def add(self, batch: Batch) -> None:
         """Process frames, with at least transforms, velocities, spawns and destructions, and for roads states of lights."""

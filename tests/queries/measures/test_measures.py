@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from contextlib import closing
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -401,6 +402,26 @@ def test_a_near_miss_is_where_it_happens(drive: Drive) -> None:
         IncidentOptions(kinds=["near miss"]),
     )
     assert (found.actors, found.x, found.y) == ((1, 2), pytest.approx(0), pytest.approx(-34 + 15 * found.time))
+
+
+@pytest.mark.parametrize("start", [3.0, 3.5, 3.6])
+def test_a_part_has_what_began_before_it(drive: Drive, start: float) -> None:
+    """The paths of two cars cross 0.2 s apart: one is there until 3.4 s, and the other one from 3.65 s on."""
+    reader = drive([straight(1, -31.3, 0, 10, role_name="hero"), straight(2, 0, -39.3, 10, yaw=90)], seconds=8)
+    near = IncidentOptions(kinds=["near miss"])
+    least = [values(measures(reader, "hero", start=each))["post_encroachment_time"] for each in (-math.inf, start)]
+    (whole,), (part,) = incidents(reader, near), incidents(reader, replace(near, start=start))
+    assert least[0] == least[1] < 0.3
+    assert part == whole
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_an_encounter_that_ends_in_a_collision_behind_a_part_is_no_near_miss(drive: Drive, suffix: str) -> None:
+    cars = [Mover(1, lambda t: min(10 * t, 26), role_name="hero"), straight(2, 30, 0, 0)]
+    reader = drive(cars, events={52: {"collisions": [(0, 1, 2, 1, 0)]}}, suffix=suffix)
+    for stop in (2.5, 2.65, math.inf):
+        found = incidents(reader, IncidentOptions(kinds=["near miss", "collision"], stop=stop))
+        assert [each.kind for each in found] == ([] if stop == 2.5 else ["collision"])
 
 
 def test_two_walkers_are_no_pair(drive: Drive) -> None:

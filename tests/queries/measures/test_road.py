@@ -235,6 +235,14 @@ def test_stopping_before_the_line_is(drives: Drives) -> None:
     assert drives(_west([6.0] * 36 + [0.0] * 20 + [4.0] * 60)) == []
 
 
+@pytest.mark.parametrize("stands", [True, False])
+def test_stopping_counts_though_a_part_begins_after_it(drives: Drives, stands: bool) -> None:
+    drives(_west([6.0] * 36 + ([0.0] * 20 if stands else []) + [4.0] * 60))
+    with closing(open_reader(drives.path)) as reader:
+        part = IncidentOptions(kinds=["stop sign"], roads=drives.roads, start=(57 if stands else 37) * TICK)
+        assert len(incidents(reader, part)) == (0 if stands else 1)
+
+
 def test_stopping_too_far_away_is_not(drives: Drives) -> None:
     assert [event.kind for event in drives(_west([6.0] * 8 + [0.0] * 20 + [6.0] * 60))] == ["stop sign"]
 

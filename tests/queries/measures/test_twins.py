@@ -132,6 +132,23 @@ def test_measures(tmp_path: Path, seed: int, frames: int) -> None:
 
 
 @settings(max_examples=EXAMPLES)
+@given(st.integers(0, 2**32 - 1), st.floats(-0.1, 1.1), st.floats(-0.1, 1.1), st.sampled_from([1, 7, 1024]))
+def test_a_part_has_the_values_of_the_whole(tmp_path: Path, seed: int, one: float, other: float, frames: int) -> None:
+    with closing(open_reader(traffic(tmp_path / "traffic.mcap", seed))) as reader, patch.object(tables, "_FRAMES", frames):
+        twin = twin_of(reader)
+        start, stop = (share * twin.time[-1] for share in sorted((one, other)))
+        rows = {(row.actor, row.measure): row for row in measures(reader, "all", start=start, stop=stop)}
+        for id in {actor.id for actor in twin.table.actors}:
+            whole, part = time_series(reader, id), time_series(reader, id, start=start, stop=stop)
+            kept = (whole.time >= start) & (whole.time < stop)
+            for name, values in part.columns().items():
+                assert values.tolist() == pytest.approx(getattr(whole, name)[kept].tolist(), abs=1e-9, nan_ok=True), name
+            if (id, "gap") in rows and list(twin.table.ids).count(id) == 1:
+                assert rows[id, "gap"].value == part.gap.min()
+                assert start <= rows[id, "gap"].time < stop
+
+
+@settings(max_examples=EXAMPLES)
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 10))
 def test_near_misses_are_those_of_the_measure(tmp_path: Path, seed: int, limit: float) -> None:
     """Where the hero hits nothing, it has a near miss by time to collision exactly if the measure is as short."""

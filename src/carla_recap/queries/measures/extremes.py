@@ -89,10 +89,11 @@ class MeasureSearch:
     ) -> None:
         self._source, self._start, self._stop = source, start, stop
         self._is_whole = start == -math.inf and stop == math.inf
-        lives, self._contacts = lives_and_contacts(source, stop=stop)
+        lives, self._contacts = lives_and_contacts(source, stop=stop + _BEFORE_CONTACT)
         self._subjects = {actor.key: actor for actor in measured_actors(source, lives, actors)}
         self._lives, self._crossings = lives, CrossingSearch(POST_ENCROACHMENT_TIME)
-        self._motion = MotionCollector(lives, self._contacts, before=self._crossings.before, after=HORIZON + SEEN)
+        margins = {"before": self._crossings.before, "after": HORIZON + SEEN}
+        self._motion = MotionCollector(lives, self._contacts, **margins, start=start, stop=stop)
         self._over_time, self._others = over_time or {}, others
         self._roads = None if roads is None else RoadSearch(source, roads, lives, self._note)
         self._heroes = [actor for actor in self._subjects.values() if actor.is_hero and actor.kind == "vehicle"]
@@ -107,7 +108,8 @@ class MeasureSearch:
         """Return the measures."""
         if self._subjects:
             types = TYPES if self._roads is None else (*TYPES, *ROAD_TYPES)
-            for batches in portions(self._source.batches(types, start=self._start, stop=self._stop)):
+            start, stop = self._motion.span
+            for batches in portions(self._source.batches(types, start=start, stop=stop)):
                 if self._heroes and self._is_whole:
                     self._driven.add(batches)
                 for batch in batches:

@@ -192,11 +192,21 @@ class MotionCollector:
     """Collects the frames of a recording into tables of motion, which follow each other.
 
     Memory is bounded: a table has 2,048 frames, or fewer if there are very many actors, and the margins `before` and `after`
-    them, in s.
+    them, in s. Tables are for frames from one time on and before another one, in elapsed seconds.
+
+    Attributes:
+        span: The times from which on and before which frames count, with the margins.
     """
 
     def __init__(
-        self, actors: Iterable[ActorLife], contacts: Iterable[Contact] = (), *, before: float = 0.0, after: float = 0.0
+        self,
+        actors: Iterable[ActorLife],
+        contacts: Iterable[Contact] = (),
+        *,
+        before: float = 0.0,
+        after: float = 0.0,
+        start: float = -np.inf,
+        stop: float = np.inf,
     ) -> None:
         actors, lives = list(actors), defaultdict(list)
         for actor in actors:
@@ -210,6 +220,7 @@ class MotionCollector:
         self._known = np.array(list(self._lives), np.uint32)
         self._contacts = tuple(contacts)
         self._before, self._after = before + _CONTEXT, after + _CONTEXT
+        self._part, self.span = (start, stop), (start - self._before, stop + self._after)
         self._heights = RoadHeights(actors)
         self._poses, self._velocities = SegmentBuffer(), SegmentBuffer()
         self._time = np.zeros(0)  # of the frames that these hold
@@ -247,7 +258,9 @@ class MotionCollector:
                 if last - first <= max(margins, 1) or len(ids) * (stop - start) <= _VALUES:
                     break
                 last = first + (last - first + 1) // 2
-            yield self._table(ids, contacts, start, first, last, stop)
+            begin, end = first + np.searchsorted(clock[first:last], self._part)
+            if begin < end:
+                yield self._table(ids, contacts, start, int(begin), int(end), stop)
             self._done = last
         if done < self._done < len(clock):
             dropped = int(np.searchsorted(clock, clock[self._done] - self._before))

@@ -38,7 +38,8 @@ REQUIRED_DECELERATION: Final = 0.0
 """The least deceleration that a near miss by its time to collision requires, in m/s²."""
 
 _CROSSING_SPEED: Final = 3.0  # m/s of a vehicle that arrives where another actor was
-_UNTIL_CONTACT: Final = 3.0  # s after an encounter; if the pair collides by then, it is a collision
+UNTIL_CONTACT: Final = 3.0
+"""The time after an encounter in s; if the pair collides by then, it is a collision."""
 _AFTER_CONTACT: Final = 5.0  # s after a contact in which the pair has no near miss
 
 
@@ -46,7 +47,10 @@ class NearMissDetector:
     """Finds near misses in the frames of a recording; for the thresholds, see `IncidentOptions`.
 
     Near misses that end in a collision are none, and what was hit has none for some time. One of `ids` takes part, unless it
-    is None. `series` gets the motion, too.
+    is None. `series` gets the motion, too. They are looked for from one time on and before another one, in elapsed seconds.
+
+    Attributes:
+        span: The times from which on and before which it needs frames.
     """
 
     def __init__(
@@ -59,12 +63,15 @@ class NearMissDetector:
         time_to_collision: float = TIME_TO_COLLISION,
         post_encroachment_time: float = POST_ENCROACHMENT_TIME,
         required_deceleration: float = REQUIRED_DECELERATION,
+        start: float = -math.inf,
+        stop: float = math.inf,
     ) -> None:
         self._contacts, self._ids, self._series = contacts, ids, series
         self._longest, self._deceleration = time_to_collision, required_deceleration
         self._crossings = CrossingSearch(post_encroachment_time, least_speed=_CROSSING_SPEED, only_vehicles=True)
         before, after = max(self._crossings.before, BEND_TIME), max(time_to_collision + SEEN, ENCOUNTER)
-        self._motion = MotionCollector(actors, contacts, before=before, after=after)
+        self._motion = MotionCollector(actors, contacts, before=before, after=after, start=start, stop=stop)
+        self.span = self._motion.span
         self._approaches: dict[tuple[int, float, int, float], list[Encounter]] = defaultdict(list)
 
     def batch(self, batch: Batch) -> None:
@@ -94,9 +101,7 @@ class NearMissDetector:
     def _collides(self, miss: Encounter) -> bool:
         """Return whether an encounter ends in a collision, or follows one."""
         contacts = self._contacts.of(miss.id1, miss.id2)
-        return any(
-            each.start - _UNTIL_CONTACT <= miss.stop and miss.start <= each.stop + _AFTER_CONTACT for each in contacts
-        )
+        return any(each.start - UNTIL_CONTACT <= miss.stop and miss.start <= each.stop + _AFTER_CONTACT for each in contacts)
 
     def _add(self, table: MotionTable) -> None:
         if self._series is not None:

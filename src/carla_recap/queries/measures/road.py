@@ -37,6 +37,8 @@ STOPPED: Final = 0.5
 """The speed below which a vehicle has stopped at a stop sign, in m/s."""
 STOP_ZONE: Final = 8.0
 """How far before the stop line of a stop sign a vehicle may stop, in m from its front."""
+BEFORE: Final = STOP_ZONE / STOPPED
+"""The longest time from a stop before the stop line to the line, in s."""
 OFF_ROAD: Final = 0.3
 """How far the centre of a vehicle has to be outside the road to have left it, in m."""
 OFF_ROAD_TIME: Final = 0.5
@@ -79,7 +81,8 @@ class RoadEvent(NamedTuple):
 class RoadSearch:
     """Finds what vehicles do in relation to the road, in the batches of a recording, which are read for something else, too.
 
-    Its spawns are read at once. `note` gets the vehicles, the measures of the road, and their values.
+    Its spawns are read at once. `note` gets the vehicles, the measures of the road, and their values. What lasts begins at
+    `start` at the earliest; frames from `BEFORE` on before it say whether vehicles were on the road, and stopped.
     """
 
     def __init__(
@@ -88,8 +91,10 @@ class RoadSearch:
         network: RoadNetwork,
         actors: Iterable[ActorLife],
         note: Callable[[ActorLife, str, MeasureValues], None] = lambda *_: None,
+        *,
+        start: float = -math.inf,
     ) -> None:
-        self._network, self._note = network, note
+        self._network, self._note, self._start = network, note, start
         self._motion = MotionCollector(actors, before=_LONGEST)
         self.lights = LightHistory(source, network)
         self._lines = StopLines(network)
@@ -140,7 +145,7 @@ class RoadSearch:
     def _add_runs(self, kind: str, motion: _Motion, flags: Booleans, values: Floats, limits: Floats | None = None) -> None:
         """Add the runs of samples that are flagged."""
         summed = kind == _SUMMED
-        for first, last in runs(flags & motion.is_new, motion.continues[1:]):
+        for first, last in runs(flags & motion.is_new & (motion.time >= self._start), motion.continues[1:]):
             part = values[first : last + 1]
             row = first + int(np.nanargmax(part)) if np.isfinite(part).any() else first
             run = _Run(

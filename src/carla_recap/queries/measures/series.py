@@ -213,8 +213,8 @@ def _collected(
     stop: float = math.inf,
 ) -> dict[int, MeasureSeries]:
     """Return what collectors have of a recording, by the id of the actor."""
-    motion = MotionCollector(lives, contacts, before=MARGIN, after=MARGIN)
-    tables = chain.from_iterable(map(motion.add, source.batches(TYPES, start=start, stop=stop)))
+    motion = MotionCollector(lives, contacts, before=MARGIN, after=MARGIN, start=start, stop=stop)
+    tables = chain.from_iterable(map(motion.add, source.batches(TYPES, start=motion.span[0], stop=motion.span[1])))
     for table in chain(tables, motion.finish()):
         for each in collectors:
             each.add(table)
