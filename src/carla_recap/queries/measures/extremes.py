@@ -161,10 +161,12 @@ class MeasureSearch:
 
     def _note_driving(self) -> None:
         """Note the numbers of Bench2Drive, of heroes that are vehicles."""
-        paths = trajectories_of(self._driven.finish(), self._lives.reuses())
+        reuses = self._lives.reuses()
+        paths = trajectories_of(self._driven.finish(), reuses)
         if self._heroes and not self._is_whole:  # the speeds in a part follow from what is before and after it, too
             paths = trajectories(self._source, self._drivers)
-        others = [paths[other.id].of_life(other) for other in self._traffic if other.id in paths]
+        driving = [(other, paths[other.id]) for other in self._traffic if other.id in paths]
+        others = [path.of_life(other) if other.id in reuses else path for other, path in driving]
         for hero in self._heroes:
             path = paths.get(hero.id, Trajectory.empty(hero.id)).of_life(hero)
             drive = Drive.of(hero, path).during(self._start, self._stop)
