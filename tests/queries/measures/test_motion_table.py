@@ -67,6 +67,15 @@ def test_a_table_has_no_more_poses_than_fit(drive: Drive, monkeypatch: pytest.Mo
         assert np.isfinite(table.x).all()
 
 
+def test_a_table_of_few_frames_in_much_time_has_no_more_moments_than_fit(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 2 actors, 1,600 moments are 40 s at 20 Hz, however many frames these have."""
+    monkeypatch.setattr(motion_table, "_VALUES", 1600)
+    for table in tables_of(drive([straight(id, 0, 10 * id, 10) for id in (1, 2)], seconds=200, rate=1)):
+        assert table.time[-1] - table.time[0] <= 40
+
+
 def test_margins_are_whole_however_many_actors_there_are(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(motion_table, "_VALUES", 10)
     for table in tables_of(drive([straight(id, 0, 10 * id, 10) for id in range(1, 9)], seconds=10, rate=10), after=4.0):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import Spawn
 from carla_recap.queries.measures.encroachment import CrossingSearch
 from carla_recap.queries.measures.motion_table import MotionTable
-from carla_recap.queries.measures.pairs import PairFrames, near_pairs
+from carla_recap.queries.measures.pairs import ELEMENTS, PairFrames, near_pairs
 
 
 def table_of(x, y=0.0, z=0.0, heights=1.0, parents=(), offset=(0.0, 0.0, 0.0), yaw=0.0, is_vehicle=True):
@@ -84,6 +85,19 @@ def test_paths_cross_if_boxes_reach_the_same_level(dz, meet):
 def test_actors_are_near_if_their_reaches_meet(axis, distance, are_near):
     table = table_of([0, distance if axis == "x" else 0], y=[0, distance if axis == "y" else 0])
     assert pairs_of(table, 10.0) == ({(0, 1)} if are_near else set())
+
+
+def test_memory_does_not_grow_with_the_square_of_the_actors():
+    """One actor in 4 is a subject; each is near its neighbours alone."""
+    table = table_of(100.0 * np.arange(3000))
+    subjects = np.arange(3000) % 4 == 0
+    tracemalloc.start()
+    found = list(near_pairs(table, subjects, np.full(3000, 60.0)))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    pairs = {pair for part in found for pair in zip(part.one.tolist(), part.other.tolist(), strict=True)}
+    assert pairs == {(one, one + 1) for one in range(2999) if one % 4 in (0, 3)}
+    assert most < 5 * ELEMENTS
 
 
 def test_pairs_have_a_subject_and_a_vehicle_and_no_one_is_attached():

@@ -32,6 +32,7 @@ THROWN: Final = 5.0
 
 _FRAMES: Final = 2048  # of a table, without its margins
 _VALUES: Final = 1 << 20  # poses of a table, unless its margins have more
+_RATE: Final = 20.0  # Hz of the moments in which crossings are looked for, however few frames there are
 _CONTEXT: Final = 2.0  # s around a frame that its motion depends on
 _FASTEST: Final = 150.0  # m/s; velocities above it do not count
 _AROUND_JUMP: Final = 0.5  # s before and after a jump in which an actor does not count
@@ -255,7 +256,8 @@ class MotionCollector:
                 contacts = self._contacts_within(self._time[start:stop])
                 touching = np.array([id for each in contacts for id in each.ids], np.uint32)  # also without poses then
                 ids = np.intersect1d(np.append(self._poses.ids(start, stop), touching), self._known)
-                if last - first <= max(margins, 1) or len(ids) * (stop - start) <= _VALUES:
+                moments = max(stop - start, (clock[stop - 1] - clock[start]) * _RATE)
+                if last - first <= max(margins, 1) or len(ids) * moments <= _VALUES:
                     break
                 last = first + (last - first + 1) // 2
             begin, end = first + np.searchsorted(clock[first:last], self._part)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -53,15 +54,17 @@ def bounds(x: Floats, y: Floats, reach: Floats, size: int) -> Bounds:
 def meeting(bounds: Bounds, ones: Indices, others: Indices, apart: int = 0) -> Iterator[tuple[Indices, Indices, Indices]]:
     """Yield which of some rows come near the places where other rows were some blocks before, these rows, and the block."""
     (left, right, low, high), blocks = bounds, bounds[0].shape[1]
-    few = max(1, ELEMENTS // max(1, len(ones) * len(others)))
-    for first in range(apart, blocks, few):
+    rows = max(1, min(len(ones), ELEMENTS // max(1, len(others))))
+    few = max(1, ELEMENTS // max(1, rows * len(others)))
+    for first, row in product(range(apart, blocks, few), range(0, len(ones), rows)):
+        some = ones[row : row + rows]
         here, there = (slice(first - back, min(first + few, blocks) - back) for back in (0, apart))
-        near = (left[ones, None, here] <= right[None, others, there]) & (
-            left[None, others, there] <= right[ones, None, here]
+        near = (left[some, None, here] <= right[None, others, there]) & (
+            left[None, others, there] <= right[some, None, here]
         )
         found = np.flatnonzero(near)  # NaN, of those that are absent, is near nothing
         one, other, block = np.unravel_index(found, near.shape)
-        one, other, block = ones[one], others[other], block + first
+        one, other, block = some[one], others[other], block + first
         near = (low[one, block] <= high[other, block - apart]) & (low[other, block - apart] <= high[one, block])
         yield one[near], other[near], block[near]
 
