@@ -215,7 +215,8 @@ class CollisionIncidents(Detector):
     """Finds collisions: the contacts of actors, with the place and the speed at which they begin."""
 
     def __init__(self, search: Search) -> None:
-        self._contacts = [each for each in search.contacts if not each.start >= search.options.stop]
+        stop = search.options.stop
+        self._contacts = [each for each in search.contacts if stop == math.inf or not each.start >= stop]
         self._impacts = ImpactSearch(contact.key for contact in self._contacts)
         super().__init__(search, partial(self._impacts.batch, is_whole=search.options.start == -math.inf))
         self.also = MOTION if self._impacts.missing else ()

@@ -149,19 +149,14 @@ class MotionTable:
     @cached_property
     def thrown(self) -> Booleans:
         """Whether an actor may be thrown: it touches a vehicle, or has done so in the 5 s before, (actors, frames)."""
-        found = np.zeros(self.x.shape, np.bool_)
+        found, spawned = np.zeros(self.x.shape, np.bool_), np.array([actor.spawned_at for actor in self.actors])
         for contact in self.contacts:
             during = (self.time >= contact.start - SAME_TIME) & (self.time <= contact.stop + THROWN)
-            rows = [(self.ids == id) & (self._spawned <= contact.stop + SAME_TIME) for id in contact.ids]
+            rows = [(self.ids == id) & (spawned <= contact.stop + SAME_TIME) for id in contact.ids]
             for these, others in (rows, rows[::-1]):
                 if (others & self.is_vehicle).any():
                     found[np.ix_(these, during)] = True
         return found
-
-    @cached_property
-    def _spawned(self) -> Floats:
-        """When each actor appears, in elapsed seconds, (actors,)."""
-        return np.array([actor.spawned_at for actor in self.actors], np.float64)
 
     @cached_property
     def _parents(self) -> Integers:

@@ -199,9 +199,9 @@ def time_series(
 ) -> MeasureSeries:
     """Return the measures of an actor over time; see `Recording.time_series`."""
     lives, contacts = lives_and_contacts(source)
-    pair = (_find(source, lives, actor), None) if other is None else _find_pair(source, lives, actor, other)
-    (series,) = _collected(source, lives, contacts, [SeriesCollector(*pair[0], others=pair[1])], start, stop).values()
-    return series
+    first, *met = [_find(source, lives, actor)] if other is None else _find_pair(source, lives, actor, other)
+    collectors = [SeriesCollector(*first, others=met[0] if met else None)]
+    return _collected(source, lives, contacts, collectors, start, stop)[first[0].id]
 
 
 def _collected(
@@ -245,15 +245,13 @@ def _find(source: Reader, lives: Iterable[ActorLife], name: ActorName) -> list[A
     return [found] if name == HERO else [each for each in movers if each.id == found.id]
 
 
-def _find_pair(
-    source: Reader, lives: Iterable[ActorLife], name: ActorName, other: ActorName
-) -> tuple[list[ActorLife], list[ActorLife]]:
+def _find_pair(source: Reader, lives: Iterable[ActorLife], name: ActorName, other: ActorName) -> list[list[ActorLife]]:
     first, second = _find(source, lives, name), _find(source, lives, other)
     if first[0].id == second[0].id:
         raise RecapError(f"{source.location}: {name} and {other} are one actor; expected two")
     if not any(each.kind == "vehicle" for each in (*first, *second)):
         raise RecapError(f"{source.location}: expected a vehicle and another actor, found two walkers, {name} and {other}")
-    return first, second
+    return [first, second]
 
 
 class SeriesCollector:
@@ -264,19 +262,16 @@ class SeriesCollector:
 
     def __init__(self, *actors: int | ActorLife, others: Collection[ActorLife] | None = None) -> None:
         self._wanted = {actor.key if isinstance(actor, ActorLife) else actor for actor in actors}
-        self._others = None if others is None else {actor.key for actor in others}
-        self._parts: dict[int, list[MeasureSeries]] = {
-            actor.id if isinstance(actor, ActorLife) else actor: [_NONE] for actor in actors
-        }
+        self._counts = None if others is None else lambda actor: any(actor is other for other in others)
+        ids = (actor.id if isinstance(actor, ActorLife) else actor for actor in actors)
+        self._parts: dict[int, list[MeasureSeries]] = {id: [_NONE] for id in ids}
 
     def add(self, table: MotionTable) -> None:
         """Add a table."""
         rows = np.flatnonzero([not self._wanted.isdisjoint((actor.id, actor.key)) for actor in table.actors])
         if not len(rows):
             return
-        others = self._others
-        counts = None if others is None else lambda actor: actor.key in others
-        found = series_of(table, rows, counts).columns().values()
+        found = series_of(table, rows, self._counts).columns().values()
         for number, row in enumerate(rows.tolist()):
             present = np.flatnonzero(~np.isnan(table.x[row, table.core])) + table.first
             self._parts[int(table.ids[row])].append(MeasureSeries(*(values[number, present] for values in found)))
