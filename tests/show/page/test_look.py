@@ -24,7 +24,7 @@ INCIDENTS = 300
 def crowded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page with hundreds of incidents, and long names."""
     frames: list[dict[str, Any]] = [
-        {"transforms": [(id, 100 * id, step, 0, 0, 0, 0) for id in range(1, 9)]} for step in range(INCIDENTS + 1)
+        {"transforms": [(id, 1000 * id, step, 0, 0, 0, 0) for id in range(1, 9)]} for step in range(INCIDENTS + 1)
     ]
     frames[0]["spawned"] = [spawn(id, LONG, role_name=LONG) for id in range(1, 9)]
     for step in range(1, INCIDENTS + 1):
