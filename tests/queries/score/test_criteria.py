@@ -15,7 +15,7 @@ from carla_recap.errors import RecapWarning
 from carla_recap.formats import open_reader
 from carla_recap.model.frame import Header
 from carla_recap.model.records import Spawn
-from carla_recap.queries.score import Route, Score, score
+from carla_recap.queries.score import Route, Score, ScoreOptions, score
 from carla_recap.roads import find_road_network
 from carla_recap.roads import network as roads
 from tests.queries.conftest import write
@@ -287,11 +287,11 @@ def test_an_emergency_vehicle_that_stays_behind_was_not_let_pass(drives: Drives)
 # --- ids that are used again, and unknown speeds ---------------------------------------------------------------------------
 
 
-def scored(path: Path, frames: list[dict[str, Any]]) -> Score:
+def scored(path: Path, frames: list[dict[str, Any]], **options: Any) -> Score:
     """Return the score of frames of 0.05 s along the route."""
     write(path, frames, header=Header("Brickfield", 1_600_000_000), durations=[0.05] * len(frames))
     with closing(open_reader(path)) as reader:
-        return score(reader, ROUTE)
+        return score(reader, ROUTE, ScoreOptions(**options))
 
 
 def moving(id: int, poses: Sequence[Pose]) -> list[tuple[float, ...]]:
@@ -325,6 +325,26 @@ def test_a_hero_whose_speed_is_unknown_counts_as_moving(tmp_path: Path) -> None:
     with closing(open_reader(path)) as reader, pytest.warns(RecapWarning, match="in which it counts as moving"):
         found = score(reader, ROUTE)
     assert kinds(found) == ["collisions_vehicle"]
+
+
+@pytest.mark.parametrize(("stays", "stop", "expected"), [(True, np.inf, 1), (False, np.inf, 1), (False, 1.9, 0)])
+def test_a_contact_counts_though_the_hero_has_no_pose_then(
+    tmp_path: Path, stays: bool, stop: float, expected: int
+) -> None:
+    frames: list[dict[str, Any]] = [{"transforms": moving(7, [pose])} for pose in WHOLE[: 80 if stays else 41]]
+    frames[0]["spawned"] = [vehicle(7, "hero"), vehicle(8)]
+    frames[40] = {"collisions": [(0, 7, 8, True, False)]} | ({} if stays else {"destroyed": [(7,)]})
+    found = scored(tmp_path / "contact.mcap", frames, stop=stop)
+    assert kinds(found) == ["collisions_vehicle"] * expected
+
+
+def test_a_jump_is_not_driven(drives: Drives) -> None:
+    """The hero drives 20 m, jumps by 60 m, and drives 20 m, on both halves beside traffic at its own speed."""
+    poses = westward(at_speed(10, 20)) + westward(at_speed(10, 20), start=START - 80)
+    traffic = {OTHER: (vehicle(OTHER, "background"), westward([10.0] * len(poses), y=5.25))}
+    found = drives(poses, route=None, others=traffic)
+    assert found.driven == found.route_length == pytest.approx(39.5 - TICK * 10)
+    assert found.efficiency == pytest.approx(100, abs=0.5)
 
 
 # --- without a route -----------------------------------------------------------------------------------------------------

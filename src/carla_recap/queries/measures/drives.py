@@ -15,7 +15,6 @@ import numpy as np
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.presence import FAR
-from carla_recap.roads.polylines import stations
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -67,14 +66,16 @@ class Drive:
     yaw: Floats  # the heading in radians, (n,)
     speed: Floats  # over the ground in m/s, (n,)
     velocity: Floats  # over the ground in m/s, (n, 2); it may be no number
+    steps: Floats  # the distance from the place before in m, 0 for a jump, (n,)
 
     @classmethod
     def of(cls, actor: ActorLife, path: Trajectory) -> Drive:
         """Return the motion of an actor, without frames in which its pose is no number, or is too far away."""
         place = np.stack((path.x, path.y, path.z), axis=1)
         kept = (np.abs(place) < FAR).all(axis=1) & np.isfinite(path.yaw)
-        velocity = np.stack((path.vx, path.vy), axis=1)
-        return cls(actor, path.time[kept], place[kept], np.radians(path.yaw[kept]), ground_speed(path)[kept], velocity[kept])
+        path = path.at(kept)
+        velocity, steps = np.stack((path.vx, path.vy), axis=1), np.append(0.0, np.nan_to_num(path.steps))
+        return cls(actor, path.time, place[kept], np.radians(path.yaw), ground_speed(path), velocity, steps[: len(path)])
 
     def __len__(self) -> int:
         return len(self.time)
@@ -87,13 +88,13 @@ class Drive:
     def part(self, first: int, last: int) -> Drive:
         """Return some of the frames, both ends included."""
         rows = slice(first, last + 1)
-        values = (self.time, self.position, self.yaw, self.speed, self.velocity)
+        values = (self.time, self.position, self.yaw, self.speed, self.velocity, self.steps)
         return Drive(self.actor, *(each[rows] for each in values))
 
-    @property
-    def length(self) -> float:
-        """The distance driven in m."""
-        return float(stations(self.position)[-1])
+    @cached_property
+    def driven(self) -> Floats:
+        """The distance driven until each frame in m, (n,)."""
+        return np.cumsum(self.steps) - self.steps[:1]
 
     @property
     def half_length(self) -> float:
@@ -132,21 +133,17 @@ class PlannedRoute:
 
     points: Floats  # (n, 3), in m
     ahead: Floats  # the driving direction at each, as vectors of length 1, (n, 3)
+    travelled: Floats  # the distance of each from the first one along the route, in m, (n,)
     junction: float | None = None  # the share of the points in % to a bit behind the first one in a junction
 
     @classmethod
     def of_drive(cls, drive: Drive) -> PlannedRoute:
         """Return the driven path of an actor as a route."""
-        travelled = stations(drive.position[:, :2])
-        count = int(travelled[-1] / _SPACING)
-        rows = np.unique(np.searchsorted(travelled, np.arange(count + 1) * _SPACING))
+        count = int(drive.driven[-1] / _SPACING)
+        rows = np.unique(np.searchsorted(drive.driven, np.arange(count + 1) * _SPACING))
         yaw = drive.yaw[rows]
-        return cls(drive.position[rows], np.stack((np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))), axis=1))
-
-    @cached_property
-    def travelled(self) -> Floats:
-        """The distance of each point from the first one along the route, (n,)."""
-        return stations(self.points)
+        ahead = np.stack((np.cos(yaw), np.sin(yaw), np.zeros(len(yaw))), axis=1)
+        return cls(drive.position[rows], ahead, drive.driven[rows])
 
     @property
     def length(self) -> float:
@@ -175,6 +172,12 @@ class PlannedRoute:
         for tick, number in self.passed(drive.ticks, window):
             numbers[drive.frames[tick]] = number
         return np.maximum.accumulate(numbers)
+
+
+def background(paths: Mapping[int, Trajectory], lives: Iterable[ActorLife]) -> list[Trajectory]:
+    """Return the trajectories of the background vehicles among actors, of those that have poses."""
+    found = (paths[life.id].of_life(life) for life in lives if life.role_name == BACKGROUND and life.id in paths)
+    return [path for path in found if len(path)]
 
 
 class Comfort(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.queries import Answer
 from carla_recap.queries.measures.definitions import MEASURES, NO_OTHER, MeasureRow, MeasureValues
-from carla_recap.queries.measures.drives import BACKGROUND, Drive, comfort, efficiency
+from carla_recap.queries.measures.drives import BACKGROUND, Drive, background, comfort, efficiency
 from carla_recap.queries.measures.encroachment import CrossingSearch
 from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
 from carla_recap.queries.measures.pairs import SEEN
@@ -20,7 +20,6 @@ from carla_recap.queries.measures.road import RoadSearch
 from carla_recap.queries.measures.series import HORIZON, measured_actors, series_of
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from carla_recap.queries.roads import roads_of, warn_without_roads
-from carla_recap.roads.polylines import stations
 from carla_recap.tables.trajectories import MOTION, RowCollector, Trajectory, portions, trajectories, trajectories_of
 
 if TYPE_CHECKING:
@@ -161,20 +160,17 @@ class MeasureSearch:
 
     def _note_driving(self) -> None:
         """Note the numbers of Bench2Drive, of heroes that are vehicles."""
-        reuses = self._lives.reuses()
-        paths = trajectories_of(self._driven.finish(), reuses)
+        paths = trajectories_of(self._driven.finish(), self._lives.reuses())
         if self._heroes and not self._is_whole:  # the speeds in a part follow from what is before and after it, too
             paths = trajectories(self._source, self._drivers)
-        driving = [(other, paths[other.id]) for other in self._traffic if other.id in paths]
-        others = [path.of_life(other) if other.id in reuses else path for other, path in driving]
+        others = background(paths, self._traffic)
         for hero in self._heroes:
             path = paths.get(hero.id, Trajectory.empty(hero.id)).of_life(hero)
             drive = Drive.of(hero, path).during(self._start, self._stop)
             if len(drive) > 1:
-                driven = stations(drive.position[:, :2])
                 smooth = comfort(drive.time, drive.velocity, drive.yaw)
                 for name, value in (
-                    ("driving_efficiency", efficiency(drive, driven, float(driven[-1]), others)),
+                    ("driving_efficiency", efficiency(drive, drive.driven, drive.driven[-1], others)),
                     ("driving_smoothness", smooth and smooth.smoothness),
                 ):
                     if value is not None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.motion import LONGEST_STEP
 from carla_recap.queries.measures.drives import WINDOW, traffic_shares
 from carla_recap.queries.score.infractions import Infraction
 from carla_recap.roads.lanes import DRIVING
@@ -131,14 +132,19 @@ def _timeout(drive: Drive, route: PlannedRoute, network: RoadNetwork) -> tuple[i
 
 
 def collisions(drive: Drive, contacts: Iterable[Contact], actors: ActorLives) -> Iterator[Infraction]:
-    """Yield the collisions of the hero: the frames of its contacts that count as new and as its fault."""
-    hero = drive.actor.id
+    """Yield the collisions of the hero: the frames of its contacts that count as new and as its fault.
+
+    A contact in whose frames the hero has no pose counts in the next one that has it, else in the last one, within 1 s.
+    """
+    hero, end = drive.actor.id, len(drive) - 1
     touches = []
     for contact in contacts:
-        if hero in contact.ids:
-            first, last = np.searchsorted(drive.time, (contact.start - SAME_TIME, contact.stop + SAME_TIME))
+        if hero in contact.ids and actors.at(hero, contact.start + SAME_TIME) is drive.actor:
+            first, last = np.searchsorted(drive.time, (contact.start - SAME_TIME, contact.stop + SAME_TIME)).tolist()
+            if first == last and abs(drive.time[min(first, end)] - contact.start) <= LONGEST_STEP:
+                first, last = min(first, end), min(first, end) + 1
             other = contact.ids[contact.ids[0] == hero]
-            touches += [(frame, other) for frame in range(int(first), min(int(last), len(drive)))]
+            touches += [(frame, other) for frame in range(first, last)]
     place: Floats | None = None
     with_actor, since = None, -math.inf
     at = 0
@@ -288,9 +294,11 @@ def _between(one: float, other: float) -> float:
     return abs((one - other + 180) % 360 - 180)
 
 
-def slow_quarters(drive: Drive, route: PlannedRoute, others: Iterable[Trajectory]) -> Iterator[Infraction]:
-    """Yield the quarters of the route along which the hero is slower than the background vehicles."""
-    for end, percentage in traffic_shares(drive, route.travelled_by(drive), route.length, others, _QUARTERS):
+def slow_quarters(
+    drive: Drive, travelled: Floats, length: float, others: Iterable[Trajectory]
+) -> Iterator[Infraction]:
+    """Yield the quarters of the route along which the hero is slower than the background vehicles; see `traffic_shares`."""
+    for end, percentage in traffic_shares(drive, travelled, length, others, _QUARTERS):
         if percentage < 100:
             text = f"Average speed is {percentage}% of the surrounding traffic's one"
             yield _infraction("min_speed_infractions", drive, end, text, share=1 - percentage / 100)

@@ -11,7 +11,7 @@ import numpy as np
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.lives import HERO, ActorName, find_actor
-from carla_recap.queries.measures.drives import BACKGROUND, LONGEST_FRAME, Drive, PlannedRoute, comfort, efficiency
+from carla_recap.queries.measures.drives import BACKGROUND, LONGEST_FRAME, Drive, PlannedRoute, background, comfort, efficiency
 from carla_recap.queries.measures.road_signals import LightHistory, StopLines
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from carla_recap.queries.roads import find_map_of
@@ -19,6 +19,7 @@ from carla_recap.queries.score import criteria
 from carla_recap.queries.score.infractions import FORMULAS, INFRACTIONS, Formula, Infraction, penalty_of
 from carla_recap.queries.score.route_files import repetition
 from carla_recap.roads.planning import RoutePlanner
+from carla_recap.roads.polylines import stations
 from carla_recap.roads.surfaces import load_road_network
 from carla_recap.roads.waypoints import load_lane_map
 from carla_recap.tables.trajectories import Trajectory, trajectories
@@ -176,18 +177,21 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
     if len(long):
         text = f"{len(long)} frames last longer than {LONGEST_FRAME:g} s, the first at {whole.time[long[0]]:.2f} s"
         warnings.warn(f"{source.location}: {text}; of each, {LONGEST_FRAME:g} s count", RecapWarning, stacklevel=2)
+    touched = [each for each in contacts if each.start <= options.stop and each.stop >= options.start]
     planned = PlannedRoute.of_drive(whole) if route is None else _planned(route, town, path)
     end = criteria.ending(whole, planned, network) if route else criteria.ending_of_drive(whole)
     drive = whole.part(0, end.frame)
     lines = StopLines(network)
     passed = criteria.passages(drive, lines)
-    background = [path for life, path in others if life.role_name == BACKGROUND and len(path)]
+    traffic = background(paths, lives)
+    travelled = drive.driven if route is None else planned.travelled_by(drive)
+    length = planned.length if route else drive.driven[-1]
     found = [
-        *criteria.collisions(drive, contacts, actors),
+        *(each for each in criteria.collisions(whole, touched, actors) if each.time <= drive.time[-1]),
         *criteria.red_lights(drive, passed, lines, _lights(source, network, passed)),
         *criteria.stop_signs(drive, lines, actors),
         *criteria.outside_lanes(drive, planned, town),
-        *criteria.slow_quarters(drive, planned, background),
+        *criteria.slow_quarters(drive, travelled, length, traffic),
         *criteria.not_yielded(drive, others),
         *([end.infraction] if end.infraction else []),
     ]
@@ -206,11 +210,11 @@ def score(source: Reader, route: Route | None, options: ScoreOptions | None = No
         round(penalty, 6),
         tuple(sorted(counted, key=lambda each: each.time)),
         round(planned.length, 3),
-        round(drive.length, 3),
+        round(float(drive.driven[-1]), 3),
         float(drive.time[0]),
         float(drive.time[-1]),
         route.scenarios if route else (),
-        efficiency(drive, planned.travelled_by(drive), planned.length, background),
+        efficiency(drive, travelled, length, traffic),
         smooth and smooth.smoothness,
         smooth.within if smooth else {},
         planned.junction,
@@ -246,7 +250,7 @@ def _planned(route: Route, town: LaneMap, path: Path) -> PlannedRoute:
     points[0, 2] += _DROP
     junctions = np.flatnonzero(town.in_junction[at.lane])
     behind = 100 * float(junctions[0] + 1 + _BEHIND_JUNCTION) / len(points) if len(junctions) else None
-    return PlannedRoute(points, at.ahead, behind)
+    return PlannedRoute(points, at.ahead, stations(points), behind)
 
 
 @lru_cache(2)
