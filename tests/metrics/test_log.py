@@ -129,6 +129,25 @@ def test_angular_velocities_are_recorded_or_derived_across_half_a_turn(log):
     assert log.get_actor_angular_velocities_at_frame(3, [7])[7].z == pytest.approx(100)
 
 
+@pytest.mark.parametrize(
+    ("roll", "pitch", "yaw", "expected"),
+    [
+        ([0, 2], [0, 0], [0, 0], (-20, 0, 0)),  # CARLA's roll and pitch turn around the negative axes
+        ([0, 0], [0, 2], [0, 0], (0, -20, 0)),
+        ([0, 0], [0, 2], [90, 90], (20, 0, 0)),
+        ([0, 0], [90, 90], [179, -179], (0, 0, 20)),
+    ],
+)
+def test_angular_velocities_are_along_the_axes_of_the_world(tmp_path, roll, pitch, yaw, expected):
+    path = tmp_path / "turning.log"
+    with create_recording(path, map_name="Town01") as recorder:
+        for frame, angles in enumerate(zip(roll, pitch, yaw, strict=True)):
+            spawned = [] if frame else [Spawn(7, ActorKind.VEHICLE, type_id="vehicle.a.b")]
+            recorder.add_frame(frame * 0.1, spawned=spawned, transforms=[(7, 0, 0, 0, *angles)])
+    with MetricsLog(path) as log:
+        assert xyz(log.get_actor_angular_velocity(7, 2)) == pytest.approx(expected, abs=1e-4)
+
+
 def test_without_time_between_frames_there_is_no_angular_velocity(tmp_path):
     transforms = UE4.named("transforms")
     turning = [

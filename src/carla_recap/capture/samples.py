@@ -9,9 +9,9 @@ import numpy as np
 from carla_recap.errors import RecapError
 from carla_recap.model.packets import pose
 from carla_recap.rendering.camera import ImageKind
-from carla_recap.replay.pose import MIRROR, right_handed
+from carla_recap.replay.pose import ANGULAR_MIRROR, MIRROR, right_handed
 from carla_recap.sensors.cameras import decoded
-from carla_recap.sensors.sensing import ANGULAR_MIRROR, DETECTION, FIX, INERTIA, POINT, SEMANTIC_POINT, Sample
+from carla_recap.sensors.sensing import DETECTION, FIX, INERTIA, POINT, SEMANTIC_POINT, Sample
 
 if TYPE_CHECKING:
     import carla

@@ -18,10 +18,11 @@ import numpy as np
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.model.lives import HERO, ActorLives
 from carla_recap.model.lives import TYPES as ACTOR_TYPES
-from carla_recap.model.motion import rates, steps_joined
+from carla_recap.model.motion import steps_joined
 from carla_recap.model.records import CM
 from carla_recap.output.packet_lines import LIGHTS, sorted_points
 from carla_recap.recording import Recording, open_recording
+from carla_recap.replay.pose import ANGULAR_MIRROR, angular_velocities, right_handed
 from carla_recap.tables.trajectories import actor_rows, life_numbers, trajectories
 from carla_recap.util.text import number
 
@@ -89,7 +90,7 @@ class MetricsLog:
         self._light_times: defaultdict[int, list[tuple[int, tuple[float, float, float]]]] = defaultdict(list)
         self._scene_lights: defaultdict[int, list[tuple[int, Any]]] = defaultdict(list)
         self._rows: dict[str, dict[int, ActorRows]] = {}
-        self._turning: dict[int, Floats] = {}  # the derived angular velocities in degrees/s, (3, n), by id
+        self._turning: dict[int, Floats] = {}  # the derived angular velocities in degrees/s, (n, 3), by id
         try:
             self._read_events()
         except BaseException:
@@ -209,8 +210,7 @@ class MetricsLog:
     def get_actor_angular_velocity(self, actor_id: int, frame: int) -> carla.Vector3D | None:
         """Return the angular velocity of an actor in a frame in degrees/s.
 
-        If it was not recorded, it is the change of roll, pitch and yaw per second, between the frames that a velocity is
-        derived from; 0 without any.
+        If it was not recorded, it is derived from its poses, in the frames that a velocity is derived from; 0 without any.
         """
         row = self._row("velocities", actor_id, frame)
         if row is not None:
@@ -223,9 +223,10 @@ class MetricsLog:
             life = life_numbers(self._paths[actor_id][0], spawned)
             speed = np.where(path.velocity_recorded, path.speed, np.nan)
             joined = steps_joined(path.time, np.stack((path.x, path.y, path.z)), speed, life)
-            angles = np.stack((path.roll, path.pitch, path.yaw))
-            self._turning[actor_id] = np.nan_to_num(rates(path.time, angles, joined, period=360.0), posinf=0, neginf=0)
-        return carla.Vector3D(*self._turning[actor_id][:, index].tolist())
+            poses = right_handed(np.stack((path.x, path.y, path.z, path.roll, path.pitch, path.yaw), axis=1))
+            turning = angular_velocities(path.time, poses, joined) * ANGULAR_MIRROR
+            self._turning[actor_id] = np.nan_to_num(turning, posinf=0, neginf=0)
+        return carla.Vector3D(*self._turning[actor_id][index].tolist())
 
     get_all_actor_angular_velocities = _in_frames(get_actor_angular_velocity)
     get_actor_angular_velocities_at_frame = _by_actor(get_actor_angular_velocity)

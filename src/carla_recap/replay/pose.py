@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
-from carla_recap.model.motion import JUMP, possible_step
+from carla_recap.model.motion import JUMP, neighbours, possible_step
 from carla_recap.model.records import CM
 from carla_recap.replay.selection import NO_IDS, Selection, array, find, latest, numbers
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.model.frame import Frame
-    from carla_recap.util.arrays import Floats, Ids
+    from carla_recap.util.arrays import Booleans, Floats, Ids
 
 
 F = TypeVar("F", bound=np.floating)
@@ -31,10 +31,13 @@ YAW: Final = 5
 MIRROR: Final = np.array((1.0, -1.0, 1.0))
 """The factors of coordinates between CARLA's axes and right-handed ones."""
 
+ANGULAR_MIRROR: Final = np.array((-1.0, 1.0, -1.0))
+"""The factors of angular velocities between CARLA's axes and right-handed ones: a mirror turns rotations around."""
+
 _NEAR: Final = JUMP / CM / 2  # steps along each axis, in cm, and rotations, in degrees, are shorter in most frames
 
 _TO_RIGHT_HANDED: Final = np.array([CM, -CM, CM, 1, -1, -1])
-_VELOCITY_TO_RIGHT_HANDED: Final = np.array([1.0, -1, 1, -1, 1, -1])  # a mirror turns rotations the other way around
+_VELOCITY_TO_RIGHT_HANDED: Final = np.concatenate((MIRROR, ANGULAR_MIRROR))
 
 
 def wrap(angles: Floats) -> Floats:
@@ -95,6 +98,23 @@ def rotations(poses: Floats) -> Floats:
     found[..., 1, 0], found[..., 1, 1], found[..., 1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
     found[..., 2, 0], found[..., 2, 1], found[..., 2, 2] = -sp, cp * sr, cp * cr
     return found
+
+
+def angular_velocities(time: Floats, poses: Floats, joined: Booleans) -> Floats:
+    """Return the angular velocities of right-handed poses, (n, 6), as vectors in the world in degrees/s, (n, 3).
+
+    They are derived between the neighbours of each frame, as `carla_recap.model.motion.rates` does; NaN without one.
+    """
+    axes, (before, after) = rotations(poses), neighbours(joined)
+    turn = axes[after] @ np.swapaxes(axes[before], 1, 2)
+    sine = np.stack(
+        (turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]), axis=1
+    )  # twice the sine of the angle, along the axis
+    length = np.sqrt((sine**2).sum(axis=1))
+    angle = np.arctan2(length, np.trace(turn, axis1=1, axis2=2) - 1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        vectors: Floats = np.degrees(sine * np.where(length > 0, angle / length, 0.5)[:, None])
+        return vectors / (time[after] - time[before])[:, None]
 
 
 def attach(parent: Floats, relative: Floats) -> Floats:

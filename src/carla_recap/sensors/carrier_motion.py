@@ -9,7 +9,7 @@ import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import LONGEST_STEP, motion_of, neighbours, rates
-from carla_recap.replay.pose import LOCATION, right_handed, right_handed_velocities, rotations
+from carla_recap.replay.pose import LOCATION, angular_velocities, right_handed, right_handed_velocities
 from carla_recap.replay.selection import numbers
 from carla_recap.tables.trajectories import actor_rows, life_numbers, spawn_times
 
@@ -68,9 +68,9 @@ class CarrierMotion:
         time, places, (linear, angular) = self._time, poses[:, LOCATION].T, np.split(motion.T, 2)
         spawned = spawn_times(recording.reader, begin, end).get(id, [])
         velocity, joined = motion_of(time, places, linear, life_numbers(time, spawned))
-        self._joined, axes, (before, after) = joined, rotations(poses), neighbours(joined)
+        self._joined, (before, after) = joined, neighbours(joined)
         with np.errstate(invalid="ignore", divide="ignore"):
-            turning = _turns(axes[before], axes[after]).T / (time[after] - time[before])
+            turning = angular_velocities(time, poses, joined).T
             seconds = np.where(joined, np.diff(time), np.nan)
             acceleration = np.full(places.shape, np.nan)
             acceleration[:, 1:-1] = np.diff(np.diff(places) / seconds) / (seconds[1:] + seconds[:-1]) * 2
@@ -91,16 +91,3 @@ class CarrierMotion:
             part = (time - self._time[row]) / (self._time[after] - self._time[row])
             found = (1 - part) * found + part * self._motion[:, after]
         return Motion(*found)
-
-
-def _turns(before: Floats, after: Floats) -> Floats:
-    """Return the rotations from axes to others as vectors in the world, (n, 3) in degrees."""
-    turn = after @ np.swapaxes(before, 1, 2)
-    sine = np.stack(
-        (turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]), axis=1
-    )  # twice the sine of the angle, along the axis
-    length = np.sqrt((sine**2).sum(axis=1))
-    angle = np.arctan2(length, np.trace(turn, axis1=1, axis2=2) - 1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        vectors: Floats = np.degrees(sine * np.where(length > 0, angle / length, 0.5)[:, None])
-    return vectors

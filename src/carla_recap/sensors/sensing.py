@@ -29,7 +29,7 @@ from carla_recap.model.records import CM
 from carla_recap.rendering.rays import SurfaceHits
 from carla_recap.replay import Player
 from carla_recap.replay.motion import SceneMotion
-from carla_recap.replay.pose import LOCATION, MIRROR, YAW, attach, left_handed, right_handed, rotations
+from carla_recap.replay.pose import ANGULAR_MIRROR, LOCATION, MIRROR, YAW, attach, left_handed, right_handed, rotations
 from carla_recap.replay.recorded_map import load_map_of
 from carla_recap.roads.files import read_text
 from carla_recap.scene.actor_instances import described_instances
@@ -81,8 +81,6 @@ _AHEAD: Final = 3  # moments whose images are drawn while the one before is used
 _PIXELS_AHEAD: Final = 1 << 25  # of the images of these moments: 128 MB of bytes as they are drawn
 _USUAL_STEP: Final = 0.05  # s between two frames
 _LONGEST: Final = 10.0  # s between two samples, for which rays are cast
-ANGULAR_MIRROR: Final = np.array((-1.0, 1.0, -1.0))
-"""The factors of angular velocities between CARLA's axes and right-handed ones."""
 _RAY_KINDS: Final = ("lidar", "semantic_lidar", "radar")
 _RAYS_OF_A_PART: Final = 1 << 14  # cast by one thread at a time
 _MOST_THREADS: Final = 8  # that cast rays; more wait for Python's lock

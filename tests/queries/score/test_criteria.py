@@ -328,9 +328,7 @@ def test_a_hero_whose_speed_is_unknown_counts_as_moving(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("stays", "stop", "expected"), [(True, np.inf, 1), (False, np.inf, 1), (False, 1.9, 0)])
-def test_a_contact_counts_though_the_hero_has_no_pose_then(
-    tmp_path: Path, stays: bool, stop: float, expected: int
-) -> None:
+def test_a_contact_counts_though_the_hero_has_no_pose_then(tmp_path: Path, stays: bool, stop: float, expected: int) -> None:
     frames: list[dict[str, Any]] = [{"transforms": moving(7, [pose])} for pose in WHOLE[: 80 if stays else 41]]
     frames[0]["spawned"] = [vehicle(7, "hero"), vehicle(8)]
     frames[40] = {"collisions": [(0, 7, 8, True, False)]} | ({} if stays else {"destroyed": [(7,)]})

@@ -294,9 +294,7 @@ def _between(one: float, other: float) -> float:
     return abs((one - other + 180) % 360 - 180)
 
 
-def slow_quarters(
-    drive: Drive, travelled: Floats, length: float, others: Iterable[Trajectory]
-) -> Iterator[Infraction]:
+def slow_quarters(drive: Drive, travelled: Floats, length: float, others: Iterable[Trajectory]) -> Iterator[Infraction]:
     """Yield the quarters of the route along which the hero is slower than the background vehicles; see `traffic_shares`."""
     for end, percentage in traffic_shares(drive, travelled, length, others, _QUARTERS):
         if percentage < 100:

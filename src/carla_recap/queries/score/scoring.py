@@ -11,7 +11,15 @@ import numpy as np
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.lives import HERO, ActorName, find_actor
-from carla_recap.queries.measures.drives import BACKGROUND, LONGEST_FRAME, Drive, PlannedRoute, background, comfort, efficiency
+from carla_recap.queries.measures.drives import (
+    BACKGROUND,
+    LONGEST_FRAME,
+    Drive,
+    PlannedRoute,
+    background,
+    comfort,
+    efficiency,
+)
 from carla_recap.queries.measures.road_signals import LightHistory, StopLines
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from carla_recap.queries.roads import find_map_of
