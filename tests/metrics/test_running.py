@@ -114,6 +114,28 @@ def test_a_metric_gives_the_same_figures_as_with_scenario_runners_manager(tmp_pa
     assert ours["distance"] == pytest.approx(theirs["distance"], abs=1e-3)
 
 
+HELPED = """
+from srunner.metrics.examples.basic_metric import BasicMetric
+import helper, aids.more, random
+
+class Helped(BasicMetric):
+    def _create_metric(self, town_map, log, criteria):
+        self.found = helper.NAME, aids.more.NAME, random.__name__
+"""
+
+
+def test_metrics_have_the_helpers_of_their_own_folders(tmp_path: Path) -> None:
+    before = set(sys.modules)
+    with MetricsLog(CROSSING) as log:
+        for name in ("one", "two", "one"):
+            (tmp_path / name / "aids").mkdir(parents=True, exist_ok=True)
+            (tmp_path / name / "my_metric.py").write_text(HELPED, "utf-8")
+            for helper in ("helper.py", "aids/more.py"):
+                (tmp_path / name / helper).write_text(f"NAME = {name!r}", "utf-8")
+            assert run_metric(tmp_path / name / "my_metric.py", log).found == (name, name, "random")
+    assert not {"helper", "aids", "aids.more"} & (sys.modules.keys() - before)
+
+
 def test_a_run_leaves_modules_as_they_were(tmp_path: Path) -> None:
     import random
 

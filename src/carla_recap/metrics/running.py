@@ -68,16 +68,27 @@ def run_metric(
 
 @contextmanager
 def _importing(path: Path) -> Iterator[None]:
-    """Import modules from the folder of a file first, the file's own anew; afterwards all is as before."""
-    folder, before = str(path.parent.absolute()), sys.modules.pop(path.stem, None)
-    sys.path.insert(0, folder)
+    """Import modules from the folder of a file first, anew; afterwards all is as before."""
+    folder = path.parent.absolute()
+    own = {each.stem for each in folder.glob("*.py")} | {each.parent.name for each in folder.glob("*/__init__.py")}
+    own = {name for name in own & sys.modules.keys() if name == path.stem or not _is_in(folder, name)}
+    aside = {name: sys.modules.pop(name) for name in list(sys.modules) if name.partition(".")[0] in own}
+    before = set(sys.modules)
+    sys.path.insert(0, str(folder))
     try:
         yield
     finally:
-        sys.path.remove(folder)
-        sys.modules.pop(path.stem, None)
-        if before is not None:
-            sys.modules[path.stem] = before
+        sys.path.remove(str(folder))
+        new = {name for name in sys.modules.keys() - before if "." not in name and _is_in(folder, name)}
+        for name in [name for name in sys.modules if name.partition(".")[0] in new]:
+            del sys.modules[name]
+        sys.modules.update(aside)
+
+
+def _is_in(folder: Path, name: str) -> bool:
+    """Return whether a module or a package has been imported from a folder."""
+    places = (*getattr(sys.modules[name], "__path__", ()), getattr(sys.modules[name], "__file__", None) or "")
+    return any(Path(place).parent == folder for place in places)
 
 
 def _criteria(path: Path) -> dict[str, Any]:
