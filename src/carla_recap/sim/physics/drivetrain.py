@@ -182,7 +182,8 @@ class _Parameters:
         self.brake, self.hand_brake = brakes
         self.per_inertia = 1 / inertia
         self.per_grip = 1 / np.maximum(self.grip, _TINY)
-        self.stiffnesses = self.lateral / np.maximum(self.longitudinal, _TINY)
+        stiffnesses = self.lateral / np.maximum(self.longitudinal, _TINY)
+        self.most_weighting, self.less_weighting = 0.5 * (1 + stiffnesses), 0.5 * (1 - stiffnesses)
         self.most_turns, self.clutch = tables.most_turns[own], tables.clutch[own]
         self.per_turn = TORQUES / np.maximum(self.most_turns, _TINY)
         self.per_engine = 1 / tables.engine_inertia[own]
@@ -250,7 +251,8 @@ class _Drive:
         self.share[:2, hand_brake], self.share[2:, hand_brake] = 0.5, 0.0  # PhysX's: drive at the front alone
         self.mass, self.moment, self.air = fleet.mass[rows], fleet.moment[rows], fleet.air[rows]
         self.cos, self.sin = self._front_wheels()
-        self.throttle, self.brake = fleet.throttle_input[rows], fleet.brake_input[rows]
+        self.pedals = np.array((fleet.throttle_input[rows], fleet.brake_input[rows]))
+        self.wanted = np.array((fleet.throttle[rows], fleet.brake[rows]))
         self.manual, self.gear, self.target = fleet.manual[rows], fleet.gear[rows], fleet.target_gear[rows]
         self.shift_time, self.since_shift = fleet.shift_time[rows], fleet.since_shift[rows]
         self.turning = fleet.turning[rows]
@@ -260,17 +262,17 @@ class _Drive:
 
     def begin(self, seconds: float) -> None:
         """Begin a step of a length in s: pedals, and gears; an automatic shift takes the throttle away."""
-        fleet, rows, own = self.fleet, self.rows, self.own
-        self.throttle = _follow(self.throttle, fleet.throttle[rows], _PEDALS, seconds)
-        self.brake = _follow(self.brake, fleet.brake[rows], _PEDALS, seconds)
-        self.brakes = self.brake * own.brake + self.held
+        own = self.own
+        self.pedals = _follow(self.pedals, self.wanted, _PEDALS, seconds)
+        throttle, brake = self.pedals
+        self.brakes = brake * own.brake + self.held
         self.braked = self.brakes > 0
         self._shift(seconds)
         neutral = self.gear == 0
         shifting = (self.gear != self.target) & ~self.manual
-        self.ratio = fleet.tables.ratios[self.table, self.gear]
+        self.ratio = self.fleet.tables.ratios[self.table, self.gear]
         self.strength = own.clutch * ~neutral
-        self.accelerator = self.throttle * ~shifting
+        self.accelerator = throttle * ~shifting
         without = np.where(neutral, own.disengaged, own.engaged)
         self.engine_damping = without + (own.full - without) * self.accelerator
 
@@ -326,7 +328,7 @@ class _Drive:
         load = np.hypot(own.lateral * side_slip, own.longitudinal * slip) * own.per_grip
         bounded = np.minimum(load, 3.0)
         saturation = bounded * (1 + bounded * (bounded / 27 - 1 / 3))
-        weighting = 0.5 * (1 + own.stiffnesses - (1 - own.stiffnesses) * np.cos(np.minimum(0.5 * load, pi)))
+        weighting = own.most_weighting - own.less_weighting * np.cos(np.minimum(0.5 * load, pi))
         effective = weighting * side_slip
         by_slip = own.grip * saturation / (np.hypot(slip, effective) + _TINY)
         pull, push = by_slip * slip, -by_slip * effective
@@ -400,7 +402,7 @@ class _Drive:
         fleet.speed[rows], fleet.turning[rows] = forward * moving, self.turning * moving
         fleet.sideways[rows] = (right - self.turning * self.own.centre) * moving
         fleet.omega[rows], fleet.engine[rows] = (self.omega * moving).T, self.engine
-        fleet.throttle_input[rows], fleet.brake_input[rows] = self.throttle, self.brake
+        fleet.throttle_input[rows], fleet.brake_input[rows] = self.pedals
         fleet.gear[rows], fleet.target_gear[rows] = self.gear, self.target
         fleet.shift_time[rows], fleet.since_shift[rows] = self.shift_time, self.since_shift
         x = self.moved_x + (1 - cos) * self.own.centre

@@ -162,12 +162,12 @@ class Vehicles(Drivetrains):
 
     def _drive(self, which: Booleans, seconds: float, *, exactly: bool) -> None:
         """Drive some vehicles for a time in s, see `drivetrain.advance`: their bodies are to get the mean velocities."""
-        rows = np.flatnonzero(which)
+        rows = which.nonzero()[0]
         if len(rows):
             ahead, aside, turn = drivetrain.advance(self, rows, seconds, exactly=exactly)
             yaw = np.radians(self.rotation[rows, 1])
             cos, sin = np.cos(yaw), np.sin(yaw)
-            self._motions[rows] = np.stack((cos * ahead - sin * aside, sin * ahead + cos * aside, turn), axis=1) / seconds
+            self._motions[rows] = np.array((cos * ahead - sin * aside, sin * ahead + cos * aside, turn)).T / seconds
 
     def _release_controls(self) -> None:
         """Reset the controls that held for the latest tick alone."""
@@ -197,8 +197,9 @@ class Vehicles(Drivetrains):
         np.copyto(self.brake_input, self.brake, where=~driven)
         in_motion = self._in_motion()
         stops = self.awake & ~in_motion
-        for values in (self.speed, self.sideways, self.turning, *self._motions.T):
-            values[stops] = 0
+        if stops.any():
+            for values in (self.speed, self.sideways, self.turning, self._motions):
+                values[stops] = 0
         self.set_body_velocities(self.awake, self._motions)
         self.awake = in_motion
 
@@ -221,23 +222,20 @@ class Vehicles(Drivetrains):
 
     def end_tick(self, seconds: float) -> None:
         """See `MovingBodies.end_tick`."""
-        rows = np.flatnonzero(self._moved)
+        rows = self._moved.nonzero()[0]
         if not len(rows):
             self.acceleration[self.simulated] = 0
             return
-        self._settle(rows, seconds)
-        yaw = np.radians(self.rotation[:, 1])
+        yaw, speed, sideways = np.radians(self.rotation[rows, 1]), self.speed[rows], self.sideways[rows]
         cos, sin = np.cos(yaw), np.sin(yaw)
-        moved = self._moved
-        self.velocity[moved, 0] = same_everywhere(cos * self.speed - sin * self.sideways)[moved]
-        self.velocity[moved, 1] = same_everywhere(sin * self.speed + cos * self.sideways)[moved]
-        self.angular_velocity[moved, 2] = same_everywhere(np.degrees(self.turning))[moved]
+        self._settle(rows, cos, sin, seconds)
+        self.velocity[rows, 0] = same_everywhere(cos * speed - sin * sideways)
+        self.velocity[rows, 1] = same_everywhere(sin * speed + cos * sideways)
+        self.angular_velocity[rows, 2] = same_everywhere(np.degrees(self.turning[rows]))
         self._accelerate(seconds)
 
-    def _settle(self, rows: NDArray[np.intp], seconds: float) -> None:
-        """Set the heights and pitches of vehicles by the road below their axles."""
-        yaw = np.radians(self.rotation[rows, 1])
-        cos, sin = np.cos(yaw), np.sin(yaw)
+    def _settle(self, rows: NDArray[np.intp], cos: Floats, sin: Floats, seconds: float) -> None:
+        """Set the heights and pitches of vehicles, with cosine and sine of their yaws, by the road below their axles."""
         front, rear = self.front[rows], self.rear[rows]
         x, y, z = self.position[rows].T
         high, low = self._height(

@@ -213,8 +213,9 @@ class LaneIndex:
 
     def steps(self, lane: Integers, s: Floats) -> tuple[Integers, Floats]:
         """Return the points before some distances along lanes, and the shares of the way to the next ones."""
-        steps = np.minimum(np.maximum(s / self.spacing[lane], 0), self.count[lane] - 1.0)
-        whole = np.minimum(steps.astype(np.int64), self.count[lane] - 2)
+        last = self.count[lane] - 1
+        steps = np.minimum(np.maximum(s / self.spacing[lane], 0), last)
+        whole = np.minimum(steps.astype(np.int64), last - 1)
         return self.first[lane] + whole, steps - whole
 
     def project(self, lane: ArrayLike, x: ArrayLike, y: ArrayLike, s_hint: ArrayLike) -> tuple[Floats, Floats]:
@@ -270,7 +271,7 @@ class LaneIndex:
         """
         if self._level is not None:
             return np.full(np.shape(x), self._level)
-        places = np.stack((np.asarray(x, np.float64), np.asarray(y, np.float64)), axis=-1)
+        places = np.array((x, y), np.float64).T
         height = self._height_by(self._terrain.nearest(places), places)
         if z is None or not self.has_levels:
             return height

@@ -60,7 +60,7 @@ class Autopilot:
     def step(self, delta: float) -> None:
         """Set the controls and lights of all driven vehicles for the time until the next step, in s."""
         elapsed, drivers, vehicles = self._clock.elapsed, self._drivers, self._episode.vehicles
-        rows = np.flatnonzero(self._driven())
+        rows = self._driven().nonzero()[0]
         if not np.array_equal(vehicles.id[rows], drivers.id):
             self._change_drivers(rows)
         if not len(rows):
@@ -147,7 +147,7 @@ class Autopilot:
         expected = lateral_offset(drivers.transition_offset, drivers.transition_slope, progress)
         stray = (np.abs(ahead) > _STRAY) | (np.abs(drivers.lateral_offset - expected) > _STRAY)
         searching = self._clock.elapsed % _SEARCH_INTERVAL < delta
-        for row in np.flatnonzero(np.where(drivers.off_road, searching, stray)).tolist():
+        for row in np.where(drivers.off_road, searching, stray).nonzero()[0].tolist():
             self._start(cars, row)
 
     def _decide(self, state: AutopilotState) -> Perception:
@@ -168,7 +168,7 @@ class Autopilot:
 
     def _queue_ends(self, cars: DrivenVehicles, driven: Booleans) -> QueueEnds:
         """Return the last vehicles on the lanes, driven by the autopilot or not."""
-        routes, vehicles, others = self._routes, self._episode.vehicles, np.flatnonzero(~driven)
+        routes, vehicles, others = self._routes, self._episode.vehicles, (~driven).nonzero()[0]
         lane, s = routes.lanes[:, 0], routes.position - routes.starts[:, 0]
         speed, half = cars.speed, cars.half_length
         if len(others):

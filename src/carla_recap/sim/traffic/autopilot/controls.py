@@ -63,7 +63,7 @@ def set_steering(state: AutopilotState) -> None:
     """Steer the driven vehicles along their routes."""
     cars, drivers, routes, network, vehicles = state
     front = cars.wheelbase / 2
-    ahead = np.stack((front, front + _PREVIEW * cars.speed), axis=1)
+    ahead = np.array((front, front + _PREVIEW * cars.speed)).T
     points = network.points(*routes.locate(ahead))
     x, y, heading = shift_poses(drivers, routes.position, ahead, network.poses(points))
     away_x, away_y = cars.x + front * cars.cos - x[:, 0], cars.y + front * cars.sin - y[:, 0]
@@ -83,10 +83,10 @@ def _steering_angle(cars: DrivenVehicles, offset: Floats, heading_error: Floats,
     speed, wheelbase = cars.speed, cars.wheelbase
     axle, middle, bumper = wheelbase**2 / 2, wheelbase**2 / 8, (wheelbase / 2 + cars.half_length) ** 2 / 2
     swing = -curvature * (axle - np.where(wheelbase < _LONG_WHEELBASE, middle, bumper / 2))
-    swing = np.clip(swing, -_MAX_SWING, _MAX_SWING)
+    swing = np.minimum(np.maximum(swing, -_MAX_SWING), _MAX_SWING)
     correction = np.arctan2(_CROSS_TRACK_GAIN * (offset - swing), np.abs(speed) + _SOFTENING)
     most = np.arctan(_LATERAL_ACCELERATION * wheelbase / np.maximum(speed * speed, 1.0))
-    angle: Floats = wrap_angle(heading_error) - np.clip(correction, -most, most)
+    angle: Floats = wrap_angle(heading_error) - np.minimum(np.maximum(correction, -most), most)
     return angle
 
 

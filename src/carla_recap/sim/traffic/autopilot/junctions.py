@@ -96,12 +96,12 @@ class JunctionControl:
         drivers, position = self._drivers, self._routes.position
         self._locate()
         front, rear = position + self._half_length, position - self._half_length
-        for row in np.flatnonzero(drivers.has_reservation & (front > drivers.stop_line + _PASSED)).tolist():
+        for row in (drivers.has_reservation & (front > drivers.stop_line + _PASSED)).nonzero()[0].tolist():
             line = self._next[int(drivers.id[row])]
             assert line is not None
             self._passed.setdefault(int(drivers.id[row]), []).append(line)
             self._find_next(row, max(float(front[row]), line.end))
-        for row in np.flatnonzero(rear > drivers.junction_end).tolist():
+        for row in (rear > drivers.junction_end).nonzero()[0].tolist():
             id = int(drivers.id[row])
             passed = self._passed[id]
             self._reservations.release(id, passed.pop(0))
@@ -128,7 +128,7 @@ class JunctionControl:
         leader_goes |= perception.free_distance + 2 * self._half_length[leader] > distance
         first = np.where(perception.leader >= 0, leader_goes, perception.leader == UNCONTROLLED)
         first |= perception.free_distance > distance - BEFORE_LINE
-        rows = np.flatnonzero(waiting & first & ~drivers.must_stop & (state >= GREEN))
+        rows = (waiting & first & ~drivers.must_stop & (state >= GREEN)).nonzero()[0]
         if not len(rows):
             return
         drivers.waiting_since[rows] = np.minimum(drivers.waiting_since[rows], now)
@@ -147,7 +147,7 @@ class JunctionControl:
         before = np.minimum(BEFORE_LINE, _REACTION * speed)  # so that those that stand right at the line wait, too
         can_stop = speed**2 < 2 * _COMFORTABLE * np.maximum(distance - before, 0)
         can_stop |= (speed < _STANDING) & (distance > 0)
-        for row in np.flatnonzero(drivers.has_reservation & (state < GREEN) & can_stop).tolist():
+        for row in (drivers.has_reservation & (state < GREEN) & can_stop).nonzero()[0].tolist():
             line = self._next[int(drivers.id[row])]
             assert line is not None
             self._reservations.release(int(drivers.id[row]), line)

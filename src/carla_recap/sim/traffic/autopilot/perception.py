@@ -28,8 +28,7 @@ _ATTACHED: Final = np.inf  # m: the x of attached actors, which all others pass 
 _AROUND_WALKERS: Final = 0.3  # m
 _WALKING: Final = 0.1  # m/s
 _PROPS_INTERVAL: Final = 1.0  # s between two looks for props
-_SAMPLES: Final = 28  # of the path ahead of a vehicle
-_DENSER_NEARBY: Final = 1.5  # exponent that makes the samples denser near the vehicle
+_SAMPLES: Final = np.linspace(0, 1, 28) ** 1.5  # of the path ahead of a vehicle; denser near it
 _HEADROOM: Final = 4.0  # m above the road: higher obstacles are ignored
 _CLEARANCE: Final = 0.2  # m above the road: lower obstacles pass between the wheels
 _BUMPER: Final = 0.3  # m behind the front end, where the path ahead begins
@@ -73,11 +72,11 @@ class Obstacles:
 
     def swept(self, seconds: Floats) -> Obstacles:
         """Return the boxes that contain these for some time, if they go straight on."""
-        along = self.velocity_x * np.cos(self.heading) + self.velocity_y * np.sin(self.heading)
-        half = along * seconds / 2
+        cos, sin = np.cos(self.heading), np.sin(self.heading)
+        half = (self.velocity_x * cos + self.velocity_y * sin) * seconds / 2
         return Obstacles(
-            self.x + half * np.cos(self.heading),
-            self.y + half * np.sin(self.heading),
+            self.x + half * cos,
+            self.y + half * sin,
             self.heading,
             self.half_length + np.abs(half),
             self.half_width,
@@ -169,7 +168,7 @@ def perceive(state: AutopilotState, obstacles: Obstacles) -> Perception:
     """Find the obstacles on the paths of the driven vehicles, and what they mean for their drivers."""
     cars, drivers, routes, network, _ = state
     horizon = np.minimum(_NEAREST + _FORESIGHT * drivers.desired_gap(cars.speed, cars.speed), _FARTHEST)
-    distance = (cars.half_length - _BUMPER)[:, None] + horizon[:, None] * np.linspace(0, 1, _SAMPLES) ** _DENSER_NEARBY
+    distance = (cars.half_length - _BUMPER)[:, None] + horizon[:, None] * _SAMPLES
     index, share = network.points(*routes.locate(distance))
     paths = _Paths(
         distance,

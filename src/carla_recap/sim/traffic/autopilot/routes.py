@@ -72,7 +72,8 @@ class LaneNetwork:
     def __init__(self, town: Town) -> None:
         lanes = town.lanes
         index = self._index = town.index
-        self._columns = index.points[:, 0].copy(), index.points[:, 1].copy(), index.heading
+        columns = index.points[:, 0], index.points[:, 1], index.heading
+        self._columns = [(column.copy(), np.append(np.diff(column), 0.0)) for column in columns]
         curvature = [_curvature(lane) for lane in lanes]
         self._curvature = np.concatenate(curvature)
         self._safe_speed = np.concatenate([_safe_speed(lane, bend) for lane, bend in zip(lanes, curvature, strict=True)])
@@ -92,7 +93,7 @@ class LaneNetwork:
     def poses(self, points: Points) -> tuple[Floats, Floats, Floats]:
         """Return x, y and heading of points."""
         index, share = points
-        x, y, heading = (column[index] + share * (column[index + 1] - column[index]) for column in self._columns)
+        x, y, heading = (column[index] + share * change[index] for column, change in self._columns)
         return x, y, heading
 
     def height(self, index: Integers) -> Floats:
@@ -203,12 +204,12 @@ class Routes:
     def advance(self, position: Floats) -> Integers:
         """Set the positions of the vehicles, and return the rows of the routes that were extended."""
         self.position = position
-        passed = np.flatnonzero(position >= self.starts[:, 1])
+        passed = (position >= self.starts[:, 1]).nonzero()[0]
         for row in passed.tolist():
             while position[row] >= self.starts[row, 1]:
                 self.lanes[row] = np.append(self.lanes[row, 1:], NONE)
                 self.starts[row] = np.append(self.starts[row, 1:], np.inf)
-        short = np.flatnonzero((self.ends < position + _LEAST_AHEAD) & ~self.dead_end & (self.lanes[:, -1] == NONE))
+        short: Integers = ((self.ends < position + _LEAST_AHEAD) & ~self.dead_end & (self.lanes[:, -1] == NONE)).nonzero()[0]
         for row in short.tolist():
             self._extend(row)
         if len(passed) or len(short):
@@ -221,7 +222,10 @@ class Routes:
         rows = np.arange(len(self.position))[:, None]
         number = np.zeros(target.shape, np.int64)
         for start in range(1, self.known):
-            number += target >= self.starts[:, start, None]
+            begun = target >= self.starts[:, start, None]
+            if not begun.any():
+                break
+            number += begun
         return self.lanes[rows, number], target - self.starts[rows, number]
 
     def _count(self) -> None:
@@ -282,7 +286,7 @@ def shift_poses(
     drivers: Drivers, position: Floats, ahead: Floats, poses: tuple[Floats, Floats, Floats]
 ) -> tuple[Floats, Floats, Floats]:
     """Shift poses on the centres of lanes, (vehicles, any), to the paths of vehicles in transition; they are changed."""
-    rows = np.flatnonzero(transition_progress(drivers, position) < 1)
+    rows = (transition_progress(drivers, position) < 1).nonzero()[0]
     if len(rows):
         x, y, heading = poses
         columns = drivers.transition_length, drivers.transition_offset, drivers.transition_slope
@@ -331,14 +335,15 @@ def lane_changes(state: AutopilotState, leader: tuple[Floats, Floats], decision:
     left, right = network.left[point], network.right[point]
     able: Booleans = (np.arange(len(lane)) + decision) % _TURNS == 0
     able &= ((left != NONE) | (right != NONE)) & (transition_progress(drivers, routes.position) >= 1)
-    able = able & (drivers.stop_line - routes.position - cars.half_length > _BEFORE_STOP_LINE)
-    able = (
-        able & np.isinf(drivers.junction_end) & (np.abs(drivers.lateral_offset) < _CENTRED) & _is_straight(routes, network)
-    )
+    able &= drivers.stop_line - routes.position - cars.half_length > _BEFORE_STOP_LINE
+    able &= np.isinf(drivers.junction_end) & (np.abs(drivers.lateral_offset) < _CENTRED)
     distance, speed = leader
     limit = network.limit(lane, s)
     slowed = (distance < _NEAR * drivers.desired_gap(cars.speed, cars.speed)) & (speed < _SLOW * limit)
-    for row in np.flatnonzero(able & slowed).tolist():
+    able &= slowed
+    if able.any():
+        able &= _is_straight(routes, network)
+    for row in able.nonzero()[0].tolist():
         for side, other in ((-1, int(left[row])), (1, int(right[row]))):
             if other != NONE and _has_room(cars, row, side, vehicles):
                 yield row, other
