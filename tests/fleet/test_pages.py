@@ -63,6 +63,8 @@ def test_a_page_that_cannot_be_made_is_a_warning(tmp_path):
     assert each.page is None
     assert len(warnings) == 1
     assert "no page: " in warnings[0]
+    assert f"Warning: no page: {found[0].recording}" in text(overview([each], RULES))
+    assert "Warning: an odd frame" in text(overview([replace(checked("a.mcap"), warnings=("an odd frame",))], RULES))
 
 
 def test_as_many_recordings_as_are_useful_get_a_page(tmp_path, monkeypatch):

@@ -11,8 +11,10 @@ import pytest
 from rich.console import Console
 
 from carla_recap.model.frame import Header
+from carla_recap.model.lives import BoundingBox
 from carla_recap.model.records import NO_ACTOR, Attribute, Spawn
 from carla_recap.output import table as table_output
+from carla_recap.output.json import encoded
 from carla_recap.output.json import json as json_text
 from carla_recap.output.table import table
 from carla_recap.queries.blocked import blocked
@@ -78,6 +80,12 @@ def test_what_is_not_finite_is_null(make: Make) -> None:
     assert frame == {"id": 1, "duration": None, "elapsed": 0.0}
     assert (born["x"], born["y"]) == (None, 0.0)
     assert list(pose.values()) == [1, 1.0, 1.0, 1.0, None, None, 1.0]
+
+
+def test_what_is_not_finite_in_a_dataclass_is_null() -> None:
+    box = BoundingBox(NAN, 0.0, 0.0, 1.0, float("inf"), 1.0)
+    found = strict(encoded({"boxes": (box, [box])}))
+    assert found == {"boxes": [nulled := {**asdict(box), "x": None, "extent_y": None}, [nulled]]}
 
 
 def test_json_has_a_line_per_row(make: Make) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -72,7 +73,7 @@ def answers(
             yield RecordingAnswer(outcome.source, error=outcome.error, warnings=outcome.warnings)
         elif answer.pieces is None:
             answer = RecordingAnswer(outcome.source)
-            answer.pieces = _pieces(answer, query, form)
+            answer.pieces = _warned(_pieces(answer, query, form), answer)
             yield answer
         else:
             answer.warnings = outcome.warnings
@@ -91,6 +92,18 @@ def _answer(query: Query, form: Form, source: SourceFile) -> RecordingAnswer:
             return RecordingAnswer(source, pieces=None)  # type: ignore[arg-type]
     answer.pieces = pieces
     return answer
+
+
+def _warned(pieces: Iterator[Piece], answer: RecordingAnswer) -> Iterator[Piece]:
+    """Yield pieces, and add the warnings that come with them to the answer."""
+    piece: Piece | None = ""
+    while piece is not None:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            piece = next(pieces, None)
+        answer.warnings += tuple(answer.source.as_given(str(warning.message)) for warning in caught)
+        if piece is not None:
+            yield piece
 
 
 def _pieces(answer: RecordingAnswer, query: Query, form: Form) -> Iterator[Piece]:

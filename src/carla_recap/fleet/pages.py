@@ -94,7 +94,7 @@ def write_pages(
             yield each, ()
         else:
             page, clip, messages = next(written)
-            yield replace(each, page=page, clip=clip), messages
+            yield replace(each, page=page, clip=clip, warnings=(*each.warnings, *messages)), messages
 
 
 def write_incident_pages(

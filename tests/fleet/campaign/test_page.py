@@ -58,6 +58,23 @@ def test_parameters_with_many_values_are_put_together():
     assert len(found) == 12 * 5
 
 
+def test_of_very_many_texts_the_last_ones_are_put_together():
+    rows = [row(1, text=f"t{index:03}", delay=index % 2, value=float(index)) for index in range(200)]
+    page = shown(rows)
+    found, _ = cells(page)
+    assert len(found) == 96 + 2
+    assert page.count(">others</text>") == page.count(">t095</text>")
+    assert "t096" in found[-2][0]
+    assert ">t096</text>" not in page
+
+
+def test_a_parameter_that_is_named_like_a_column_has_one_of_its_own():
+    found = row(1, value=2.0, frames=7, speed=3, score="a", spawn=0).cells()
+    assert (found["frames"], found["param.frames"], found["spawn"]) == (20, 7, 0)
+    assert (found["speed"], found["param.speed"], found["score"], found["param.score"]) == (None, 3, None, "a")
+    assert found["time_to_collision"] == 2.0
+
+
 @pytest.mark.parametrize("parameters", [{}, {"speed": 8}])
 def test_without_two_parameters_there_is_no_heat_map(parameters):
     page = shown([row(1, value=1.0, **parameters)])

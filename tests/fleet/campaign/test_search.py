@@ -73,6 +73,14 @@ def test_a_search_finds_great_values():
     assert max(each.report.results[COLLISIONS.name].value for each in found) > -0.2
 
 
+@pytest.mark.parametrize(("low", "high"), [(0.123456, 0.123511), (1e6, 1e6 + 1), (-2 / 3, 1 / 3), (1.0, 2e9)])
+def test_values_are_in_their_range_and_differ(low, high):
+    found = list(search(Formula(lambda x: x), [1], {"x": ParameterRange(low, high)}, COLLISIONS, 30))
+    values = [each.run.parameters["x"] for each in found]
+    assert low <= min(values) < max(values) <= high
+    assert len(set(values)) == 30
+
+
 def test_a_search_repeats_itself_and_no_run():
     one, two = (list(search(Formula(bowl), [1], RANGES, COLLISIONS, 30)) for _ in range(2))
     assert [each.run for each in one] == [each.run for each in two]

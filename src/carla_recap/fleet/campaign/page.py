@@ -161,9 +161,10 @@ def _axis(name: str, values: set[Any]) -> _Axis:
 
     numbers = [value for value in values if isinstance(value, (int, float))]
     if len(values) <= _MOST_VALUES or len(numbers) < len(values):
-        ordered = sorted(values, key=lambda value: (isinstance(value, str), value))[: 4 * _MOST_VALUES]
-        places = {value: index for index, value in enumerate(ordered)}
-        return _Axis(name, tuple(map(_label, ordered)), lambda row: places.get(of(row), -1))
+        ordered = sorted(values, key=lambda value: (isinstance(value, str), value))
+        places = {value: index for index, value in enumerate(ordered[: 4 * _MOST_VALUES])}
+        labels = (*map(_label, places), *(["others"] if len(ordered) > len(places) else []))
+        return _Axis(name, labels, lambda row: places.get(of(row), len(places)))
     low, high = min(numbers), max(numbers)
     width = (high - low) / _BINS
     labels = tuple(_label(low + (index + 0.5) * width) for index in range(_BINS))

@@ -66,21 +66,19 @@ class CampaignRow:
     page: str | None = None
 
     def cells(self) -> dict[str, Any]:
-        """Return the row as columns: the parameters and the values of results each have one."""
-        values = {name: self.results[name].value if name in self.results else None for name in RESULTS}
-        broken = None if self.broken is None else " ".join(self.broken)
-        return {
-            "recording": self.recording,
-            "error": self.error,
-            "seed": self.seed,
-            **self.parameters,
+        """Return the row as columns: results and parameters have one each, such as `param.page` of a parameter `page`."""
+        first = {"recording": self.recording, "error": self.error, "seed": self.seed}
+        others = {
             "frames": self.frames,
             "duration": self.duration,
             "seconds": round(self.seconds, 3),
-            **values,
-            "rules": broken,
+            **{name: self.results[name].value if name in self.results else None for name in RESULTS},
+            "rules": None if self.broken is None else " ".join(self.broken),
             "page": self.page,
         }
+        known = first | others
+        given = {f"param.{name}" if name in known else name: value for name, value in self.parameters.items()}
+        return first | given | others
 
 
 def row_of(finished: FinishedRun) -> CampaignRow:

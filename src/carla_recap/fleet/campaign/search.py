@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections import deque
 from typing import TYPE_CHECKING, Any, Final
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.measures import Measure
 
 _ATTEMPTS: Final = 20  # values that are proposed for each run, since some were proposed before
-_DIGITS: Final = 4  # of a value that is not whole
+_DIGITS: Final = 4  # of a share of a range
 
 
 def search(
@@ -86,7 +87,8 @@ class _Proposals:
             if made == count:
                 return
             trial = self._study.ask(self._distributions)
-            run = run_of(seeds[made % len(seeds)], {name: _rounded(value) for name, value in trial.params.items()}, out)
+            values = {name: _rounded(value, self._distributions[name]) for name, value in trial.params.items()}
+            run = run_of(seeds[made % len(seeds)], values, out)
             if run.name in self._values:
                 self._tell(trial, self._values[run.name])
                 continue
@@ -109,8 +111,12 @@ class _Proposals:
             self._study.tell(trial, value)
 
 
-def _rounded(value: Any) -> Any:
-    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
+def _rounded(value: Any, within: Any) -> Any:
+    """Return a proposed value, one that is not whole rounded to so many digits that its range has 10,000 values or more."""
+    if not isinstance(value, float):
+        return value
+    digits = _DIGITS - math.floor(math.log10(within.high - within.low))
+    return min(max(round(value, digits), within.low), within.high)
 
 
 def _distribution(given: Sequence[Value] | ParameterRange) -> BaseDistribution:
