@@ -14,6 +14,7 @@ from carla_recap import (
     Attribute,
     RecapError,
     Spawn,
+    attributes,
     convert,
     create_recording,
     open_recording,
@@ -144,6 +145,28 @@ def test_boxes_are_in_metres_and_right_handed_and_those_without_a_size_are_left_
     assert found == pytest.approx((0.01, -0.02, 0.75, 2.4, 1.0, 0.75))
     assert recording.actors[LIGHT].bounding_box is None
     assert recording.actors[PROP].bounding_box is None
+
+
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_an_id_that_is_used_again_is_the_heros_only_while_it_has_it(tmp_path, suffix):
+    """The hero is gone in the third of five frames, in the fourth a walker has its id."""
+    path, hero = tmp_path / f"again{suffix}", attributes(role_name="hero")
+    with create_recording(path, map_name="Town01") as recorder:
+        for frame in range(5):
+            spawned = [Spawn(7, 2 if frame else 1, type_id="a", attributes=[] if frame else hero)] if frame in (0, 3) else []
+            present = [(7, 100.0 * frame, 0, 0, 0, 0, 0)] if frame != 2 else []
+            controls = [(7, 0, 0, 0, 0, frame)] if present else []
+            gone = [7] if frame == 2 else []
+            recorder.add_frame(frame, spawned=spawned, destroyed=gone, transforms=present, vehicle_controls=controls)
+    with open_recording(path) as recording:
+        (found,) = recording.heroes
+        assert (found.spawned_at, found.destroyed_at, recording.actors[7].kind) == (0, 2, "walker")
+        assert recording.actors.columns()["kind"] == ["vehicle", "walker"]
+        assert recording.trajectory("hero").x.tolist() == recording.trajectories("vehicle")[7].x.tolist() == [0, 1]
+        assert recording.trajectories("walker")[7].x.tolist() == [3, 4]
+        assert recording.trajectory(7).x.tolist() == [0, 1, 3, 4]
+        assert recording.controls("hero").gear.tolist() == [0, 1]
+        assert {row.time for row in recording.measures() if row.measure == "speed"} <= {0, 1}
 
 
 # --- where they went -------------------------------------------------------------------------------------

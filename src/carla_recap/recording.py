@@ -12,7 +12,7 @@ import numpy as np
 
 from carla_recap.errors import Closed, RecapError
 from carla_recap.formats import open_reader
-from carla_recap.model.lives import ROAD_USERS, ActorLife, ActorName, find_actor, heroes_of
+from carla_recap.model.lives import ROAD_USERS, ActorLife, ActorLives, ActorName, find_actor, heroes_of
 from carla_recap.queries.recorded_actors import RecordedActors, actors
 from carla_recap.tables import Rows, Tabular
 from carla_recap.tables.records import RecordTable, record_table
@@ -28,7 +28,7 @@ from carla_recap.tables.trajectories import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping
+    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from pathlib import Path
     from types import TracebackType
     from typing import Unpack
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.summary import RecordingSummary
     from carla_recap.roads.network import RoadNetwork
     from carla_recap.tables.display import Preview
+    from carla_recap.util.arrays import Booleans, Floats
 
 T = TypeVar("T")
 
@@ -81,23 +82,31 @@ class ActorTable(Rows[ActorLife]):
 
 
 class ActorsById(dict[int, ActorLife], Tabular):
-    """Actors by id; as a table, a row for each."""
+    """Actors by id, of several with the same id the latest; as a table, a row for each actor, also for the earlier ones.
+
+    Attributes:
+        lives: All actors, in order of appearance.
+    """
 
     __repr__ = Tabular.__repr__
 
+    def __init__(self, lives: Iterable[ActorLife]) -> None:
+        self.lives = ActorLives(lives)
+        super().__init__((actor.id, actor) for actor in self.lives)
+
     def columns(self) -> dict[str, Any]:
         """See `Tabular.columns`."""
-        return ActorTable(self.values()).columns()
+        return ActorTable(self.lives).columns()
 
     def units(self) -> Mapping[str, str]:
         """See `Tabular.units`."""
         return ActorTable.row_units
 
     def _types(self) -> Mapping[str, Any]:
-        return ActorTable(self.values())._types()
+        return ActorTable(self.lives)._types()
 
     def _preview(self) -> Preview:
-        return ActorTable(self.values())._preview()._replace(name=type(self).__name__)
+        return ActorTable(self.lives)._preview()._replace(name=type(self).__name__)
 
 
 class Recording:
@@ -190,12 +199,12 @@ class Recording:
     @cached_property
     def actors(self) -> ActorsById:
         """The actors by id, in order of appearance; of several with the same id, the latest."""
-        return ActorsById((actor.id, actor) for actor in actors(self.reader))
+        return ActorsById(actors(self.reader))
 
     @property
     def heroes(self) -> list[ActorLife]:
         """The actors whose role_name is hero, vehicles and walkers first."""
-        return heroes_of(self.actors.values())
+        return heroes_of(self.actors.lives)
 
     @cached_property
     def sensors(self) -> RecordedSensors:
@@ -253,7 +262,7 @@ class Recording:
     def trajectory(self, actor_id: ActorName, *, axes: Axes = "right-handed") -> Trajectory:
         """Return the trajectory of an actor: arrays of shape (n,), for the n frames in which it has a transform.
 
-        Positions are in m, rotations in degrees, velocities in m/s. If several actors had the id, it is that of all.
+        Positions are in m, rotations in degrees, velocities in m/s. An id stands for all actors that had it, "hero" for one.
 
         Args:
             actor_id: The id of the actor, or "hero".
@@ -264,7 +273,8 @@ class Recording:
             RecapError: There is no such actor, or no such axes.
         """
         id = self._id(actor_id)
-        return self._of_one(id, trajectories(self.reader, {id}, axes=axes), lambda: Trajectory.empty(id))
+        found = self._of_one(id, trajectories(self.reader, {id}, axes=axes), lambda: Trajectory.empty(id))
+        return found.at(self._counts(actor_id, found.time))
 
     def trajectories(self, kind: str | None = None, *, axes: Axes = "right-handed") -> Trajectories:
         """Return the trajectories of actors by id, read in one pass; see `trajectory`. They are a table, too.
@@ -278,11 +288,16 @@ class Recording:
         """
         ids = None
         if kind is not None:
-            kinds = sorted({actor.kind for actor in self.actors.values()})
+            kinds = sorted({actor.kind for actor in self.actors.lives})
             if kind not in (*ROAD_USERS, *kinds):
                 raise RecapError(f"{self.location}: no actors of kind {kind!r}; there are {', '.join(kinds) or 'none'}")
-            ids = {actor.id for actor in self.actors.values() if actor.kind == kind}
-        return trajectories(self.reader, ids, axes=axes)
+            ids = {actor.id for actor in self.actors.lives if actor.kind == kind}
+        found = trajectories(self.reader, ids, axes=axes)
+        for id in self.actors.lives.reuses().keys() & found.keys() if kind is not None else ():
+            found[id] = found[id].at(
+                np.array([self.actors.lives.kind(id, time) == kind for time in found[id].time.tolist()])
+            )
+        return found
 
     def table(self, name: str) -> RecordTable:
         """Return all records of a type as columns: arrays of shape (n,), a value for each of n records.
@@ -450,17 +465,26 @@ class Recording:
         id = self._id(actor_id)
         rows = actor_rows(self.reader, (name,), {id})[name]
         empty = ActorRows(np.empty(0, np.int64), np.empty(0), np.empty(0, self.header.table.named(name).dtype))
-        return self._of_one(id, rows, lambda: empty)
+        found = self._of_one(id, rows, lambda: empty)
+        counts = self._counts(actor_id, found.time)
+        return ActorRows(found.frame[counts], found.time[counts], found.records[counts])
 
     def _id(self, actor_id: ActorName) -> int:
         """Return the id of an actor; one that is an id need not have been spawned in the recording."""
-        return actor_id if isinstance(actor_id, int) else find_actor(self.location, self.actors.values(), actor_id).id
+        return actor_id if isinstance(actor_id, int) else find_actor(self.location, self.actors.lives, actor_id).id
+
+    def _counts(self, actor_id: ActorName, time: Floats) -> Booleans | slice:
+        """Return which elapsed seconds, (n,), are of an actor: of an id, all; of the hero, those in which it has its id."""
+        lives = self.actors.lives
+        if isinstance(actor_id, int) or (hero := find_actor(self.location, lives, actor_id)).id not in lives.reuses():
+            return slice(None)
+        return np.array([lives.at(hero.id, each) is hero for each in time.tolist()], np.bool_)
 
     def _of_one(self, id: int, found: Mapping[int, T], empty: Callable[[], T]) -> T:
         """Return the result for an actor, or an empty one; raise if there is no such actor."""
         if id in found:
             return found[id]
-        find_actor(self.location, self.actors.values(), id)
+        find_actor(self.location, self.actors.lives, id)
         return empty()
 
 

@@ -184,7 +184,7 @@ def sensed_frames(
         progress: See `sense`.
         uncut: What the recording is a clip of, if that is known: what has happened before is seen then.
     """
-    find_actor(recording.location, recording.actors.values(), options.actor, purpose="to carry the rig")
+    find_actor(recording.location, recording.actors.lives, options.actor, purpose="to carry the rig")
     duration = 0.0 if math.isinf(options.duration) else options.duration
     player = Player(recording, start=options.start, duration=duration)
     town = _Town(recording, options.road_map, player)

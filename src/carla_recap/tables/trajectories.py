@@ -107,8 +107,8 @@ class Trajectory(Columns):
         """Return the part of one of the actors that had the id, without positions that are not finite."""
         return self.at(self.time < life.end).during(life.spawned_at, life.end)
 
-    def at(self, rows: NDArray[np.bool_]) -> Trajectory:
-        """Return the part that is flagged, (n,)."""
+    def at(self, rows: NDArray[np.bool_] | slice) -> Trajectory:
+        """Return some of the rows, such as those that are flagged, (n,)."""
         return replace(self, **{field.name: getattr(self, field.name)[rows] for field in fields(self)[1:]})
 
 
