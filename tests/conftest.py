@@ -49,7 +49,7 @@ _SETTINGS = {
     ],
 }
 settings.register_profile("suite", max_examples=30, derandomize=True, database=None, **_SETTINGS)
-settings.register_profile("search", max_examples=1500, **_SETTINGS)
+settings.register_profile("search", max_examples=2000, **_SETTINGS)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "suite"))
 
 

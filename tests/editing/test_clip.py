@@ -221,6 +221,20 @@ def test_windows(small: Path, tmp_path: Path, start: float, duration: float, fou
     assert [frame.elapsed for frame in own] == [float(at) for at in range(len(found))]
 
 
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+@pytest.mark.parametrize(("start", "duration", "ids"), [(3.0, 2.0, [9, 10, 11]), (0.0, 1.0, [6, 7]), (6.0, 0.0, [12, 13])])
+def test_a_clip_begins_where_the_clock_shows_its_start_for_the_last_time(
+    tmp_path: Path, suffix: str, start: float, duration: float, ids: list[int]
+) -> None:
+    frames = [
+        Frame(index, index + 1, float(time), 1.0, [Packet(6, UE4[6], listed(transform(index + 1)))])
+        for index, time in enumerate([*range(5), *range(8)])
+    ]
+    source = write(tmp_path / f"source{suffix}", Header("Town01", 0), frames)
+    clip(source, tmp_path / "clip.log", start=start, duration=duration)
+    assert [frame["transforms"]["id"].item() for frame in frames_of(tmp_path / "clip.log")] == ids
+
+
 @pytest.mark.parametrize(
     ("start", "duration", "message"),
     [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import signal
@@ -11,13 +12,15 @@ import sys
 import pytest
 
 from carla_recap import ActorKind, RecapError, Spawn, create_recording, open_index, open_recording, write_index
+from carla_recap.editing.author import packets_of
 from carla_recap.fleet.index.tables import TABLES
 from carla_recap.fleet.sources import SourceFile
-from carla_recap.model.records import attributes
+from carla_recap.model.frame import Frame, Header
+from carla_recap.model.records import UE4, attributes
 from carla_recap.queries.kinds import kinds_without_roads
 from carla_recap.roads import find_map, find_road_network
 from tests.fleet.indexes import contents, recordings
-from tests.samples import SAMPLES
+from tests.samples import SAMPLES, write
 from tests.sensed import sensed
 from tests.waiting import PATIENCE
 
@@ -254,6 +257,22 @@ def test_numbers_that_are_not_finite_are_null(tmp_path):
     write_index([tmp_path / "own.mcap"], tmp_path / "index", jobs=1)
     (row,) = open_index(tmp_path / "index").table("incidents").to_pylist()
     assert (row["kind"], row["x"]) == ("collision", None)
+
+
+@pytest.mark.parametrize("kept", [0, 1 << 20])
+@pytest.mark.parametrize("suffix", [".log", ".mcap"])
+def test_events_count_whatever_their_times_and_their_size(tmp_path, monkeypatch, suffix, kept):
+    monkeypatch.setattr("carla_recap.fleet.index.reading._KEPT", kept)
+    events = [{"spawned": [Spawn(id)], "collisions": [(0, id, 9, 0, 0)], "transforms": {"id": [id]}} for id in range(6)]
+    frames = [
+        Frame(id, id + 1, time, 1.0, packets_of(UE4, events[id], additional_data=False))
+        for id, time in enumerate([0.0, 1.0, math.nan, math.inf, 0.5, -math.inf])
+    ]
+    source = write(tmp_path / f"own{suffix}", Header("Town01", 0), frames)
+    write_index([source], tmp_path / "index", jobs=1, measures=True)
+    index = open_index(tmp_path / "index")
+    assert [row["id"] for row in index.table("actors").to_pylist()] == [*range(6)]
+    assert [row["id1"] for row in index.table("collisions").to_pylist()] == [*range(6)]
 
 
 # --- changes ------------------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
+import tracemalloc
 from contextlib import closing
 
 import pytest
@@ -411,6 +412,18 @@ def test_frames_of_some_types_are_the_same_in_both_formats(small, small_mcap, su
 def test_reading_again_gives_the_same(small):
     with reading(small) as reader:
         assert [image(f) for f in reader.frames()] == [image(f) for f in reader.frames()]
+
+
+def test_events_that_are_kept_do_not_keep_what_is_between_them(tmp_path):
+    rest = [packet(200, bytes(1 << 20)), packet(5, listed(collision(1, 7, 8))), END]
+    frames = b"".join(part for number in range(64) for part in (start(number, float(number)), *rest))
+    tracemalloc.start()
+    with open_recording(save(tmp_path / "big.log", log_header() + frames)) as recording:
+        del frames
+        events = list(recording.reader.frames(["collisions"], sparse=True))
+        assert len(events) == 64
+    assert tracemalloc.get_traced_memory()[0] < 16 << 20
+    tracemalloc.stop()
 
 
 def test_records_outlive_their_reader(small):

@@ -82,15 +82,6 @@ def test_a_packet_that_contradicts_its_type_names_its_offset():
         _ = packet.records
 
 
-def test_a_packet_within_a_buffer_is_read_there():
-    packet = Packet(3, UE4[3], origin=(Path("a.log"), 1000), part=(b"....\1\0\7\0\0\0..", 4, 6))
-    assert bytes(packet.payload) == b"\1\0\7\0\0\0"
-    assert packet.records["id"].tolist() == [7]
-    broken = Packet(3, UE4[3], origin=(Path("a.log"), 1000), part=(b"....\2\0\7\0\0\0..", 4, 6))
-    with pytest.raises(FormatError, match=r"^a\.log: byte 1006: destroyed: 2 records need 10 bytes, the packet has 6"):
-        _ = broken.records
-
-
 def test_surplus_bytes_are_warned_of():
     packet = Packet(3, UE4[3], b"\0\0abc", origin=(Path("a.log"), 100))
     with pytest.warns(RecapWarning, match=r"^a\.log: byte 100: destroyed has 3 bytes more"):

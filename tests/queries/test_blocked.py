@@ -283,6 +283,13 @@ def test_an_actor_that_moves_has_no_stops_of_0_s(make: Make) -> None:
     assert [row.duration for row in blocked(reader, 0, compat=True)] == [0.0] * 4
 
 
+def test_the_digest_has_stops_of_actors_whose_blueprints_are_long(make: Make) -> None:
+    names = {id: chr(97 + id % 26) * 0xFFFF for id in range(1, 151)}
+    frames = [{"spawned": [spawn(id, name)], "transforms": {"id": [id]}} for id, name in names.items()]
+    reader = make(*frames, *[{"transforms": {"id": [*names]}}] * 3)
+    assert {row.id: row.type_id for row in blocked(reader, 1.0)} == names
+
+
 @pytest.mark.parametrize("with_digest", [True, False])
 def test_incidents_of_a_part_have_the_stops_that_overlap_it(make: Make, with_digest: bool) -> None:
     frames = [{"spawned": [spawn(1)], **at((1, 100))}, *[at((1, 100))] * 199, at((1, 900)), at((1, 1800))]

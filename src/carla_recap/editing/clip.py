@@ -12,7 +12,7 @@ from carla_recap.editing.convert import TopicCopy, check_destination
 from carla_recap.editing.initial_state import InitialState
 from carla_recap.errors import RecapError
 from carla_recap.formats import create_writer, open_reader
-from carla_recap.model.batch import Batch
+from carla_recap.model.batch import Batch, within
 from carla_recap.model.frame import LAST_FRAME_DURATION, SAME_TIME, Extent
 from carla_recap.replay.player import Player
 
@@ -118,9 +118,11 @@ class ClipCutter:
 
     def _batches(self, first: Frame, stop: float) -> Iterator[Batch]:
         yield Batch.of(self._initial_state.complete(first))
-        for batch in self._reader.batches(start=_start(first), stop=_end(stop)):
-            rest = batch[max(first.index + 1 - batch.index, 0) :]
-            if len(rest) and self._initial_state.has_late_parents:
+        # The frame of the stop is looked for behind the first one: the clock may have gone back before that.
+        batches = self._reader.batches(start=_start(first))
+        later = (batch[max(first.index + 1 - batch.index, 0) :] for batch in batches)
+        for rest in within(later, -math.inf, stop + SAME_TIME):
+            if self._initial_state.has_late_parents:
                 yield Batch.of(self._initial_state.add_parents(rest.frame(0)))
                 rest = rest[1:]
             if len(rest):

@@ -253,13 +253,14 @@ class LogReader(Reader):
         self, index: int, start: int, spans: Sequence[PacketSpan], data: bytes, base: int, *, preamble: bool
     ) -> Frame:
         """Return the frame that starts at an index of some data, which are at `base` in the file."""
-        origin = self.location, base
         types, ids, empty = self._types, self._ids, self._empty
         packets = []
         for id, offset, size in spans:
             offset += start
             if size > 2 or (ready := empty.get((id, data[offset : offset + size]))) is None:
-                packets.append(Packet(ids[id], types[id], None, None, origin, (data, offset, size)))
+                # Bytes of its own: few packets that are kept do not keep all bytes that were read.
+                payload = data[offset : offset + size]
+                packets.append(Packet(ids[id], types[id], payload, None, (self.location, base + offset)))
             else:
                 packets.append(ready)
         if self._lenient:

@@ -77,7 +77,7 @@ class PackedColumn:
         offset: int,
         stride: int,
         count: int,
-        origin: tuple[str, int | None] | None = None,
+        origin: tuple[str, int] | None = None,
     ) -> None:
         self.id = id
         self.type = type
@@ -108,7 +108,8 @@ class PackedColumn:
     def packet(self, row: int) -> Packet:
         """Return the packet of one of the frames."""
         start = self._offset + row * self._stride
-        return Packet(self.id, self.type, None, None, self._origin, (self._buffer, start, self.size))
+        origin = (self._origin[0], self._origin[1] + start) if self._origin else None
+        return Packet(self.id, self.type, self._buffer[start : start + self.size], None, origin)
 
     def payloads(self, count: int) -> NDArray[np.uint8]:
         """Return the payloads of the first frames as bytes, (count, size): a strided view of the buffer."""

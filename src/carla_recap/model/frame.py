@@ -63,13 +63,11 @@ class Extent:
 class Packet:
     """One packet: records of a type, or bytes of an unknown one. Never changes.
 
-    Records are parsed from the payload, and the payload is packed from records, when first asked for. They are given
-    where they are known, the payload where it is a buffer of its own, else as a `part`: a buffer, and the offset and the
-    size of the payload in it. `origin` is the location of the file that the packet was read from, and the offset in it of
-    the payload, or of the buffer, if known.
+    Records are parsed from the payload, and the payload is packed from records, when first asked for; one of both is given.
+    `origin` is the location of the file that the packet was read from, and the offset in it of the payload, if known.
     """
 
-    __slots__ = ("_origin", "_part", "_payload", "_records", "id", "type")
+    __slots__ = ("_origin", "_payload", "_records", "id", "type")
 
     def __init__(
         self,
@@ -78,28 +76,20 @@ class Packet:
         payload: Buffer | None = None,
         records: Records | None = None,
         origin: tuple[str, int | None] | None = None,
-        part: tuple[Buffer, int, int] | None = None,
     ) -> None:
         self.id = id  # as of CARLA 0.9.16
         self.type = type  # None for an unknown id
         self._payload = payload
         self._records = records
         self._origin = origin
-        self._part = part
 
     @property
     def payload(self) -> Buffer:
         """The bytes after the packet header."""
         if self._payload is None:
-            if self._part is not None:
-                buffer, start, size = self._part
-                self._payload = memoryview(buffer)[start : start + size]
-                if self._origin is not None and self._origin[1] is not None:
-                    self._origin = self._origin[0], self._origin[1] + start
-            else:
-                assert self.type is not None
-                assert self._records is not None
-                self._payload = pack(self.type, self._records)
+            assert self.type is not None
+            assert self._records is not None
+            self._payload = pack(self.type, self._records)
         return self._payload
 
     @property

@@ -320,6 +320,17 @@ def test_the_latest_messages_are_found_where_others_came_late(tmp_path):
             assert [message.data for message in recording.reader.latest_messages(["/a"], moment)] == [data]
 
 
+def test_of_messages_at_one_time_the_last_is_the_latest(tmp_path):
+    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
+        writer.add_topic(plain("/a"))
+        for number in range(3):
+            writer.write_message("/a", 10.0, noise(FURTHER_CHUNK_SIZE * 2 // 3, number))
+    with open_recording(tmp_path / "run.mcap") as recording:
+        (latest,) = recording.reader.latest_messages(["/a"], 20.0)
+        *_, last = recording.reader.further_messages(["/a"])
+        assert latest == last
+
+
 def test_messages_that_came_late_are_put_in_order(tmp_path):
     times = [0.0, 40.0, 80.0, 10.0, 50.0, 20.0]
     with McapWriter(tmp_path / "run.mcap", HEADER) as writer:

@@ -13,7 +13,8 @@ from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.fleet.index.tables import CHILDREN
 from carla_recap.formats import open_reader
 from carla_recap.formats.base import DigestPart
-from carla_recap.model.frame import SAME_TIME, Frame
+from carla_recap.model.batch import Batch
+from carla_recap.model.frame import Frame
 from carla_recap.model.lives import HERO, ROAD_USERS
 from carla_recap.model.lives import TYPES as ACTOR_TYPES
 from carla_recap.model.motion import place_in_metres
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
 
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.formats.base import PartName, Reader
-    from carla_recap.model.batch import Batch
     from carla_recap.model.lives import ActorLife
     from carla_recap.model.stationary import BlockedRow
     from carla_recap.queries.score import Route
@@ -49,6 +49,9 @@ SHORTEST_STOP: Final = 10.0
 _EVENTS: Final = frozenset((*ACTOR_TYPES, "collisions"))
 _MOTION: Final = frozenset(("transforms", "velocities", "light_states"))
 _SMALL: Final = 6000  # frames of a recording whose motion is kept in memory
+_KEPT: Final = 256 << 20  # bytes of events, and of motion, that are kept in memory at most
+_FRAME: Final = 1000  # bytes that a frame takes, beside those of its packets, about
+_WHOLE: Final = {"sparse": False, "start": -math.inf, "stop": math.inf}  # the options of a read of all frames
 
 _actor = attrgetter(
     "id",
@@ -179,8 +182,12 @@ class _ReadOnce:
         return getattr(self._reader, name)
 
     @cached_property
-    def _events(self) -> list[Frame]:
-        return list(self._reader.frames(_EVENTS, sparse=True))
+    def _events(self) -> list[Batch] | None:
+        return _kept(map(Batch.of, self._reader.frames(_EVENTS, sparse=True)))
+
+    @cached_property
+    def _motion(self) -> list[Batch] | None:
+        return _kept(self._reader.batches(_MOTION)) if self._reader.extent().frames <= _SMALL else None
 
     @cached_property
     def _stretches(self) -> DigestPart:
@@ -191,31 +198,32 @@ class _ReadOnce:
 
     def frames(self, types: Collection[str] | None = None, **options: Any) -> Iterator[Frame]:
         """See `Reader.frames`."""
-        if types is None or not options.get("sparse") or not _EVENTS.issuperset(types):
+        is_whole = _WHOLE | options == {**_WHOLE, "sparse": True}
+        if types is None or not is_whole or not _EVENTS.issuperset(types) or self._events is None:
             yield from self._reader.frames(types, **options)
             return
-        start, stop = (options.get(name, limit) - SAME_TIME for name, limit in (("start", -math.inf), ("stop", math.inf)))
-        for frame in self._events:
-            packets = [packet for packet in frame.packets if packet.type is not None and packet.type.name in types]
-            if packets and start <= frame.elapsed < stop:
-                yield Frame(frame.index, frame.id, frame.elapsed, frame.duration, packets, preamble=frame.preamble)
-
-    @cached_property
-    def _motion(self) -> list[Batch]:
-        return list(self._reader.batches(_MOTION))
+        for batch in self._events:
+            for frame in batch:
+                packets = [packet for packet in frame.packets if packet.type is not None and packet.type.name in types]
+                if packets:
+                    yield Frame(frame.index, frame.id, frame.elapsed, frame.duration, packets, preamble=frame.preamble)
 
     def batches(self, types: Collection[str] | None = None, **options: Any) -> Iterator[Batch]:
         """See `Reader.batches`."""
-        is_motion = types is not None and "transforms" in types and _MOTION.issuperset(types)
-        is_whole = options in ({}, {"start": -math.inf, "stop": math.inf})
-        if is_motion and is_whole and self._is_small:
-            return iter(self._motion)
-        return self._reader.batches(types, **options)
-
-    @cached_property
-    def _is_small(self) -> bool:
-        return self._reader.extent().frames <= _SMALL
+        is_kept = types is not None and "transforms" in types and _MOTION.issuperset(types) and _WHOLE | options == _WHOLE
+        return iter(self._motion) if is_kept and self._motion is not None else self._reader.batches(types, **options)
 
     def digest(self, part: PartName) -> DigestPart | None:
         """See `Reader.digest`."""
         return self._stretches if part == "stretches" else self._reader.digest(part)
+
+
+def _kept(batches: Iterable[Batch]) -> list[Batch] | None:
+    """Return batches as a list; None if their packets take more memory than `_KEPT`."""
+    kept, size = [], 0
+    for batch in batches:
+        size += len(batch) * (_FRAME + sum(column.size for column in batch.columns))
+        if size > _KEPT:
+            return None
+        kept.append(batch)
+    return kept

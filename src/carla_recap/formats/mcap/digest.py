@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 INTERVAL_TIME: Final = 1.0
 """The shortest stationary intervals that are kept, in seconds."""
-_TOGETHER: Final = 1_000  # rows of a message, about
+_TOGETHER: Final = 100  # rows of a message, which the longest blueprints do not make larger than `OBJECTS_LIMIT`
 
 
 class Digest:
@@ -100,7 +100,7 @@ class Digest:
     def _take_intervals(self) -> Iterator[Message]:
         intervals, self._intervals = self._intervals, []
         self._interval_count += len(intervals)
-        return _messages(STATIONARY, intervals)
+        return _messages(STATIONARY, intervals, _TOGETHER)
 
 
 def _messages(type: RecordType, records: Records, together: int = MAX_COUNT) -> Iterator[Message]:

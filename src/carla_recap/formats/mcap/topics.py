@@ -12,7 +12,7 @@ from collections import Counter, defaultdict
 from contextlib import suppress
 from functools import cached_property
 from itertools import pairwise
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -117,10 +117,10 @@ class FurtherTopics:
         end = self._clock.at(elapsed + SAME_TIME)
         if end is None and not elapsed > 0:  # before all times that MCAP has, or none
             return []
-        found: dict[str, tuple[int, bytes]] = {}
+        found: dict[str, tuple[int, int, bytes]] = {}  # the time, the number of the chunk, and the data
         chunks = [chunk for chunk in self._chunks(channels) if end is None or chunk.start < end]
-        for chunk in sorted(chunks, key=attrgetter("end"), reverse=True):
-            wanted = {id for id, name in channels.items() if name not in found or found[name][0] < chunk.end}
+        for number, chunk in sorted(enumerate(chunks), key=lambda each: each[1].end, reverse=True):
+            wanted = {id for id, name in channels.items() if name not in found or found[name][:2] < (chunk.end, number)}
             if chunk.channels and wanted.isdisjoint(chunk.channels):
                 continue
             (data,) = self._opened([chunk])
@@ -130,10 +130,10 @@ class FurtherTopics:
                 if name not in later or message.time >= later[name].time:
                     later[name] = message
             for name, (time, _, content) in later.items():
-                if name not in found or time > found[name][0]:
-                    found[name] = time, bytes(content)
+                if name not in found or (time, number) > found[name][:2]:
+                    found[name] = time, number, bytes(content)
         ordered = sorted(found.items(), key=lambda item: item[1][0])
-        return [TopicMessage(name, self._clock.elapsed(time), content) for name, (time, content) in ordered]
+        return [TopicMessage(name, self._clock.elapsed(time), content) for name, (time, _, content) in ordered]
 
     def _channels_of(self, topics: Collection[str]) -> dict[int, str]:
         """Return the channels of some topics, and the topic of each."""
