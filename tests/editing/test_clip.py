@@ -324,9 +324,10 @@ def test_records_written_once_are_repeated_in_the_first_frame(small: Path, tmp_p
     for name in ("trigger_volumes", "light_times", "physics"):
         assert len(before[name])
         assert plain(after[name]) == plain(before[name])
-    # The car has a transform in the second frame; the walker and the light, which is attached, have none.
+    # The car has a transform in the second frame, the walker in the first one; the light, which is attached, has none.
     moved = plain(before["spawned"])
     moved[0][2:8] = [200.0, 200.0, 50.0, 0.0, 0.0, 90.0]
+    moved[1][2:8] = [300.0, -200.0, 90.0, 0.0, 0.0, 0.0]
     assert plain(after["spawned"]) == moved
     for name in ("collisions", "destroyed", "vehicle_lights"):
         assert len(after[name]) == 0
@@ -396,6 +397,19 @@ def test_lights_recorded_only_when_they_change(tmp_path: Path) -> None:
     assert first["light_states"][["id", "state"]].tolist() == [(1, 2), (2, 1)]
     first = later_frame(path, tmp_path / "last.log", 50.0)
     assert sorted(first["light_states"][["id", "state"]].tolist()) == [(1, 3), (2, 1)]
+
+
+def test_an_actor_without_a_pose_in_the_first_frame_is_where_it_was_last(tmp_path: Path) -> None:
+    path = tmp_path / "own.log"
+    with create_recording(path, map_name="Town01", date=0) as recorder:
+        recorder.add_frame(
+            0.0, spawned=[Spawn(1, 1), Spawn(2, 1)], transforms=[(1, 100, 0, 0, 0, 0, 0), (2, 9, 0, 0, 0, 0, 0)]
+        )
+        recorder.add_frame(1.0, transforms=[(1, 500, 0, 0, 0, 0, 90), (2, 9, 0, 0, 0, 0, 0)])
+        for second in range(2, 30):
+            recorder.add_frame(second, transforms=[(2, 9, 0, 0, 0, 0, 0)])
+    first = later_frame(path, tmp_path / "clip.log", 28.0)
+    assert [(spawn.id, spawn.x, spawn.yaw) for spawn in first["spawned"]] == [(1, 500.0, 90.0), (2, 9.0, 0.0)]
 
 
 def test_an_attached_actor_keeps_its_pose_relative_to_the_parent(tmp_path: Path) -> None:
@@ -541,7 +555,7 @@ def test_packets_before_the_first_frame_are_applied(tmp_path: Path) -> None:
     clip(source, tmp_path / "clip.log", start=0.0)
     own = frames_of(tmp_path / "clip.log")
     assert [(frame.id, frame.elapsed, frame.preamble) for frame in own] == [(1, 0.0, False), (2, 1.0, False)]
-    assert [(spawn.id, spawn.x) for spawn in own[0]["spawned"]][:2] == [(7, 9.0), (8, 100.0)]
+    assert [(spawn.id, spawn.x) for spawn in own[0]["spawned"]][:2] == [(7, 9.0), (8, 300.0)]
 
 
 def test_a_date_out_of_range_is_kept(tmp_path: Path) -> None:

@@ -12,7 +12,8 @@ from carla_recap import open_recording
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.replay import Player
 from carla_recap.replay.events import Collided, Destroyed, Parented, Spawned
-from tests.replay.scripts import FRAMES, light, pose, spawn, state, velocity, write
+from carla_recap.replay.player import LiveScenes
+from tests.replay.scripts import FRAMES, light, pose, spawn, state, velocity, write, x_of
 
 if TYPE_CHECKING:
     from carla_recap.replay import Scene
@@ -178,6 +179,34 @@ def test_light_states_are_kept(record: Record) -> None:
     shown = [dict(zip(s.light_states["id"].tolist(), s.light_states["state"].tolist(), strict=True)) for s in scenes]
     assert shown == [{5: 0, 6: 1}, {5: 2, 6: 1}, {5: 2, 6: 1}, {6: 1}, {6: 1}]
     assert scenes[2].light_states["elapsed"].tolist() == [1.5, 0]
+
+
+def test_an_actor_without_a_pose_in_a_frame_is_where_it_was_last(record: Record) -> None:
+    """Also after a seek, between frames, and while it is the only one of its kind; not if another one has its id."""
+    recording = record(
+        {"spawned": [spawn(1), spawn(2, x=7)], "transforms": [pose(1, 100), pose(2, 9), pose(3, 50)]},
+        {"transforms": [pose(1, 200), pose(2, 9)]},
+        {"transforms": [pose(2, 9)]},
+        {},
+        {"transforms": [pose(1, 220), pose(2, 9)]},
+        {"destroyed": [(1,)], "transforms": [pose(2, 9)]},
+        {"spawned": [spawn(1, x=3)]},
+    )
+    expected = [{1: 100, 2: 9, 3: 50}, {1: 200, 2: 9}, {1: 200, 2: 9}, {1: 200, 2: 9}, {1: 220, 2: 9}, {2: 9}, {2: 9}]
+    live = LiveScenes()
+    for time, (played, places) in enumerate(zip(Player(recording).scenes(), expected, strict=True)):
+        for scene in (played, Player(recording, start=time).tick(0.0), live.scene(list(recording)[time])):
+            assert dict(zip(scene.ids.tolist(), scene.poses[:, 0].tolist(), strict=True)) == places
+    assert [x_of(Player(recording).at(time)) for time in (1.5, 2.5, 3.5, 6)] == [200, 200, 210, 3]
+    held = [batch.ids[batch.held].tolist() for batch in Player(recording).batches() for _ in batch]
+    assert held == [[], [], [1], [1, 2], [], [], [2]]
+
+
+def test_poses_are_searched_far_back(record: Record) -> None:
+    frames = [{"transforms": [pose(2)]} for _ in range(200)]
+    frames[0] |= {"spawned": [spawn(1), spawn(2), spawn(3, "static.prop.box", x=5), spawn(4, "walker.pedestrian.0001", x=6)]}
+    frames[3] = {"transforms": [pose(1, 700), pose(3, 800)]}
+    assert [x_of(Player(record(*frames), start=170.5).tick(0), id) for id in (1, 2, 3, 4)] == [700, 0, 5, 6]
 
 
 def test_light_states_of_other_actors_hold_in_their_frame_only(record: Record) -> None:

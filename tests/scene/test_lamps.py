@@ -124,10 +124,11 @@ def test_a_velocity_that_is_no_number_along_an_axis_lights_nothing(recorded):
     assert not any(flags(recorded(frames)).values())
 
 
-def test_a_car_in_every_other_frame_brakes(recorded):
+@pytest.mark.parametrize("beside", [[], [pose(CAR + 1)]])
+def test_a_car_in_every_other_frame_brakes(recorded, beside):
     frames = slowing(6.5)
-    for frame in frames[1::2]:
-        frame["transforms"] = []
+    for number, frame in enumerate(frames):
+        frame["transforms"] = [*beside, *([] if number % 2 else frame["transforms"])]
     found = braking_times(flags(recorded(frames)))
     assert 1.0 < found[0] < 1.6
     assert 2.2 < found[-1] < 3.1

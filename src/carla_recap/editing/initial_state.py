@@ -113,7 +113,8 @@ class InitialState:
         """Yield the records of the state that a frame does not replace, by type."""
         state, new = self._state, _spawned(frame)
         actors = [actor for actor in state.actors.values() if actor.id not in new]
-        poses = {pose["id"].item(): pose for pose in latest(array(frame["transforms"]))}
+        earlier = self._latest("transforms", frame, new)
+        poses = {pose["id"].item(): pose for pose in (*earlier, *latest(array(frame["transforms"])))}
         yield "spawned", [a.spawn if a.attached else _moved(a.spawn, poses.get(a.id)) for a in actors]
         destroyed = state.hidden[~np.isin(state.hidden, [*new, *array(frame["destroyed"])["id"].tolist()])]
         yield "destroyed", self._rows("destroyed", [(id,) for id in destroyed.tolist()])
@@ -121,7 +122,7 @@ class InitialState:
         yield "parented", self._rows("parented", attached)
         doors = [(id, door, 1) for id, open in state.doors.items() if id not in new for door in sorted(open)]
         yield "doors", self._rows("doors", doors)
-        yield "light_states", self._light_states(frame, new)
+        yield "light_states", self._latest("light_states", frame, new)
         yield "scene_lights", _without(state.scene_lights, set(array(frame["scene_lights"])["id"].tolist()))
         if state.weather is not None and not len(frame["weather"]):
             yield "weather", np.atleast_1d(state.weather)
@@ -143,14 +144,14 @@ class InitialState:
     def _rows(self, name: str, rows: list[Any]) -> Records:
         return self._table.named(name).records(rows)
 
-    def _light_states(self, frame: Frame, new: set[int]) -> NDArray[np.void]:
-        """Return the latest states of the traffic lights that a frame does not contain; most frames contain all."""
-        own = set(array(frame["light_states"])["id"].tolist())
-        if own.issuperset(set(self._state.lights.tolist()) - new):
-            return np.empty(0, self._table.named("light_states").dtype)
+    def _latest(self, name: str, frame: Frame, new: set[int]) -> NDArray[np.void]:
+        """Return the latest records of a type that a frame does not contain; most frames contain all."""
+        own = set(array(frame[name])["id"].tolist())
+        if own.issuperset(set(self._state.lasting(name).tolist()) - new):
+            return np.empty(0, self._table.named(name).dtype)
         cursor = Cursor(self.source, self._new_state)
         cursor.seek(frame.elapsed)
-        return _without(cursor.state.light_states, own)
+        return _without(cursor.state.latest[name].records, own)
 
 
 def _spawned(frame: Frame) -> set[int]:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from carla_recap.model.frame import Frame
 
 _NUMBERS: Final = ("transforms", "light_states", "vehicle_controls", "walker_controls", "vehicle_lights", "velocities")
-_LOOK_BACK: Final = 10.0  # s; the time before a frame in which light states are searched first
+_LOOK_BACK: Final = 10.0  # s; the time before a frame in which what it lacks is searched first
 _WIDER: Final = 4.0  # the factor by which it grows
 _NEAR: Final = 10.0  # s; the time up to which reading on is no slower than seeking
 _MAX_FRAMES: Final = 1024
@@ -68,7 +68,7 @@ class Cursor:
         while self.next is not None and not self.next.elapsed > time + SAME_TIME:
             self._enter(self.next)
 
-    def advance_batch(self, time: float, stop: float) -> tuple[Batch, NDArray[np.void]] | None:
+    def advance_batch(self, time: float, stop: float) -> tuple[Batch, dict[str, NDArray[np.void]]] | None:
         """Read on over frames without events that have the same ids, and are more than `SAME_TIME` apart.
 
         Args:
@@ -76,7 +76,7 @@ class Cursor:
             stop: The elapsed time at which to stop (exclusive), in seconds.
 
         Returns:
-            The frames and the latest light states in each; None if the next frame has to be read by `advance`.
+            The frames, and what `ReplayState.apply_batch` returns; None if the next frame has to be read by `advance`.
         """
         batch, start = self._batch, self._row
         if batch is None or len(batch) - start < 2 or any(c.type and c.type.name in EVENTS for c in batch.columns):
@@ -94,11 +94,11 @@ class Cursor:
         if end <= start:
             return None
         frames = batch if end - start == len(batch) else batch[start:end]
-        states = self.state.apply_batch(frames)
+        latest = self.state.apply_batch(frames)
         self.frame, self._frame_events = frames.frame(-1), []
         self._row = end
         self._read_next()
-        return frames, states
+        return frames, latest
 
     def seek(self, time: float) -> None:
         """Go to some elapsed seconds; the events are then those that build up the state from nothing.
@@ -149,7 +149,8 @@ class Cursor:
         if found is not None:
             for frame in self._reader.frames(EVENTS, sparse=True, start=since, stop=start):
                 self.state.apply(frame)
-            self._recall_lights(found)
+            for name in self.state.latest:
+                self._recall(name, found)
         self._batches, self._opened = self._read_batches(start), True
         self._batch = self._ahead = None
         self._read_next()
@@ -157,20 +158,20 @@ class Cursor:
             raise RecapError(f"{self._reader.location}: the recording has no frames")
         self._enter(self.next)
 
-    def _recall_lights(self, found: Frame) -> None:
-        """Search earlier frames for the states of traffic lights that a frame lacks; most recordings have all in each."""
+    def _recall(self, name: str, found: Frame) -> None:
+        """Search earlier frames for the records of a type that a frame lacks; most recordings have all in each."""
         actors = self.state.actors
-        missing = set(self.state.lights.tolist()) - set(array(found["light_states"])["id"].tolist())
+        missing = set(self.state.lasting(name).tolist()) - set(found[name]["id"].tolist())
         stop, width = found.elapsed, _LOOK_BACK
         recalled: dict[int, NDArray[np.void]] = {}
         while missing and stop > (earliest := min(actors[id].spawned_at for id in missing)):
             start = max(stop - width, earliest)
-            for frame in self._reader.frames(("light_states",), start=start, stop=stop):
-                records = array(frame["light_states"])
+            for frame in self._reader.frames((name,), start=start, stop=stop):
+                records = array(frame[name])
                 for row, id in enumerate(records["id"].tolist()):
                     if id in missing and frame.elapsed >= actors[id].spawned_at:
                         recalled[id] = records[row : row + 1]
             missing -= recalled.keys()
             stop, width = start, width * _WIDER
         if recalled:
-            self.state.recall_lights(np.concatenate(list(recalled.values())))
+            self.state.latest[name].recall(np.concatenate(list(recalled.values())))

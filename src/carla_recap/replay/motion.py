@@ -49,6 +49,7 @@ class SceneMotion:
         behind, motion = recorded_motion(batch, ids)
         places[1:], recorded[1:], time[1:] = motion[..., :3], motion[..., 3:], behind[:, None]
         time[1:-1], places[1:-1] = batch.time[:, None], right_handed(poses)[..., LOCATION]
+        places[1:-1, np.isin(ids, batch.ids[batch.held])] = np.nan
         changed = [event.id for event in batch.events if isinstance(event, Destroyed)]
         changed += [event.actor.id for event in batch.events if isinstance(event, Spawned)]
         self._keep(~np.isin(self._ids, changed) & (batch.time[0] - self._time <= LONGEST_STEP) & (not batch.fresh))

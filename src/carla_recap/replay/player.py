@@ -16,7 +16,7 @@ from carla_recap.model.records import UE4
 from carla_recap.recording import Recording
 from carla_recap.replay.cursor import Cursor
 from carla_recap.replay.follow import Follow, choose_followed, find_followed
-from carla_recap.replay.pose import Interpolator
+from carla_recap.replay.pose import Interpolator, poses_of
 from carla_recap.replay.scene import Scene, SceneBatch
 from carla_recap.replay.state import ReplayState
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from carla_recap.formats.base import Reader
     from carla_recap.model.frame import Frame
-    from carla_recap.util.arrays import Floats, Ids
+    from carla_recap.util.arrays import Floats
 
     Progress = Callable[[Iterable[Scene], "Player"], Iterable[Scene]]
 
@@ -238,10 +238,9 @@ class Player:
         while scene is not None:
             yield scene.batch
             while not self._finished and (found := cursor.advance_batch(self._time, self.stop - SAME_TIME)):
-                frames, light_states = found
+                frames, latest = found
                 self._time = float(frames.elapsed[-1])
-                ids, poses = self._interpolator.read(frames.records("transforms"), cursor.state.hidden)
-                yield self._batch(frames.elapsed, frames, ids, poses, light_states)
+                yield self._batch(frames.elapsed, frames, poses_of(latest["transforms"]), latest["light_states"])
             scene = self._play(self.stop if cursor.next is None else cursor.next.elapsed)
 
     def _play(self, time: float) -> Scene | None:
@@ -268,14 +267,14 @@ class Player:
             length = following.elapsed - frame.elapsed
             part = (time - frame.elapsed) / length if length > 0 else 0.0
             part = part if 0 <= part <= 1 else 0.0
-        ids, poses = self._interpolator.at(frame, following, state.hidden, part)
-        return Scene(self._batch(np.array([time]), Batch.of(frame), ids, poses[None], state.light_states[None]))
+        poses, lights = self._interpolator.at(frame, following, state, part), state.latest["light_states"].records
+        return Scene(self._batch(np.array([time]), Batch.of(frame), poses[None], lights[None]))
 
-    def _batch(self, time: Floats, frames: Batch, ids: Ids, poses: Floats, light_states: NDArray[np.void]) -> SceneBatch:
+    def _batch(self, time: Floats, frames: Batch, poses: Floats, light_states: NDArray[np.void]) -> SceneBatch:
         fresh, self._fresh = self._fresh, False
         events = self._cursor.take_events()
         state, following = self._cursor.state, self._cursor.next
-        return SceneBatch(state, time, frames, ids, poses, light_states, events, fresh=fresh, following=following)
+        return SceneBatch(state, time, frames, poses, light_states, events, fresh=fresh, following=following)
 
     def _moment(self, time: float) -> float:
         """Return a time in elapsed seconds, which is given from the end if it is negative."""
@@ -293,14 +292,14 @@ class LiveScenes:
 
     def __init__(self) -> None:
         self._state = ReplayState(UE4, ignore_hero=False, ignore_spectator=True)
-        self._interpolator = Interpolator()
         self._fresh = True
 
     def scene(self, frame: Frame) -> Scene:
         """Return the scene of the next frame."""
         state = self._state
         events = tuple(state.apply(frame))
-        ids, poses = self._interpolator.at(frame, None, state.hidden, 0.0)
+        poses, lights = (latest.records[None] for latest in state.latest.values())
         fresh, self._fresh = self._fresh, False
-        time, lights = np.array([frame.elapsed]), state.light_states[None]
-        return Scene(SceneBatch(state, time, Batch.of(frame), ids, poses[None], lights, events, fresh=fresh))
+        return Scene(
+            SceneBatch(state, np.array([frame.elapsed]), Batch.of(frame), poses_of(poses), lights, events, fresh=fresh)
+        )

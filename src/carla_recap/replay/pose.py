@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.model.frame import Frame
+    from carla_recap.replay.state import ReplayState
     from carla_recap.util.arrays import Booleans, Floats, Ids
 
 
@@ -157,6 +158,14 @@ def _left_handed_of(location: Floats, matrix: Floats) -> Floats:
     return left_handed(np.concatenate((location, angles), axis=-1)) + 0.0
 
 
+def poses_of(transforms: NDArray[np.void]) -> Floats:
+    """Return the poses of records, (…, 6), as recorded; read-only."""
+    with np.errstate(invalid="ignore"):  # a signaling NaN
+        poses: Floats = numbers(transforms).astype(np.float64)
+    poses.setflags(write=False)
+    return poses
+
+
 class Interpolator:
     """Interpolates the poses of all actors between a frame and the next one.
 
@@ -167,35 +176,32 @@ class Interpolator:
         self._selection = Selection()
         self._frame: Frame | None = None
         self._next: Frame | None = None
-        self._hidden: Ids = NO_IDS
         self._ids: Ids = NO_IDS
         self._poses: Floats = np.zeros((0, 6))
-        self._ahead: tuple[Ids, Floats] | None = None  # ids and poses of the next frame
         self._change: Floats | None = None
         self._wraps = False  # whether an angle passes ±180 degrees
 
-    def at(self, frame: Frame, next: Frame | None, hidden: Ids, part: float) -> tuple[Ids, Floats]:
-        """Return ids, ascending, and poses; both are read-only.
+    def at(self, frame: Frame, next: Frame | None, state: ReplayState, part: float) -> Floats:
+        """Return the poses of the actors whose transforms the state has, (ids, 6), read-only.
 
         Args:
             frame: The frame at or before the moment.
             next: The frame after it, if any.
-            hidden: Ids to leave out.
+            state: The state after the frame.
             part: The part of the time between the two that has passed, from 0 to 1.
         """
-        if frame is not self._frame or hidden is not self._hidden:
-            if frame is self._next and hidden is self._hidden and self._ahead:
-                self._ids, self._poses = self._ahead
-            else:
-                self._ids, self._poses = self.read(array(frame["transforms"]), hidden)
-            self._frame, self._hidden, self._next = frame, hidden, None
-            self._ahead = self._change = None
+        latest = state.latest["transforms"]
+        if frame is not self._frame or latest.ids is not self._ids:
+            self._ids, self._poses = latest.ids, poses_of(latest.records)
+            self._frame, self._next = frame, None
         if next is None or part <= 0:
-            return self._ids, self._poses
+            return self._poses
         if self._change is None or next is not self._next:
-            self._next, self._ahead = next, self.read(array(next["transforms"]), hidden)
+            self._next = next
+            records = array(next["transforms"])
+            rows = self._selection.choose(records, state.hidden)
             with np.errstate(invalid="ignore", over="ignore"):
-                self._change = self._steps(frame, next, *self._ahead)
+                self._change = self._steps(frame, next, self._selection.ids, poses_of(records[rows]))
                 angles = np.stack((self._poses, self._poses + self._change))[:, :, ROTATION]
                 self._wraps = not np.abs(angles).max(initial=0) <= 180
         poses = self._poses + part * self._change
@@ -203,27 +209,14 @@ class Interpolator:
             with np.errstate(invalid="ignore"):
                 poses[:, ROTATION] = wrap(poses[:, ROTATION])
         poses.setflags(write=False)
-        return self._ids, poses
-
-    def read(self, records: NDArray[np.void], hidden: Ids) -> tuple[Ids, Floats]:
-        """Return the recorded ids, ascending, and the poses; both are read-only.
-
-        Args:
-            records: The transforms of a frame, or of frames with the same ids, (frames, records of each).
-            hidden: The ids to leave out.
-        """
-        rows = self._selection.choose(records if records.ndim == 1 else records[0], hidden)
-        with np.errstate(invalid="ignore"):  # a signaling NaN
-            poses = numbers(records)[..., rows, :].astype(np.float64)
-        poses.setflags(write=False)
-        return self._selection.ids, poses
+        return poses
 
     def _steps(self, frame: Frame, next: Frame, ids: Ids, poses: Floats) -> Floats:
         """Return the difference of each pose to the next one; 0 for an actor that jumps, disappears or is replaced.
 
         A step is a jump by `possible_step`, one of up to 5 m never is: no velocity follows from it.
         """
-        if ids is self._ids:
+        if np.array_equal(ids, self._ids):
             steps = change(self._poses, poses)
             still = np.zeros(len(ids), np.bool_)
         else:

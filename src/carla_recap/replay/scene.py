@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from carla_recap.model.batch import Batch
     from carla_recap.model.frame import Frame
     from carla_recap.replay.state import ReplayState
-    from carla_recap.util.arrays import Ids
 
 E = TypeVar("E", bound=Event)
 
@@ -41,6 +40,7 @@ class SceneBatch:
         events: The events since the previous scene, in order; all of them belong to the first scene. Those of a fresh one
             are the spawn of each present actor, its parents, and the collisions of the frame.
         ids: The actors that have a recorded pose, ascending; the same object as in the previous batch if they are the same.
+            A vehicle or walker of which a frame has no pose is where it was last.
         poses: x, y, z in cm and roll, pitch, yaw in degrees of each of them, (scenes, ids, 6).
         actors: The present actors by id, in order of appearance. One without a recorded pose (lights, signs, and with
             CARLA 0.9.10 the props) is where it was spawned, or on its parent; see `pose_of`.
@@ -57,7 +57,6 @@ class SceneBatch:
         state: ReplayState,
         time: NDArray[np.float64],
         frames: Batch,
-        ids: Ids,
         poses: NDArray[np.float64],
         light_states: NDArray[np.void],
         events: tuple[Event, ...] = (),
@@ -70,7 +69,7 @@ class SceneBatch:
         self.fresh = fresh
         self.following = following
         self.events = events
-        self.ids = ids
+        self.ids = state.latest["transforms"].ids
         self.poses = poses
         self.light_states = light_states
         self.actors = state.actors
@@ -105,6 +104,11 @@ class SceneBatch:
     def away(self) -> NDArray[np.bool_]:
         """Whether an actor is so far from the height of the roads that it is not there, (scenes, ids)."""
         return self._heights.away(self.ids, self.poses)
+
+    @cached_property
+    def held(self) -> NDArray[np.bool_]:
+        """Whether the frames have no pose of an actor, which is where it was last, (ids,)."""
+        return np.asarray(~np.isin(self.ids, self.records("transforms")["id"][0]))
 
     def scene(self, row: int) -> Scene:
         """Return one of the scenes."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.lives import ActorLife, BoundingBox
+from carla_recap.model.lives import ROAD_USERS, ActorLife, BoundingBox
 from carla_recap.model.presence import RoadHeights
 from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Spawned
 from carla_recap.replay.selection import NO_IDS, Selection, merged
@@ -28,6 +28,59 @@ ALL_DOORS: Final = 6
 DOORS: Final = range(ALL_DOORS)
 
 
+class LatestRecords:
+    """The latest record of each actor, of one type.
+
+    Attributes:
+        records: The records, ascending by id.
+        ids: Their ids; the same object until they change.
+    """
+
+    def __init__(self, dtype: np.dtype[np.void]) -> None:
+        self.records: NDArray[np.void] = np.empty(0, dtype)
+        self.ids = NO_IDS
+        self._selection = Selection()
+
+    def apply(self, new: NDArray[np.void], hidden: Ids, lasting: Ids) -> NDArray[np.void]:
+        """Take the records of frames, (frames, records of each), and return the latest ones in each, (frames, ids).
+
+        Args:
+            new: The records, with the same ids in each frame.
+            hidden: Ids to leave out; the same object until they change.
+            lasting: The actors whose records hold beyond their frame.
+        """
+        found = new[:, self._selection.choose(new[0], hidden)]
+        ids = self._selection.ids
+        if ids is not self.ids:
+            held = self.records[np.isin(self.ids, lasting) & ~np.isin(self.ids, ids)]
+            if len(held):
+                first = merged(held, found[0])
+                latest = np.repeat(first[None], len(new), axis=0)
+                latest[:, np.searchsorted(first["id"], ids)] = found
+                found, ids = latest, _ids_of(first)
+            if not len(held) or not np.array_equal(self.ids, ids):
+                self.ids = ids
+        self.records = found[-1]
+        return found
+
+    def recall(self, earlier: NDArray[np.void]) -> None:
+        """Add records of earlier frames, or replace some by these."""
+        self.records = merged(self.records, earlier)
+        self.ids = _ids_of(self.records)
+
+    def forget(self, id: int) -> None:
+        """Forget the record of an actor."""
+        if id in self.ids:
+            self.records = self.records[self.ids != id]
+            self.ids = _ids_of(self.records)
+
+
+def _ids_of(records: NDArray[np.void]) -> Ids:
+    ids = records["id"].astype(np.uint32)
+    ids.setflags(write=False)
+    return ids
+
+
 class ReplayState:
     """The state after the frames that were applied; what it returns never changes afterwards.
 
@@ -39,8 +92,8 @@ class ReplayState:
     Attributes:
         weather: The latest weather; None before the first.
         scene_lights: The latest state of each lamp of the scene, ascending by id.
-        light_states: The latest state of each traffic light, ascending by id; that of an actor that was not spawned as a
-            traffic light holds in its own frame only.
+        latest: The latest transform of each actor and the latest state of each traffic light, by type; transforms of others
+            than vehicles and walkers hold in their own frame only, as states of what was not spawned as a traffic light.
         lights: The present traffic lights, ascending.
         heights: Which of the present actors are far from the height of the roads.
         selections: The rows of each record type that count.
@@ -50,7 +103,7 @@ class ReplayState:
     def __init__(self, table: Table, *, ignore_hero: bool, ignore_spectator: bool) -> None:
         self.weather: np.void | None = None
         self.scene_lights: NDArray[np.void] = np.empty(0, table.named("scene_lights").dtype)
-        self.light_states: NDArray[np.void] = np.empty(0, table.named("light_states").dtype)
+        self.latest = {name: LatestRecords(table.named(name).dtype) for name in ("transforms", "light_states")}
         self.hidden: Ids = NO_IDS
         self._hidden: set[int] = set()
         self._ignore_hero = ignore_hero
@@ -60,8 +113,7 @@ class ReplayState:
         self._shared = False  # whether the two above have been returned, and must not be changed any more
         self.lights = NO_IDS
         self.heights = RoadHeights()
-        self._stray_lights = False  # whether `light_states` has an actor that is no traffic light
-        self._selection = Selection()
+        self._road_users = NO_IDS
         self.selections: defaultdict[str, Selection] = defaultdict(Selection)
         self._spawned: set[int] = set()  # in this frame
         self._events: list[Event] = []
@@ -89,23 +141,26 @@ class ReplayState:
                 handler(self, packet.records, frame.elapsed)
         if self._actors_changed:
             self._finish_actors()
-        self._apply_light_states(frame["light_states"][None])
+        for name, latest in self.latest.items():
+            latest.apply(frame[name][None], self.hidden, self.lasting(name))
         return self._events
 
-    def apply_batch(self, batch: Batch) -> NDArray[np.void]:
+    def apply_batch(self, batch: Batch) -> dict[str, NDArray[np.void]]:
         """Apply frames without events, each with the same ids.
 
         Returns:
-            The latest state of each traffic light, ascending by id, (frames, lights).
+            By type, the latest record of each actor, ascending by id, (frames, ids); see `latest`.
 
         Raises:
             FormatError: A packet contradicts its layout.
         """
-        return self._apply_light_states(batch.records("light_states"))
+        return {
+            name: latest.apply(batch.records(name), self.hidden, self.lasting(name)) for name, latest in self.latest.items()
+        }
 
-    def recall_lights(self, states: NDArray[np.void]) -> None:
-        """Add light states of earlier frames."""
-        self.light_states = merged(self.light_states, states)
+    def lasting(self, name: str) -> Ids:
+        """Return the actors whose records of a type hold beyond their frame, ascending."""
+        return self.lights if name == "light_states" else self._road_users
 
     # --- handlers, one per record type -----------------------------------------------------------------------
 
@@ -140,8 +195,8 @@ class ReplayState:
         self._actors_changed = True
         self._actors.pop(id, None)
         self._doors.pop(id, None)
-        if id in self.light_states["id"]:
-            self.light_states = self.light_states[self.light_states["id"] != id]
+        for latest in self.latest.values():
+            latest.forget(id)
 
     def _parent(self, records: NDArray[np.void], elapsed: float) -> None:
         self._unshare()
@@ -195,37 +250,13 @@ class ReplayState:
             self.hidden = np.array(sorted(self._hidden), np.uint32)
         lights = sorted(id for id, actor in self._actors.items() if actor.kind == "traffic_light")
         self.lights = np.array(lights, np.uint32)
-        self._stray_lights = len(self.light_states) > 0
+        self._road_users = np.array(sorted(id for id, actor in self._actors.items() if actor.kind in ROAD_USERS), np.uint32)
         self.heights = RoadHeights(self.actors.values())
         for index, event in enumerate(self._events):
             if isinstance(event, Spawned):
                 now = self._actors.get(event.actor.id)
                 if now is not None and now.spawn is event.actor.spawn:
                     self._events[index] = Spawned(event.elapsed, now)
-
-    def _apply_light_states(self, records: NDArray[np.void]) -> NDArray[np.void]:
-        """Keep the states of frames with the same ids in each, and return the latest ones in each of them."""
-        count = len(records)
-        if not records.shape[1]:
-            if self._stray_lights:
-                self.light_states = self._traffic_light_states()
-                self._stray_lights = False
-            return np.broadcast_to(self.light_states, (count, len(self.light_states)))
-        before = self._selection.ids
-        states = records[:, self._selection.choose(records[0], self.hidden)]
-        kept = self._selection.ids is before and states.shape[1] == len(self.light_states)
-        if not kept or self._stray_lights:
-            first = merged(self._traffic_light_states(), states[0])
-            latest = np.repeat(first[None], count, axis=0)
-            latest[:, np.searchsorted(first["id"], self._selection.ids)] = states
-            states = latest
-            self._stray_lights = not bool(np.isin(first["id"], self.lights).all())
-        self.light_states = states[-1]
-        return states
-
-    def _traffic_light_states(self) -> NDArray[np.void]:
-        """Return the light states that hold beyond their frame: those of traffic lights."""
-        return self.light_states[np.isin(self.light_states["id"], self.lights)]
 
 
 _HANDLERS: Final[dict[str, Callable[[ReplayState, Any, float], None]]] = {

@@ -217,22 +217,23 @@ class _Slowing:
         time, motion = np.concatenate((self._time, time)), np.concatenate((self._motion, motion))
         actor, frame = np.nonzero(np.isfinite(motion[..., 0]).T)
         flat, speed = motion[frame, actor].T, np.full(motion.shape[:2], np.nan)
-        first, last, seconds = _spans(time[:-1], held)
+        first, last = _spans(time[:-1], held)
         slows = np.zeros((len(time) - 1, len(self._ids)), np.bool_)
-        with np.errstate(invalid="ignore", over="ignore"):
+        with np.errstate(all="ignore"):
             velocities, _ = motion_of(time[frame], flat[:3], flat[3:], actor)
             speed[frame, actor] = np.hypot(*velocities[:2])
-            deceleration = (speed[first] - speed[last]) / seconds[:, None]
-            slows[last] = (deceleration > DECELERATION) & (deceleration < FIRMEST_BRAKING)
+            # Of the latest frame up to each that has the actor:
+            seen = np.maximum.accumulate(np.where(np.isfinite(speed), np.arange(len(speed))[:, None], 0), axis=0)
+            speed, at = np.take_along_axis(speed, seen, axis=0), time[seen]
+            seconds = at[last] - at[first]
+            deceleration = (speed[first] - speed[last]) / seconds
+            slows[last] = (deceleration > DECELERATION) & (deceleration < FIRMEST_BRAKING) & (seconds <= _LONGEST)
         kept = max(min(int(np.searchsorted(time[:-1], time[-2] - _SPAN)), len(time) - 2) - 1, 0)  # with the frame before
         self._time, self._motion, self._latest = time[kept:-1], motion[kept:-1], slows[-1]
         return slows[held:, those]
 
 
-def _spans(time: Floats, held: int) -> tuple[Indices, Indices, Floats]:
-    """Return spans of about 0.3 s up to each time but the first ones: the first and the last time, and the length in s."""
+def _spans(time: Floats, held: int) -> tuple[Indices, Indices]:
+    """Return the first and the last frames of spans of about 0.3 s up to each time but the first ones."""
     last = np.arange(max(held, 1), len(time))
-    first = np.clip(np.searchsorted(time, time[last] - _SPAN), 0, last - 1)
-    seconds = time[last] - time[first]
-    usable = (seconds > 0) & (seconds <= _LONGEST)
-    return first[usable], last[usable], seconds[usable]
+    return np.clip(np.searchsorted(time, time[last] - _SPAN), 0, last - 1), last
