@@ -153,11 +153,26 @@ def up_again(number, *, walks):
     return frames
 
 
+def up_beside_others():
+    """Return frames of an accident whose walker gets up while other walkers come and go, as many in each frame."""
+    frames = accident(200)
+    for number, frame in enumerate(frames):
+        own = (WALKER, 140.0 if number == 70 else 0.0)
+        frame["walker_controls"] = [(7, 0.0), own] if number > 60 else [own, (9, 0.0)]
+    return frames
+
+
 @pytest.mark.parametrize("time", [1.0, 5.0, 14.0, 18.9])
 @pytest.mark.parametrize(
     ("frames", "until"),
-    [(accident(200), 99), (up_again(70, walks=True), 7), (up_again(150, walks=True), 15), (up_again(70, walks=False), 7)],
-    ids=["for good", "walks", "walks later", "anew"],
+    [
+        (accident(200), 99),
+        (up_again(70, walks=True), 7),
+        (up_again(150, walks=True), 15),
+        (up_again(70, walks=False), 7),
+        (up_beside_others(), 7),
+    ],
+    ids=["for good", "walks", "walks later", "anew", "beside others"],
 )
 def test_walkers_that_were_hit_before_the_beginning_lie_until_they_get_up(tmp_path, frames, until, time):
     path = write(tmp_path / "x.log", frames, tick=0.1)

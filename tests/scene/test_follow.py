@@ -110,6 +110,14 @@ def test_the_light_ahead_is_that_of_the_heading(tmp_path: Path) -> None:
     assert series(tmp_path, [frame]).light.tolist() == [10]
 
 
+@pytest.mark.parametrize(("height", "ahead"), [(6.0, [10]), (-6.0, [10]), (8.0, [NO_LIGHT]), (-8.0, [NO_LIGHT])])
+def test_a_light_of_a_road_above_or_below_is_not_ahead(tmp_path: Path, height: float, ahead: list[int]) -> None:
+    """30 m ahead, a slope of 10% leads 3 m up or down."""
+    signal = Spawn(10, ActorKind.TRAFFIC_LIGHT, 3000, 0, 100 * height, 0, 0, 90, 0, "traffic.traffic_light")
+    frame = {"transforms": [pose(1)], "spawned": [spawn(1), signal], "light_states": [light(10, 0)]}
+    assert series(tmp_path, [frame]).light.tolist() == ahead
+
+
 @pytest.mark.parametrize(("behind", "ahead"), [(1.5, 10), (2.5, NO_LIGHT)])
 def test_a_light_is_ahead_until_its_stop_line_is_behind_the_actor(tmp_path: Path, behind: float, ahead: int) -> None:
     volume = (10, -100 * behind, 0, 0, 100, 100, 100)

@@ -533,6 +533,21 @@ def test_without_a_map_what_was_driven_along_is_road(tmp_path: Path) -> None:
     assert "/world/ground" in rrd.entities
 
 
+@pytest.mark.parametrize(("tick", "jump"), [(1.0, 0), (0.05, 8)])
+def test_frames_far_apart_are_driven_along_and_jumps_are_not(tmp_path: Path, tick: float, jump: float) -> None:
+    """A car drives 30 m/s; in 0.05 s it cannot drive the 9.5 m from the frame before the jump."""
+    ways = 30 * tick * np.arange(80)
+    frames = [{"transforms": [pose(1, 100 * (way + jump * (n >= 40)))]} for n, way in enumerate(ways.tolist())]
+    frames[0]["spawned"] = [spawn(1)]
+    rrd = export(write(tmp_path / "x.log", frames, tick=tick), tmp_path / "x.rrd")
+    along = np.array(rrd.static["/world/map/corridors"]["Mesh3D:vertex_positions"]).reshape(-1, 4, 3)[:, :2, 0]
+    places = np.arange(0.5, ways[-4], 1.0)
+    covered = ((along[:, :1] <= places) & (places <= along[:, 1:])).any(axis=0)
+    beside, within = (np.abs(places - (ways[39] + ways[40] + jump) / 2) < reach for reach in (15, 4))
+    assert covered[~beside].all()
+    assert covered[within].any() == (not jump)
+
+
 def test_a_map_of_another_town_is_left_out(tmp_path: Path) -> None:
     near = driven(2, spawned=[spawn(1, role_name="hero")])
     far = [{"transforms": [pose(1, 1e5)], "spawned": near[0]["spawned"]}]
@@ -638,6 +653,7 @@ def test_a_ghost_is_shown_from_when_on_it_is_elsewhere(tmp_path: Path) -> None:
     assert color & 255 < 128
     assert rrd.at(ghost, "Points3D:labels", 5) == ["B: hero 21"]
     assert np.ravel(rrd.at("/map/ghosts", "Points2D:positions", 5)) == pytest.approx((5, 3))
+    assert not rrd.at("/map/ghosts", "Points2D:positions", 3)
     verify(tmp_path / "ghost.rrd")
 
 

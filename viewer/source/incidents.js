@@ -151,8 +151,10 @@ export class Incidents {
     return this.played.slice(first, last).at(-1);
   }
 
-  /** Return the next incident that can be shown, or with -1 the one before. @param {number} step */
-  neighbour(step) {
+  /** Return the next incident that can be shown, or with -1 the one before; if none is chosen, the latest one at a time.
+   * @param {number} step @param {number} time */
+  neighbour(step, time) {
+    if (step < 0 && this.current < 0) return this.played.findLast(({ row, start }) => !row.hidden && start <= time)?.index ?? -1;
     /** @param {Item} item */
     const next = ({ index, replayed, row }) => replayed && !row.hidden && (index - this.current) * step > 0;
     return (step > 0 ? this.items.find(next) : this.items.findLast(next))?.index ?? -1;

@@ -283,7 +283,7 @@ class Replay {
 
   /** @param {number} direction */
   step(direction) {
-    const index = this.incidents.neighbour(direction);
+    const index = this.incidents.neighbour(direction, this.clock.time);
     if (index >= 0) this.open(index);
   }
 

@@ -153,7 +153,7 @@ export class Plots {
       if (!index) this.drawIncidents(context, found, height);
       for (const each of [...found].reverse()) {
         if (each.series && row.band) this.drawBand(context, each, (top + bottom) / 2);
-        else if (each.series) this.drawCurve(context, row, each.series, this.color(each.recording), level);
+        else if (each.series) this.drawCurve(context, row, each.recording, each.series, level);
       }
       return { level, scale };
     });
@@ -208,22 +208,23 @@ export class Plots {
     return [signed ? -top : 0, top];
   }
 
-  /** @param {Series} series @param {(i: number, next: number) => void} visit is called with each sample of the part */
-  eachSample({ times }, visit) {
+  /** @param {Recorded} recording @param {(i: number, next: number) => void} visit is called with each sample of the part */
+  eachSample({ tracks }, visit) {
+    const { times } = tracks;
     const { start, stop } = this.part;
     const [from, to] = [Math.max(0, countUntil(times, start) - 1), Math.min(times.length, countUntil(times, stop) + 1)];
-    for (let i = from; i < to; i++) visit(i, i + 1 < to && times[i + 1] - times[i] <= 1 ? i + 1 : -1);
+    for (let i = from; i < to; i++) visit(i, i + 1 < to && tracks.continues(i) ? i + 1 : -1);
   }
 
   /** Draw a curve, with the area to its line of zero: that of what is below the line, such as the brake, downwards.
-   * @param {CanvasRenderingContext2D} context @param {Row} row @param {Series} series @param {string} color
+   * @param {CanvasRenderingContext2D} context @param {Row} row @param {Recorded} recording @param {Series} series
    * @param {(value: number) => number} level */
-  drawCurve(context, row, series, color, level) {
+  drawCurve(context, row, recording, series, level) {
     for (const { name, factor } of curves(row)) {
       const values = series.values[name];
       const [curve, area] = [new Path2D(), new Path2D()];
       let last = -1;
-      this.eachSample(series, (i, next) => {
+      this.eachSample(recording, (i, next) => {
         if (Number.isNaN(values[i])) return;
         const [x, y] = [this.left(series.times[i]), level(values[i] * factor)];
         if (last < 0) area.moveTo(x, level(0));
@@ -233,7 +234,7 @@ export class Plots {
         last = next < 0 || Number.isNaN(values[next]) ? -1 : i;
         if (last < 0) area.lineTo(x, level(0));
       });
-      context.fillStyle = context.strokeStyle = color;
+      context.fillStyle = context.strokeStyle = this.color(recording);
       context.globalAlpha = 0.12;
       if (!row.signed || row.below) context.fill(area);
       context.globalAlpha = 1;
@@ -246,7 +247,7 @@ export class Plots {
   /** Draw a band in the colours of the light ahead. @param {CanvasRenderingContext2D} context @param {Found} found @param {number} middle */
   drawBand(context, { recording, series }, middle) {
     const top = middle - HALF_BAND + (this.recordings.length > 1 ? (recording.index - 0.5) * 2 * HALF_BAND : 0);
-    this.eachSample(/** @type {Series} */ (series), (i, next) => {
+    this.eachSample(recording, (i, next) => {
       const light = series?.values.light[i] ?? NaN;
       if (!series || Number.isNaN(light) || next < 0) return;
       context.fillStyle = recording.report.lights[light]?.[1] ?? theme.colors.quiet;

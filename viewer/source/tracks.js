@@ -114,21 +114,30 @@ export class Tracks {
     return this.speedAt(actor, this.sampleAt(time));
   }
 
-  /** Return the path of an actor in an interval, as lines of x, y, x, y, …, up to its end.
+  /** Return the path of an actor in an interval, as lines of x, y, x, y, …, up to its end, without its jumps.
    * @param {number} actor @param {number} start @param {number} stop */
   path(actor, start, stop) {
     const [from, to] = [this.sampleAt(start), this.sampleAt(stop)];
-    const runs = [];
+    const runs = /** @type {number[][]} */ ([]);
+    let before = -1; // the last sample of the track before, which the next one begins with unless the actor has jumped
     for (const track of this.own[actor]) {
-      const [first, last, begin] = [this.first[track], this.last[track], this.begin[track]];
-      if (this.count[track] === 1 || last <= from || first > to) continue;
-      const run = [];
-      for (let i = Math.max(from, first); i <= Math.min(to, last); i++) {
-        run.push(this.x[begin + i - first], this.y[begin + i - first]);
+      const [first, last] = [this.first[track], this.last[track]];
+      if (last >= from && first <= to) {
+        if (first !== before || !runs.length) runs.push([]);
+        for (let sample = Math.max(from, first); sample <= Math.min(to, last); sample++) {
+          const row = this.row(track, sample);
+          runs[runs.length - 1].push(this.x[row], this.y[row]);
+        }
       }
-      runs.push(run);
+      before = last;
     }
     return runs;
+  }
+
+  /** Return whether a sample and the one after it are of one span. @param {number} sample */
+  continues(sample) {
+    const [span, next] = [sample, sample + 1].map((each) => countUntil(this.starts, this.times[each] + 1e-4));
+    return sample + 1 < this.times.length && span === next;
   }
 
   /** Return the actor that has an id at a time, or else the first one that has it; -1 if none.

@@ -52,6 +52,22 @@ test("an id is that of the actor that has it at a time", () => {
   assert.deepEqual([tracks.indexOf(7, -5), tracks.indexOf(1, 0), tracks.indexOf(null, 0), tracks.indexOf(undefined, 0)], [0, -1, -1, -1]);
 });
 
+test("a path has no jumps, and goes on where the actor stands", () => {
+  const { tracks } = recorded();
+  assert.deepEqual(tracks.path(0, 1, 2.5), [[1, 0, 2, 0]]);
+  tracks.own[0].push(1); // from the last sample of its track on, it stands
+  tracks.first[1] = 3;
+  assert.deepEqual(tracks.path(0, 2, 4), [[2, 0, 3, 0, 50, 4, 50, 4]]);
+  tracks.first[1] = 4; // a sample later, after a jump
+  assert.deepEqual([tracks.path(0, 2, 4), tracks.path(0, 5, 6)], [[[2, 0, 3, 0], [50, 4]], [[50, 4, 50, 4]]]);
+});
+
+test("samples of one span belong together, however far apart they are", () => {
+  const { tracks } = recorded();
+  [tracks.times, tracks.starts] = [Float64Array.of(0, 5, 10, 10.1), [0, 10.1]];
+  assert.deepEqual([0, 1, 2, 3].map((sample) => tracks.continues(sample)), [true, true, false, false]);
+});
+
 test("lamps are lit, and walkers lie, from one change to the next", () => {
   const { tracks } = recorded();
   assert.deepEqual([0.9, 1, 2.9, 3].map((time) => tracks.lampsOf(0, time)), [0, 8, 8, 0]);

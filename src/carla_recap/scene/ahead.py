@@ -27,6 +27,8 @@ _REACH: Final = 60.0  # m; lights farther away are not ahead
 _PASSED: Final = 2.0  # m behind the stop line up to which its light is still ahead
 _WIDTH: Final = 2.2  # m from the middle of a lane to its edge, and a little more
 _SPREAD: Final = 0.1  # m to the side for each metre ahead, because roads bend
+_LEVEL: Final = 4.0  # m to the road of another level
+_SLOPE: Final = 0.1  # of roads, at most
 _CONE: Final = math.tan(math.radians(25))  # without stop lines: the same for the light itself
 _FACING: Final = math.cos(math.radians(60))
 _ACROSS: Final = math.radians(90)  # the heading of the lane, from that of its light
@@ -70,7 +72,7 @@ class LightAheadFinder:
         self._stops = stops
         self._ids = b""
         self._rows: Indices = np.zeros(0, np.intp)  # of the light of each point
-        self._points: Floats = np.zeros((0, 2))
+        self._points: Floats = np.zeros((0, 3))
         self._headings: Floats = np.zeros(0)  # of the lanes before the lights, in radians
         self._is_stop: NDArray[np.bool_] = np.zeros(0, np.bool_)
 
@@ -92,10 +94,10 @@ class LightAheadFinder:
         if not len(known) or not len(self._points):
             return found, distance
         low, high = poses[known, :2].min(axis=0) - _REACH, poses[known, :2].max(axis=0) + _REACH
-        near = np.flatnonzero(((self._points >= low) & (self._points <= high)).all(axis=1))
+        near = np.flatnonzero(((self._points[:, :2] >= low) & (self._points[:, :2] <= high)).all(axis=1))
         if not len(near):
             return found, distance
-        away = self._points[near] - poses[known, None, :2]
+        away = self._points[near] - poses[known, None, LOCATION]
         yaw = np.radians(poses[known, YAW, None])
         cos, sin = np.cos(yaw), np.sin(yaw)
         forward, aside = away[..., 0] * cos + away[..., 1] * sin, np.abs(away[..., 1] * cos - away[..., 0] * sin)
@@ -103,7 +105,8 @@ class LightAheadFinder:
         turn = np.cos(yaw - self._headings[near])
         on_lane = (forward > -_PASSED) & (aside < _WIDTH + _SPREAD * np.abs(forward)) & (turn > -_FACING)
         facing = (forward > 0) & (aside < _WIDTH + _CONE * forward) & (turn > _FACING)
-        forward[~((forward < _REACH) & np.where(is_stop, on_lane, facing))] = np.inf
+        level = np.abs(away[..., 2]) < _LEVEL + _SLOPE * np.abs(forward)
+        forward[~(level & (forward < _REACH) & np.where(is_stop, on_lane, facing))] = np.inf
         best = forward.argmin(axis=1)
         least = forward[np.arange(len(known)), best]
         found_any = np.isfinite(least)
@@ -119,11 +122,11 @@ class LightAheadFinder:
                 continue
             moved = right_handed(pose)
             heading = math.radians(moved[YAW]) + _ACROSS
-            each = self._stops[id][:, :2] if id in self._stops else moved[None, :2]
+            each = self._stops.get(id, moved[None, LOCATION])
             rows += [row] * len(each)
             points.append(each)
             headings += [heading] * len(each)
             is_stop += [id in self._stops] * len(each)
         finite = np.isfinite(np.concatenate(points)).all(axis=1) if points else np.zeros(0, np.bool_)
-        self._rows, self._points = np.array(rows, np.intp)[finite], np.concatenate([np.zeros((0, 2)), *points])[finite]
+        self._rows, self._points = np.array(rows, np.intp)[finite], np.concatenate([np.zeros((0, 3)), *points])[finite]
         self._headings, self._is_stop = np.array(headings)[finite], np.array(is_stop, np.bool_)[finite]

@@ -342,13 +342,10 @@ def _standing(look: Look, recorded: Floats, rotation: Floats) -> Fall:
 
 def _up(id: int, frames: Batch) -> NDArray[np.bool_]:
     """Return whether a walker cannot lie, as it walks, or leans as recorded, (frames,)."""
-    up = np.zeros(len(frames), np.bool_)
     controls, transforms = frames.records("walker_controls"), frames.records("transforms")
-    for column in np.flatnonzero(controls["id"][0] == id)[-1:].tolist():
-        up |= controls["speed"][:, column] > _WALKING
-    for column in np.flatnonzero(transforms["id"][0] == id)[-1:].tolist():
-        up |= _leans(transforms["roll"][:, column], transforms["pitch"][:, column])
-    return up
+    walks = (controls["id"] == id) & (controls["speed"] > _WALKING)
+    leans = (transforms["id"] == id) & _leans(transforms["roll"], transforms["pitch"])
+    return np.asarray(walks.any(axis=1) | leans.any(axis=1))
 
 
 def _is_lying(pose: Floats) -> bool:

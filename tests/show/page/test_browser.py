@@ -116,6 +116,13 @@ def test_everything_works_with_the_keyboard(crossing: Page) -> None:
     assert crossing.errors == []
 
 
+def test_the_previous_incident_is_the_latest_one_if_none_is_chosen(crossing: Page) -> None:
+    crossing.browser.execute_script("replay.clock.seek(53)")
+    crossing.press("p")
+    starts = crossing.ask("replay.incidents.items.map(({ start }) => start)")
+    assert crossing.ask("replay.incidents.current") == starts.index(max(starts)) > 0
+
+
 @pytest.mark.parametrize("button", ["#trails", ".incident", "#pace"])
 def test_space_plays_and_pauses_after_a_click_on_anything(crossing: Page, button: str) -> None:
     from selenium.webdriver.common.by import By

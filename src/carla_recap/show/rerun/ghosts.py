@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -92,12 +93,9 @@ class GhostWriter:
 
     def write(self, batch: SceneBatch) -> None:
         """Write scenes."""
-        times, description = TimeColumns.of(batch), self._describer.describe(batch)
-        self._last = times.point(-1)
-        begun = []
         for event in batch.events:
             if isinstance(event, Spawned):
-                self._erase(event.actor.id, times)
+                self._erase(event.actor.id, batch)
                 key = event.actor.id, event.actor.spawned_at
                 if (
                     key in self._shown
@@ -106,12 +104,20 @@ class GhostWriter:
                 ):
                     self._waiting[event.actor.id] = self._shown[key], event.actor
             elif isinstance(event, Destroyed):
-                self._erase(event.id, times)
-        for id, (since, actor) in list(self._waiting.items()):
-            if since <= batch.time[-1] and batch.index_of(id) is not None:
-                del self._waiting[id]
-                begun.append(id)
-                self._draw(actor, description, times.point(int(np.searchsorted(batch.time, since))))
+                self._erase(event.id, batch)
+        begins = (int(np.searchsorted(batch.time, since)) for since, _ in self._waiting.values())
+        for start, stop in pairwise(sorted({0, *begins, len(batch)})):
+            self._write(batch[start:stop])
+
+    def _write(self, batch: SceneBatch) -> None:
+        """Write scenes, within which no ghost begins."""
+        times, description = TimeColumns.of(batch), self._describer.describe(batch)
+        self._last = times.point(-1)
+        begun = [id for id, (since, _) in self._waiting.items() if since <= batch.time[0] and batch.index_of(id) is not None]
+        if begun:
+            self.flush()
+        for id in begun:
+            self._draw(self._waiting.pop(id)[1], description, times.point(0))
         self._poses.add(description, times, begun)
         if self._poses.is_full:
             self.flush()
@@ -145,9 +151,9 @@ class GhostWriter:
             archetypes.append(rr.Points3D([above], colors=[COLOR], radii=[0], labels=[name], show_labels=True))
         self._stream.log(entities.ghost(actor.id), time, *archetypes)
 
-    def _erase(self, id: int, times: TimeColumns) -> None:
+    def _erase(self, id: int, batch: SceneBatch) -> None:
         self._waiting.pop(id, None)
         if id in self._drawn:
             self.flush()
             self._drawn.remove(id)
-            self._stream.clear(entities.ghost(id), times.point(0))
+            self._stream.clear(entities.ghost(id), TimeColumns.of(batch).point(0))

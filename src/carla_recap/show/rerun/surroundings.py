@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import rerun as rr
 
+from carla_recap.model.motion import possible_step
 from carla_recap.replay.pose import LOCATION
 from carla_recap.roads.polylines import stations
 from carla_recap.scene import style
@@ -52,7 +53,6 @@ _LINE: Final = 0.03  # m; the radius of the lines of the ground
 
 _STEP: Final = 0.3  # s between points of a corridor
 _SHORTEST: Final = 0.5  # m between points that are apart
-_LONGEST: Final = 20.0  # m between points; a longer step is a jump
 _CELL: Final = 2.0  # m of a square in which one piece of a corridor is enough
 _MOST: Final = 20_000  # pieces
 _WIDTH: Final = 3.8  # m
@@ -209,15 +209,18 @@ class CorridorWriter:
         if not vehicles.any() or len(self._known) >= _MOST:
             return
         seconds = block.times.seconds
-        rows = np.flatnonzero(np.diff(np.floor(seconds / _STEP + 1e-6), prepend=-1.0))
+        begin = int(not block.present[0].any())
+        rows = begin + np.flatnonzero(np.diff(np.floor(seconds[begin:] / _STEP + 1e-6), prepend=-1.0))
         if len(rows) < 2:
             return
-        at = np.ix_(rows, np.flatnonzero(vehicles))
-        locations = block.poses[at][..., LOCATION]
-        ends = np.stack((locations[:-1], locations[1:]), axis=2)
+        places, present = block.poses[:, vehicles, LOCATION], block.present[:, vehicles]
+        steps = np.linalg.norm(np.diff(places[..., :2], axis=0), axis=2)
+        joined = present[1:] & present[:-1] & (steps <= possible_step(np.diff(seconds))[:, None])
+        breaks = np.cumsum(~joined, axis=0, dtype=np.intp)
+        breaks = np.concatenate((np.zeros_like(breaks[:1]), breaks))[rows]
+        ends = np.stack((places[rows[:-1]], places[rows[1:]]), axis=2)
         lengths = np.linalg.norm(ends[:, :, 1, :2] - ends[:, :, 0, :2], axis=2)
-        present = block.present[at]
-        ends = ends[present[1:] & present[:-1] & (lengths > _SHORTEST) & (lengths < _LONGEST)]
+        ends = ends[(np.diff(breaks, axis=0) == 0) & (lengths > _SHORTEST)]
         ends = ends[np.abs(ends).max(axis=(1, 2)) < 1e6]
         cells = np.floor(ends[..., :2].mean(axis=1) / _CELL).astype(np.int64)
         keys, firsts = np.unique(cells[:, 0] << 32 ^ cells[:, 1] & 0xFFFF_FFFF, return_index=True)

@@ -33,7 +33,6 @@ _RATE: Final = 10.0  # scenes in a second of it
 _PNG: Final = b"\x89PNG"
 _JPEG: Final = b"\xff\xd8"
 _FORMS: Final = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG"}
-_SHORTEST: Final = 1e-3  # s; a duration of 0 would be the whole recording
 
 
 class PictureFile(bytes):
@@ -134,7 +133,7 @@ def picture(
         raise RecapError(f"{source.location}: nothing {-at:g} s before the end; the recording has {whole.total:g} s")
     time = whole.start
     start = max(0.0, time - _BEFORE)
-    player = Player(source, start=start, duration=max(time - start, _SHORTEST), follow=follow)
+    player = Player(source, start=start, duration=max(time - start, SAME_TIME), follow=follow)
     if follow is None and player.followed is None:
         player.followed = Player(source).followed
     with opened_renderer(renderer, town, source, start=start, stop=time, supersampling=2) as opened:
