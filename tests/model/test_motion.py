@@ -11,7 +11,7 @@ from tests.twins import motion as twin
 NAN = np.nan
 SECONDS = st.sampled_from([-0.05, 0.0, 0.001, 0.01, 0.05, 0.3, 0.999, 1.0, 1.001, 5.0])
 METRES = st.sampled_from([0.0, 0.1, 1.0, 4.9, 5.1, 14.9, 99.0, 101.0, 1e5, NAN])
-SPEED = st.sampled_from([NAN, NAN, 0.0, 1.0, 33.0, 150.0, np.inf])
+SPEED = st.sampled_from([NAN, NAN, 0.0, 1.0, 33.0, 149.0, 150.0, 1e6, np.inf])
 
 
 @pytest.mark.parametrize(

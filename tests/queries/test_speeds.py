@@ -123,11 +123,18 @@ def test_a_vehicle_in_every_other_frame_brakes_hard(tmp_path: Path, suffix: str,
         assert (row.start, row.stop, row.value) == pytest.approx((1, 2, 8), abs=0.11)
 
 
-def test_an_infinite_velocity_explains_no_jump(tmp_path: Path) -> None:
+@pytest.mark.filterwarnings("ignore:.*is unknown; rules of the road")
+@pytest.mark.parametrize("faulty", [np.inf, 1e6, 150.0])
+def test_a_faulty_velocity_explains_no_jump(tmp_path: Path, faulty: float) -> None:
     frames = {frame * TICK: {"x": frame * 1.0 + 100 * (frame >= 10), "vx": 20.0} for frame in range(20)}
-    frames[10 * TICK]["vx"] = np.inf
-    trajectory, _ = speeds(recorded_car(tmp_path / "infinite.mcap", frames))
-    assert trajectory == pytest.approx([20.0] * 20)
+    frames[10 * TICK]["vx"] = frames[5 * TICK]["vx"] = faulty
+    with open_recording(recorded_car(tmp_path / "faulty.mcap", frames)) as recording:
+        hero, path = recording.summary.hero, recording.trajectory(1)
+        assert hero is not None
+        assert path.speed == pytest.approx([20.0] * 20)
+        assert path.velocity_recorded.tolist() == [frame not in (5, 10) for frame in range(20)]
+        assert (hero.top_speed, hero.distance) == pytest.approx((20.0, 18.0))
+        assert not recording.incidents(kinds=["hard braking"])
 
 
 @pytest.mark.filterwarnings("ignore:.*is unknown; rules of the road")

@@ -19,7 +19,7 @@ from tests.twins import motion as twin
 
 SECONDS = st.sampled_from([0.001, 0.05, 0.05, 0.05, 0.3, 1.0, 1.5])
 METRES = st.sampled_from([0.0, 1.0, 1.0, 4.9, 5.1, 14.9, 99.0, 1e4, math.nan])
-SPEED = st.sampled_from([None, None, None, 0.0, 33.0, 150.0, math.inf, math.nan])
+SPEED = st.sampled_from([None, None, None, 0.0, 33.0, 149.0, 150.0, 1e6, math.inf, math.nan])
 PRESENCE = st.sampled_from(["there"] * 6 + ["absent", "another"])
 
 

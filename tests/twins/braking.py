@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tests.twins.motion import belongs, velocities
+from tests.twins.motion import FAULTY, belongs, velocities
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,7 +32,7 @@ def _of_vehicle(frames: Sequence[Frame], id: int, deceleration: float) -> list[I
         if not pose:
             continue
         velocity = [row for row in frame["velocities"] if row["id"] == id][-1:]
-        known = [np.hypot(row["x"], row["y"]) for row in velocity if all(math.isfinite(row[axis]) for axis in "xyz")]
+        known = [np.hypot(row["x"], row["y"]) for row in velocity if math.hypot(*(row[axis] for axis in "xyz")) < FAULTY]
         times.append(frame.elapsed)
         places.append(tuple(float(pose[-1][axis]) / 100 for axis in "xyz"))
         recorded.append((float(known[0]) if known else math.nan, 0.0, 0.0))

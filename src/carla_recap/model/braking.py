@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.motion import FIRMEST_BRAKING, LONGEST_STEP, neighbours, runs, slope, steps_joined
+from carla_recap.model.motion import FIRMEST_BRAKING, LONGEST_STEP, counts, neighbours, runs, slope, steps_joined
 from carla_recap.model.records import CM, ActorKind
 from carla_recap.model.segment import SegmentBuffer, segments
 
@@ -167,7 +167,7 @@ class BrakingDetector:
             ids = every[collected]
             places, present = self._transforms.dense("xyz", ids)
             velocities, recorded = self._velocities.dense("xyz", ids)
-            recorded &= np.isfinite(velocities).all(axis=0)
+            recorded &= counts(velocities)
             for rows in _pieces(len(ids), _CELLS // len(elapsed)):
                 hard = self._hard_frames(places[:, rows], present[rows], velocities[:, rows], recorded[rows], elapsed, clock)
                 hard["id"] = ids[rows][hard["id"]]
@@ -201,16 +201,17 @@ class BrakingDetector:
         seconds = np.diff(time)
         joined = steps_joined(time, metres, speed, vehicle * len(elapsed) + clock[frame])
         before, after = neighbours(joined)
-        steps, between = metres[:2].take(after, axis=1) - metres[:2].take(before, axis=1), time[after] - time[before]
+        derived = (metres.take(after, axis=1) - metres.take(before, axis=1)) / (time[after] - time[before])
+        derived = np.where(counts(derived), np.hypot(*derived[:2]), np.nan)
+        speed = np.where(np.isnan(speed), derived, speed)
         # The slope of a line through speeds is a mean of the slopes between neighbours, one of which is as steep.
-        roughly = np.where(np.isnan(speed), np.sqrt((steps**2).sum(axis=0)) / between, speed)
-        steep = joined & ~(roughly[:-1] - roughly[1:] < _SURE * self._deceleration * seconds)
+        steep = joined & ~(speed[:-1] - speed[1:] < _SURE * self._deceleration * seconds)
         braking = np.zeros(len(present), np.bool_)
         braking[vehicle[:-1][steep]] = True
         rows = np.flatnonzero(braking[vehicle])
         if not len(rows):
             return np.zeros(0, _HARD)
-        speed = np.where(np.isnan(speed[rows]), np.hypot(*steps[:, rows]) / between[rows], speed[rows])
+        speed = speed[rows]
         joined = np.append(joined, False)[rows[:-1]]
         deceleration = -slope(time[rows], speed[None], HALF_WINDOW, joined=joined)[0]
         kept = np.flatnonzero(deceleration >= self._deceleration)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.model.motion import motion_of
+from carla_recap.model.motion import counts, motion_of
 from carla_recap.model.records import CM, UE4
 
 if TYPE_CHECKING:
@@ -243,8 +243,9 @@ def velocity_before(id: int, frame: Frame | None, earlier: Frame | None) -> Vect
     if frame is None:
         return UNKNOWN
     recorded = _vector(_row(frame, "velocities", id))
-    if earlier is None or all(map(math.isfinite, recorded)):
-        return recorded if all(map(math.isfinite, recorded)) else UNKNOWN
+    is_known = counts(np.array(recorded))
+    if earlier is None or is_known:
+        return recorded if is_known else UNKNOWN
     places = np.array((_position(earlier, id), _position(frame, id))).T * CM
     with np.errstate(all="ignore"):
         both = np.array((_vector(_row(earlier, "velocities", id)), UNKNOWN)).T

@@ -1,9 +1,10 @@
 """How actors move: one rule for velocities, accelerations and rates, recorded or not, and what a jump is.
 
-The velocity of an actor at a frame is the recorded one, if it is finite along all axes. Else it is the central difference of
-its places: between its frame before and its frame behind, of those that have its pose, each of which counts if it is of the
-same life, at most 1 s away, and no jump lies between; next to a jump or at an end, one of them counts. Without any, the
-velocity is unknown: NaN. Other rates, such as an acceleration of velocities, are the differences between the same frames.
+The velocity of an actor at a frame is the recorded one, if it is finite and slower than 150 m/s. Else it is the central
+difference of its places, with the same bound: between its frame before and its frame behind, of those that have its pose,
+each of which counts if it is of the same life, at most 1 s away, and no jump lies between; next to a jump or at an end,
+one of them counts. Without any, the velocity is unknown: NaN. Other rates, such as an acceleration of velocities, are the
+differences between the same frames.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ JUMP: Final = 5.0
 """The shortest step that can be a jump, in m."""
 TOP_SPEED: Final = 100.0
 """The speed that no actor exceeds, in m/s."""
+FAULTY_SPEED: Final = 150.0
+"""The speed in m/s from which on a velocity is faulty, recorded or derived: it does not count."""
 GRAVITY: Final = 9.81
 """The acceleration of what falls, in m/s², as Unreal Engine has it."""
 FIRMEST_BRAKING: Final = 15.0
@@ -50,11 +53,12 @@ def possible_step(seconds: Floats | float, speed: Floats | float = np.nan, *, le
     That is three times the way at the recorded velocity, or the way at 100 m/s if none is recorded, and at least 5 m. In
     0.2 s, a step of 19 m is possible, but a jump if the recorded velocity is 30 m/s, which explains 18 m.
 
-    The speed is the greater one of the velocities recorded at the ends of the step, in m/s, NaN if none is. `least` is the
-    shortest step that can be a jump if no velocity is recorded, in m: 0 where a speed is derived from it.
+    The speed is the greater one of the velocities recorded at the ends of the step, in m/s, NaN if none is; a faulty one
+    counts as none. `least` is the shortest step that can be a jump if no velocity is recorded, in m: 0 where a speed is
+    derived from it.
     """
     seconds, speed = np.asarray(seconds), np.asarray(speed)
-    unknown, derived = np.isnan(speed), np.asarray(np.maximum(TOP_SPEED * seconds, least))
+    unknown, derived = ~(speed < FAULTY_SPEED), np.asarray(np.maximum(TOP_SPEED * seconds, least))
     return derived if unknown.all() else np.where(unknown, derived, np.maximum(_SLACK * speed * seconds, JUMP))
 
 
@@ -72,7 +76,7 @@ def steps_joined(
     Times are elapsed seconds, (n,), places are in m, (axes, n), and recorded speeds in m/s, (n,), NaN where none is. `actor`
     is a number of the life at each place, if there are several, one after the other, (n,).
     """
-    speed = np.broadcast_to(np.where(np.isfinite(speed), speed, np.nan), len(time))
+    speed = np.broadcast_to(np.where(np.asarray(speed) < FAULTY_SPEED, speed, np.nan), len(time))
     with np.errstate(all="ignore"):
         seconds, distance = np.diff(time), np.sqrt((np.diff(places) ** 2).sum(axis=0))
         joined = (seconds > 0) & (seconds <= longest)
@@ -85,17 +89,25 @@ def motion_of(
 ) -> tuple[Floats, Booleans]:
     """Return the velocities at places in m/s, (axes, n), and whether motion follows from each and its next one, (n - 1,).
 
-    Arguments are as of `steps_joined`; a recorded velocity in m/s, (axes, n), counts if it is finite along all axes. No
-    velocity is derived over more than 1 s.
+    Arguments are as of `steps_joined`; recorded velocities are in m/s, (axes, n), NaN where none is. No velocity is derived
+    over more than 1 s.
     """
-    known = np.isfinite(recorded).all(axis=0)
-    speed = np.sqrt((recorded**2).sum(axis=0)) if known.any() else np.nan
-    joined = steps_joined(time, places, speed, actor, longest=longest)
+    known = counts(recorded)
+    joined = steps_joined(
+        time, places, np.sqrt((recorded**2).sum(axis=0)) if known.any() else np.nan, actor, longest=longest
+    )
     if known.all():
         return recorded, joined
     near = joined if longest <= LONGEST_STEP else joined & (np.diff(time) <= LONGEST_STEP)
     derived = rates(time, places, near)
+    np.copyto(derived, np.nan, where=~counts(derived))
     return np.where(known, recorded, derived) if known.any() else derived, joined
+
+
+@np.errstate(invalid="ignore", over="ignore")
+def counts(velocities: Floats) -> Booleans:
+    """Return which velocities in m/s, (axes, ...), count: those that are finite, and slower than 150 m/s."""
+    return np.asarray(np.sqrt((velocities**2).sum(axis=0)) < FAULTY_SPEED)
 
 
 def rates(time: Floats, values: Floats, joined: Booleans, *, period: float | None = None) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.model.lives import HERO, ROAD_USERS, ActorName, find_actor, heroes_of
-from carla_recap.model.motion import possible_step
+from carla_recap.model.motion import FAULTY_SPEED, possible_step
 from carla_recap.model.records import CM
 from carla_recap.queries.recorded_actors import actors
 from carla_recap.replay.motion import numbers_of
@@ -119,7 +119,7 @@ def _distances(reader: Reader, start: float, stop: float) -> dict[int, float]:
             places, speeds = numbers(transforms)[chosen, LOCATION].astype(np.float64), np.full(len(here), np.nan)
             if velocities.size:
                 speeds = np.sqrt((numbers_of(here, latest(velocities))[:, LOCATION] ** 2).sum(axis=1))
-                speeds[~np.isfinite(speeds)] = np.nan
+                speeds[~(speeds < FAULTY_SPEED)] = np.nan
             steps = np.sqrt(((places - before[rows, :3]) ** 2).sum(axis=1))
             possible = possible_step(elapsed - before[rows, 3], np.fmax(speeds, before[rows, 4]))
             distance[rows] += np.where(steps * CM <= possible, steps, 0.0)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, TypeVar
 
 import numpy as np
 
-from carla_recap.model.motion import JUMP, neighbours, possible_step
+from carla_recap.model.motion import FAULTY_SPEED, JUMP, neighbours, possible_step
 from carla_recap.model.records import CM
 from carla_recap.replay.selection import NO_IDS, Selection, array, find, latest, numbers
 
@@ -246,4 +246,4 @@ def _speeds(frame: Frame, ids: Ids) -> Floats:
     where, found = find(ids, records["id"])
     velocity = numbers(records)[where[found], LOCATION].astype(np.float64)
     speeds[found] = np.sqrt(np.einsum("ij,ij->i", velocity, velocity))
-    return np.where(np.isfinite(speeds), speeds, np.nan)
+    return np.where(speeds < FAULTY_SPEED, speeds, np.nan)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.motion import LONGEST_STEP, motion_of, neighbours, rates
+from carla_recap.model.motion import LONGEST_STEP, counts, motion_of, neighbours, rates
 from carla_recap.replay.pose import LOCATION, angular_velocities, right_handed, right_handed_velocities
 from carla_recap.replay.selection import numbers
 from carla_recap.tables.trajectories import actor_rows, life_numbers, spawn_times
@@ -74,7 +74,7 @@ class CarrierMotion:
             seconds = np.where(joined, np.diff(time), np.nan)
             acceleration = np.full(places.shape, np.nan)
             acceleration[:, 1:-1] = np.diff(np.diff(places) / seconds) / (seconds[1:] + seconds[:-1]) * 2
-        known = np.isfinite(linear).all(axis=0)
+        known = counts(linear)
         acceleration = np.where(known[before] & known[after], rates(time, velocity, joined), acceleration)
         for beside in (before, after):  # beside a jump and at an end, it is that of the next frame
             acceleration = np.where(np.isnan(acceleration), acceleration[:, beside], acceleration)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, get_args
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.motion import motion_of, possible_step
+from carla_recap.model.motion import counts, motion_of, possible_step
 from carla_recap.model.records import CM
 from carla_recap.tables import Columns, Tabular
 from carla_recap.tables.display import Preview, first_and_last
@@ -48,7 +48,7 @@ class Trajectory(Columns):
         x, y, z: Position in m.
         roll, pitch, yaw: Rotation about x, y, z in degrees; right-handed, a positive yaw turns left.
         vx, vy, vz: Velocity along the world's axes in m/s; NaN where it is unknown (`model/motion.py` has the rule).
-        velocity_recorded: Whether the velocity was recorded; otherwise it is derived from the positions.
+        velocity_recorded: Whether the velocity is the recorded one; otherwise it is derived from the positions.
     """
 
     column_units: ClassVar = {
@@ -225,7 +225,7 @@ def _trajectory(id: int, poses: ActorRows, recorded: ActorRows | None, spawned: 
         where = np.minimum(np.searchsorted(recorded.frame, poses.frame), len(recorded.frame) - 1)
         own = recorded.frame[where] == poses.frame
         velocity[:, own] = [recorded.records[axis][where[own]] for axis in "xyz"]
-    known = np.isfinite(velocity).all(axis=0)
+    known = counts(velocity)
     velocity, _ = motion_of(time, place, velocity, life_numbers(time, spawned))
     for values in (place, velocity):
         values[1] *= flip

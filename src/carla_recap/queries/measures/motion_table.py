@@ -34,7 +34,6 @@ _FRAMES: Final = 2048  # of a table, without its margins
 _VALUES: Final = 1 << 20  # poses of a table, unless its margins have more
 _RATE: Final = 20.0  # Hz of the moments in which crossings are looked for, however few frames there are
 _CONTEXT: Final = 2.0  # s around a frame that its motion depends on
-_FASTEST: Final = 150.0  # m/s; velocities above it do not count
 _AROUND_JUMP: Final = 0.5  # s before and after a jump in which an actor does not count
 
 
@@ -327,7 +326,6 @@ def _motion(time: Floats, pose: Floats, velocity: Floats, there: Booleans, away:
     yaw = np.deg2rad(np.remainder(-pose[3], 360.0))
     absent = away | ~((np.abs(places) < FAR).all(axis=0) & np.isfinite(yaw))
     np.copyto(places, np.nan, where=absent)
-    np.copyto(motion, np.nan, where=~(np.hypot(*motion[:2]) < _FASTEST))
     rows = np.flatnonzero(there)  # from here on, the frames of one actor after the other
     actor, frame = np.divmod(rows, len(time))
     flat = places.reshape(3, -1).take(rows, axis=1)
