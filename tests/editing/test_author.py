@@ -108,6 +108,7 @@ def test_the_default_date_is_now(tmp_path):
         ({"transforms": np.zeros(65_536, UE4[6].dtype)}, "65536 records, but a packet counts at most 65535"),
         ({"spawned": [(1, 2)]}, "spawned: "),
         ({"platform_time": "noon"}, "platform_time: "),
+        ({"platform_time": [1, 2]}, "platform_time: 2 records, but a packet has one"),
     ],
     ids=lambda value: str(value)[:40],
 )
@@ -160,7 +161,7 @@ def test_a_recording_can_be_written_again_frame_by_frame(tmp_path, suffix):
     again = tmp_path / f"again{suffix}"
     with open_recording(path) as recording, create_recording(again, map_name="T", date=0) as recorder:
         for frame in recording:
-            recorder.add_frame(frame.elapsed, **dict(frame.items()))
+            recorder.add_frame(frame.elapsed, **dict(frame.items()) | {"platform_time": frame["platform_time"]})
     assert again.read_bytes() == path.read_bytes()
 
 

@@ -230,12 +230,14 @@ def test_sensors_of_a_recording_are_in_its_bag(tmp_path: Path) -> None:
                 writer.add_topic(topic)
             for batch in recording.reader.batches():
                 writer.write_batch(batch)
-            sample = Sample(spec["own"], STEP, np.array((1.0, 2, 3, 0, 0, 0)), np.full((48, 64), 7.0, np.float32))
-            for message in maker.of([sample]):
-                writer.write_message(*message)
+            times = [STEP, recording.info.duration]
+            for time in times:
+                sample = Sample(spec["own"], time, np.array((1.0, 2, 3, 0, 0, 0)), np.full((48, 64), 7.0, np.float32))
+                for message in maker.of([sample]):
+                    writer.write_message(*message)
     messages = exported(path, tmp_path / "bag")
-    ((time, image),) = messages["/sensors/own/image"]
-    assert time == round(STEP * 1e9)
+    assert [time for time, _ in messages["/sensors/own/image"]] == [round(time * 1e9) for time in times]
+    image = messages["/sensors/own/image"][0][1]
     assert set(image.data.view("<u2").tolist()) == {7000}
     frames = {each.child_frame_id: each for _, found in messages["/tf"] for each in found.transforms}
     assert frames["own"].header.frame_id == "map"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import pytest
+
 from carla_recap.model.frame import Frame
 from carla_recap.model.lives import STATIC_OBJECT, ActorLife, ActorLives, BoundingBox
 from carla_recap.model.records import NO_ACTOR, Spawn, attributes
@@ -13,12 +15,11 @@ WALKER = Spawn(7, 2, type_id="walker.b")
 CAMERA = Spawn(8, 5, type_id="sensor.c")
 
 
-def lives_of(*frames: dict[str, object]) -> ActorLives:
-    """Return the actors of frames of a second each."""
+def lives_of(*frames: dict[str, object], seconds: float = 1.0) -> ActorLives:
+    """Return the actors of frames of a second each, or of others."""
     lives = ActorLives()
     for number, records in enumerate(frames):
-        for packet in Frame(number, number + 1, float(number), 1.0, []).replace(**records).packets:
-            lives.add(packet, float(number))
+        lives.add(Frame(number, number + 1, number * seconds, seconds, []).replace(**records).packets, number * seconds)
     return lives
 
 
@@ -50,6 +51,12 @@ def test_parents_and_boxes_belong_to_the_present_actor() -> None:
     assert (car.parent, car.attached, car.bounding_box) == (8, False, None)
     assert (camera.parent, camera.attached, camera.destroyed_at) == (7, True, 3.0)
     assert camera.bounding_box == BoundingBox(0.1, -0.2, 0.3, 1.0, 0.5, 0.25)
+
+
+@pytest.mark.parametrize("seconds", [1.0, 0.0, math.nan])
+def test_an_actor_is_attached_whose_parent_is_in_the_frame_of_its_spawn(seconds: float) -> None:
+    first, second = {"spawned": [CAR, CAMERA], "parented": [(8, 7)]}, {"parented": [(7, 8)]}
+    assert [life.attached for life in lives_of(first, second, seconds=seconds)] == [False, True]
 
 
 def test_places_are_in_metres_and_right_handed() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -140,7 +142,7 @@ def test_records_are_made_of_what_there_is(values):
     assert records.tolist() == [(1, 5.0, 0, 0, 0, 0, 0.0), (2, 5.0, 0, 0, 0, 0, 90.0)]
 
 
-@pytest.mark.parametrize("values", [[], np.empty(0, TRANSFORMS.dtype), {"id": []}], ids=["rows", "array", "columns"])
+@pytest.mark.parametrize("values", [[], {}, np.empty(0, TRANSFORMS.dtype), {"id": []}], ids=str)
 def test_nothing_makes_no_records(values):
     assert len(TRANSFORMS.records(values)) == 0
 
@@ -160,6 +162,8 @@ def test_one_record_is_a_record():
         ({"id": -1}, "transforms: .*the fields are id"),
         ({"id": 1 << 32}, "transforms: .*the fields are id"),
         ({"id": "a"}, "transforms: .*the fields are id"),
+        ({"id": [1, math.nan]}, "transforms: id must be whole numbers within uint32"),
+        ({"id": 1, "x": [1e39]}, "transforms: x must be numbers within float32"),
         ({"id": [1, 2], "x": [1, 2, 3]}, "transforms: .*the fields are id"),
         ([(1, 2)], "transforms: .*the fields are id"),
         ([1], "transforms: .*the fields are id"),

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self, SupportsFloat
 from carla_recap.errors import RecordError
 from carla_recap.formats import create_writer
 from carla_recap.model.frame import LAST_FRAME_DURATION, Extent, Frame, Header, Packet
-from carla_recap.model.layout import EMPTY_LIST, pack
+from carla_recap.model.layout import EMPTY_LIST, Framing, pack
 from carla_recap.model.records import FRAME_END, ORDER
 
 if TYPE_CHECKING:
@@ -104,7 +104,9 @@ def packets_of(table: Table, records: Mapping[str, Any], *, additional_data: boo
     packets = dict(_empty_packets(table, additional_data))
     for id, values in given.items():
         type = table[id]
-        packets[id] = Packet(id, type, pack(type, type.records(values)))
+        found = type.records(values)
+        if len(found) or type.framing is not Framing.SINGLE:
+            packets[id] = Packet(id, type, pack(type, found))
     return [packet for packet in packets.values() if packet is not None]
 
 

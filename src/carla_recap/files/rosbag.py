@@ -33,6 +33,7 @@ import numpy as np
 
 from carla_recap.errors import FormatError, MissingExtra, RecapError, RecapWarning
 from carla_recap.formats.mcap.schema import SECOND, LogClock
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import HERO
 from carla_recap.model.presence import FAR
 from carla_recap.replay import Played, Player, quaternions
@@ -202,7 +203,7 @@ class _Export:
         self._writer = writer
         self._describer.recall(self._player)
         count, first, last = 0, self._player.start, self._player.start
-        stop = np.nextafter(self._player.stop, np.inf)
+        stop = self._player.stop + 2 * SAME_TIME
         stored = self._source.reader.further_messages(self._names, self._player.start, stop) if self._names else iter(())
         parts: tuple[Iterable[tuple[float, Scene | None, list[Sensed]]], ...] = (
             self._moments(progress),

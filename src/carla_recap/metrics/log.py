@@ -314,8 +314,7 @@ class MetricsLog:
     def _read_events(self) -> None:
         for frame in self._reader.frames(_EVENTS, sparse=True):
             count = max(frame.index, 0) + 1
-            for packet in frame.packets:
-                self._lives.add(packet, count)
+            self._lives.add(frame.packets, count)
             self._collisions += [(count, actor, other) for _, actor, other, *_ in frame["collisions"].tolist()]
             for type, boxes in zip(("bounding_boxes", "trigger_volumes"), self._boxes.values(), strict=True):
                 for spawn in frame["spawned"]:

@@ -334,6 +334,8 @@ def pack(type: PacketType, records: Records) -> bytes:
     if type.framing is Framing.MARKER:
         return b""
     if type.framing is Framing.SINGLE and isinstance(records, np.ndarray):
+        if len(records) != 1:
+            raise RecordError(f"{type.name}: {len(records)} records, but a packet has one")
         return records.tobytes()
     if len(records) > MAX_COUNT:
         raise RecordError(f"{type.name}: {len(records)} records, but a packet counts at most {MAX_COUNT}")

@@ -146,26 +146,29 @@ class ActorLives:
     def __iter__(self) -> Iterator[ActorLife]:
         return iter(self._all)
 
-    def add(self, packet: Packet, elapsed: float) -> None:
-        """Add a packet of a frame at a time in seconds; packets of other types than `TYPES` do not count."""
-        name, present = packet.type.name if packet.type else "", self._present
-        if name == "spawned":
-            for spawn in packet.records:
-                if spawn.id in present:  # whose end is not recorded
-                    present[spawn.id].destroyed_at = elapsed
-                life = present[spawn.id] = ActorLife.of(spawn, elapsed)
-                self._append(life)
-        elif name in TYPES:
-            for id, *values in packet.records.tolist():  # type: ignore[union-attr]
-                if id not in present:
-                    continue
-                if name == "destroyed":
-                    present.pop(id).destroyed_at = elapsed
-                elif name == "parented":
-                    (present[id].parent,) = values
-                    present[id].attached = elapsed == present[id].spawned_at
-                elif (box := BoundingBox.of(values)) is not None:
-                    present[id].bounding_box = box
+    def add(self, packets: Iterable[Packet], elapsed: float) -> None:
+        """Add the packets of a frame at a time in seconds; packets of other types than `TYPES` do not count."""
+        present, new = self._present, set[int]()
+        for packet in packets:
+            name = packet.type.name if packet.type else ""
+            if name == "spawned":
+                for spawn in packet.records:
+                    if spawn.id in present:  # whose end is not recorded
+                        present[spawn.id].destroyed_at = elapsed
+                    life = present[spawn.id] = ActorLife.of(spawn, elapsed)
+                    new.add(spawn.id)
+                    self._append(life)
+            elif name in TYPES:
+                for id, *values in packet.records.tolist():  # type: ignore[union-attr]
+                    if id not in present:
+                        continue
+                    if name == "destroyed":
+                        present.pop(id).destroyed_at = elapsed
+                    elif name == "parented":
+                        (present[id].parent,) = values
+                        present[id].attached = id in new
+                    elif (box := BoundingBox.of(values)) is not None:
+                        present[id].bounding_box = box
 
     def _append(self, life: ActorLife) -> None:
         self._all.append(life)

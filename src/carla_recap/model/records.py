@@ -295,11 +295,15 @@ class RecordType(PacketType):
         lengths = {len(array) for array in arrays.values() if array.ndim}
         if len(lengths) > 1 or any(array.ndim > 1 for array in arrays.values()):
             raise ValueError(f"expected columns of one length, found {sorted(lengths)}")
-        records = np.zeros(lengths.pop() if lengths else 1, dtype=self.dtype)
+        records = np.zeros(lengths.pop() if lengths else int(bool(arrays)), dtype=self.dtype)
         for name, array in arrays.items():
-            records[name] = array
-            if records[name].dtype.kind in "iu" and (records[name] != array).any():
-                raise ValueError(f"{name} must be whole numbers within {records[name].dtype}")
+            with np.errstate(over="ignore", invalid="ignore"):
+                records[name] = array
+            column = records[name]
+            if column.dtype.kind in "iu" and (column != array).any():
+                raise ValueError(f"{name} must be whole numbers within {column.dtype}")
+            if column.dtype.kind == "f" and (np.isinf(column) & np.isfinite(array.astype(np.float64))).any():
+                raise ValueError(f"{name} must be numbers within {column.dtype}")
         return records
 
 

@@ -29,8 +29,7 @@ def actors(source: Reader) -> RecordedActors:
     """Return the actors of a recording; on MCAP, they are read from the events alone."""
     lives = ActorLives()
     for frame in source.frames(TYPES, sparse=True):
-        for packet in frame.packets:
-            lives.add(packet, frame.elapsed)
+        lives.add(frame.packets, frame.elapsed)
     return RecordedActors(lives, source, compat=False)
 
 
@@ -56,6 +55,5 @@ def lives_and_contacts(source: Reader, *, stop: float = math.inf) -> tuple[Actor
     lives, contacts = ActorLives(), Contacts()
     for frame in source.frames((*TYPES, "collisions"), sparse=True, stop=stop):
         contacts.add(frame)
-        for packet in frame.packets:
-            lives.add(packet, frame.elapsed)
+        lives.add(frame.packets, frame.elapsed)
     return lives, contacts
