@@ -225,10 +225,14 @@ def test_a_speed_limit_stands_beside_the_road_and_shows_its_number():
     assert len(faces(town, Material.SIGN_BLACK)) == 2 * (5 + 6)  # two triangles for each stroke
 
 
-def test_a_traffic_light_has_its_foot_on_the_ground_and_faces_the_cars():
+@pytest.mark.parametrize(
+    "place",
+    ['s="50" t="-5" hOffset="0"/>', 's="9" t="9" hOffset="1"><positionInertial x="50" y="-5" z="3" hdg="0"/></signal>'],
+)
+def test_a_traffic_light_has_its_foot_on_the_ground_and_faces_the_cars(place):
     signal = (
-        '<signals><signal name="" id="77" s="50" t="-5" zOffset="-0.5" hOffset="0" orientation="+" dynamic="yes"'
-        ' country="" type="1000001" subtype="-1" value="-1"/></signals>'
+        '<signals><signal name="" id="77" zOffset="-0.5" orientation="+" dynamic="yes"'
+        f' country="" type="1000001" subtype="-1" value="-1" {place}</signals>'
     )
     walk = section(0, right=lane(-1) + lane(-2, 3, "sidewalk"))
     (light,) = built(road(height=2, sections=walk, inside=signal)).lights

@@ -5,11 +5,14 @@ from __future__ import annotations
 import itertools
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 
+from carla_recap.roads.landmarks import find_landmarks
 from carla_recap.roads.lanes import TownRoads
 from carla_recap.roads.opendrive import read_opendrive
+from carla_recap.roads.surfaces import build_network
 from tests.roads.test_as_carla import PATHS
 from tests.roads.towns import lane, opendrive, road, section
 from tests.twins.carla_map import CarlaLibrary, differences
@@ -59,6 +62,36 @@ def test_signals_on_a_lane_are_moved_beside_the_road(rule: str, name: str, libra
     lanes = section(0, lane(2, 1.5, "shoulder") + lane(1), lane(-1) + lane(-2, kind="parking"))
     text = opendrive(road(sections=lanes, inside=f"<signals>{signals}</signals>"))
     assert all_differences(text.replace('junction="-1"', f'junction="-1"{rule}'), library) == []
+
+
+@pytest.mark.parametrize("y", [1.9, -7.25])  # on a lane, and beside it
+@pytest.mark.parametrize("kind", ["206", "1000001", "274"])
+def test_signals_are_where_the_file_has_them_in_the_world(kind: str, y: float, library: CarlaLibrary) -> None:
+    signal = (
+        f'<signals><signal name="" id="7" s="20" t="-6" zOffset="1" hOffset="0.4" orientation="+" type="{kind}" value="30">'
+        f'<positionInertial x="12.5" y="{y}" z="3.5" hdg="1.2" pitch="0" roll="0"/></signal></signals>'
+    )
+    text = opendrive(road(inside=signal))
+    assert all_differences(text, library) == []
+    (mark,) = find_landmarks(TownRoads(read_opendrive(text)))
+    assert (mark.location.tolist(), mark.heading) == ([12.5, y, 3.5], 1.2)
+    assert build_network(text).signals[["x", "y", "z"]].tolist() == ([(12.5, y, 3.5)] if kind != "274" else [])
+
+
+@pytest.mark.parametrize("slope", [0, 0.1, -0.12])
+@pytest.mark.parametrize(("offset", "heading"), [(0, 1.5707963), (2, 0.3), (-3, -2)])
+def test_crossings_have_the_heights_of_their_corners(
+    slope: float, offset: float, heading: float, library: CarlaLibrary
+) -> None:
+    corners = ((-4, -2, 0), (4, -2, 1.5), (4, 2, 0.2), (-4, 2, 0), (-4, -2, 0))
+    outline = "".join(f'<cornerLocal u="{u}" v="{v}" z="{z}"/>' for u, v, z in corners)
+    thing = f'<object id="1" type="crosswalk" s="50" t="{offset}" zOffset="0.7" hdg="{heading}"><outline>{outline}</outline>'
+    text = opendrive(road(inside=f"<objects>{thing}</object></objects>", slope=slope, heading=0.4))
+    facts = library.ask(text, [])
+    assert facts is not None
+    (found,) = TownRoads(read_opendrive(text)).crossings
+    assert found == pytest.approx(np.array(facts["crossings"]), abs=1e-4)
+    assert np.ptp(found[:, 2]) > 1
 
 
 def test_signals_at_the_border_of_sections_are_for_the_lanes_beyond(library: CarlaLibrary) -> None:

@@ -36,6 +36,7 @@ def road(
     length: float | str = 100,
     shape: str = "<line/>",
     height: float = 0,
+    slope: float = 0,
     sections: str = section(0, lane(1), lane(-1)),
     inside: str = "",
     junction: int = -1,
@@ -43,7 +44,7 @@ def road(
     return (
         f'<road name="" length="{length}" id="{id}" junction="{junction}"><planView>'
         f'<geometry s="0" x="{x}" y="{y}" hdg="{heading}" length="{length}">{shape}</geometry></planView>'
-        f'<elevationProfile><elevation s="0" a="{height}" b="0" c="0" d="0"/></elevationProfile>'
+        f'<elevationProfile><elevation s="0" a="{height}" b="{slope}" c="0" d="0"/></elevationProfile>'
         f"<lanes>{sections}</lanes>{inside}</road>"
     )
 

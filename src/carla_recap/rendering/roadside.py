@@ -80,10 +80,10 @@ def light_posts(roads: Sequence[Road], ground: TriangleGrid) -> list[LightPost]:
     for road in roads:
         for signal in road.signals:
             if signal.kind == LIGHT and signal.id not in lights and len(lights) < _MOST_SIGNS:
-                point, heading = road.at(signal.station, signal.offset)
+                point, heading = road.place_of(signal)
                 if np.isfinite(point).all():
                     location = _grounded(point, ground)
-                    lights[signal.id] = LightPost(signal.id, location, heading + signal.heading + np.pi)
+                    lights[signal.id] = LightPost(signal.id, location, heading + np.pi)
     return list(lights.values())
 
 
@@ -112,9 +112,9 @@ def _signs(roads: Sequence[Road]) -> Iterator[_Sign]:
     for road in roads:
         for signal in road.signals:
             if signal.kind in (SPEED_LIMIT, STOP, YIELD):
-                point, heading = road.at(signal.station, signal.offset)
+                point, heading = road.place_of(signal)
                 text = f"{signal.value:.0f}" if 0 < signal.value < 1000 else ""
-                yield _Sign(signal.kind, text, point, heading + signal.heading + np.pi)
+                yield _Sign(signal.kind, text, point, heading + np.pi)
         for thing in road.objects:
             if thing.speed_limit is not None:
                 point, heading = road.at(thing.station, thing.offset)

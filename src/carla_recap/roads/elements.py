@@ -35,7 +35,7 @@ OPENDRIVE: Final = DocumentShape(
             *("elevationProfile", "elevation", "lanes", "laneOffset", "laneSection", "left"),
             *("center", "right", "lane", "width", "roadMark", "objects"),
             *("object", "outlines", "outline", "cornerLocal", "cornerRoad", "signals", "signal"),
-            *("signalReference", "validity", "connection", "priority", "control"),
+            *("signalReference", "positionInertial", "validity", "connection", "priority", "control"),
         )
     ),
     file="map",

@@ -52,24 +52,25 @@ class Landmark:
 def find_landmarks(roads: TownRoads) -> list[Landmark]:
     """Return the traffic lights and signs at every road where they apply, with the objects that are speed-limit signs."""
     signals = defined_signals(roads.content.roads)
-    found: list[tuple[Landmark, str]] = []
+    found: list[tuple[Landmark, RoadSignal]] = []
     for road in roads.roads.values():
         limits = (_limit_sign(road, thing) for thing in road.objects)
-        found += [(_landmark(road, sign, road, sign), sign.name) for sign in limits if sign is not None]
+        found += [(_landmark(road, sign, road, sign), sign) for sign in limits if sign is not None]
         for place in road.signals:
             is_for_none = bool(place.lanes) and all(ends == (0, 0) for ends in place.lanes)
             if place.id in signals and not is_for_none:
-                found.append((_landmark(road, place, *signals[place.id]), signals[place.id][1].name))
+                found.append((_landmark(road, place, *signals[place.id]), signals[place.id][1]))
     return _beside_the_road(roads, found)
 
 
-def _beside_the_road(roads: TownRoads, found: list[tuple[Landmark, str]]) -> list[Landmark]:
+def _beside_the_road(roads: TownRoads, found: list[tuple[Landmark, RoadSignal]]) -> list[Landmark]:
     """Return landmarks, those on a lane moved aside, so that they face as the lane leads."""
     marks = [mark for mark, _ in found]
     locations = np.array([mark.location for mark in marks]).reshape(-1, 3)
     headings = np.array([mark.heading for mark in marks])
     moved, turns = locations.copy(), headings.copy()
-    left = np.flatnonzero([not any(stencil in name for stencil in _STENCILS) for _, name in found])
+    fixed = (signal.inertial or any(stencil in signal.name for stencil in _STENCILS) for _, signal in found)
+    left = np.flatnonzero([not each for each in fixed])
     lanes = LaneMap(roads, _GROUND)
     for _ in range(_MOST_STEPS):
         at = lanes.nearest(moved[left], *_GROUND)
@@ -97,16 +98,11 @@ def _limit_sign(road: Road, thing: RoadObject) -> RoadSignal | None:
         return None
     place = thing.station, thing.offset, thing.height, thing.heading
     lanes = tuple(_one_side(road, thing.station, ahead=thing.ahead))
-    return RoadSignal(thing.id, SPEED_LIMIT, limit, *place, thing.ahead, lanes, "mph", thing.name)
+    return RoadSignal(thing.id, SPEED_LIMIT, limit, *place, thing.ahead, lanes, unit="mph", name=thing.name)
 
 
 def _landmark(road: Road, place: RoadSignal, home: Road, signal: RoadSignal) -> Landmark:
-    points, headings = home.reference(np.array([min(max(_placed(home, signal), 0.0), home.length)]), single)
-    (location,) = aside(points, headings, -signal.offset)
-    (heading,) = rounded(headings + signal.heading)
-    location[2] = single(location[2]) + single(signal.height)
-    if signal.kind in _LIGHTS:
-        location = single(location) + single(_LIGHT_AHEAD) * turned(single(np.degrees(heading)))[0]
+    location, heading = _place(home, signal)
     station = _placed(road, place)
     lanes = place.lanes or tuple(_one_side(road, station, ahead=place.ahead))
     return Landmark(
@@ -120,8 +116,21 @@ def _landmark(road: Road, place: RoadSignal, home: Road, signal: RoadSignal) -> 
         not place.lanes,
         place.ahead,
         location.astype(np.float64),
-        float(heading),
+        heading,
     )
+
+
+def _place(road: Road, signal: RoadSignal) -> tuple[Floats, float]:
+    """Return where a signal is, and the direction that it faces."""
+    if signal.inertial is not None:
+        return road.place_of(signal)
+    points, headings = road.reference(np.array([min(max(_placed(road, signal), 0.0), road.length)]), single)
+    (location,) = aside(points, headings, -signal.offset)
+    (heading,) = rounded(headings + signal.heading)
+    location[2] = single(location[2]) + single(signal.height)
+    if signal.kind in _LIGHTS:
+        location = single(location) + single(_LIGHT_AHEAD) * turned(single(np.degrees(heading)))[0]
+    return location, float(heading)
 
 
 def _placed(road: Road, place: RoadSignal) -> float:

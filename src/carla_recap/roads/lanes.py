@@ -320,15 +320,21 @@ def _crossing(road: Road, thing: RoadObject) -> Floats:
         return np.concatenate((corners, corners[:1]))
     station = np.array([min(max(thing.station, 0.0), road.length)])
     (point,), (heading,) = _poses(road, station, road.reference(station, single), np.zeros(1), np.zeros(1))
-    along = single(np.degrees(heading))
-    middle = single(point) + single(thing.offset) * turned(along + single(90.0))[0]
-    ahead, left = turned(along + single(thing.heading) * _TO_DEGREES)
-    u, v = single(thing.outline.T)[..., None]
-    outline: Floats = (u * ahead + v * left + middle).astype(np.float64)
+    along, climb = single(np.degrees(heading)), single(road.elevation.slope(station)[0]) * _TO_DEGREES
+    middle = single(point) + single(thing.offset) * turned(along + single(90.0), climb)[0]
+    ahead, left, up = turned(along + single(thing.heading) * _TO_DEGREES, climb)
+    u, v, z = single(thing.outline.T)[..., None]
+    outline: Floats = (u * ahead + v * left + z * up + middle).astype(np.float64)
     return outline
 
 
-def turned(degrees: Floats) -> tuple[Floats, Floats]:
-    """Return the directions ahead and to the left of a heading, (3,) each."""
-    sine, cosine = _sine_and_cosine(degrees * (single(np.pi) / single(180.0)))
-    return np.array((cosine, sine, 0.0), np.float32), np.array((-sine, cosine, 0.0), np.float32)
+def turned(degrees: Floats, climb: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
+    """Return the directions ahead, to the left and upwards of a heading and a climb in degrees, (3,) each."""
+    (sine, sine_up), (cosine, cosine_up) = _sine_and_cosine(
+        single(np.array((degrees, climb))) * (single(np.pi) / single(180.0))
+    )
+    return (
+        np.array((cosine_up * cosine, cosine_up * sine, sine_up), np.float32),
+        np.array((-sine, cosine, 0.0), np.float32),
+        np.array((-sine_up * cosine, -sine_up * sine, cosine_up), np.float32),
+    )

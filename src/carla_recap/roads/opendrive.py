@@ -131,7 +131,7 @@ class RoadObject:
     heading: float  # the direction relative to the road
     width: float  # the extent across its direction
     length: float  # the extent along its direction
-    outline: Floats  # the corners along its direction and to the left of it, (n, 2); relative to its position
+    outline: Floats  # the corners along its direction, to the left of it and above it, (n, 3); relative to its position
     road_corners: Floats  # the corners, of an outline of distances along the road and to the left of it, (n, 2)
     ahead: bool | None  # whether it applies in the direction of the road (True), against it (False), or both ways
 
@@ -155,6 +155,7 @@ class RoadSignal:
     heading: float  # the direction relative to that of the road, or against it
     ahead: bool | None  # whether it applies in the direction of the road (True), against it (False), or both ways
     lanes: tuple[tuple[int, int], ...]  # the ranges of lanes for which it applies; none for all
+    inertial: tuple[float, float, float, float] | None = None  # x, y, z and heading, if the file has its place in the world
     unit: str = ""  # the unit of the value, such as km/h; empty without one
     name: str = ""
     is_reference: bool = False
@@ -226,10 +227,17 @@ class Road:
         heading = float(headings[0])
         return points[0] + offset * np.array((-np.sin(heading), np.cos(heading), 0.0)), heading
 
+    def place_of(self, signal: RoadSignal) -> tuple[Floats, float]:
+        """Return where a signal of the road is, and the direction of the traffic that it is for."""
+        if signal.inertial is not None:
+            return np.array(signal.inertial[:3]), signal.inertial[3]
+        point, heading = self.at(signal.station, signal.offset)
+        return point, heading + signal.heading
+
     def outline(self, thing: RoadObject) -> Floats:
         """Return the corners of an object along its direction and to the left of it, (n, 2), relative to its position."""
         if len(thing.outline) or not len(thing.road_corners):
-            return thing.outline
+            return thing.outline[:, :2]
         middle, heading = self.at(thing.station, thing.offset)
         cos, sin = np.cos(heading + thing.heading), np.sin(heading + thing.heading)
         outline: Floats = (self.corners(thing) - middle)[:, :2] @ np.array(((cos, -sin), (sin, cos)))
@@ -532,7 +540,7 @@ def _object(element: Element) -> RoadObject:
         id=element.get("id", ""),
         kind=element.get("type", "").lower(),
         name=element.get("name", ""),
-        outline=np.array([(_number(c, "u"), _number(c, "v")) for c in corners], np.float64).reshape(-1, 2),
+        outline=np.array([[_number(corner, axis) for axis in "uvz"] for corner in corners], np.float64).reshape(-1, 3),
         road_corners=np.array([(_number(c, "s"), _number(c, "t")) for c in on_road], np.float64).reshape(-1, 2),
         ahead=_AHEAD.get(element.get("orientation", "")),
         **_numbers(element, station="s", offset="t", height="zOffset", heading="hdg", width="width", length="length"),
@@ -544,7 +552,10 @@ def _signal(element: Element) -> RoadSignal:
         (whole_number(validity.get("fromLane")), whole_number(validity.get("toLane")))
         for validity in _all(element, "validity")
     )
+    place = element.find("positionInertial")
+    x, y, z, heading = (0.0 if place is None else _number(place, name) for name in ("x", "y", "z", "hdg"))
     return RoadSignal(
+        inertial=None if place is None else (x, y, z, heading),
         id=element.get("id", ""),
         kind=element.get("type", ""),
         ahead=_AHEAD.get(element.get("orientation", "")),

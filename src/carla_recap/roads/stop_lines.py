@@ -54,11 +54,11 @@ def signal_tables(found: Sequence[Road]) -> tuple[NDArray[np.void], NDArray[np.v
         if len(places[id]) > _MOST_PLACES:
             message = f"of {len(places[id]):,} places of signal {id}, {_MOST_PLACES} are looked at"
             warnings.warn(message, RecapWarning, stacklevel=2)
-        (x, y, z), along = road.at(signal.station, signal.offset)
-        if np.isfinite((x, y, z, along)).all():
+        (x, y, z), heading = road.place_of(signal)
+        if np.isfinite((x, y, z, heading)).all():
             own = _lines_at(places[id][:_MOST_PLACES])
             lines += [(len(rows), line.heading, *line.left, *line.right) for line in own]
-            rows.append((_SIGNALS[signal.kind], x, y, z, own[0].heading if own else along + signal.heading))
+            rows.append((_SIGNALS[signal.kind], x, y, z, own[0].heading if own else heading))
             ids.append(id)
     return np.array(rows, roads.SIGNAL), np.array(lines, roads.STOP_LINE), tuple(ids)
 
