@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from math import pi
 from typing import TYPE_CHECKING
 
@@ -43,14 +44,17 @@ def _road(id: int, x: float, y: float, heading: float, length: float, shape: str
     )
 
 
-def two_levels(folder: Path) -> Path:
-    """Write the OpenDRIVE file of the town."""
+def two_levels(folder: Path, far: float = 0.0) -> Path:
+    """Write the OpenDRIVE file of the town, with another road so many m from it in both directions, if any."""
     roads = (
         _road(1, -_RADIUS, 0, 0, 2 * _RADIUS, "<line/>", _level(0)),
         _road(2, _RADIUS, 0, 0, _BEND, _ARC.format(1 / _RADIUS), _UP),
         _road(3, 0, _RADIUS, -pi / 2, 2 * _RADIUS, "<line/>", _level(BRIDGE)),
         _road(4, 0, -_RADIUS, -pi / 2, _BEND, _ARC.format(-1 / _RADIUS), _DOWN),
     )
+    if far:
+        road = _road(5, far, far, 0, 2 * _RADIUS, "<line/>", _level(0))
+        roads = (*roads, re.sub("<link><predecessor elementType.*?</link>", "<link/>", road))
     path = folder / "TwoLevels.xodr"
     path.write_text(f'<?xml version="1.0"?><OpenDRIVE><header revMajor="1" revMinor="4"/>{"".join(roads)}</OpenDRIVE>')
     return path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -17,6 +18,9 @@ from carla_recap.sim.town.loading import Town, load_town
 from carla_recap.sim.world import World
 from tests.sim.flat import at, collisions, flat_world, spawn_car
 from tests.sim.two_levels import BRIDGE, two_levels
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +105,16 @@ def test_the_autopilot_ignores_what_is_hidden_below_the_road_and_what_is_flat() 
 def test_the_height_of_the_road_is_that_of_the_level(town: Town) -> None:
     places = np.array(((0.0, 2.0, 0.3), (0.0, 2.0, BRIDGE + 0.3), (0.0, 2.0, BRIDGE - 2), (0.0, 2.0, -50.0)))
     assert town.height(*places.T).tolist() == pytest.approx([0.0, BRIDGE, 0.0, 0.0], abs=0.01)
+
+
+@pytest.mark.filterwarnings("ignore:of a map of")
+@pytest.mark.parametrize("far", [0.0, 3000.0, 20000.0])
+def test_the_height_at_each_lane_is_its_own(tmp_path: Path, far: float) -> None:
+    town = load_town(two_levels(tmp_path, far))
+    for lane in town.lanes:
+        x, y, z = lane.points.T
+        beside = x - np.sin(lane.heading), y + np.cos(lane.heading)
+        assert town.height(*beside, z + 0.1) == pytest.approx(z, abs=0.01)
 
 
 def test_a_bridge_has_room_for_a_car_above_another(town: Town) -> None:

@@ -14,7 +14,7 @@ from carla_recap.roads.lanes import NO_JUNCTION
 from carla_recap.roads.polylines import stations
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import ArrayLike
 
@@ -195,7 +195,7 @@ class LaneIndex:
         self._slope = np.concatenate([np.gradient(lane.points[:, 2], lane.s) for lane in lanes])
         self._grid = BoxGrid(self._flat, self._flat, _CELL, _CELL)
         self._terrain = _Terrain(self._flat)
-        self._levels = _Levels(self.points, self._terrain)
+        self._levels = _Levels(self.points, self._nearest)
         self.has_levels = not self._levels.is_empty
         heights = self.points[:, 2]
         self._level = float(heights[0]) if np.ptp(heights) == 0 else None
@@ -272,17 +272,26 @@ class LaneIndex:
         if self._level is not None:
             return np.full(np.shape(x), self._level)
         places = np.array((x, y), np.float64).T
-        height = self._height_by(self._terrain.nearest(places), places)
+        height = self._height_by(self._nearest(places), places)
         if z is None or not self.has_levels:
             return height
-        some, others = self._levels.near(places)
+        some, levels = self._levels.near(places)
         if len(some):
             below = np.asarray(z, np.float64)[some] + _UNDER
-            heights = np.column_stack((height[some], self._height_by(others, places[some, None])))
-            heights[:, 1:][others < 0] = np.inf
+            heights = self._height_by(levels, places[some, None])
+            heights[levels < 0] = np.inf
             best = np.where(heights <= below[:, None], heights, -np.inf).max(axis=1)
             height[some] = np.where(best == -np.inf, heights.min(axis=1), best)
         return height
+
+    def _nearest(self, places: Floats) -> Integers:
+        """Return a point near each location, (k, 2): on a large map, the nearest one, if it is within `_CELL`."""
+        best = self._terrain.nearest(places)
+        if self._terrain.is_coarse:
+            for query, point in self._grid.pairs(places):
+                winners = least(query, ((places[query] - self._flat[point]) ** 2).sum(axis=1))
+                best[query[winners]] = point[winners]
+        return best
 
     def _height_by(self, point: Integers, places: Floats) -> Floats:
         """Return the heights at some locations of the roads that points near them are on."""
@@ -311,6 +320,7 @@ class _Terrain:
     def __init__(self, points: Floats) -> None:
         extent = np.ptp(points, axis=0)
         self._cell = max(_TERRAIN, float(extent.max()) / _MOST_CELLS)
+        self.is_coarse = self._cell > _TERRAIN
         self._origin = points.min(axis=0) - 10 * self._cell
         shape = (extent / self._cell).astype(np.int64) + 21
         self._nearest = np.full(shape, -1)
@@ -321,24 +331,9 @@ class _Terrain:
 
     def nearest(self, places: Floats) -> Integers:
         """Return the index of a point near each location, (k, 2); beyond the grid, of one near its edge."""
-        nearest: Integers = self._nearest.ravel()[self.cells(places)]
+        cells = _cells(places, self._origin, self._cell, self._last)
+        nearest: Integers = self._nearest.ravel()[cells]
         return nearest
-
-    def cells(self, places: Floats) -> Integers:
-        """Return the index of the cell of each location, (k, 2); beyond the grid, of one at its edge."""
-        cells = np.fmin(np.fmax((places - self._origin) / self._cell, 0), self._last).astype(np.int64)  # nan becomes 0
-        numbers: Integers = cells[..., 0] * self._nearest.shape[1] + cells[..., 1]
-        return numbers
-
-    def middles(self, cells: Integers) -> Floats:
-        """Return the middles of some cells, (k, 2)."""
-        middles: Floats = self._origin + (np.stack(np.divmod(cells, self._nearest.shape[1]), axis=-1) + 0.5) * self._cell
-        return middles
-
-    @property
-    def size(self) -> int:
-        """The number of cells."""
-        return self._nearest.size
 
     def _flood(self, points: Floats) -> None:
         """Find the nearest point of each cell."""
@@ -362,44 +357,54 @@ class _Terrain:
         return distance
 
 
+def _cells(places: Floats, origin: Floats, side: float, last: Integers) -> Integers:
+    """Return the numbers of the cells of locations, (k, 2), in a grid up to the `last` one; beyond it, of its edge."""
+    cells = np.fmin(np.fmax((places - origin) / side, 0), last).astype(np.int64)  # nan becomes 0
+    numbers: Integers = cells[..., 0] * (last[1] + 1) + cells[..., 1]
+    return numbers
+
+
 class _Levels:
-    """The further levels of roads in the cells of a terrain where several are above each other, if there are any."""
+    """The levels of roads in the cells of a grid in which several are above each other, if there are any."""
 
-    def __init__(self, points: Floats, terrain: _Terrain) -> None:
-        self._terrain = terrain
-        stacked = terrain.middles(np.unique(terrain.cells(points[_stacked(points), :2])))
-        cells = np.unique(terrain.cells(stacked[:, None] + _around(_LEVEL_REACH, _TERRAIN)))
+    def __init__(self, points: Floats, nearest: Callable[[Floats], Integers]) -> None:
+        flat = points[:, :2]
+        self._origin = flat.min(axis=0) - 2 * _LEVEL_REACH
+        self._last = ((np.ptp(flat, axis=0) + 4 * _LEVEL_REACH) / _TERRAIN).astype(np.int64)
+        stacked = np.unique(np.floor(flat[_stacked(points)] / _TERRAIN), axis=0) * _TERRAIN
+        cells = np.unique(self._cells_of(stacked[:, None] + _around(_LEVEL_REACH, _TERRAIN)))
+        middles = self._origin + (np.stack(np.divmod(cells, self._last[1] + 1), axis=-1) + 0.5) * _TERRAIN
+        levels = self._find(points, middles, nearest(middles))
+        several = levels[:, 1] >= 0
+        self.is_empty = not several.any()
+        self._cells, self._points = cells[several], levels[several]
+
+    def _find(self, points: Floats, middles: Floats, nearest: Integers) -> Integers:
+        """Return the nearest point of each level of some cells, (cells, levels); -1 is none."""
         grid = BoxGrid(points[:, :2], points[:, :2], _LEVEL_REACH, _LEVEL_REACH)
-        levels = self._find(points, grid, cells)
-        several = np.flatnonzero(levels[:, 0] >= 0)
-        self.is_empty = not len(several)
-        self._points = levels[several]
-        self._row = np.full(0 if self.is_empty else terrain.size, -1)
-        self._row[cells[several]] = np.arange(len(several))
-
-    def _find(self, points: Floats, grid: BoxGrid, cells: Integers) -> Integers:
-        """Return the nearest point of each further level of some cells, (cells, levels); -1 is none."""
-        middles = self._terrain.middles(cells)
-        levels: list[Integers] = []
-        latest = self._terrain.nearest(middles)
+        levels, latest = [nearest, np.full(len(middles), -1)], nearest.copy()
         for query, point in grid.pairs(middles):
             away = ((middles[query] - points[point, :2]) ** 2).sum(axis=1)
             left = away < _LEVEL_REACH**2
-            for number in count():
+            for number in count(1):
                 left &= np.abs(points[point, 2] - points[latest[query], 2]) > _LEVEL_GAP
                 if not left.any():
                     break
                 if number == len(levels):
-                    levels.append(np.full(len(cells), -1))
+                    levels.append(np.full(len(middles), -1))
                 rows = np.flatnonzero(left)
                 best = rows[least(query[rows], away[rows])]
                 levels[number][query[best]] = latest[query[best]] = point[best]
-        return np.stack(levels, axis=1) if levels else np.full((len(cells), 1), -1)
+        return np.stack(levels, axis=1)
+
+    def _cells_of(self, places: Floats) -> Integers:
+        return _cells(places, self._origin, _TERRAIN, self._last)
 
     def near(self, places: Floats) -> tuple[Integers, Integers]:
-        """Return which of some locations have several levels, and points on the further ones, (m, levels); -1 is none."""
-        row = self._row[self._terrain.cells(places)]
-        some = np.flatnonzero(row >= 0)
+        """Return which of some locations have several levels, and points on these, (m, levels); -1 is none."""
+        cells = self._cells_of(places)
+        row = np.minimum(np.searchsorted(self._cells, cells), len(self._cells) - 1)
+        some = np.flatnonzero(self._cells[row] == cells)
         return some, self._points[row[some]]
 
 
