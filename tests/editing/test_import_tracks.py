@@ -116,9 +116,12 @@ def test_nanoseconds_are_known_by_the_name_of_their_column(table):
         assert recording.info.duration == 2
 
 
-def test_times_since_1970_are_shifted(table):
-    with table("time,id,x,y\n1700000000,7,0,0\n1700000001,7,1,0\n") as recording:
-        assert [frame.elapsed for frame in recording] == [0, 1]
+@pytest.mark.parametrize(("unit", "digits"), [("s", 0), ("ms", 3), ("us", 6)])
+def test_times_since_1970_are_shifted_in_their_own_unit(table, unit, digits):
+    rows = "".join(f"{1_700_000_000 * 10**digits + step},7,{step},0\n" for step in range(4))
+    with table(f"time,id,x,y\n{rows}", time_unit=unit) as recording:
+        assert [frame.elapsed for frame in recording] == [step / 10**digits for step in range(4)]
+        assert recording.header.date == 1_700_000_000
 
 
 def test_without_a_yaw_objects_face_their_motion_and_keep_it_at_a_standstill(table):

@@ -122,7 +122,8 @@ class _Units:
 class _Table:
     """The rows of a file that have a time and a position."""
 
-    numbers: dict[str, Floats]  # the columns of numbers, (rows,), in CARLA's units; NaN where one is unknown
+    numbers: dict[str, Floats]  # the columns of numbers, (rows,), in CARLA's units, but for times; NaN where one is unknown
+    second: float  # in the unit of times
     texts: dict[str, tuple[list[str], Integers]]  # the different texts of a column, in order, and which each row has
     lines: NDArray[np.uint32]  # the line of the file in which each row ends, (rows,), from 1
     left_out: array[int]  # the lines of other rows
@@ -205,12 +206,13 @@ def import_tracks(
         rows = f"{len(table.left_out)} row{'s' * (len(table.left_out) != 1)} without a time or a position left out"
         warnings.warn(f"{path}: {rows}, the first in line {table.left_out[0]}", RecapWarning, stacklevel=2)
     time = table.numbers["time"]
-    first = time.min().item()
+    first = time.min().item() / table.second
     if first < 0 or first > _DAY:
         with np.errstate(over="ignore"):
-            time -= first
+            time -= time.min()  # in its own unit, in which it is exact if it is a whole number
         if time.max() == math.inf:
             raise RecapError(f"{path}: more seconds between the first and the last time than can be counted")
+    time /= table.second
     if date is None:
         date = first if rate is None and _DAY < first < _LATEST else 0
     if position == "corner":
@@ -351,8 +353,11 @@ def _parse(
             which[name].append(known.setdefault(text, len(known)))
     if not which["id"]:
         raise RecapError(f"{path}: no rows {'with a time and a position ' if left_out else ''}below the names")
+    second = divisors["time"]
+    divisors = {**divisors, "time": 1.0}
     return _Table(
         {name: np.frombuffer(values) / divisors[name] + 0.0 for name, values in numbers.items()},  # no -0.0
+        second,
         {name: (list(known), np.frombuffer(which[name], np.int64)) for name, known in texts.items()},
         np.frombuffer(lines, np.uint32),
         left_out,
