@@ -27,9 +27,13 @@ from carla_recap import (
     formats,
     open_recording,
 )
+from carla_recap.formats.mcap import codec
 from carla_recap.formats.mcap import frames as frames_module
+from carla_recap.formats.mcap.codec import encode
 from carla_recap.formats.mcap.index import CHUNK_LIMIT
+from carla_recap.formats.mcap.schema import BRAKING
 from carla_recap.model.frame import Frame, Header, Packet
+from carla_recap.model.layout import pack
 from carla_recap.model.records import NO_ACTOR, UE4, Spawn, WheelSet
 from carla_recap.queries.blocked import blocked, listed_intervals
 from carla_recap.queries.contacts import listed_impacts
@@ -669,6 +673,16 @@ def test_a_digest_that_another_program_left_out_is_missed(struck, topic, kept):
 
     Forge([without(part) for part in parts]).write(struck)
     assert [found is not None for found in digest_of(struck)] == kept
+
+
+def test_a_digest_of_more_rows_than_a_file_can_mean_is_missed(tmp_path):
+    body = encode(BRAKING, pack(BRAKING, np.zeros(0xFFFF, BRAKING.dtype)))
+    with create_writer(tmp_path / "bomb.mcap", Header("Town01", 0)) as writer:
+        writer.write(Frame(0, 1, 0.0, 1.0, []))
+        writer._add_digest([(BRAKING.topic, body)] * 2, codec.head(1, 0.0), (1, 1))
+        writer._digest.metadata = lambda: {"braking": f"6 {2 * 0xFFFF}"}
+    with reading(tmp_path / "bomb.mcap") as reader:
+        assert reader.digest("braking") is None
 
 
 def resealed_with(chunk, messages):

@@ -11,11 +11,13 @@ from hypothesis import strategies as st
 from mcap import records
 
 from carla_recap.formats.mcap.index import read_summary
-from carla_recap.formats.mcap.recovery import recover_summary
+from carla_recap.formats.mcap.recovery import Damage, recover_summary
 from carla_recap.formats.sources import LocalSource
+from carla_recap.model.frame import Frame, Header, Packet
+from carla_recap.model.records import UE4
 from tests import strategies
 from tests.formats.mcap.forge import MAGIC, Forge, chunk_places, chunk_records, data_records, message, packed, seal
-from tests.samples import save
+from tests.samples import listed, save, transform, write
 from tests.waiting import time_limit
 
 
@@ -121,6 +123,25 @@ def test_channels_of_the_summary_win_over_damaged_ones(driven):
     save(driven, data[:hit] + b"\x01" + data[hit + 1 :])
     topics = {channel.topic for channel in recovered(driven)[0].channels.values()}
     assert topics == {"/frames", "/actors/transforms", "/collisions", "/collisions/contacts"}
+
+
+def test_messages_whose_schema_is_damaged_are_found_without_a_summary(driven):
+    data = driven.read_bytes()
+    hit = data.index(b"carla_recap.v1.Transforms")
+    save(driven, data[:hit] + b"C" + data[hit + 1 : offsets_of(data)[-1]])
+    summary, _ = recovered(driven)
+    (channel,) = (each for each in summary.channels.values() if each.topic == "/actors/transforms")
+    assert summary.schemas[channel.schema] == "carla_recap.v1.Transforms"
+
+
+def test_a_long_recording_of_a_thousand_actors_that_stand_is_all_found(tmp_path, monkeypatch):
+    monkeypatch.setattr("carla_recap.formats.mcap.recovery._UNPACKED_LEAST", 0)
+    poses = Packet(6, UE4[6], listed(*(transform(id, id) for id in range(1000))))
+    frames = [Frame(index, index + 1, index / 20, 0.05, [poses]) for index in range(1000)]
+    path = write(tmp_path / "standing.mcap", Header("Town01", 0), frames)
+    summary, damage = recovered(path)
+    assert damage == Damage()
+    assert summary.counts[1] == 1000
 
 
 def test_a_summary_without_channels_does_not_matter(driven):
@@ -272,12 +293,12 @@ def test_how_much_is_read_for_what_is_no_chunk(tmp_path, more):
 
 
 def test_how_much_is_unpacked(tmp_path):
-    """512 MiB and a hundred times the file."""
+    """512 MiB and a thousand times the file."""
     bomb = packed(seal(messages(1, (64 << 20) - 31)))
-    data = (MAGIC + bomb * 12).ljust(1_300_000, b"\xff")
+    data = (MAGIC + bomb * 12).ljust(130_000, b"\xff")
     with time_limit():
         summary, damage = recovered(save(tmp_path / "x.mcap", data))
-    assert len(summary.chunks) == (512 * MIB + 100 * len(data)) // (64 * MIB) == 9
+    assert len(summary.chunks) == (512 * MIB + 1000 * len(data)) // (64 * MIB) == 9
     assert damage.chunks == 3
 
 

@@ -84,7 +84,7 @@ def grouped(path, *chunks):
     for id in frozenset[int]().union(*chunks):
         summary.channels[id], summary.counts[id] = ChannelRecord(id, 0, f"/{id}", "json"), 1
     with closing(source):
-        topics = FurtherTopics(source, summary, (), LogClock(HEADER), lambda _: iter(())).topics
+        topics = FurtherTopics(source, summary, (), (), LogClock(HEADER), lambda _: iter(())).topics
     return {int(name[1:]): topic.group for name, topic in topics.items()}
 
 
@@ -488,6 +488,20 @@ def test_more_messages_than_the_file_can_mean_are_an_error(tmp_path, monkeypatch
     with_chunk(path, message(99, 0, HEADER.date * SECOND, b"") * 6_000)
     with open_recording(path) as recording, pytest.raises(FormatError, match="more than 5000 messages"):
         list(recording.reader.messages("/sensors/bad/image"))
+
+
+def test_channels_that_are_left_out_are_said(tmp_path):
+    channels = [records.Channel(id, topic, form, {}, 0) for id, topic, form in ((97, "/a", "json"), (98, "/a", "cbor"))]
+    content = b"".join(message(id, 0, HEADER.date * SECOND, b"%d" % id) for id in (97, 98, 99))
+    path = with_chunk(
+        write(tmp_path / "run.mcap", HEADER, drive(2.0)),
+        content,
+        [*channels, records.Channel(99, "/weather", "json", {}, 0)],
+    )
+    with open_recording(path) as recording:
+        with pytest.warns(RecapWarning, match="are left out: /a, /weather$"):
+            assert [*recording.reader.further_topics()] == ["/a"]
+        assert [message.data for message in recording.reader.further_messages()] == [b"97"]
 
 
 def test_a_schema_that_is_damaged_hides_its_topic_alone(tmp_path):

@@ -390,13 +390,13 @@ def decode_rows(type: RecordType, messages: NDArray[np.uint8]) -> NDArray[np.uin
     return template.decode(messages) if template else None
 
 
-def decode_records(type: RecordType, messages: Sequence[Buffer]) -> list[Any]:
-    """Return the records of some messages, those of one size as tuples, or raise `WireError`."""
+def decode_records(type: RecordType, message: Buffer) -> list[Any]:
+    """Return the records of a message, those of one size as tuples, or raise `WireError`."""
     try:
-        found = [unpack(type, decode(type, message))[0] for message in messages]
+        records = unpack(type, decode(type, message))[0]
     except PayloadError as error:
         raise WireError(str(error)) from None
-    return [row for records in found for row in (records.tolist() if isinstance(records, np.ndarray) else records)]
+    return records.tolist() if isinstance(records, np.ndarray) else records
 
 
 def _row(data: Buffer) -> NDArray[np.uint8]:

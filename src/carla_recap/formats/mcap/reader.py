@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+_ROWS: Final = 100_000  # of a part of the digest; a larger file may have more, as far as its bytes can mean them
 _LIMITS: Final = {schema.STATIONARY: 2, schema.BRAKING: 1, schema.CONTACTS: 0}  # numbers before that of the rows
 
 
@@ -140,7 +141,7 @@ class McapReader(Reader):
             return None
         limits = _LIMITS[type]
         rule = (schema.STATIONARY_RULE,) if type is schema.STATIONARY else ()
-        if len(numbers) <= limits or numbers[limits + 1 :] != rule:
+        if len(numbers) <= limits or numbers[limits + 1 :] != rule or numbers[limits] > _ROWS + self._source.size // 4:
             return None
         return DigestPart(numbers[:limits], partial(self._listed, type, numbers[limits]))
 
@@ -170,13 +171,17 @@ class McapReader(Reader):
     def _further(self) -> FurtherTopics:
         from carla_recap.formats.mcap.topics import FurtherTopics
 
-        own = {spec.topic for spec in schema.channel_specs(self.header.table)}
-        return FurtherTopics(self._source, self._summary, own, schema.LogClock(self.header), self._opened)
+        own, matched = {spec.topic for spec in schema.channel_specs(self.header.table)}, self._channels.specs
+        return FurtherTopics(self._source, self._summary, own, matched, schema.LogClock(self.header), self._opened)
 
     def _listed(self, type: RecordType, count: float) -> list[Any] | None:
         """Return the rows of a part of the digest; None if some are missing, as if another program left them out."""
+        rows = list[Any]()
         try:
-            rows = decode_records(type, [bytes(message) for message in self._messages(type.topic)])
+            for message in self._messages(type.topic):
+                rows += decode_records(type, bytes(message))
+                if len(rows) > count:
+                    break
         except WireError as error:
             raise FormatError(self.location, None, str(error)) from None
         return rows if len(rows) == count else None

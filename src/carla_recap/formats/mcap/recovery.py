@@ -23,7 +23,7 @@ _SMALL: Final = 16 << 20  # no record but a chunk is larger
 _DECLARED: Final = 16 << 20  # bytes of declarations in chunks, which stay in memory
 _FALSE_FACTOR: Final = 4  # times the size of the file: bytes read for what turns out to be no chunk
 _FALSE_LEAST: Final = 16 << 20
-_UNPACKED_FACTOR: Final = 100  # times the size of the file: bytes of records that are unpacked
+_UNPACKED_FACTOR: Final = 1000  # times the size of the file: bytes of records that are unpacked
 _UNPACKED_LEAST: Final = 512 << 20
 _MESSAGES_LEAST: Final = 1_000_000
 _MESSAGE_BYTES: Final = 4  # bytes of the file for each message beyond those
@@ -85,13 +85,12 @@ def guess_header(summary: index.Summary) -> Header:
 
 
 def _declare_lost(summary: index.Summary) -> None:
-    """Declare the channels whose declarations are lost; a channel's id says which it is."""
-    specs = schema.channel_specs(guess_header(summary).table)
-    for id in {id for chunk in summary.chunks for id in chunk.channels} - summary.channels.keys():
-        if 0 < id <= len(specs):
-            spec = specs[id - 1]
-            summary.schemas.setdefault(id, spec.message)
-            summary.channels[id] = index.ChannelRecord(id, id, spec.topic, "protobuf")
+    """Declare the channels whose declarations, or those of their schemas, are lost; a channel's id says which it is."""
+    used = {id for chunk in summary.chunks for id in chunk.channels}
+    for id, spec in enumerate(schema.channel_specs(guess_header(summary).table), 1):
+        lost = index.ChannelRecord(id, id, spec.topic, "protobuf")
+        if id in used and summary.channels.get(id, lost) == lost:
+            summary.schemas[id], summary.channels[id] = spec.message, lost
 
 
 class _Scan:

@@ -55,7 +55,8 @@ class _Held(NamedTuple):
 class FurtherTopics:
     """The topics of a file that are none of a recording's own; `opened` yields the records of some chunks.
 
-    Channels of one topic count as one where their messages have the same schema; else the first of them counts.
+    Channels of one topic count as one where their messages have the same schema; else the first of them counts. `own` are
+    the names of a recording's topics, and `matched` the channels that have them.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class FurtherTopics:
         source: ByteSource,
         summary: Summary,
         own: Collection[str],
+        matched: Collection[int],
         clock: LogClock,
         opened: Callable[[list[ChunkIndex]], Iterator[bytes]],
     ) -> None:
@@ -71,12 +73,17 @@ class FurtherTopics:
         self._clock = clock
         self._opened = opened
         self._channels: dict[str, list[ChannelRecord]] = {}
+        self._left_out: list[str] = []  # the topics of the other channels that have messages, as far as is known
+        parts = [chunk.channels for chunk in summary.chunks]
+        used = frozenset().union(*parts) if all(parts) else summary.channels.keys()
         for channel in summary.channels.values():
-            if channel.topic in own:
+            if channel.id in matched:
                 continue
-            found = self._channels.setdefault(channel.topic, [])
-            if not found or (channel.schema, channel.encoding) == (found[0].schema, found[0].encoding):
-                found.append(channel)
+            found = self._channels.get(channel.topic, [channel])
+            if channel.topic in own or (channel.schema, channel.encoding) != (found[0].schema, found[0].encoding):
+                self._left_out += [channel.topic] if channel.id in used else []
+            else:
+                self._channels.setdefault(channel.topic, []).append(channel)
 
     @cached_property
     def topics(self) -> dict[str, FurtherTopic]:
@@ -96,9 +103,15 @@ class FurtherTopics:
                 broken.append(name)
                 continue
             found[name] = FurtherTopic(topic, count, first, last, groups.get(ids[0], ""))
-        if broken:
-            text = f"topics with damaged or too large schemas are left out: {first_of(broken)}"
-            warnings.warn(f"{self._source.location}: {text}", RecapWarning, stacklevel=2)
+        for what, names in (
+            ("topics with damaged or too large schemas", broken),
+            (
+                "channels with other messages than the first one of their topics, or than those of a recording",
+                self._left_out,
+            ),
+        ):
+            if names:
+                warnings.warn(f"{self._source.location}: {what} are left out: {first_of(names)}", RecapWarning, stacklevel=2)
         return found
 
     def messages(
