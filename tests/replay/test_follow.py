@@ -203,6 +203,11 @@ LIVE: dict[str, tuple[int | str, list[dict[str, Any]], list[int | None]]] = {
         [drive(0, spawned=[spawn(1)]), *(drive(0) for _ in range(5))],
         [None, None, None, 1, 1, 1],
     ),
+    "none that is hidden below the roads": (
+        "hero",
+        [{"transforms": [pose(1, z=-5e4), pose(2)], "spawned": [spawn(1), spawn(2)] * (not n)} for n in range(5)],
+        [None, None, None, 2, 2],
+    ),
     "the one that is asked for": (
         7,
         [drive(0, spawned=[spawn(1)]), drive(100), drive(200, spawned=[spawn(7)]), drive(300)],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from itertools import pairwise
@@ -512,6 +513,16 @@ def test_the_trail_has_the_colour_of_the_actor(tmp_path: Path) -> None:
         assert tuple(shown.to_bytes(4, "big")[:3]) == color
 
 
+def test_an_attached_actor_leaves_its_parent_as_soon_as_its_own_poses_are_recorded(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 100 * n), *[pose(2, 900)] * (n > 2)]} for n in range(6)]
+    frames[0] |= {"spawned": [spawn(1), spawn(2, "static.prop.box", x=50)], "parented": [(2, 1)]}
+    rrd = export(write(tmp_path / "x.log", frames), tmp_path / "x.rrd")
+    found = [
+        (rrd.at("/world/actors/2", "Transform3D:parent_frame", t), rrd.place("/world/actors/2", t)[0]) for t in (2, 3, 5)
+    ]
+    assert found == [(["tf#/world/actors/1"], 0.5), (["tf#/world/actors"], 9), (["tf#/world/actors"], 9)]
+
+
 def test_sensors_are_not_drawn(tmp_path: Path) -> None:
     sensor, prop, car = spawn(1, "sensor.camera.rgb"), spawn(2, "static.prop.bin"), spawn(3)
     there = [pose(id) for id in (1, 2, 3)]
@@ -531,6 +542,16 @@ def test_without_a_map_what_was_driven_along_is_road(tmp_path: Path) -> None:
     assert corners[:, 0].max() > 38
     assert np.abs(corners[:, 1]).max() == pytest.approx(1.9, abs=0.01)
     assert "/world/ground" in rrd.entities
+
+
+@pytest.mark.parametrize("wrong", [math.nan, 3e8, 1e38])  # cm
+def test_a_single_wrong_pose_is_outside_the_map(tmp_path: Path, wrong: float) -> None:
+    frames = [{"transforms": [pose(1, 100 * n), pose(2, 100 * n, 500)]} for n in range(40)]
+    frames[0]["spawned"] = [spawn(1), spawn(2)]
+    frames[20]["transforms"][1] = pose(2, wrong, 500)
+    rrd = export(write(tmp_path / "x.log", frames, tick=0.1), tmp_path / "x.rrd")
+    (edge,) = rrd.static["/map/edge"]["LineStrips2D:strips"]
+    assert np.array(edge).max(axis=0) == pytest.approx((39 + 15, 5 + 15))
 
 
 @pytest.mark.parametrize(("tick", "jump"), [(1.0, 0), (0.05, 8)])

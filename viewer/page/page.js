@@ -28,17 +28,17 @@ let[h,l]=[this.first[r],this.last[r]];if(l>=i&&h<=n){(h!==a||!o.length)&&o.push(
 o[o.length-1].push(this.x[m],this.y[m])}}a=l}return o}continues(t){let[s,e]=[t,t+1].map(i=>b(this.starts,this.times[i]+1e-4));return t+1<this.times.length&&
 s===e}indexOf(t,s){let e=this.byId.get(t??-1);return e?e.indices[Math.max(0,b(e.since,s+1e-4)-1)]:-1}};function ut({actor:c,time:t,value:s}){let e=new Map;
 return c.forEach((i,n)=>{let o=e.get(i)??{times:[],values:[]};e.set(i,o),o.times.push(t[n]),o.values.push(s[n])}),e}function pt(c,t){let s=c?b(c.times,
-t+1e-4):0;return c&&s?c.values[s-1]:null}var Y=.5,Et=.15,Tt=["other","sensor","traffic sign","traffic light","walker","vehicle"],K=({kind:c})=>c==="vehicle"||c==="walker",B=({kind:c,hero:t})=>Tt.
+t+1e-4):0;return c&&s?c.values[s-1]:null}var Y=.5,Et=.15,Tt=["other","sensor","traffic sign","traffic light","walker","vehicle"],B=({kind:c})=>c==="vehicle"||c==="walker",z=({kind:c,hero:t})=>Tt.
 indexOf(c)+(t?Tt.length:0),J=class{constructor(t,s,e){this.index=t,this.letter="AB"[t],this.report=s,this.tracks=new V(e),this.motion=new _(this.tracks,
-e.measured);let{actors:i}=this.tracks;this.order=i.map((o,a)=>a).sort((o,a)=>B(i[o])-B(i[a])),this.twins=new Map;let n=s.incidents.flatMap(o=>o.start===
+e.measured);let{actors:i}=this.tracks;this.order=i.map((o,a)=>a).sort((o,a)=>z(i[o])-z(i[a])),this.twins=new Map;let n=s.incidents.flatMap(o=>o.start===
 null?[]:[{incident:o,start:o.start}]);this.timed=n.sort((o,a)=>o.start-a.start),this.starts=this.timed.map(({start:o})=>o)}incidentsIn(t,s){return this.
 timed.slice(b(this.starts,t),b(this.starts,s))}actor(t,s){return this.tracks.actors[this.tracks.indexOf(t,s)]??null}poseOf(t,s){let[e,i]=[{x:0,y:0,yaw:0},
 this.tracks.indexOf(t,s)];return i>=0&&this.tracks.pose(i,s,this.tracks.sampleAt(s),e)?e:null}twin(t){return this.twins.get(t)??-1}has({kind:t,start:s,
 types:e}){return this.incidentsIn((s??NaN)-1,(s??NaN)+1).some(({incident:n})=>n.kind===t&&n.types.join()===e.join())}};function Lt(c,t){for(let[s,e,i,
 n]of c.report.differences?.pairs??[]){let[o,a]=[c.tracks.indexOf(s,e??0),t.tracks.indexOf(i,n??0)];o<0||a<0||t.twins.has(a)||(c.twins.set(o,a),t.twins.
 set(a,o))}}var gt=200,Z=class{constructor(t,s,e){this.choose=s,this.changed=e,this.search=f("search"),this.list=f("actor-list"),this.panels=[f("incidents-panel"),
-f("actors-panel")],this.entries=t.flatMap(i=>{let{actors:n,own:o}=i.tracks,a=h=>!i.index||K(n[h])&&i.twin(h)<0,r=i.order.filter(h=>o[h].length&&n[h].kind!==
-"sensor"&&a(h));return r.sort((h,l)=>B(n[l])-B(n[h])||h-l),r.map(h=>this.entry(i,h,t.length>1))}),this.shown=[],this.search.addEventListener("input",()=>this.
+f("actors-panel")],this.entries=t.flatMap(i=>{let{actors:n,own:o}=i.tracks,a=h=>!i.index||B(n[h])&&i.twin(h)<0,r=i.order.filter(h=>o[h].length&&n[h].kind!==
+"sensor"&&a(h));return r.sort((h,l)=>z(n[l])-z(n[h])||h-l),r.map(h=>this.entry(i,h,t.length>1))}),this.shown=[],this.search.addEventListener("input",()=>this.
 find()),this.search.addEventListener("keydown",i=>this.key(i)),this.list.addEventListener("keydown",i=>q(i,this.shown.map(({button:n})=>n))),["inciden\
 ts-tab","actors-tab"].forEach((i,n)=>f(i).addEventListener("click",()=>this.open(n===1))),f("actors-count").textContent=String(this.entries.length),this.
 find()}entry(t,s,e){let{id:i,type:n,kind:o,label:a,role:r,color:h}=t.tracks.actors[s],l=[...e?[T(t.letter)]:[],P(h),p("span","",a),p("small","",n||o)],
@@ -101,7 +101,7 @@ s,this.canvas.setAttribute("role","img"),this.canvas.setAttribute("aria-label",`
 figure=p("figure","camera","",[this.canvas,r]),this.wanted=-2,this.drawn=-1,this.busy=!1}show(t){let s=b(this.times,t+.001)-1,e=s>=0&&t-this.times[s]<=
 this.longest?s:-1;e!==this.wanted&&(this.wanted=e,this.absence.hidden=e>=0,this.figure.classList.toggle("blank",e<0),this.busy||this.draw())}async draw(){
 for(this.busy=!0;this.wanted>=0&&this.drawn!==this.wanted;){let t=this.wanted,s=await createImageBitmap(new Blob([mt(this.images[t])],{type:"image/web\
-p"}));this.context.drawImage(s,0,0,this.canvas.width,this.canvas.height),s.close(),this.drawn=t}this.busy=!1}};var G=3,et=class{constructor(t,s,e,i){this.recordings=t,this.pictures=s,this.open=e,this.filtered=i,this.current=-1,this.hidden=new Set,this.items=[],
+p"}));this.context.drawImage(s,0,0,this.canvas.width,this.canvas.height),s.close(),this.drawn=t}this.busy=!1}};var K=3,et=class{constructor(t,s,e,i){this.recordings=t,this.pictures=s,this.open=e,this.filtered=i,this.current=-1,this.hidden=new Set,this.items=[],
 this.nothing=f("nothing"),this.scroller=f("lists");for(let n of t)this.addList(n);this.scroller.addEventListener("keydown",n=>this.key(n)),this.played=
 this.items.filter(({replayed:n})=>n).sort((n,o)=>n.start-o.start),this.starts=this.played.map(({start:n})=>n),f("incidents-count").textContent=String(
 this.items.length),this.addFilters(),this.filter(),this.addNote()}addList(t){let{incidents:s}=t.report,e=p("ol","list");if(e.id=t.index?"other-list":"\
@@ -112,7 +112,7 @@ o.omitted,0),e=[];this.recordings.every(({report:n})=>n.whole)||e.push("A long r
 of ${this.items.length} incidents are listed without a replay.`),s&&e.push(`${s} more are not listed.`);let i=f("note");i.textContent=e.join(" "),i.hidden=
 !e.length}item(t,s,e){let{name:i,icon:n}=KINDS[s.kind],o=s.start!==null&&t.tracks.covers(s.start),a=p("span","badge","",[dt(n),p("span","",i)]),r=p("s\
 pan","top","",[a,p("time","",ss(s))]),h=p("span","body","",[r,p("span","text","",es(s.text)),this.meta(t,s)]),l=C("incident",[h],()=>this.open(e));l.title=
-`Play from ${G} s before it`,l.dataset.kind=s.kind,l.disabled=!o;let d=t.report.drawn&&o;(s.picture||d)&&l.prepend(this.pictures.image(t,s));let m=this.
+`Play from ${K} s before it`,l.dataset.kind=s.kind,l.disabled=!o;let d=t.report.drawn&&o;(s.picture||d)&&l.prepend(this.pictures.image(t,s));let m=this.
 recordings.find(g=>g!==t);return m?.report.incidents.length&&!m.has(s)&&a.append(p("span","only",`only in ${t.letter}`)),{row:p("li","","",[l]),button:l,
 replayed:o,recording:t,incident:s,kind:s.kind,index:e,start:s.start??0}}meta(t,{actors:s,types:e,place:i}){let n=s.map((r,h)=>this.name(t,r,e[h]??"")),
 o=i?`x ${$(i[0],1)}  y ${$(i[1],1)} m`:"",a=n.map(({text:r,color:h})=>p("span","chip","",[P(h),p("span","",r)]));return p("span","meta","",[...a,...o?
@@ -145,7 +145,7 @@ t*(this.stop-this.start),this.stop-this.start)}show(t,s){if(t===this.shown)retur
 isWhole||e>=0&&e<=i||(e>1||e<0?this.centre(t):this.move(i-It))}centre(t){this.move(this.share(t)-.5)}set(t,s){let[e,i]=[this.start,this.stop-this.start],
 n=Math.min(s,this.length);this.start=Math.min(Math.max(0,t),this.length-n),this.stop=this.start+n,(this.start!==e||n!==i)&&this.dispatchEvent(new Event(
 "change"))}};function nt(c,t,s,e={}){let i=o=>t.timeAt(o/s()),n=o=>t.move(o/s());new O(c,{zoom:(o,a)=>t.zoom(o,i(a)),pan:n,...e}),c.addEventListener("\
-dblclick",({target:o})=>o.closest("button")||t.set(0,t.length))}var Pt=9,Rt=.9,D={head:134,brake:8,right:16,left:32,reverse:64};function Dt(c,t,s,e){if(t==="walker")c.ellipse(0,0,s,e,0,0,7);else if(t==="cycle")c.roundRect(
+dblclick",({target:o})=>o.closest("button")||t.set(0,t.length))}var Pt=9,Rt=.9,G={head:134,brake:8,right:16,left:32,reverse:64};function Dt(c,t,s,e){if(t==="walker")c.ellipse(0,0,s,e,0,0,7);else if(t==="cycle")c.roundRect(
 -s,-e*.5,2*s,e,e*.5);else if(t==="car"){let[i,n]=[e*.62,e*.42];c.moveTo(-s+n,-e),c.lineTo(s-i,-e),c.bezierCurveTo(s-i*.3,-e,s,-e*.75,s,-e*.3),c.lineTo(
 s,e*.3),c.bezierCurveTo(s,e*.75,s-i*.3,e,s-i,e),c.lineTo(-s+n,e),c.quadraticCurveTo(-s,e,-s,e-n),c.lineTo(-s,-e+n),c.quadraticCurveTo(-s,-e,-s+n,-e),c.
 closePath()}else c.roundRect(-s,-e,2*s,2*e,Math.min(s,e)*(t==="truck"?.18:.3))}function Ft(c,t,s,e,i){let{colors:n}=k;if(t==="cycle"||t==="walker"){c.
@@ -153,15 +153,15 @@ fillStyle=n.window,c.beginPath(),t==="cycle"?c.ellipse(-s*.1,0,e*.5,e*.95,0,0,7)
 moveTo(h*s,-d*e),c.lineTo(l*s,-m*e),c.lineTo(l*s,m*e),c.lineTo(h*s,d*e),c.closePath()};c.fillStyle=n.window,c.beginPath(),t==="truck"?(o(.93,.84,.86,.86),
 c.fill(),c.fillStyle="rgba(255, 255, 255, 0.16)",c.fillRect(-.96*s,-.88*e,1.68*s,1.76*e),c.fillStyle=n.window,c.fillRect(.72*s,-e,Math.max(1,.02*s),2*
 e)):(o(.47,.2,.82,.68),o(-.52,-.74,.66,.76),c.rect(-.48*s,-.86*e,.66*s,.12*e),c.rect(-.48*s,.74*e,.66*s,.12*e),c.fill());let a=Math.max(1,.16*e),r=(h,l,d,m)=>{
-c.shadowColor=d,c.shadowBlur=m?5*a:0,c.fillStyle=d,c.globalAlpha=m?1:.6,c.fillRect(h,l,a*(m?1:.6),2*a),c.shadowBlur=0};for(let[h,l]of[[-1,D.left],[1,D.
-right]]){let d=h*.68*e-a;if(r(.955*s-a*.5,d,"#fff6d5",!!(i&D.head)),r(-.99*s,d,i&D.reverse?"#ffffff":"#ff4d4d",!!(i&(D.brake|D.reverse))),!!(i&l))for(let m of[
-.9,-.96])r(m*s,h*.92*e-a,"#ffa726",!0)}c.globalAlpha=1}function jt(c){let t=[1,3,5].map(a=>parseInt(c.slice(a,a+2),16)),s=.2126*t[0]+.7152*t[1]+.0722*
-t[2],[e,i]=k.name==="dark"?[105,240]:[80,240],[n,o]=s<e?[(e-s)/255,255]:[Math.max(0,s-i)/255,0];return`rgb(${t.map(a=>Math.round(a+n*(o-a))).join(", ")}\
-)`}var Wt=3,ns=40,os=16,Ut=8,ot=1.5,bt=7,F=new Set(["other","sensor","traffic sign"]),N="system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-\
-serif",j=class{constructor(t,s,e,i){this.canvas=t,this.context=t.getContext("2d",{alpha:!1}),this.camera=e,this.ground=i,this.origin=i.origin,this.labels=
+c.shadowColor=d,c.shadowBlur=m?5*a:0,c.fillStyle=d,c.globalAlpha=m?1:.6,c.fillRect(h,l,a*(m?1:.6),2*a),c.shadowBlur=0};for(let[h,l]of[[-1,G.left],[1,G.
+right]]){let d=h*.68*e-a;if(r(.955*s-a*.5,d,"#fff6d5",!!(i&G.head)),r(-.99*s,d,"#ff4d4d",!!(i&G.brake)),i&G.reverse&&r(-.99*s,h*.4*e-a,"#ffffff",!0),!!(i&
+l))for(let m of[.9,-.96])r(m*s,h*.92*e-a,"#ffa726",!0)}c.globalAlpha=1}function jt(c){let t=[1,3,5].map(a=>parseInt(c.slice(a,a+2),16)),s=.2126*t[0]+.7152*
+t[1]+.0722*t[2],[e,i]=k.name==="dark"?[105,240]:[80,240],[n,o]=s<e?[(e-s)/255,255]:[Math.max(0,s-i)/255,0];return`rgb(${t.map(a=>Math.round(a+n*(o-a))).
+join(", ")})`}var Wt=3,ns=40,os=16,Ut=8,ot=1.5,bt=7,D=new Set(["other","sensor","traffic sign"]),N="system-ui, -apple-system, 'Segoe UI', Roboto, 'Noto Sans', sans-\
+serif",F=class{constructor(t,s,e,i){this.canvas=t,this.context=t.getContext("2d",{alpha:!1}),this.camera=e,this.ground=i,this.origin=i.origin,this.labels=
 this.trails=!0,this.marks=!0,this.hovered=-1,this.ratio=1,this.time=0,this.recording=s[0],this.ghost=s.at(1),this.shown=[],this.ghosts=[],this.places=
 new Map}show(t){[this.recording,this.ghost]=t,this.shown=this.ghosts=[]}get tracks(){return this.recording.tracks}get bounds(){let t=this.ground.bounds;
-if(t[0]<=t[2])return t;let s=this.shown.filter(({actor:o})=>!F.has(this.tracks.actors[o].kind)),e=s.length?s:this.shown.length?this.shown:[{x:0,y:0}],
+if(t[0]<=t[2])return t;let s=this.shown.filter(({actor:o})=>!D.has(this.tracks.actors[o].kind)),e=s.length?s:this.shown.length?this.shown:[{x:0,y:0}],
 [i,n]=[e.map(({x:o})=>o),e.map(({y:o})=>o)];return[Math.min(...i),Math.min(...n),Math.max(...i),Math.max(...n)]}resize(){let{clientWidth:t,clientHeight:s}=this.
 canvas;this.ratio=Math.min(3,window.devicePixelRatio||1),this.camera.width=t,this.camera.height=s,this.canvas.width=Math.max(1,Math.round(t*this.ratio)),
 this.canvas.height=Math.max(1,Math.round(s*this.ratio))}draw(t){let{context:s,camera:e}=this;this.time=t,s.setTransform(1,0,0,1,0,0),s.globalAlpha=1,s.
@@ -171,9 +171,9 @@ this.trails&&this.drawTrails(),s.setTransform(this.ratio,0,0,this.ratio,0,0),thi
 i,o);for(let o of this.shown)this.drawActor(o);let n=this.places.get(this.tracks.indexOf(e.followed,this.time));n&&this.drawActor(n),this.ghosts.length&&
 this.drawDistance(),this.marks&&this.drawIncidents(),this.labels&&this.drawLabels()}locate({tracks:t,order:s}){let e=t.sampleAt(this.time),i=[];for(let n of s){
 let o={actor:n,x:0,y:0,yaw:0,left:0,top:0};t.actors[n].kind!=="sensor"&&t.pose(n,this.time,e,o)&&([o.left,o.top]=this.camera.toScreen(o.x,o.y),i.push(
-o))}return i}differs(t,{actor:s,x:e,y:i}){if(!K(t.tracks.actors[s]))return!1;let n=t.twin(s),o=this.places.get(n);return!o||Math.hypot(o.x-e,o.y-i)>Y+
+o))}return i}differs(t,{actor:s,x:e,y:i}){if(!B(t.tracks.actors[s]))return!1;let n=t.twin(s),o=this.places.get(n);return!o||Math.hypot(o.x-e,o.y-i)>Y+
 Et*this.tracks.speed(n,this.time)}drawTrails(){let{ghost:t}=this,s=new Set(this.ghosts.map(({actor:e})=>t?.twin(e)));for(let e of this.ghosts)t&&this.
-drawTrail(t.tracks,e,k.colors.other,Ut);for(let e of this.shown){let{id:i,kind:n,color:o}=this.tracks.actors[e.actor];if(F.has(n)||n==="traffic light")
+drawTrail(t.tracks,e,k.colors.other,Ut);for(let e of this.shown){let{id:i,kind:n,color:o}=this.tracks.actors[e.actor];if(D.has(n)||n==="traffic light")
 continue;let a=i===this.camera.followed||s.has(e.actor);this.drawTrail(this.tracks,e,o,a?Ut:Wt)}this.context.globalAlpha=1}drawTrail(t,{actor:s,x:e,y:i,
 left:n,top:o},a,r){let{context:h,camera:l,time:d}=this,m=r*ns*l.scale;if(Math.max(-n,-o,n-l.width,o-l.height)>m)return;let u=t.path(s,d-r,d).pop();if(!u)
 return;u.push(e,i);let g=r>Wt;h.lineCap="butt",h.strokeStyle=a,h.lineWidth=Math.max(t.actors[s].kind==="walker"?.3:.6,(g?2.5:1.5)/l.scale);let y=u.length/
@@ -190,10 +190,10 @@ h=e-o;if(h>=ot||h<0&&a!=="collision"||!r)continue;let[l,d]=s.toScreen(...r);t.gl
 k.tones[a]+"24",this.circle(l,d,Math.max(14,3.4*s.scale)*(h<0?1+.6*-h:1)),t.fill(),t.stroke()}t.globalAlpha=1}drawActor({actor:t,left:s,top:e,yaw:i}){
 let{context:n,camera:o}=this,{id:a,kind:r,color:h,paint:l,hero:d,shape:m}=this.tracks.actors[t],[,,u,g]=this.extent(this.recording,t),y=this.tracks.lying(
 t,this.time)??i,x=o.scale*Math.max(u,g);if(Math.max(-s,-e,s-o.width,e-o.height)>x+30)return;if(r==="traffic light"){this.drawLamp(t,s,e);return}let w=a===
-o.followed||t===this.hovered,v=K(this.tracks.actors[t]);n.save(),n.translate(s,e),(w||d)&&this.drawGlow(h,Math.max(x,bt)+12);let[S,U,z]=this.outline(this.
-recording,{actor:t,heading:y},F.has(r)?2:bt,m==="walker"?3:0);n.globalAlpha=F.has(r)?.5:1,n.shadowColor=v?k.colors.shade:"transparent",[n.shadowBlur,n.
-shadowOffsetY]=[.5*z*this.ratio,.12*z*this.ratio],n.fillStyle=jt(l??h),n.fill(S),n.shadowColor="transparent";let Jt=U>Pt||m==="walker"&&U>4;v&&Jt&&Ft(
-n,m,U,z,this.tracks.lampsOf(t,this.time)),n.lineWidth=w?2:1,n.strokeStyle=w?k.colors.text:d?h:k.colors.edge,(w||d||r==="vehicle")&&n.stroke(S),n.restore()}outline(t,{
+o.followed||t===this.hovered,v=B(this.tracks.actors[t]);n.save(),n.translate(s,e),(w||d)&&this.drawGlow(h,Math.max(x,bt)+12);let[S,W,U]=this.outline(this.
+recording,{actor:t,heading:y},D.has(r)?2:bt,m==="walker"?3:0);n.globalAlpha=D.has(r)?.5:1,n.shadowColor=v?k.colors.shade:"transparent",[n.shadowBlur,n.
+shadowOffsetY]=[.5*U*this.ratio,.12*U*this.ratio],n.fillStyle=jt(l??h),n.fill(S),n.shadowColor="transparent";let Jt=W>Pt||m==="walker"&&W>4;v&&Jt&&Ft(
+n,m,W,U,this.tracks.lampsOf(t,this.time)),n.lineWidth=w?2:1,n.strokeStyle=w?k.colors.text:d?h:k.colors.edge,(w||d||r==="vehicle")&&n.stroke(S),n.restore()}outline(t,{
 actor:s,heading:e},i,n){let{context:o,camera:a}=this,[r,h,l,d]=this.extent(t,s),m=a.scale*Math.max(1,i/2/(a.scale*Math.max(l,d))),u=new Path2D,g=[Math.
 max(n,l*m),Math.max(n,d*m)];return o.rotate(a.up-E-e),o.translate(r*m,-h*m),Dt(u,t.tracks.actors[s].shape,...g),[u,...g]}extent({tracks:t},s){let{kind:e,
 box:i}=t.actors[s];return t.lying(s,this.time)!==null?[0,0,Math.max(Rt,i[2]),Math.max(.28,i[3])]:e==="walker"?[i[0],i[1],Math.min(.22,i[2]),Math.max(.28,
@@ -210,12 +210,12 @@ alker"?1:0},n=this.shown.map(o=>({...o,importance:i(o)}));n.sort((o,a)=>a.import
 (t.scale>3.5?1:3))break;a<0||r<0||a>t.width||r>t.height||this.label(o,a,r,e,h>3)}this.context.globalAlpha=1}label(t,s,e,i,n){let{context:o,camera:a}=this,
 {label:r,box:h}=this.tracks.actors[t];o.font=`600 12px ${N}`;let l=t===this.hovered?this.tracks.speed(t,this.time)*3.6:NaN,d=(r.length>26?`${r.slice(0,
 25)}…`:r)+(Number.isNaN(l)?"":` · ${l.toFixed(0)} km/h`),m=o.measureText(d).width/2+4,u=Math.max(m,Math.min(a.width-m,s)),g=Math.max(9,Math.max(h[2],
-h[3])*a.scale),y=v=>i.some(([S,U,z])=>Math.abs(S-u)<z+m&&Math.abs(U-v)<15),x=[e-g-8,e+g+17].filter(v=>v>=14&&v<=a.height-6),w=x.find(v=>!y(v))??(n?x[0]:
+h[3])*a.scale),y=v=>i.some(([S,W,U])=>Math.abs(S-u)<U+m&&Math.abs(W-v)<15),x=[e-g-8,e+g+17].filter(v=>v>=14&&v<=a.height-6),w=x.find(v=>!y(v))??(n?x[0]:
 void 0);w!==void 0&&(i.push([u,w,m]),o.globalAlpha=n?1:.8,this.text(d,u,w,k.colors.text))}text(t,s,e,i){let{context:n}=this;n.font=`600 12px ${N}`,n.textAlign=
 "center",n.lineJoin="round",n.lineWidth=4,n.strokeStyle=k.colors.halo,n.fillStyle=i,n.strokeText(t,s,e),n.fillText(t,s,e)}hover(t,s){let e=this.hovered;
 return this.hovered=t===null?-1:this.actorAt(t,s),this.canvas.classList.toggle("over",this.hovered>=0),this.hovered!==e}actorAt(t,s){let[e,i]=[-1,18];
-for(let n of this.shown){let{kind:o,box:a}=this.tracks.actors[n.actor],r=F.has(o)?6:.6*Math.max(a[2],a[3])*this.camera.scale,h=Math.hypot(n.left-t,n.top-
-s)-r+(F.has(o)?14:0);h<i&&([e,i]=[n.actor,h])}return e}};var I=[480,300],zt=36,as=400,Bt=5,at=class{constructor(t){this.ground=t,this.entries=new Map,this.stages=new Map,this.observer=new IntersectionObserver(
+for(let n of this.shown){let{kind:o,box:a}=this.tracks.actors[n.actor],r=D.has(o)?6:.6*Math.max(a[2],a[3])*this.camera.scale,h=Math.hypot(n.left-t,n.top-
+s)-r+(D.has(o)?14:0);h<i&&([e,i]=[n.actor,h])}return e}};var I=[480,300],zt=36,as=400,Bt=5,at=class{constructor(t){this.ground=t,this.entries=new Map,this.stages=new Map,this.observer=new IntersectionObserver(
 s=>this.see(s),{rootMargin:"300px"}),k.addEventListener("change",()=>this.redraw())}image(t,s){let e=p("img","picture");return Object.assign(e,{alt:"",
 width:I[0],height:I[1]}),s.picture?(Object.assign(e,{src:s.picture,loading:"lazy",decoding:"async"}),e):(this.entries.set(e,{recording:t,incident:s,large:!1,
 drawn:null}),this.observer.observe(e),e)}see(t){for(let{target:s,isIntersecting:e}of t)e&&this.fill(s)}redraw(){for(let[t,s]of this.entries)(s.drawn||
@@ -226,12 +226,12 @@ stage(t),{tracks:h}=t,l=i.map(w=>h.indexOf(w,a)).filter(w=>w>=0),d=i.flatMap(w=>
 max(Math.max(...m)-Math.min(...m),(Math.max(...u)-Math.min(...u))*I[0]/I[1]);g.scale=I[0]/Math.min(as,Math.max(o?zt:zt*.6,1.6*y)),r.draw(a),r.drawPaths(
 l,a-Bt,a,a+Bt);for(let w of r.shown)l.includes(w.actor)&&r.drawActor(w);s==="collision"&&n&&r.drawCross(...g.toScreen(...n),1);let x=[];for(let{actor:w,
 left:v,top:S}of o?r.shown:[])l.includes(w)&&r.label(w,v,S,x,!0);return r.canvas.toDataURL("image/webp",.85)}stage(t){let s=this.stages.get(t);if(s)return s;
-let e=document.createElement("canvas");[e.width,e.height]=I;let i=new R;[i.width,i.height]=I;let n=new j(e,[t],i,this.ground);return Object.assign(n,{
+let e=document.createElement("canvas");[e.width,e.height]=I;let i=new R;[i.width,i.height]=I;let n=new F(e,[t],i,this.ground);return Object.assign(n,{
 labels:!1,trails:!1,marks:!1}),this.stages.set(t,n),n}};var H=[{name:"Speed",unit:"km/h",of:"speed",digits:0,least:20,most:250,factor:3.6,always:!0},{name:"Acceleration",unit:"m/s²",of:"acceleration",digits:1,
 least:4,most:12,signed:!0,always:!0},{name:"Throttle / brake",unit:"%",of:"throttle",below:"brake",digits:0,least:100,most:100,factor:100,signed:!0},{
 name:"Steering",unit:"%",of:"steer",digits:0,least:20,most:100,factor:100,signed:!0},{name:"Gap ahead",unit:"m",of:"gap",digits:1,least:20,most:100,always:!0},
 {name:"Time to collision",unit:"s",of:"ttc",digits:1,least:4,most:10},{name:"Light ahead",unit:"",of:"light",digits:0,least:1,most:1,band:!0}],rs=[1,4,
-6,8,10,12,20,30,40,50,60,80,100,120,160,200,250],W=18,xt=5,ht=class{constructor(t,s,e){this.recordings=t,this.part=s,this.frame=f("plots"),this.canvas=
+6,8,10,12,20,30,40,50,60,80,100,120,160,200,250],j=18,xt=5,ht=class{constructor(t,s,e){this.recordings=t,this.part=s,this.frame=f("plots"),this.canvas=
 f("plot"),this.context=this.canvas.getContext("2d"),this.base=document.createElement("canvas"),this.readings=H.map(i=>this.reading(i)),this.rows=H,this.
 scales=[],this.drawn="",this.time=0,this.followed=null,this.pointed=null,nt(this.canvas,s,()=>this.width,{drag:(i,n,o)=>e.seek(s.timeAt(o/this.width)),
 hover:i=>{this.pointed=i===null?null:s.timeAt(i/this.width),e.changed()}}),k.addEventListener("change",()=>this.refresh())}reading({name:t,unit:s}){let e=this.
@@ -246,16 +246,16 @@ a.clearRect(0,0,this.canvas.width,this.canvas.height),a.drawImage(this.base,0,0)
 this.drawPointed(this.pointed),this.showValues(e,this.pointed??t)}showRows(t){let s=({of:e,always:i})=>i||t.some(({series:n})=>n?.values[e].some(o=>!Number.
 isNaN(o)));this.rows=H.filter(s),H.forEach((e,i)=>this.readings[i].node.hidden=!this.rows.includes(e)),this.frame.style.setProperty("--rows",String(this.
 rows.length))}color(t){return t.index?k.colors.other:k.colors.accent}left(t){return this.part.share(t)*this.width}drawBase(t,s){let e=this.base.getContext(
-"2d"),{clientWidth:i,clientHeight:n}=this.canvas,{colors:o}=k,a=this.width;e.setTransform(s,0,0,s,0,0);let r=(n-W)/this.rows.length,h=i>a+20;this.drawTimes(
+"2d"),{clientWidth:i,clientHeight:n}=this.canvas,{colors:o}=k,a=this.width;e.setTransform(s,0,0,s,0,0);let r=(n-j)/this.rows.length,h=i>a+20;this.drawTimes(
 e,n),e.save(),e.beginPath(),e.rect(0,0,a,n),e.clip(),this.scales=this.rows.map((l,d)=>{let m=this.scale(l,t),[u,g]=[d*r+(h?5:18),(d+1)*r-4],y=w=>g-(Math.
 max(m[0],Math.min(m[1],w))-m[0])/(m[1]-m[0])*(g-u),x=Math.round(l.band?(u+g)/2:y(0))+.5;rt(e,o.line,0,x,a,x),d||this.drawIncidents(e,t,n);for(let w of[
 ...t].reverse())w.series&&l.band?this.drawBand(e,w,(u+g)/2):w.series&&this.drawCurve(e,l,w.recording,w.series,y);return{level:y,scale:m}}),e.restore(),
 e.font=`11px ${N}`,e.fillStyle=o.quiet,e.textAlign=h?"left":"right",this.rows.forEach((l,d)=>{let m=`${l.signed?"±":""}${this.scales[d].scale[1]}`;l.
 band||e.fillText(m,h?a+8:a-2,d*r+13)})}drawIncidents(t,s,e){t.setLineDash([2,3]);for(let{recording:i,actor:n}of s){let o=i.tracks.actors[n]?.id;for(let{
-incident:a,start:r}of i.incidentsIn(this.part.start-1e-6,this.part.stop))a.actors.includes(o)&&rt(t,k.tones[a.kind],this.left(r),0,this.left(r),e-W+2,
+incident:a,start:r}of i.incidentsIn(this.part.start-1e-6,this.part.stop))a.actors.includes(o)&&rt(t,k.tones[a.kind],this.left(r),0,this.left(r),e-j+2,
 1.5)}t.setLineDash([])}drawTimes(t,s){let{start:e,stop:i}=this.part,o=[.1,.2,.5,1,2,5,10,15,30,60,120,300,600,900,1800,3600].find(a=>a/(i-e)*this.width>
 64)??7200;t.font=`11px ${N}`,t.textAlign="center",t.fillStyle=k.colors.quiet;for(let a=Math.ceil(e/o-1e-6);a*o<=i;a++){let r=this.left(a*o);rt(t,k.colors.
-line,Math.round(r)+.5,0,Math.round(r)+.5,s-W+2),r<this.width-14&&t.fillText(M(a*o,o<1?1:0),Math.max(o<1?18:14,r),s-4)}}scale({of:t,factor:s=1,least:e,
+line,Math.round(r)+.5,0,Math.round(r)+.5,s-j+2),r<this.width-14&&t.fillText(M(a*o,o<1?1:0),Math.max(o<1?18:14,r),s-4)}}scale({of:t,factor:s=1,least:e,
 most:i,signed:n},o){let a=0;for(let{series:l}of o){if(!l)continue;let[d,m]=[b(l.times,this.part.start),b(l.times,this.part.stop)];for(let u=d;u<m;u++)
 a=Math.max(a,Math.abs(l.values[t][u])||0)}let r=Math.max(e,Math.min(a*s,i)),h=rs.find(l=>l>=r-1e-9)??r;return[n?-h:0,h]}eachSample({tracks:t},s){let{times:e}=t,
 {start:i,stop:n}=this.part,[o,a]=[Math.max(0,b(e,i)-1),Math.min(e.length,b(e,n)+1)];for(let r=o;r<a;r++)s(r,r+1<a&&t.continues(r)?r+1:-1)}drawCurve(t,s,e,i,n){
@@ -265,9 +265,9 @@ this.left(i.times[m]),n(r[m]*a)];d<0&&l.moveTo(g,n(0)),d<0&&h.moveTo(g,y),h.line
 h)}}drawBand(t,{recording:s,series:e},i){let n=i-xt+(this.recordings.length>1?(s.index-.5)*2*xt:0);this.eachSample(s,(o,a)=>{let r=e?.values.light[o]??
 NaN;if(!e||Number.isNaN(r)||a<0)return;t.fillStyle=s.report.lights[r]?.[1]??k.colors.quiet;let h=this.left(e.times[o]);t.fillRect(h,n,this.left(e.times[a])-
 h+.5,2*xt)})}drawLine(t,s){let e=this.left(t);this.context.globalAlpha=s,e>=0&&e<=this.width&&rt(this.context,k.colors.text,e,0,e,this.canvas.clientHeight-
-W+2),this.context.globalAlpha=1}drawPointed(t){let{context:s}=this;this.drawLine(t,.4),s.font=`600 11px ${N}`,s.textAlign="center";let[e,i]=[M(t,2),this.
+j+2),this.context.globalAlpha=1}drawPointed(t){let{context:s}=this;this.drawLine(t,.4),s.font=`600 11px ${N}`,s.textAlign="center";let[e,i]=[M(t,2),this.
 canvas.clientHeight],n=s.measureText(e).width/2+6,o=Math.max(n,Math.min(this.width-n,this.left(t)));s.fillStyle=k.colors.text,s.beginPath(),s.roundRect(
-o-n,i-W+1,2*n,W-2,4),s.fill(),s.fillStyle=k.colors.halo,s.fillText(e,o,i-5)}showValues(t,s){this.rows.forEach((e,i)=>{let{values:n,note:o}=this.readings[H.
+o-n,i-j+1,2*n,j-2,4),s.fill(),s.fillStyle=k.colors.halo,s.fillText(e,o,i-5)}showValues(t,s){this.rows.forEach((e,i)=>{let{values:n,note:o}=this.readings[H.
 indexOf(e)],a=[];t.forEach(({recording:r,series:h},l)=>{let d=h?Math.max(0,b(h.times,s+1e-5)-1):0,m=h&&r.tracks.covers(s)&&!Number.isNaN(h.values[e.of][d]);
 if(h&&!h.isMeasured&&e.of!=="speed"&&a.push("not measured"),L(n[l],m?this.text(e,r,h,d):"–"),!!m){a.push(this.note(e,r,h,d));for(let{name:u,factor:g}of Kt(
 e))this.context.fillStyle=this.color(r),this.context.beginPath(),this.context.arc(this.left(s),this.scales[i].level(h.values[u][d]*g),3.2,0,7),this.left(
@@ -315,7 +315,7 @@ clock;this.button.classList.toggle("playing",t),this.button.setAttribute("aria-l
 M(t),this.slider.value=String(t),this.slider.style.setProperty("--share",this.share(t)),this.slider.setAttribute("aria-valuetext",`${t.toFixed(1)} sec\
 onds`)}};var hs=3,cs=6,ls=2,vt=-1,Mt=56,ds=2500,Vt=window.matchMedia("(max-width: 700px)"),St=class{constructor(t,s,e){this.recordings=t,this.recording=t[0],this.
 tracks=this.recording.tracks;let i=[...new Set(t.flatMap(({tracks:a})=>[...a.times]))].sort((a,r)=>a-r);this.clock=new X(Ot(t.map(({tracks:a})=>a.spans)),
-i);let{x:n,y:o}=this.tracks;this.ground=new tt(s,n.length?{x:n[0],y:o[0]}:{x:0,y:0}),this.stages=t.map((a,r)=>{let h=f(["canvas","other-canvas"][r]);return new j(
+i);let{x:n,y:o}=this.tracks;this.ground=new tt(s,n.length?{x:n[0],y:o[0]}:{x:0,y:0}),this.stages=t.map((a,r)=>{let h=f(["canvas","other-canvas"][r]);return new F(
 h,[a],new R,this.ground)}),this.stage=this.stages[0],this.camera=this.stage.camera,this.help=f("help"),this.mode="",this.ends=[],this.part=new it(Math.
 max(this.clock.stop,...t.map(({report:a})=>a.duration??0))),this.incidents=new et(t,new at(this.ground),a=>this.open(a),()=>this.transport.addMarks()),
 this.transport=new lt(this.clock,this.part,this.incidents,a=>this.open(a)),this.plots=new ht(t,this.part,{seek:a=>this.clock.seek(a),changed:()=>this.
@@ -361,11 +361,11 @@ for(let t of this.active)t.camera.step(this.focus(t),0,!0),t.draw(this.clock.tim
 report.follow,{quiet:!0});for(let{camera:t}of this.stages)t.show(Mt*1.5);this.focus(this.stage)===null&&(this.stage.draw(this.clock.time),this.fit()),
 this.showOpening(),this.begun=this.address(),this.readLink(),this.changed()}showOpening(){let{time:t=null,actors:s=[]}=this.recording.report.opening??
 {};if(t===null)return;let e=this.incidents.items.findIndex(({start:i,incident:n})=>Math.abs(i-t)<.01&&n.actors.join()===s.join());if(this.incidents.items[e]?.
-replayed){this.open(e,{play:!1});return}this.clock.seek(Math.max(0,t-G)),s.length&&this.tracks.byId.has(s[0])&&this.follow(s[0],{quiet:!0})}open(t,{play:s=!0}={}){
+replayed){this.open(e,{play:!1});return}this.clock.seek(Math.max(0,t-K)),s.length&&this.tracks.byId.has(s[0])&&this.follow(s[0],{quiet:!0})}open(t,{play:s=!0}={}){
 let e=this.incidents.items[t];if(!e||!e.replayed)return;let{incident:i,recording:n}=e;this.incidents.choose(t);let[o,a]=this.shownAround(e);s?this.clock.
 playThrough(o,a):this.clock.seek(o);let r=i.actors.find(h=>n.poseOf(h,this.clock.time)!==null);this.follow(r??null,{recording:n,quiet:!0});for(let{camera:h}of this.
 stages)r===void 0&&i.place&&([h.x,h.y]=i.place),h.show(Mt);this.say(`Incident ${t+1} of ${this.incidents.items.length}: ${i.text}`)}shownAround({start:t,
-incident:s}){return[Math.max(0,t-G),Math.min(s.stop??t,t+cs)+hs]}step(t){let s=this.incidents.neighbour(t,this.clock.time);s>=0&&this.open(s)}choose(t,s){
+incident:s}){return[Math.max(0,t-K),Math.min(s.stop??t,t+cs)+hs]}step(t){let s=this.incidents.neighbour(t,this.clock.time);s>=0&&this.open(s)}choose(t,s){
 let{tracks:e}=t;e.trackAt(s,e.sampleAt(this.clock.time))>=0||this.clock.seek(e.times[e.firsts[s][0]]),this.follow(e.actors[s].id,{recording:t});for(let{
 camera:n}of this.stages)n.show(Mt)}follow(t,{recording:s=this.recording,quiet:e=!1}={}){let i=t===null?-1:s.tracks.indexOf(t,this.clock.time);for(let{
 camera:n,recording:o}of this.stages)t===null||o===s?n.followed=t:n.followed=o.tracks.actors[s.twin(i)]?.id??vt;e||this.say(t===null?"No actor is follo\
@@ -391,7 +391,7 @@ s.kind,s.role&&s.role!=="hero"?s.role:""].filter(Boolean).join(" · "));let i=th
 o.covers(t)?o.speed(o.indexOf(this.followed?.[a],t),t)*3.6:NaN;e(a?"other-speed":"speed",Number.isNaN(h)?"–":h.toFixed(0))});let n=i.length>1&&i[0]&&
 i[1]?Math.hypot(i[0].x-i[1].x,i[0].y-i[1].y):0;e("apart",n>Y?`${n.toFixed(1)} m apart`:"")}followedActor(){return this.recordings.map((s,e)=>s.actor(this.
 followed?.[e],this.clock.time)).find(s=>s!==null)??null}showCaption(){let{time:t}=this.clock,s=this.incidents.items[this.incidents.current],i=s?.replayed&&
-s.start-G-.05<=t&&t<=this.shownAround(s)[1]+.05?s:this.incidents.latestIn(t-ls-.05,t+.05),n=f("caption");if(n.hidden=!i,!i)return;let o=i.start-t,a=this.
+s.start-K-.05<=t&&t<=this.shownAround(s)[1]+.05?s:this.incidents.latestIn(t-ls-.05,t+.05),n=f("caption");if(n.hidden=!i,!i)return;let o=i.start-t,a=this.
 recordings.find(h=>h!==i.recording),r=(a&&!a.has(i.incident)?`${i.recording.letter}: `:"")+i.incident.text;L(f("caption-text"),r),L(f("caption-when"),
 o>.05?`in ${o.toFixed(1)} s`:""),n.dataset.kind=i.kind}showRule(){let t=[1,2,5,10,20,50,100,200,500,1e3,2e3,5e3].find(s=>s*this.camera.scale>=56)??1e4;
 f("rule").style.width=`${t*this.camera.scale}px`,f("rule-length").textContent=t<1e3?`${t} m`:`${t/1e3} km`}showEnds(){this.ends.forEach((t,s)=>{let e=this.

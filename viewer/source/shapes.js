@@ -81,7 +81,8 @@ export function details(context, shape, length, width, lamps) {
   for (const [side, turning] of [[-1, LAMPS.left], [1, LAMPS.right]]) {
     const top = side * 0.68 * width - lamp;
     glow(0.955 * length - lamp * 0.5, top, "#fff6d5", Boolean(lamps & LAMPS.head));
-    glow(-0.99 * length, top, lamps & LAMPS.reverse ? "#ffffff" : "#ff4d4d", Boolean(lamps & (LAMPS.brake | LAMPS.reverse)));
+    glow(-0.99 * length, top, "#ff4d4d", Boolean(lamps & LAMPS.brake));
+    if (lamps & LAMPS.reverse) glow(-0.99 * length, side * 0.4 * width - lamp, "#ffffff", true);
     if (!(lamps & turning)) continue;
     for (const end of [0.9, -0.96]) glow(end * length, side * 0.92 * width - lamp, "#ffa726", true);
   }

@@ -171,7 +171,9 @@ class LiveChoice:
     def _other(self, scene: Scene) -> int | None:
         if self._since is None:
             self._since = scene.time
-        movers = {kind: [id for id, actor in scene.actors.items() if actor.kind == kind] for kind in ROAD_USERS}
+        away = set(scene.ids[scene.batch.away[scene.row]].tolist())
+        there = {id: actor.kind for id, actor in scene.actors.items() if id not in away}
+        movers = {kind: [id for id in there if there[id] == kind] for kind in ROAD_USERS}
         here = {id: pose[LOCATION] for those in movers.values() for id in those if (pose := scene.pose_of(id)) is not None}
         before, self._before = self._before, here
         with np.errstate(invalid="ignore"):

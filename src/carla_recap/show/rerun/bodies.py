@@ -74,6 +74,7 @@ class ActorWriter:
         self._named: int | None = None  # the actor whose name has to be shown from the next scene on
         self._drawn: set[int] = set()  # the present actors that are in the world
         self._placed: set[int] = set()  # those, and the ones that were so since the last block
+        self._riding: set[int] = set()  # the present ones that are placed on a parent, as long as they have no poses
         self._left_out: float | None = None  # the first moment at which an actor was not in the world, in elapsed seconds
         self._extent = np.array((np.inf, np.inf, -np.inf, -np.inf))  # of the map, whose axes are CARLA's
         self._colors: dict[int, int] = {}  # of the actors on the map, and of those removed since the last block
@@ -112,6 +113,10 @@ class ActorWriter:
             self._ids = batch.ids
             for id in set(batch.ids.tolist()) - self._present - away:
                 self._draw(description.lives[id], description, times.point(0))
+            for id in self._riding.intersection(batch.ids.tolist()):
+                self._riding.remove(id)
+                in_world = rr.Transform3D.from_fields(parent_frame=f"tf#{entities.ACTORS}")
+                self._stream.log(entities.actor(id), times.point(0), in_world)
         named = None if self._named is None else batch.actors.get(self._named)
         if named is not None:
             self._stream.log(entities.actor(named.id), times.point(0), _name(named, description.actors.look_of(named.id)))
@@ -167,6 +172,7 @@ class ActorWriter:
         self._present.add(actor.id)
         self._colors.pop(actor.id, None)
         self.models.discard(actor.id)
+        self._riding.discard(actor.id)
         if actor.kind == "vehicle":
             self._vehicles.add(actor.id)
         if actor.kind in ROAD_USERS:
@@ -191,6 +197,8 @@ class ActorWriter:
             archetypes.append(_name(actor, look))
         if description.batch.index_of(actor.id) is None:
             archetypes.append(_location(actor))
+            if actor.attached:
+                self._riding.add(actor.id)
         self._stream.log(path, time, *archetypes)
 
     def _erase(self, id: int, time: TimePoint) -> None:

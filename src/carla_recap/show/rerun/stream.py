@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from itertools import groupby, pairwise
 from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, Self, TypeVar
 
@@ -16,6 +16,7 @@ import pyarrow as pa
 import rerun as rr
 import rerun_bindings as bindings
 
+from carla_recap.model.motion import possible_step
 from carla_recap.replay import quaternions
 from carla_recap.replay.pose import LOCATION
 from carla_recap.replay.selection import NO_IDS
@@ -219,6 +220,20 @@ class PoseBlock:
     present: Booleans
     written: Booleans
 
+    @cached_property
+    def joined(self) -> Booleans:
+        """Whether an actor gets from each pose to the next one without a jump, (frames - 1, ids)."""
+        steps = np.linalg.norm(np.diff(self.poses[..., :2], axis=0), axis=2)
+        possible = possible_step(np.diff(self.times.seconds))[:, None]
+        return np.asarray(self.present[1:] & self.present[:-1] & (steps <= possible))
+
+    @property
+    def credible(self) -> Booleans:
+        """Whether an actor is present and gets there or from there without a jump, or is there only once, (frames, ids)."""
+        nowhere = np.zeros((1, len(self.ids)), np.bool_)
+        joined = np.concatenate((nowhere, self.joined)) | np.concatenate((self.joined, nowhere))
+        return np.asarray(joined | (self.present & (self.present.sum(axis=0) == 1)))
+
     def write(self, stream: Stream, shown: Container[int], path: Callable[[int], str] = entities.actor) -> None:
         """Write the transforms of the actors that are shown, at the paths that a function returns for their ids."""
         actors, rows = np.nonzero(self.written.T)
@@ -233,7 +248,7 @@ class PoseBlock:
     def write_points(
         self, stream: Stream, path: str, shown: Iterable[int], colors: Mapping[int, int] | None = None
     ) -> Floats:
-        """Write the actors that are shown as points on the map, in their colours by id; return all points, (n, 2)."""
+        """Write the actors that are shown as points on the map, in their colours by id; return the credible ones, (n, 2)."""
         present = self.present[1:] & np.isin(self.ids, list(shown))
         points = map_points(self.poses[1:][present])
         painted = None
@@ -244,7 +259,7 @@ class PoseBlock:
         counts = present.sum(axis=1)
         times = self.times.take(slice(1, None))
         stream.columns(path, times, [each.partition(counts) for each in columns])
-        return points
+        return np.asarray(points[self.credible[1:][present]])
 
 
 class PoseBuffer:

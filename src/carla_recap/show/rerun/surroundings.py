@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 import rerun as rr
 
-from carla_recap.model.motion import possible_step
 from carla_recap.replay.pose import LOCATION
 from carla_recap.roads.polylines import stations
 from carla_recap.scene import style
@@ -213,10 +212,7 @@ class CorridorWriter:
         rows = begin + np.flatnonzero(np.diff(np.floor(seconds[begin:] / _STEP + 1e-6), prepend=-1.0))
         if len(rows) < 2:
             return
-        places, present = block.poses[:, vehicles, LOCATION], block.present[:, vehicles]
-        steps = np.linalg.norm(np.diff(places[..., :2], axis=0), axis=2)
-        joined = present[1:] & present[:-1] & (steps <= possible_step(np.diff(seconds))[:, None])
-        breaks = np.cumsum(~joined, axis=0, dtype=np.intp)
+        places, breaks = block.poses[:, vehicles, LOCATION], np.cumsum(~block.joined[:, vehicles], axis=0, dtype=np.intp)
         breaks = np.concatenate((np.zeros_like(breaks[:1]), breaks))[rows]
         ends = np.stack((places[rows[:-1]], places[rows[1:]]), axis=2)
         lengths = np.linalg.norm(ends[:, :, 1, :2] - ends[:, :, 0, :2], axis=2)
