@@ -8,6 +8,7 @@ from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import partial
 from heapq import merge
+from itertools import chain, islice
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -122,21 +123,22 @@ def export_sensed(
             clip(source.location, part, start=sensing.start, duration=sensing.duration)
             location, source = source.location, stack.enter_context(open_recording(part))
             source.reader.location = location  # what errors name
+        _check_new(source, rig)
         moments = sensed_frames(source, rig, replace(sensing, start=0.0, duration=0.0), progress, uncut)
         stack.enter_context(closing(moments))
+        begun = list(islice(moments, 1))  # the process that draws starts while the town is loaded
         messages = SensorMessages(rig, source.header, video=video)
         found = find_map_of(source.reader, sensing.road_map)
         player = Player(source, follow=sensing.actor)
         scenes = RecordingMessages(source, player, None if found is None else load_map(found), uncut=uncut)
         known = source.reader.further_topics()
-        _check_new(source, rig)
         with McapWriter(destination, source.header, force=force) as writer:
             copy = TopicCopy(source.reader, writer, without=[*(topic.name for topic in TOPICS), ACTORS])
             for topic in messages.topics:
                 if topic.name not in known:
                     writer.add_topic(topic)
             file = _SensedWriter(source, writer, messages, copy)
-            file.write(scenes, moments)
+            file.write(scenes, chain(begun, moments))
         file.warn_of_absence(sensing.actor)
         extent = source.reader.extent()
         layouts = write_layouts(destination, messages.topics)
