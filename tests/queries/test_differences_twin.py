@@ -32,7 +32,7 @@ times = st.one_of(
         lambda rate, count, start: [start + n / rate for n in range(count)],
         st.sampled_from([0.3, 1.0, 5.0, 10.0, 20.0, 100.0]) | st.floats(0.2, 200),
         st.integers(1, 12),
-        st.just(0.0) | st.floats(0, 3),
+        st.just(0.0) | st.floats(-3, 3),
     ),
     st.lists(st.sampled_from([0, 1, 2, 3, 3.0000004, 4, 5, 5.0000015]) | st.floats(0, 8), min_size=1, max_size=12).map(
         sorted

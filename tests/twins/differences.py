@@ -32,7 +32,7 @@ class Drive:
         for frame in reader.frames():
             self.elapsed.append(frame.elapsed)
             self.durations.append(frame.duration)
-            self.clock.append(max(frame.elapsed, 0.0, *self.clock[-1:]))
+            self.clock.append(max(frame.elapsed, *self.clock[-1:]) if self.clock else frame.elapsed)
             poses: dict[str, Pose] = {}
             states: dict[str, int] = {}
             for packet in frame.packets:

@@ -120,7 +120,7 @@ class FramePairs(NamedTuple):
 def pair_frames(a: Floats, b: Floats) -> FramePairs:
     """Return which frames of b are around each frame of a, by their elapsed seconds.
 
-    Times that go back, or are no numbers, count as the latest before. Of several frames at one time, the n-th of a has the
+    Times that go back, or are no numbers, count as the latest before, or as the first one. Of several frames at one time, the n-th of a has the
     n-th of b, or the last one.
     """
     if not len(b):
@@ -143,7 +143,8 @@ def pair_frames(a: Floats, b: Floats) -> FramePairs:
 
 
 def _ascending(time: Floats) -> Floats:
-    return np.maximum.accumulate(np.nan_to_num(np.fmax(time, 0.0)))
+    is_time = np.isfinite(time)
+    return np.maximum.accumulate(np.where(is_time, time, time[is_time.argmax()] if is_time.any() else 0.0))
 
 
 @dataclass
