@@ -137,7 +137,8 @@ class StationaryTracker:
             self._intervals.append(self._interval(slot))
         if slot == len(self._actors):
             self._actors.append((id, type_id))
-            self._states = np.concatenate((self._states, np.zeros(1, self._states.dtype)))
+        if slot == len(self._states):
+            self._states = np.concatenate((self._states, np.zeros(slot + 1, self._states.dtype)))
         self._actors[slot] = id, type_id
         walks = type_id.startswith(_WALKER) and not self._compat
         self._states[slot] = (0.0 if self._compat else math.nan, 0.0, 0.0, walks)

@@ -120,8 +120,8 @@ class FramePairs(NamedTuple):
 def pair_frames(a: Floats, b: Floats) -> FramePairs:
     """Return which frames of b are around each frame of a, by their elapsed seconds.
 
-    Times that go back, or are no numbers, count as the latest before, or as the first one. Of several frames at one time, the n-th of a has the
-    n-th of b, or the last one.
+    Times that go back, or are no numbers, count as the latest before, or as the first one. Of several frames at one time,
+    the n-th of a has the n-th of b, or the last one.
     """
     if not len(b):
         nowhere = np.full(len(a), -1)

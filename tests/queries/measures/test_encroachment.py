@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from carla_recap.errors import RecapWarning
 from carla_recap.model.lives import ActorLife
 from carla_recap.model.records import Spawn
 from carla_recap.queries.measures.encroachment import CrossingSearch, Encounter
@@ -53,6 +54,8 @@ def test_crossings_are_found_at_any_time() -> None:
     """As in a recording whose seconds are those since 1970."""
     found = [post_encroachment_time(EAST, path(0, -28, 90, 10), start) for start in (0.0, 1.7e9)]
     assert found == [pytest.approx(0.2, abs=0.01)] * 2
+    with pytest.warns(RecapWarning, match="no crossings are found behind 1e"):
+        post_encroachment_time(EAST, path(0, -28, 90, 10), 2e10)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from carla_recap.errors import RecapWarning
 from carla_recap.formats import open_reader
+from carla_recap.model.batch import Batch
+from carla_recap.model.frame import Frame
+from carla_recap.model.lives import ActorLife
 from carla_recap.model.presence import FAR
 from carla_recap.model.records import Spawn
 from carla_recap.queries.measures import motion_table
@@ -80,6 +84,22 @@ def test_margins_are_whole_however_many_actors_there_are(drive: Drive, monkeypat
     monkeypatch.setattr(motion_table, "_VALUES", 10)
     for table in tables_of(drive([straight(id, 0, 10 * id, 10) for id in range(1, 9)], seconds=10, rate=10), after=4.0):
         assert table.time[-1] >= min(table.time[table.last - 1] + 4.0, 10.0) - 1e-6
+
+
+@pytest.mark.parametrize("early", [False, True])
+def test_margins_have_a_limited_number_of_frames(monkeypatch: pytest.MonkeyPatch, early: bool) -> None:
+    """However little time passes, or if all times but the first are before that one."""
+    monkeypatch.setattr(motion_table, "_MAX_MARGIN", 64)
+    monkeypatch.setattr(motion_table, "_FRAMES", 32)
+    collector = MotionCollector([ActorLife(1, "vehicle.a", "vehicle", "", 0.0, spawn=Spawn(1))])
+    tables: list[MotionTable] = []
+    times = [1e9 if early and number == 1 else number * (0.05 if early else 1e-6) for number in range(1000)]
+    frames = [Frame(n, n + 1, time, 0.0, []).replace(transforms=[(1, *6 * [0.0])]) for n, time in enumerate(times)]
+    with pytest.warns(RecapWarning, match="of what is before and after"):
+        tables += [table for frame in frames for table in collector.add(Batch.of(frame))]
+    tables += collector.finish()
+    assert sum(table.last - table.first for table in tables) == 1000
+    assert max(len(table.time) for table in tables) <= 64 + 64 + 64
 
 
 def test_an_id_that_is_used_again_has_two_rows(drive: Drive) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections import defaultdict
 from dataclasses import dataclass
 from itertools import chain, pairwise
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.errors import RecapWarning
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import LONGEST_STEP
 from carla_recap.queries.measures.boxes import Boxes, overlaps
@@ -149,6 +151,10 @@ class _Grid:
 
     def __init__(self, table: MotionTable) -> None:
         clock = np.clip(table.clock, -_LATEST, _LATEST)
+        if clock[-1] == _LATEST:
+            warnings.warn(
+                f"no crossings are found behind {_LATEST:g} s, where times are not exact", RecapWarning, stacklevel=2
+            )
         same = SAME_TIME / STEP
         first, last = np.ceil(clock / STEP - same), np.floor(clock / STEP + same)  # the moments next to each frame
         counts = np.where(np.diff(clock) <= LONGEST_STEP, last[1:] - first[:-1] + 1, last[:-1] - first[:-1] + 1)

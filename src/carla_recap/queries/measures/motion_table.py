@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.errors import RecapWarning
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import ROAD_USERS
@@ -31,6 +33,7 @@ THROWN: Final = 5.0
 """The time after a contact with a vehicle in which an actor may be thrown, in s."""
 
 _FRAMES: Final = 2048  # of a table, without its margins
+_MAX_MARGIN: Final = 1 << 14  # frames before and after those of a table, at most: the longest margin at 1,000 Hz
 _VALUES: Final = 1 << 20  # poses of a table, unless its margins have more
 _RATE: Final = 20.0  # Hz of the moments in which crossings are looked for, however few frames there are
 _CONTEXT: Final = 2.0  # s around a frame that its motion depends on
@@ -221,6 +224,7 @@ class MotionCollector:
         self._time = np.zeros(0)  # of the frames that these hold
         self._done = 0  # the number of them that have been in a table
         self._size = _FRAMES  # of the next table
+        self._is_limited = False  # whether a margin was cut
 
     def add(self, batch: Batch) -> Iterator[MotionTable]:
         """Add frames that have at least their transforms and velocities, and yield the tables that are complete."""
@@ -240,12 +244,20 @@ class MotionCollector:
     def _tables(self, *, ended: bool = False) -> Iterator[MotionTable]:
         """Yield tables of the frames so far, as far as what follows them is known."""
         clock, done = _clock(self._time), self._done
-        ready = len(clock) if ended else int(np.searchsorted(clock, clock[-1] - self._after))
-        while self._done < ready and (ended or ready - self._done >= self._size):
-            first, last = self._done, min(self._done + self._size, ready)
+        known = len(clock) if ended else int(np.searchsorted(clock, clock[-1] - self._after))
+        ready = max(known, len(clock) - _MAX_MARGIN)
+        size = max(self._size, len(clock) - ready)
+        while self._done < ready and (ended or ready - self._done >= size):
+            first, last = self._done, min(self._done + size, ready)
             while True:
                 start = int(np.searchsorted(clock, clock[first] - self._before))
                 stop = int(np.searchsorted(clock, clock[last - 1] + self._after, side="right"))
+                if (last > known or first - start > _MAX_MARGIN) and not self._is_limited:
+                    self._is_limited = True
+                    text = f"more than {_MAX_MARGIN:,} frames are around {self._time[first]:g} s"
+                    text = f"{text}; of what is before and after a moment, as many count"
+                    warnings.warn(text, RecapWarning, stacklevel=2)
+                start, stop = max(start, first - _MAX_MARGIN), min(stop, last + _MAX_MARGIN)
                 margins = first - start + stop - last
                 contacts = self._contacts_within(self._time[start:stop])
                 touching = np.array([id for each in contacts for id in each.ids], np.uint32)  # also without poses then
@@ -260,6 +272,7 @@ class MotionCollector:
             self._done = last
         if done < self._done < len(clock):
             dropped = int(np.searchsorted(clock, clock[self._done] - self._before))
+            dropped = max(dropped, self._done - _MAX_MARGIN)
             self._poses.drop(dropped)
             self._velocities.drop(dropped)
             self._time, self._done = self._time[dropped:], self._done - dropped
