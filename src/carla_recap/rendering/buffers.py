@@ -61,11 +61,6 @@ class ModelShape(Protocol):
 class ImageBuffers:
     """The buffers of images of a size.
 
-    Args:
-        context: The context of OpenGL.
-        width: The width in pixels.
-        height: The height in pixels.
-
     Attributes:
         size: Width and height.
     """
@@ -260,11 +255,7 @@ def instance_table(seen: Instances, offsets: NDArray[np.float64]) -> NDArray[np.
 
 
 class Halos:
-    """Makes the halos of the lit lamps of instances.
-
-    Args:
-        models: The models that instances refer to.
-    """
+    """Makes the halos of the lit lamps of instances."""
 
     def __init__(self, models: Sequence[ModelShape]) -> None:
         self._models = models

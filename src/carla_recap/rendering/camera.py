@@ -47,21 +47,13 @@ class ImageKind(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A pinhole camera.
+    """A pinhole camera."""
 
-    Attributes:
-        width: The width of its images, in pixels.
-        height: The height, in pixels.
-        fov: The horizontal field of view, in degrees.
-        location: The position in m, (3,), right-handed.
-        rotation: A matrix, (3, 3), whose columns point forward, left and up.
-    """
-
-    width: int
-    height: int
-    fov: float
-    location: Floats
-    rotation: Floats
+    width: int  # the width of its images, in pixels
+    height: int  # the height, in pixels
+    fov: float  # the horizontal field of view, in degrees
+    location: Floats  # the position in m, (3,), right-handed
+    rotation: Floats  # a matrix, (3, 3), whose columns point forward, left and up
 
     @property
     def focal_length(self) -> float:

@@ -138,13 +138,7 @@ class _Line:
 
 
 def add_lines(builder: MeshBuilder, sections: Sequence[SampledSection], driving: TriangleGrid) -> None:
-    """Add the lines along the borders of lanes, without those across lanes of other roads.
-
-    Args:
-        builder: Collects the triangles.
-        sections: The sections of all roads.
-        driving: The lanes for cars.
-    """
+    """Add the lines along the borders of lanes, without those across lanes of other roads."""
     crowded = _are_crowded(sections, driving)
     fine = np.cumsum(
         [len(each.lanes) * np.ptp(each.stations) / _FINE * is_so for each, is_so in zip(sections, crowded, strict=True)]
@@ -333,12 +327,7 @@ def _quads(
 
 
 class Painter:
-    """Paints flat shapes on the ground.
-
-    Args:
-        builder: Collects the triangles.
-        ground: The surfaces to paint on.
-    """
+    """Paints flat shapes on the ground."""
 
     def __init__(self, builder: MeshBuilder, ground: TriangleGrid) -> None:
         self._builder = builder

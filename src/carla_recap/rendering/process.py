@@ -394,11 +394,7 @@ class _Child:
 
 
 class _SharedMemory:
-    """A file in memory that grows.
-
-    Args:
-        descriptor: The file.
-    """
+    """A file in memory that grows."""
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor

@@ -33,19 +33,12 @@ _TAG_OF_ACTOR: Final = 255
 
 @dataclass(frozen=True, eq=False, slots=True)
 class RayHits:
-    """The hits of rays on boxes.
+    """The hits of rays on boxes."""
 
-    Attributes:
-        ray: The index of the ray of each hit, ascending.
-        box: The index of the box.
-        distance: The distance in m.
-        cosine: The cosine of the angle between the ray and the normal of the side that it hits.
-    """
-
-    ray: Integers
-    box: Integers
-    distance: Floats
-    cosine: Floats
+    ray: Integers  # the index of the ray of each hit, ascending
+    box: Integers  # the index of the box
+    distance: Floats  # the distance in m
+    cosine: Floats  # the cosine of the angle between the ray and the normal of the side that it hits
 
     def take(self, index: Integers | NDArray[np.bool_]) -> RayHits:
         """Return some of the hits."""
@@ -111,21 +104,13 @@ class OrientedBoxes:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SurfaceHits:
-    """The first hits of rays on a town and the actors in it.
+    """The first hits of rays on a town and the actors in it."""
 
-    Attributes:
-        ray: The index of the ray of each hit, ascending.
-        actor: The id of the actor; 0 for the town.
-        distance: The distance in m.
-        cosine: The cosine of the angle between the ray and the normal of the surface.
-        tag: The semantic tag.
-    """
-
-    ray: Integers
-    actor: Integers
-    distance: Floats
-    cosine: Floats
-    tag: Integers
+    ray: Integers  # the index of the ray of each hit, ascending
+    actor: Integers  # the id of the actor; 0 for the town
+    distance: Floats  # the distance in m
+    cosine: Floats  # the cosine of the angle between the ray and the normal of the surface
+    tag: Integers  # the semantic tag
 
     def take(self, index: Integers | NDArray[np.bool_]) -> SurfaceHits:
         """Return some of the hits."""

@@ -64,31 +64,18 @@ _NARROW: Final = 0.02  # m
 
 @dataclass(frozen=True, eq=False)
 class SampledSection:
-    """The borders of the lanes of a section as points.
-
-    Attributes:
-        road: The road.
-        number: The number of the road.
-        section: The section.
-        stations: The distances along the road, ascending, (n,).
-        lefts: The directions to the left, (n, 3).
-        normals: The directions away from the surface, (n, 3).
-        offsets: How far to the left of the reference line each border is, (lanes + 1, n).
-        borders: The points of the borders, from the left, (lanes + 1, n, 3).
-        lanes: The lanes, from the left.
-        materials: Their materials; None for those that are not drawn.
-    """
+    """The borders of the lanes of a section as points."""
 
     road: Road
-    number: int
+    number: int  # the number of the road
     section: RoadSection
-    stations: Floats
-    lefts: Floats
-    normals: Floats
-    offsets: Floats
-    borders: Floats
-    lanes: tuple[RoadLane, ...]
-    materials: tuple[Material | None, ...]
+    stations: Floats  # the distances along the road, ascending, (n,)
+    lefts: Floats  # the directions to the left, (n, 3)
+    normals: Floats  # the directions away from the surface, (n, 3)
+    offsets: Floats  # how far to the left of the reference line each border is, (lanes + 1, n)
+    borders: Floats  # the points of the borders, from the left, (lanes + 1, n, 3)
+    lanes: tuple[RoadLane, ...]  # the lanes, from the left
+    materials: tuple[Material | None, ...]  # their materials; None for those that are not drawn
 
     def is_driving(self, lane: int) -> bool:
         """Return whether a lane is for cars."""
@@ -198,13 +185,7 @@ def _grid(sections: Sequence[SampledSection], key_of: Callable[[SampledSection, 
 
 
 def add_lanes(builder: MeshBuilder, sections: Sequence[SampledSection], driving: TriangleGrid) -> None:
-    """Add the surfaces of lanes, and the kerbs beside raised ones.
-
-    Args:
-        builder: Collects the triangles.
-        sections: The sections.
-        driving: The lanes for cars.
-    """
+    """Add the surfaces of lanes, and the kerbs beside raised ones."""
     for section in sections:
         for lane, material in enumerate(section.materials):
             if material is None:

@@ -53,17 +53,11 @@ _SEED: Final = 20  # the same trees in each run
 
 @dataclass(frozen=True, eq=False)
 class LightPost:
-    """The position of a traffic light of a map.
+    """The position of a traffic light of a map."""
 
-    Attributes:
-        id: The OpenDRIVE id of the signal.
-        location: The foot of the pole, in m, (3,).
-        heading: The direction that the light faces, towards the drivers, in radians.
-    """
-
-    id: str
-    location: Floats
-    heading: float
+    id: str  # the OpenDRIVE id of the signal
+    location: Floats  # the foot of the pole, in m, (3,)
+    heading: float  # the direction that the light faces, towards the drivers, in radians
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,14 +82,7 @@ def light_posts(roads: Sequence[Road], ground: TriangleGrid) -> list[LightPost]:
 
 
 def add_signs(builder: MeshBuilder, roads: Sequence[Road], ground: TriangleGrid, driving: TriangleGrid) -> None:
-    """Add speed limits, yield and stop signs with their poles, but not those on lanes for cars.
-
-    Args:
-        builder: Collects the triangles.
-        roads: The roads.
-        ground: All surfaces.
-        driving: The lanes for cars.
-    """
+    """Add speed limits, yield and stop signs with their poles, but not those on lanes for cars."""
     known: set[tuple[int, ...]] = set()
     for sign in _signs(roads):
         key = tuple(np.rint(sign.location / _SIGNS_APART).astype(np.int64).tolist())
@@ -215,14 +202,7 @@ def _add_sides(
 
 
 def add_trees(builder: MeshBuilder, sections: Sequence[SampledSection], surfaces: TriangleGrid, terrain: Terrain) -> None:
-    """Add trees at a distance from roads and junctions.
-
-    Args:
-        builder: Collects the triangles.
-        sections: The sections of roads.
-        surfaces: All surfaces of roads.
-        terrain: The ground.
-    """
+    """Add trees at a distance from roads and junctions."""
     cells = _cells(sections)
     random = np.random.default_rng(_SEED)
     chances = random.random((len(cells), 6))

@@ -16,52 +16,31 @@ _PLEASANT_AZIMUTH: Final = 230.0  # degrees, where the weather leaves it to the 
 
 
 class Lighting(NamedTuple):
-    """The light of a picture; colours of light are linear, those of the sky are as displayed, from 0 to 1.
+    """The light of a picture; colours of light are linear, those of the sky are as displayed, from 0 to 1."""
 
-    Attributes:
-        sun: The direction to the sun, or at night to the moon, right-handed, (3,).
-        sunlight: The light from there.
-        skylight: The light from above.
-        groundlight: The light from below.
-        zenith: The colour of the sky overhead.
-        haze: The colour of the sky at the horizon, and of fog.
-        clouds: The colour of clouds.
-        disc: The brightness of the sun's disc, from 0 to 1.
-        shade: The share of light in shadows on the ground, from 0 to 1; 1: there are none.
-    """
-
-    sun: Floats
-    sunlight: Floats
-    skylight: Floats
-    groundlight: Floats
-    zenith: Floats
-    haze: Floats
-    clouds: Floats
-    disc: float
-    shade: float
+    sun: Floats  # the direction to the sun, or at night to the moon, right-handed, (3,)
+    sunlight: Floats  # the light from there
+    skylight: Floats  # the light from above
+    groundlight: Floats  # the light from below
+    zenith: Floats  # the colour of the sky overhead
+    haze: Floats  # the colour of the sky at the horizon, and of fog
+    clouds: Floats  # the colour of clouds
+    disc: float  # the brightness of the sun's disc, from 0 to 1
+    shade: float  # the share of light in shadows on the ground, from 0 to 1; 1: there are none
 
 
 @dataclass(frozen=True)
 class Sky:
-    """The weather as far as it is seen; the default is a clear day.
+    """The weather as far as it is seen; the default is a clear day."""
 
-    Attributes:
-        sun_azimuth: The direction of the sun as a yaw angle of CARLA (clockwise from the x axis), in degrees.
-        sun_altitude: The height of the sun over the horizon, in degrees; below 0, it is night.
-        cloudiness: The share of the sky that clouds cover, 0 to 1.
-        fog: The density of the fog, 0 to 1.
-        fog_distance: The distance at which fog begins, in m.
-        wetness: How wet surfaces are, 0 to 1.
-        dust: The density of dust, 0 to 1.
-    """
-
+    # the direction of the sun as a yaw angle of CARLA (clockwise from the x axis), in degrees
     sun_azimuth: float = _PLEASANT_AZIMUTH
-    sun_altitude: float = 45.0
-    cloudiness: float = 0.1
-    fog: float = 0.02
-    fog_distance: float = 0.75
-    wetness: float = 0.0
-    dust: float = 0.0
+    sun_altitude: float = 45.0  # the height of the sun over the horizon, in degrees; below 0, it is night
+    cloudiness: float = 0.1  # the share of the sky that clouds cover, 0 to 1
+    fog: float = 0.02  # the density of the fog, 0 to 1
+    fog_distance: float = 0.75  # the distance at which fog begins, in m
+    wetness: float = 0.0  # how wet surfaces are, 0 to 1
+    dust: float = 0.0  # the density of dust, 0 to 1
 
     @classmethod
     def of_weather(cls, weather: Any) -> Self:

@@ -169,14 +169,7 @@ def _pyramid(sums: Floats, weights: Floats) -> Floats:
 
 
 def add_edges(builder: MeshBuilder, sections: Sequence[SampledSection], terrain: Terrain, surfaces: TriangleGrid) -> None:
-    """Add what is at the outer edges of roads: slopes down to the ground, or the sides and undersides of bridges.
-
-    Args:
-        builder: Collects the triangles.
-        sections: The sections.
-        terrain: The ground.
-        surfaces: All surfaces of roads.
-    """
+    """Add what is at the outer edges of roads: slopes down to the ground, or the sides and undersides of bridges."""
     for section in sections:
         drawn = [lane for lane, material in enumerate(section.materials) if material is not None]
         if not drawn:

@@ -103,10 +103,6 @@ def load_town_mesh(path: Path | str) -> TownMesh:
 def town_mesh_of(opendrive: str, name: str = "") -> TownMesh:
     """Return the town of the text of an OpenDRIVE file.
 
-    Args:
-        opendrive: The text.
-        name: The name of the map.
-
     Raises:
         FormatError: It is no OpenDRIVE map with lanes.
     """

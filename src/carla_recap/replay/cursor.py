@@ -34,10 +34,6 @@ _MAX_FRAMES: Final = 1024
 class Cursor:
     """Reads forward, one frame ahead, and seeks by the recording's index.
 
-    Args:
-        reader: The recording.
-        new_state: Makes the state before the first frame.
-
     Attributes:
         frame: The last frame at or before the time, or within `SAME_TIME` of it; before the first frame, the first.
         next: The frame after it; None after the last one.

@@ -40,18 +40,10 @@ class Parented(Event):
 
 @dataclass(frozen=True, slots=True)
 class Collided(Event):
-    """Two actors touched; recorded in each frame of the contact.
+    """Two actors touched; recorded in each frame of the contact."""
 
-    Attributes:
-        number: CARLA's number of the collision.
-        actor1: The actor that has the sensor.
-        actor2: What it touched; 4294967295 for a static object.
-        hero1: Whether the first one is the hero.
-        hero2: Whether the second one is.
-    """
-
-    number: int
-    actor1: int
-    actor2: int
-    hero1: bool
-    hero2: bool
+    number: int  # CARLA's number of the collision
+    actor1: int  # the actor that has the sensor
+    actor2: int  # what it touched; 4294967295 for a static object
+    hero1: bool  # whether the first one is the hero
+    hero2: bool  # whether the second one is

@@ -84,11 +84,6 @@ def _ids_of(records: NDArray[np.void]) -> Ids:
 class ReplayState:
     """The state after the frames that were applied; what it returns never changes afterwards.
 
-    Args:
-        table: The record types of the recording.
-        ignore_hero: Leave the hero out.
-        ignore_spectator: Leave the spectator out.
-
     Attributes:
         weather: The latest weather; None before the first.
         scene_lights: The latest state of each lamp of the scene, ascending by id.

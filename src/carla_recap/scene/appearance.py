@@ -21,21 +21,13 @@ Triple = tuple[float, float, float]
 
 
 class Look(NamedTuple):
-    """The look of an actor.
+    """The look of an actor."""
 
-    Attributes:
-        model: The index of its model.
-        color: The paint.
-        half_extents: Half the size of its box in m.
-        center: The middle of its box in its own right-handed axes, in m.
-        tag: Its semantic tag.
-    """
-
-    model: int
-    color: Color
-    half_extents: Triple
-    center: Triple
-    tag: Tag
+    model: int  # the index of its model
+    color: Color  # the paint
+    half_extents: Triple  # half the size of its box in m
+    center: Triple  # the middle of its box in its own right-handed axes, in m
+    tag: Tag  # its semantic tag
 
 
 _VEHICLES: Final = (
@@ -233,15 +225,7 @@ def _is_sound(box: BoundingBox) -> bool:
 
 
 def _look(name: str, color: Color, tag: Tag, type_id: str, box: BoundingBox | None) -> Look:
-    """Return a look of the size of a box, else of a blueprint, else of a model.
-
-    Args:
-        name: The model.
-        color: The paint.
-        tag: The semantic tag.
-        type_id: The blueprint.
-        box: The box: as recorded, else that of the blueprint.
-    """
+    """Return a look of the size of a box, else of a blueprint, else of a model."""
     own = own_model(type_id)
     index = _index(name) if own is None else own
     if box is None:

@@ -108,10 +108,6 @@ class EventText:
 def shown_options(source: Reader, options: IncidentOptions | None = None) -> IncidentOptions:
     """Return which incidents are shown: those that are asked for, or else all kinds.
 
-    Args:
-        source: The recording.
-        options: Those that are asked for.
-
     Raises:
         RecapError: There is no such kind, or all kinds that are asked for need roads, and the map is unknown or damaged.
 

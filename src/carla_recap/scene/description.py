@@ -71,17 +71,12 @@ class LookColumns:
 
 @dataclass(frozen=True, eq=False)
 class _Places:
-    """Where the poses of actors are to be found.
+    """Where the poses of actors are to be found."""
 
-    Attributes:
-        rows: The positions of the actors among the recorded poses; -1 without one, (actors,).
-        standing: The poses of those without recorded ones, in m and degrees, right-handed; NaN of all others, (actors, 6).
-        attached: The positions and ids of those that move with a parent.
-    """
-
-    rows: Indices
+    rows: Indices  # the positions of the actors among the recorded poses; -1 without one, (actors,)
+    # the poses of those without recorded ones, in m and degrees, right-handed; NaN of all others, (actors, 6)
     standing: Floats
-    attached: list[tuple[int, int]]
+    attached: list[tuple[int, int]]  # the positions and ids of those that move with a parent
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,29 +84,19 @@ class SceneDescription:
     """What is to be seen in the scenes of a batch; the actors are those with a look: no sensors, no spectator.
 
     An actor of which the recording has poses, but no spawn, is among them: its look is `UNKNOWN`.
-
-    Attributes:
-        batch: The scenes.
-        lives: The present actors, by their ids, those without a spawn included.
-        actors: The looks of those that have one; the same object as before if they are the same.
-        vehicles: The ids of the vehicles, ascending.
-        flags: Their lit lamps as bits of CARLA's VehicleLightState, (scenes, vehicles).
-        falls: The walkers that fall and get up in these scenes.
-        fallen: How the walkers lie that have fallen before these scenes, by their ids.
-        marks: The rows at which marks of collisions appear or disappear, and where all marks are from then on, (marks, 3)
-            in m, right-handed.
-        marked: Where the marks are before these scenes.
     """
 
-    batch: SceneBatch
-    lives: Mapping[int, ActorLife]
-    actors: LookColumns
-    vehicles: Ids
-    flags: Integers
-    falls: list[FallChange]
-    fallen: Mapping[int, Fall]
+    batch: SceneBatch  # the scenes
+    lives: Mapping[int, ActorLife]  # the present actors, by their ids, those without a spawn included
+    actors: LookColumns  # the looks of those that have one; the same object as before if they are the same
+    vehicles: Ids  # the ids of the vehicles, ascending
+    flags: Integers  # their lit lamps as bits of CARLA's VehicleLightState, (scenes, vehicles)
+    falls: list[FallChange]  # the walkers that fall and get up in these scenes
+    fallen: Mapping[int, Fall]  # how the walkers lie that have fallen before these scenes, by their ids
+    # the rows at which marks of collisions appear or disappear, and where all marks are from then on, (marks, 3) in m,
+    # right-handed
     marks: list[tuple[int, Floats]]
-    marked: Floats
+    marked: Floats  # where the marks are before these scenes
     _places: _Places
 
     def __len__(self) -> int:
@@ -226,15 +211,10 @@ def _are_near(poses: Floats) -> Booleans:
 
 
 class Uncut(NamedTuple):
-    """What a clip is a part of.
-
-    Attributes:
-        recording: The recording.
-        begin: Its elapsed seconds at the first frame of the clip, whose own begin at 0.
-    """
+    """What a clip is a part of."""
 
     recording: Recording
-    begin: float
+    begin: float  # its elapsed seconds at the first frame of the clip, whose own begin at 0
 
 
 class SceneDescriber:

@@ -41,15 +41,10 @@ _MOST_HITS: Final = 50  # of a walker that are looked at
 
 
 class Fall(NamedTuple):
-    """How a walker leans or lies whose recorded pose is upright, in the walker's own right-handed axes.
+    """How a walker leans or lies whose recorded pose is upright, in the walker's own right-handed axes."""
 
-    Attributes:
-        rotation: The rotation of the body: a matrix, row by row.
-        offset: The middle of the body, in m.
-    """
-
-    rotation: tuple[float, ...]
-    offset: tuple[float, float, float]
+    rotation: tuple[float, ...]  # the rotation of the body: a matrix, row by row
+    offset: tuple[float, float, float]  # the middle of the body, in m
 
     @property
     def matrix(self) -> Floats:
@@ -58,19 +53,12 @@ class Fall(NamedTuple):
 
 
 class _Hit(NamedTuple):
-    """What knocks a walker down.
+    """What knocks a walker down."""
 
-    Attributes:
-        time: When, in elapsed seconds.
-        look: The look of the walker.
-        upright: The rotation of its pose then, (3, 3).
-        turn: The rotation from there to how it lies, in the walker's own axes: the axis times the angle in rad.
-    """
-
-    time: float
-    look: Look
-    upright: Floats
-    turn: Floats
+    time: float  # when, in elapsed seconds
+    look: Look  # the look of the walker
+    upright: Floats  # the rotation of its pose then, (3, 3)
+    turn: Floats  # the rotation from there to how it lies, in the walker's own axes: the axis times the angle in rad
 
 
 class _Tip(NamedTuple):
@@ -82,17 +70,11 @@ class _Tip(NamedTuple):
 
 
 class FallChange(NamedTuple):
-    """A walker that falls, in several steps, or gets up.
+    """A walker that falls, in several steps, or gets up."""
 
-    Attributes:
-        row: The position of the scene in its batch.
-        id: The walker.
-        fall: How it leans or lies from then on; None if it stands.
-    """
-
-    row: int
-    id: int
-    fall: Fall | None
+    row: int  # the position of the scene in its batch
+    id: int  # the walker
+    fall: Fall | None  # how it leans or lies from then on; None if it stands
 
 
 class FallenWalkers:
@@ -146,13 +128,7 @@ class FallenWalkers:
         return found
 
     def recall(self, reader: Reader, batch: SceneBatch, contacts: RecordedContacts) -> None:
-        """Learn which walkers lie that were knocked down before the next batch.
-
-        Args:
-            reader: The recording.
-            batch: The next batch.
-            contacts: The contacts of the recording.
-        """
+        """Learn which walkers lie that were knocked down before the next batch."""
         for id, times in _unrisen(reader, _walkers_hit(contacts, batch), float(batch.time[0])).items():
             for hit in times[:_MOST_HITS]:
                 seen, start = FallenWalkers(), max(hit - _LEAD, 0.0)
@@ -240,11 +216,7 @@ class FallenWalkers:
 
 
 class RecordedContacts:
-    """The contacts of a recording, each part of which is read once, for many moments in order.
-
-    Args:
-        reader: The recording.
-    """
+    """The contacts of a recording, each part of which is read once, for many moments in order."""
 
     def __init__(self, reader: Reader) -> None:
         self._reader = reader

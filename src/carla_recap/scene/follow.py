@@ -45,27 +45,16 @@ _BEFORE: Final = 1.0  # s before a part of a recording from which its numbers fo
 
 @dataclass(frozen=True, eq=False)
 class FollowedRecords:
-    """What is recorded of the followed actor in some scenes; NaN where something is unknown.
+    """What is recorded of the followed actor in some scenes; NaN where something is unknown."""
 
-    Attributes:
-        time: The moments, in elapsed seconds, (scenes,).
-        poses: Its poses, in cm and degrees, left-handed, (scenes, 6).
-        speed: Its speed in m/s, (scenes,); see `SceneMotion`.
-        recorded_speed: The recorded speed in m/s, by which a jump is told from a fast drive, (scenes,).
-        controls: The recorded `CONTROLS`: pedals from 0 to 1, steering from -1 (left) to 1, (scenes, 3).
-        light: The id of the traffic light ahead, or `NO_LIGHT`, (scenes,).
-        light_state: Its state, in CARLA's numbers, (scenes,).
-        light_distance: The distance from the front of the actor to its stop line, or else to the light itself, in m,
-            (scenes,).
-    """
-
-    time: Floats
-    poses: Floats
-    speed: Floats
-    recorded_speed: Floats
-    controls: Floats
-    light: Indices
-    light_state: Indices
+    time: Floats  # the moments, in elapsed seconds, (scenes,)
+    poses: Floats  # its poses, in cm and degrees, left-handed, (scenes, 6)
+    speed: Floats  # its speed in m/s, (scenes,); see `SceneMotion`
+    recorded_speed: Floats  # the recorded speed in m/s, by which a jump is told from a fast drive, (scenes,)
+    controls: Floats  # the recorded `CONTROLS`: pedals from 0 to 1, steering from -1 (left) to 1, (scenes, 3)
+    light: Indices  # the id of the traffic light ahead, or `NO_LIGHT`, (scenes,)
+    light_state: Indices  # its state, in CARLA's numbers, (scenes,)
+    # the distance from the front of the actor to its stop line, or else to the light itself, in m, (scenes,)
     light_distance: Floats
 
     def __len__(self) -> int:
@@ -88,19 +77,13 @@ class FollowedRecords:
 
 @dataclass(frozen=True, eq=False)
 class FollowedSeries(FollowedRecords):
-    """What is shown of the followed actor in some scenes; NaN where something is unknown.
+    """What is shown of the followed actor in some scenes; NaN where something is unknown."""
 
-    Attributes:
-        jumped: Whether it has a pose, but cannot have come there from that of the scene before, (scenes,).
-        camera: Level axes at the actor that turn calmly, as poses; the latest ones while it is absent, (scenes, 6).
-        acceleration: The mean acceleration over the last 0.3 s, in m/s², (scenes,).
-        pedals: Throttle and brake as they are shown: a brake is held at a standstill, where controllers let it chatter,
-            (scenes, 2).
-    """
-
-    jumped: Booleans
-    camera: Floats
-    acceleration: Floats
+    jumped: Booleans  # whether it has a pose, but cannot have come there from that of the scene before, (scenes,)
+    camera: Floats  # level axes at the actor that turn calmly, as poses; the latest ones while it is absent, (scenes, 6)
+    acceleration: Floats  # the mean acceleration over the last 0.3 s, in m/s², (scenes,)
+    # throttle and brake as they are shown: a brake is held at a standstill, where controllers let it chatter, (scenes,
+    # 2)
     pedals: Floats
 
     def row_at(self, time: float) -> int:

@@ -35,25 +35,16 @@ _BEHIND: Final = (32, 40, 50)  # the colour behind what is transparent
 
 
 class Part(NamedTuple):
-    """Triangles of one material.
+    """Triangles of one material."""
 
-    Attributes:
-        material: The name of the material.
-        color: Red, green, blue, from 0 to 255; None if the file says none.
-        positions: The vertices, (vertices, 3).
-        normals: The directions away from the surface, of length 1, (vertices, 3).
-        triangles: The indices of the corners, (triangles, 3).
-        pivot: The origin of the node with the steered wheel that they belong to, (3,); None: they are not steered.
-        textured: Whether they have a texture, which is ignored.
-    """
-
-    material: str
-    color: tuple[int, int, int] | None
-    positions: Floats
-    normals: Floats
-    triangles: NDArray[np.uint32]
+    material: str  # the name of the material
+    color: tuple[int, int, int] | None  # red, green, blue, from 0 to 255; None if the file says none
+    positions: Floats  # the vertices, (vertices, 3)
+    normals: Floats  # the directions away from the surface, of length 1, (vertices, 3)
+    triangles: NDArray[np.uint32]  # the indices of the corners, (triangles, 3)
+    # the origin of the node with the steered wheel that they belong to, (3,); None: they are not steered
     pivot: Floats | None
-    textured: bool
+    textured: bool  # whether they have a texture, which is ignored
 
 
 class InvalidGltf(Exception):
@@ -62,9 +53,6 @@ class InvalidGltf(Exception):
 
 def read_glb(data: bytes) -> list[Part]:
     """Return the triangles of a scene, in glTF's axes: x left, y up, z forward.
-
-    Args:
-        data: The content of a .glb file.
 
     Raises:
         InvalidGltf: The content is not valid, or has what is not supported.

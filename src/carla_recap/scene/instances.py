@@ -18,30 +18,18 @@ class Instances:
 
     A model is a mesh that fills the box from -1 to 1 along each axis; an instance of it is scaled by half the size of the
     actor's box, turned, and moved to the centre of the box.
-
-    Attributes:
-        ids: The ids of the actors, ascending, (n,) of uint32.
-        models: The model of each: an index of `carla_recap.scene.models.MODELS`, (n,) of uint16.
-        locations: The centres of the boxes in m, right-handed, (n, 3) of float64.
-        rotations: Matrices whose columns point forward, left and up, (n, 3, 3) of float32.
-        half_extents: Half the sizes of the boxes in m, (n, 3) of float32.
-        colors: The paint: red, green, blue, (n, 3) of uint8.
-        lamps: The lit lamps: a bit `1 << material` for each lamp `Material` that is lit, (n,) of uint64.
-        steering: The angles of the front wheels in radians, positive to the left, (n,) of float32.
-        opacity: 1, or less for what is behind to be seen, (n,) of float32.
-        tags: The semantic tags, (n,) of uint8.
     """
 
-    ids: Ids
-    models: NDArray[np.uint16]
-    locations: NDArray[np.float64]
-    rotations: NDArray[np.float32]
-    half_extents: NDArray[np.float32]
-    colors: NDArray[np.uint8]
-    lamps: NDArray[np.uint64]
-    steering: NDArray[np.float32]
-    opacity: NDArray[np.float32]
-    tags: NDArray[np.uint8]
+    ids: Ids  # the ids of the actors, ascending, (n,) of uint32
+    models: NDArray[np.uint16]  # the model of each: an index of `carla_recap.scene.models.MODELS`, (n,) of uint16
+    locations: NDArray[np.float64]  # the centres of the boxes in m, right-handed, (n, 3) of float64
+    rotations: NDArray[np.float32]  # matrices whose columns point forward, left and up, (n, 3, 3) of float32
+    half_extents: NDArray[np.float32]  # half the sizes of the boxes in m, (n, 3) of float32
+    colors: NDArray[np.uint8]  # the paint: red, green, blue, (n, 3) of uint8
+    lamps: NDArray[np.uint64]  # the lit lamps: a bit `1 << material` for each lamp `Material` that is lit, (n,) of uint64
+    steering: NDArray[np.float32]  # the angles of the front wheels in radians, positive to the left, (n,) of float32
+    opacity: NDArray[np.float32]  # 1, or less for what is behind to be seen, (n,) of float32
+    tags: NDArray[np.uint8]  # the semantic tags, (n,) of uint8
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -129,19 +129,12 @@ class Material(IntEnum):
 
 
 class Finish(NamedTuple):
-    """How a material looks.
+    """How a material looks."""
 
-    Attributes:
-        color: The colour in white light; of a lamp, that of the unlit lamp. Paint has the actor's colour instead.
-        tag: The semantic tag; None: that of the actor.
-        glow: The colour of a lamp that is lit; None: it is no lamp.
-        gloss: The share of light that is reflected like by a mirror, 0 to 1.
-    """
-
-    color: Color
-    tag: Tag | None = None
-    glow: Color | None = None
-    gloss: float = 0.0
+    color: Color  # the colour in white light; of a lamp, that of the unlit lamp. Paint has the actor's colour instead
+    tag: Tag | None = None  # the semantic tag; None: that of the actor
+    glow: Color | None = None  # the colour of a lamp that is lit; None: it is no lamp
+    gloss: float = 0.0  # the share of light that is reflected like by a mirror, 0 to 1
 
 
 _M: Final = Material

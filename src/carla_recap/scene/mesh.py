@@ -23,19 +23,13 @@ class Mesh:
 
     Corners where the material or the direction of the surface changes are separate vertices, so that a surface is shaded by
     its normals alone. Seen from outside, the corners of a triangle run counterclockwise.
-
-    Attributes:
-        vertices: The points, in m, (vertices, 3).
-        normals: The directions away from the surface, of length 1, (vertices, 3).
-        materials: The `Material` of each vertex, (vertices,); all corners of a triangle have the same.
-        triangles: The indices of the corners, (triangles, 3).
-        colors: Red, green and blue of each vertex, (vertices, 3); None: those of the materials.
     """
 
-    vertices: Floats
-    normals: Floats
-    materials: NDArray[np.uint8]
-    triangles: NDArray[np.uint32]
+    vertices: Floats  # the points, in m, (vertices, 3)
+    normals: Floats  # the directions away from the surface, of length 1, (vertices, 3)
+    materials: NDArray[np.uint8]  # the `Material` of each vertex, (vertices,); all corners of a triangle have the same
+    triangles: NDArray[np.uint32]  # the indices of the corners, (triangles, 3)
+    # red, green and blue of each vertex, (vertices, 3); None: those of the materials
     colors: NDArray[np.uint8] | None = None
 
     @classmethod
@@ -70,11 +64,7 @@ class Mesh:
         )
 
     def painted(self, paint: Color = MATERIALS[Material.PAINT].color) -> NDArray[np.uint8]:
-        """Return the colour of each vertex, all lamps off, (vertices, 3).
-
-        Args:
-            paint: The colour of the actor.
-        """
+        """Return the colour of each vertex, all lamps off, (vertices, 3)."""
         colors = palette()[self.materials] if self.colors is None else self.colors.copy()
         colors[self.materials == Material.PAINT] = paint
         return colors

@@ -33,32 +33,22 @@ _BLUEPRINTS: Final = ("vehicle.", "walker.", "static.")
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A mesh that stands for actors of a class.
+    """A mesh that stands for actors of a class."""
 
-    Attributes:
-        name: A short name, such as `sedan`.
-        mesh: The mesh, which fills the box from -1 to 1 along each axis: x forward, y left, z up. Its normals are those of
-            the scaled-down mesh: divided by the half extents of a box and normalised, they are those in the box.
-        steered: Whether each vertex belongs to a steered wheel, (vertices,).
-        pivots: The x and y of the axis about which each vertex is steered, 0 of one that is not, (vertices, 2).
-        size: The size in m, along each axis, of which its proportions are right.
-        center: The middle of the box of that size, from the origin of the actor that it stands for, in m.
-    """
-
-    name: str
+    name: str  # a short name, such as `sedan`
+    # the mesh, which fills the box from -1 to 1 along each axis: x forward, y left, z up. Its normals are those of the
+    # scaled-down mesh: divided by the half extents of a box and normalised, they are those in the box
     mesh: Mesh
-    steered: NDArray[np.bool_]
+    steered: NDArray[np.bool_]  # whether each vertex belongs to a steered wheel, (vertices,)
+    # the x and y of the axis about which each vertex is steered, 0 of one that is not, (vertices, 2)
     pivots: NDArray[np.float32]
-    size: tuple[float, float, float]
+    size: tuple[float, float, float]  # the size in m, along each axis, of which its proportions are right
+    # the middle of the box of that size, from the origin of the actor that it stands for, in m
     center: tuple[float, float, float]
 
 
 class Models(Sequence[Model]):
-    """Models, each of which is read when it is first asked for.
-
-    Args:
-        files: Their files.
-    """
+    """Models, each of which is read when it is first asked for."""
 
     def __init__(self, files: Sequence[Path] = ()) -> None:
         self._models: list[Path | Model] = list(files)

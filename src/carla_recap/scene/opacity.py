@@ -36,17 +36,11 @@ _CORNERS: Final = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in
 
 
 class SeenBoxes(NamedTuple):
-    """The boxes of actors.
+    """The boxes of actors."""
 
-    Attributes:
-        locations: Their centres in m, right-handed, (n, 3).
-        rotations: Matrices whose columns point forward, left and up, (n, 3, 3).
-        half_extents: Half their sizes in m, (n, 3).
-    """
-
-    locations: Floats
-    rotations: Floats
-    half_extents: Floats
+    locations: Floats  # their centres in m, right-handed, (n, 3)
+    rotations: Floats  # matrices whose columns point forward, left and up, (n, 3, 3)
+    half_extents: Floats  # half their sizes in m, (n, 3)
 
 
 def is_flat(half_extents: Floats) -> Booleans:
@@ -127,9 +121,6 @@ class SteppedOpacity:
     """The opacities of actors for viewers that do not fade: looked at every 0.4 s, and held for a second.
 
     The camera is behind the followed actor, in its calm axes.
-
-    Args:
-        id: The followed actor.
     """
 
     def __init__(self, id: int) -> None:

@@ -99,12 +99,7 @@ def name_of(id: int, actors: Mapping[int, ActorLife]) -> str:
 
 
 def sentence(event: Event, actors: Mapping[int, ActorLife]) -> str:
-    """Return a sentence about an event.
-
-    Args:
-        event: The event.
-        actors: The actors that are or were present.
-    """
+    """Return a sentence about an event."""
     if isinstance(event, Spawned):
         return f"{event.actor.name} appears"
     if isinstance(event, Destroyed):

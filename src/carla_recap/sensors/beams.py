@@ -103,11 +103,7 @@ class LidarBeams(_Rays):
 
 
 class LidarReturns:
-    """What comes back of the rays of a lidar: it has an intensity, and some is dropped at random.
-
-    Args:
-        numbers: The attributes of the lidar.
-    """
+    """What comes back of the rays of a lidar: it has an intensity, and some is dropped at random."""
 
     def __init__(self, numbers: Numbers) -> None:
         self._random = generator(numbers("noise_seed"))

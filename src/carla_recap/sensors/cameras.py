@@ -42,15 +42,10 @@ def camera_of(spec: SensorSpec, pose: Floats) -> Camera:
 
 
 class PlacedSensor(NamedTuple):
-    """A sensor that is due.
+    """A sensor that is due."""
 
-    Attributes:
-        spec: The sensor.
-        pose: Its pose in m and degrees, right-handed, (6,).
-    """
-
-    spec: SensorSpec
-    pose: Floats
+    spec: SensorSpec  # the sensor
+    pose: Floats  # its pose in m and degrees, right-handed, (6,)
 
 
 class _Pass:
@@ -79,11 +74,7 @@ class _Pass:
 
 
 class RigCameras:
-    """The cameras of a rig.
-
-    Args:
-        renderer: What draws their images.
-    """
+    """The cameras of a rig."""
 
     def __init__(self, renderer: RenderProcess) -> None:
         self._renderer = renderer

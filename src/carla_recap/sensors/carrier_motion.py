@@ -19,17 +19,11 @@ if TYPE_CHECKING:
 
 
 class Motion(NamedTuple):
-    """How an actor moves at a moment, in the axes of the world.
+    """How an actor moves at a moment, in the axes of the world."""
 
-    Attributes:
-        velocity: The velocity in m/s, (3,).
-        acceleration: The acceleration in m/s², (3,).
-        rotation: The angular velocity in degrees/s, (3,).
-    """
-
-    velocity: Floats
-    acceleration: Floats
-    rotation: Floats
+    velocity: Floats  # the velocity in m/s, (3,)
+    acceleration: Floats  # the acceleration in m/s², (3,)
+    rotation: Floats  # the angular velocity in degrees/s, (3,)
 
 
 _REST = Motion(np.zeros(3), np.zeros(3), np.zeros(3))

@@ -152,10 +152,6 @@ class VideoStream:
 def load_pillow(feature: str = "an image of a camera", extra: str = _EXTRA) -> Any:
     """Return Pillow's module `Image`.
 
-    Args:
-        feature: What needs it, in the error.
-        extra: The extra that installs it.
-
     Raises:
         MissingExtra: It is not installed.
     """

@@ -38,23 +38,14 @@ _GREATEST_SEED: Final = 2**31 - 1
 
 @dataclass(frozen=True, slots=True)
 class SensorAttribute:
-    """An attribute of a sensor.
+    """An attribute of a sensor."""
 
-    Attributes:
-        text: The default, as CARLA writes it.
-        type: The type of the values.
-        least: The least value of a number.
-        greatest: The greatest value of a number.
-        unit: The unit of a number; empty if it has none.
-        choices: The texts that can be chosen, the default first; none if any can.
-    """
-
-    text: str
-    type: type[bool] | type[int] | type[float] | type[str] = float
-    least: float = -_LARGEST
-    greatest: float = _LARGEST
-    unit: str = ""
-    choices: tuple[str, ...] = ()
+    text: str  # the default, as CARLA writes it
+    type: type[bool] | type[int] | type[float] | type[str] = float  # the type of the values
+    least: float = -_LARGEST  # the least value of a number
+    greatest: float = _LARGEST  # the greatest value of a number
+    unit: str = ""  # the unit of a number; empty if it has none
+    choices: tuple[str, ...] = ()  # the texts that can be chosen, the default first; none if any can
 
     @property
     def values(self) -> str:
@@ -86,25 +77,16 @@ Attributes = dict[str, SensorAttribute]
 
 @dataclass(frozen=True, slots=True)
 class SensorType:
-    """A type of sensor that a rig can have.
+    """A type of sensor that a rig can have."""
 
-    Attributes:
-        name: CARLA's name, such as `sensor.camera.rgb`.
-        kind: The kind of sensor.
-        data: What its data are, in words.
-        attributes: The attributes by their names.
-        image: The kind of image of a camera; None for others.
-        is_actor: Whether CARLA has a blueprint of it; the others are read by the Leaderboard itself.
-        leaderboard: The values other than the default that the Leaderboard gives to attributes, whatever a rig says; None if
-            it has no such sensors.
-    """
-
-    name: str
-    kind: Kind
-    data: str
-    attributes: Mapping[str, SensorAttribute] = field(hash=False)
-    image: ImageKind | None = None
-    is_actor: bool = True
+    name: str  # CARLA's name, such as `sensor.camera.rgb`
+    kind: Kind  # the kind of sensor
+    data: str  # what its data are, in words
+    attributes: Mapping[str, SensorAttribute] = field(hash=False)  # the attributes by their names
+    image: ImageKind | None = None  # the kind of image of a camera; None for others
+    is_actor: bool = True  # whether CARLA has a blueprint of it; the others are read by the Leaderboard itself
+    # the values other than the default that the Leaderboard gives to attributes, whatever a rig says; None if it has
+    # no such sensors
     leaderboard: Mapping[str, Value] | None = field(default=None, hash=False)
 
 

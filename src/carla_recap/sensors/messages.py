@@ -70,17 +70,11 @@ _NUMERIC: Final = {"f4": PackedElementField.FLOAT32, "u4": PackedElementField.UI
 
 
 class SensorMessage(NamedTuple):
-    """A message of a sensor.
+    """A message of a sensor."""
 
-    Attributes:
-        topic: The name of the topic.
-        elapsed: Its time in elapsed seconds.
-        data: The message, serialized.
-    """
-
-    topic: str
-    elapsed: float
-    data: bytes
+    topic: str  # the name of the topic
+    elapsed: float  # its time in elapsed seconds
+    data: bytes  # the message, serialized
 
 
 class SensorMessages:

@@ -69,12 +69,7 @@ geo_reference = lru_cache(maxsize=4)(GeoReference.of)
 
 
 class Gnss:
-    """Positions on the earth with the bias and the noise that a sensor's attributes ask for.
-
-    Args:
-        numbers: The attributes of the sensor.
-        reference: The geo-reference of the map.
-    """
+    """Positions on the earth with the bias and the noise that a sensor's attributes ask for."""
 
     def __init__(self, numbers: Numbers, reference: GeoReference) -> None:
         self._reference = reference
@@ -87,11 +82,7 @@ class Gnss:
 
 
 class Imu:
-    """The motion of a sensor, with the bias and the noise that its attributes ask for.
-
-    Args:
-        numbers: The attributes of the sensor.
-    """
+    """The motion of a sensor, with the bias and the noise that its attributes ask for."""
 
     def __init__(self, numbers: Numbers) -> None:
         self._acceleration_noise = Noise(numbers, (), _axes("noise_accel_stddev"))

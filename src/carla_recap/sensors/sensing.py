@@ -245,23 +245,15 @@ class _Town:
 
 
 class _Moment(NamedTuple):
-    """What a moment is sensed with.
-
-    Attributes:
-        scene: The scene.
-        velocities: The velocities of its `ids` in m/s, right-handed, (ids, 3), or 0; None if no sensor needs them.
-        step: The seconds since the one before; at first, those that are usual.
-        instances: What is drawn of the actors.
-        motion: The motion of the carrier; None if no sensor needs it.
-        carrier: The carrier and what is attached to it, which rays do not meet.
-    """
+    """What a moment is sensed with."""
 
     scene: Scene
+    # the velocities of its `ids` in m/s, right-handed, (ids, 3), or 0; None if no sensor needs them
     velocities: Floats | None
-    step: float
-    instances: Instances
-    motion: Motion | None
-    carrier: frozenset[int]
+    step: float  # the seconds since the one before; at first, those that are usual
+    instances: Instances  # what is drawn of the actors
+    motion: Motion | None  # the motion of the carrier; None if no sensor needs it
+    carrier: frozenset[int]  # the carrier and what is attached to it, which rays do not meet
 
 
 _Instrument = Callable[[_Moment, "Floats"], "NDArray[Any]"]
@@ -270,17 +262,11 @@ _Instrument = Callable[[_Moment, "Floats"], "NDArray[Any]"]
 
 @dataclass(eq=False)
 class _Clock:
-    """When a sensor is due.
+    """When a sensor is due."""
 
-    Attributes:
-        interval: The seconds between two samples; 0: each moment counts.
-        first: The elapsed seconds of the first sample; None before that.
-        ticks: How many intervals have passed until the latest sample.
-    """
-
-    interval: float
-    first: float | None = None
-    ticks: int = 0
+    interval: float  # the seconds between two samples; 0: each moment counts
+    first: float | None = None  # the elapsed seconds of the first sample; None before that
+    ticks: int = 0  # how many intervals have passed until the latest sample
 
     def is_due(self, time: float) -> bool:
         """Return whether the sensor measures at a time, the next one in elapsed seconds."""
@@ -494,11 +480,7 @@ def _boxes_around(description: SceneDescription, carrier: int) -> Callable[[Sens
 
 
 class _RaySensor(ABC):
-    """A lidar or radar. Its moments come in order of time.
-
-    Args:
-        spec: The sensor.
-    """
+    """A lidar or radar. Its moments come in order of time."""
 
     beams: LidarBeams | RadarBeams
 
@@ -523,12 +505,7 @@ class _RaySensor(ABC):
 
 
 class _RayCaster:
-    """Casts the rays of the lidars and radars of a rig, in several threads.
-
-    Args:
-        scene: What they meet.
-        sensors: The sensors by their ids.
-    """
+    """Casts the rays of the lidars and radars of a rig, in several threads."""
 
     def __init__(self, scene: RayScene, sensors: Mapping[str, _RaySensor]) -> None:
         self._scene = scene

@@ -29,15 +29,11 @@ _DRAWN: Final = "--rig RIG.json (in Python, rig=...) draws what cameras would ha
 
 
 class CameraMoment(NamedTuple):
-    """A scene, and what cameras show then.
-
-    Attributes:
-        scene: The scene.
-        images: The images by the ids of the cameras: red, green, blue, (height, width, 3) of uint8; without those of which
-            there is none yet.
-    """
+    """A scene, and what cameras show then."""
 
     scene: Scene
+    # the images by the ids of the cameras: red, green, blue, (height, width, 3) of uint8; without those of which there
+    # is none yet
     images: dict[str, NDArray[np.uint8]]
 
 

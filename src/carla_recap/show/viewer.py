@@ -99,10 +99,6 @@ class RerunViewer:
     def wait_for(self, what: str, condition: Callable[[], T | None]) -> T:
         """Wait until a condition returns a value that is true, and return the value.
 
-        Args:
-            what: The condition in words, for errors.
-            condition: Is called repeatedly while the viewer runs.
-
         Raises:
             RecapError: The viewer ended, or the condition is not met within `TIMEOUT`.
         """

@@ -61,29 +61,18 @@ _CHANGING: Final = _POSE + timestamp(FrameTransform.TIMESTAMP_FIELD_NUMBER)
 
 @dataclass(eq=False, slots=True)
 class _ShownActor:
-    """An actor with a body.
-
-    Attributes:
-        actor: The actor.
-        look: Its look.
-        detailed: Whether its model is shown, not only its box.
-        topic: The topic of its body.
-        first: The first pose in m and degrees, right-handed; NaN before.
-        moved: Whether the actor has moved since.
-        fall: How it lies; None while it stands.
-        body: The serialized entity of its body.
-        transform: The serialized transform of its frame, with the frame at the origin.
-    """
+    """An actor with a body."""
 
     actor: ActorLife
     look: Look
-    detailed: bool
-    topic: str = ""
+    detailed: bool  # whether its model is shown, not only its box
+    topic: str = ""  # the topic of its body
+    # the first pose in m and degrees, right-handed; NaN before
     first: Floats = field(default_factory=lambda: np.full(6, np.nan))
-    moved: bool = False
-    fall: Fall | None = None
-    body: bytes = b""
-    transform: bytes = b""
+    moved: bool = False  # whether the actor has moved since
+    fall: Fall | None = None  # how it lies; None while it stands
+    body: bytes = b""  # the serialized entity of its body
+    transform: bytes = b""  # the serialized transform of its frame, with the frame at the origin
 
     _lit: dict[int, bytes] = field(default_factory=dict)
 

@@ -88,13 +88,7 @@ class ViewFrames:
 
 
 def motion_messages(batch: SceneBatch, id: int, series: FollowedSeries) -> Iterator[TopicMessages]:
-    """Yield the motion of the followed actor in the scenes of a batch in which its pose is known.
-
-    Args:
-        batch: The scenes.
-        id: The followed actor.
-        series: The actor in these.
-    """
+    """Yield the motion of the followed actor in the scenes of a batch in which its pose is known."""
     actor = batch.actors.get(id)
     type_id = None if actor is None else actor.type_id
     values = {"elapsed": series.time, "id": np.full(len(batch), id)}

@@ -66,12 +66,7 @@ def map_message(town: TownMesh | None, stamp: Stamps) -> bytes:
 
 
 def mark_messages(description: SceneDescription, stamps: Stamps) -> Iterator[TopicMessages]:
-    """Yield the messages of the marks: each has all of them, whenever one appears or disappears.
-
-    Args:
-        description: The scenes.
-        stamps: The timestamp of each.
-    """
+    """Yield the messages of the marks: each has all of them, whenever one appears or disappears."""
     changes = description.marks
     if description.batch.fresh and not (changes and changes[0][0] == 0):
         changes = [(0, description.marked), *changes]

@@ -67,10 +67,6 @@ def has_panels(topics: Iterable[Topic]) -> bool:
 def write_layouts(destination: Path | str, topics: Iterable[Topic]) -> dict[str, Path]:
     """Write the layouts of a recording with sensors beside it, those of an export with panels and points of sensors.
 
-    Args:
-        destination: The recording.
-        topics: The topics of the sensors.
-
     Returns:
         The layouts, by the viewers that import them.
 

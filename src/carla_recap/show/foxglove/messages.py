@@ -74,15 +74,10 @@ _TIMESTAMP: Final = 2 * (1 + _INTEGER)
 
 @dataclass(frozen=True)
 class MessagePart:
-    """A part of a serialized message.
+    """A part of a serialized message."""
 
-    Attributes:
-        data: The bytes, zeros in place of the numbers.
-        numbers: The name, the format and the offset of each number.
-    """
-
-    data: bytes = b""
-    numbers: tuple[tuple[str, DTypeLike, int], ...] = ()
+    data: bytes = b""  # the bytes, zeros in place of the numbers
+    numbers: tuple[tuple[str, DTypeLike, int], ...] = ()  # the name, the format and the offset of each number
 
     def __add__(self, other: MessagePart) -> MessagePart:
         """Return this part followed by another one."""
@@ -101,35 +96,22 @@ class MessagePart:
 
 
 class TopicMessages(NamedTuple):
-    """Messages of a topic.
-
-    Attributes:
-        topic: The topic.
-        rows: The position of the moment of each message in a batch of moments, ascending.
-        data: The messages as bytes, (messages, size), each behind `MESSAGE.size` bytes for the header of its record.
-        change: What the only one of them adds to the message before it; None: all of it.
-    """
+    """Messages of a topic."""
 
     topic: str
-    rows: Indices
+    rows: Indices  # the position of the moment of each message in a batch of moments, ascending
+    # the messages as bytes, (messages, size), each behind `MESSAGE.size` bytes for the header of its record
     data: NDArray[np.uint8]
-    change: bytes | None = None
+    change: bytes | None = None  # what the only one of them adds to the message before it; None: all of it
 
 
 class ShownScenes(NamedTuple):
-    """The scenes of a batch that are shown.
+    """The scenes of a batch that are shown."""
 
-    Attributes:
-        description: All scenes of the batch.
-        rows: The positions of those that are shown, at least one.
-        stamps: The timestamp of each of these.
-        series: The followed actor in these.
-    """
-
-    description: SceneDescription
-    rows: Indices
-    stamps: Stamps
-    series: FollowedSeries
+    description: SceneDescription  # all scenes of the batch
+    rows: Indices  # the positions of those that are shown, at least one
+    stamps: Stamps  # the timestamp of each of these
+    series: FollowedSeries  # the followed actor in these
 
 
 def single(topic: str, row: int, message: Message | bytes) -> TopicMessages:

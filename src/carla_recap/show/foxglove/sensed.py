@@ -187,10 +187,6 @@ class _SensedWriter:
     def write(self, scenes: RecordingMessages, moments: Iterable[SensedFrame]) -> None:
         """Write everything.
 
-        Args:
-            scenes: Makes the messages of the scene.
-            moments: The moments with the samples.
-
         Raises:
             RecapError: The disk is full, or broken.
         """

@@ -93,19 +93,12 @@ def box(center: Floats, size: Floats, rgb: Rgb) -> bytes:
 
 
 class Surfaces(NamedTuple):
-    """The triangles of a mesh that have one material and colour.
-
-    Attributes:
-        material: The material.
-        color: Red, green and blue.
-        vertices: The positions of their points among the vertices of the mesh; points that are the same only once.
-        corners: The indices of the corners among these points, (m, 3).
-    """
+    """The triangles of a mesh that have one material and colour."""
 
     material: Material
-    color: Rgb
-    vertices: Integers
-    corners: Integers
+    color: Rgb  # red, green and blue
+    vertices: Integers  # the positions of their points among the vertices of the mesh; points that are the same only once
+    corners: Integers  # the indices of the corners among these points, (m, 3)
 
 
 def surfaces(found: Mesh) -> list[Surfaces]:

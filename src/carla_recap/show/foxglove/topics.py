@@ -104,17 +104,11 @@ class Sent(NamedTuple):
 
 
 class TimedMessages(NamedTuple):
-    """Messages of several topics.
+    """Messages of several topics."""
 
-    Attributes:
-        messages: The messages; the rows of each topic are positions in `times`.
-        times: The moments of scenes, in ns since 1970.
-        elapsed: The same in elapsed seconds.
-    """
-
-    messages: list[TopicMessages]
-    times: Times
-    elapsed: Floats
+    messages: list[TopicMessages]  # the messages; the rows of each topic are positions in `times`
+    times: Times  # the moments of scenes, in ns since 1970
+    elapsed: Floats  # the same in elapsed seconds
 
     def in_order(self) -> Iterator[Sent]:
         """Yield the messages in the order of time."""

@@ -50,30 +50,19 @@ _MANY: Final = 5  # points from which an outline is simplified
 
 
 class Outlines(NamedTuple):
-    """The outlines of a surface within a part of a map.
+    """The outlines of a surface within a part of a map."""
 
-    Attributes:
-        layer: The key in `LAYERS`.
-        rings: Closed lines, (points, 2), in m, without the repeated first point; holes run the other way around.
-    """
-
-    layer: str
-    rings: list[Floats]
+    layer: str  # the key in `LAYERS`
+    rings: list[Floats]  # closed lines, (points, 2), in m, without the repeated first point; holes run the other way around
 
 
 @dataclass(frozen=True)
 class BaseMap:
-    """What to draw below the actors: x, y in m, right-handed.
+    """What to draw below the actors: x, y in m, right-handed."""
 
-    Attributes:
-        surfaces: The surfaces of a map, the lowest first.
-        paths: The paths of vehicles, below the surfaces.
-        width: The width of the paths, in m.
-    """
-
-    surfaces: list[Outlines] = field(default_factory=list)
-    paths: list[Floats] = field(default_factory=list)
-    width: float = PATH_WIDTH
+    surfaces: list[Outlines] = field(default_factory=list)  # the surfaces of a map, the lowest first
+    paths: list[Floats] = field(default_factory=list)  # the paths of vehicles, below the surfaces
+    width: float = PATH_WIDTH  # the width of the paths, in m
 
 
 def base_map(town: TownMesh | None, replays: Sequence[SampledReplay]) -> BaseMap:

@@ -30,19 +30,12 @@ _SHORTEST: Final = 1.0  # s that an image is shown, at most, where none follows
 
 
 class PageImages(NamedTuple):
-    """The images of a camera.
+    """The images of a camera."""
 
-    Attributes:
-        camera: The id of the camera.
-        size: The width and the height of the first image in pixels.
-        times: The times of the images in elapsed seconds, ascending.
-        images: The images as WebP.
-    """
-
-    camera: str
-    size: tuple[int, int]
-    times: list[float]
-    images: list[bytes]
+    camera: str  # the id of the camera
+    size: tuple[int, int]  # the width and the height of the first image in pixels
+    times: list[float]  # the times of the images in elapsed seconds, ascending
+    images: list[bytes]  # the images as WebP
 
     @property
     def longest(self) -> float:

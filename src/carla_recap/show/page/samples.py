@@ -64,17 +64,11 @@ RATES: Final = (20.0, 10.0)  # samples per second of a whole recording
 
 @dataclass(slots=True)
 class SampledActor:
-    """An actor from its spawn to its end; an id that is used again begins another one.
+    """An actor from its spawn to its end; an id that is used again begins another one."""
 
-    Attributes:
-        actor: Its spawn and properties.
-        look: Its look.
-        until: Elapsed seconds at which it disappeared; None: not within the samples.
-    """
-
-    actor: ActorLife
+    actor: ActorLife  # its spawn and properties
     look: Look
-    until: float | None = None
+    until: float | None = None  # elapsed seconds at which it disappeared; None: not within the samples
 
     @property
     def id(self) -> int:
@@ -84,19 +78,13 @@ class SampledActor:
 
 @dataclass(slots=True)
 class Track:
-    """A part of an actor's path without a gap or a jump.
+    """A part of an actor's path without a gap or a jump."""
 
-    Attributes:
-        actor: The index of the actor in `SampledReplay.actors`.
-        first: The index of its first sample.
-        last: The index of its last sample.
-        rows: x, y in m, yaw in degrees, right-handed, and the speed in m/s or NaN for each sample; a single row if the actor
-            stands still.
-    """
-
-    actor: int
-    first: int
-    last: int
+    actor: int  # the index of the actor in `SampledReplay.actors`
+    first: int  # the index of its first sample
+    last: int  # the index of its last sample
+    # x, y in m, yaw in degrees, right-handed, and the speed in m/s or NaN for each sample; a single row if the actor
+    # stands still
     rows: Floats
 
     @property
@@ -107,46 +95,34 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredActor:
-    """What is plotted of an actor at each sample, beside its speed; NaN where it is unknown.
+    """What is plotted of an actor at each sample, beside its speed; NaN where it is unknown."""
 
-    Attributes:
-        id: The actor id.
-        leader: The id of the actor ahead, or `NO_OTHER`.
-        values: By name: "acceleration" in m/s², "throttle", "brake" and "steer" as they are shown, the state of the "light"
-            ahead in CARLA's numbers and the "distance" to it in m, see `FollowedSeries`; the distance headway as "gap" in m,
-            and the time to collision as "ttc" in s, see `carla_recap.queries.measures`.
-    """
-
-    id: int
-    leader: NDArray[np.int64]
+    id: int  # the actor id
+    leader: NDArray[np.int64]  # the id of the actor ahead, or `NO_OTHER`
+    # by name: "acceleration" in m/s², "throttle", "brake" and "steer" as they are shown, the state of the "light"
+    # ahead in CARLA's numbers and the "distance" to it in m, see `FollowedSeries`; the distance headway as "gap" in m,
+    # and the time to collision as "ttc" in s, see `carla_recap.queries.measures`
     values: dict[str, Floats]
 
 
 @dataclass
 class SampledReplay:
-    """The sampled paths of all actors.
+    """The sampled paths of all actors."""
 
-    Attributes:
-        times: The times of the samples, in elapsed seconds, ascending.
-        spans: The intervals that the samples cover: first and last time, in seconds.
-        actors: The actors.
-        tracks: Their paths, those of an actor in order of time; the last sample of one may be the first of the next.
-        lights: Each change of a traffic light: its index in `actors`, elapsed seconds, the state.
-        lying: Each change of a walker that lies: its index in `actors`, elapsed seconds, the heading of its head in degrees,
-            right-handed; -1 from when on it does not lie.
-        lamps: Each change of a vehicle's lit lamps: its index in `actors`, elapsed seconds, the bits of CARLA's
-            VehicleLightState.
-        marks: The elapsed seconds at which marks of collisions appear or disappear, and where all are from then on,
-            (marks, 2) in m, right-handed.
-    """
-
-    times: Floats
-    spans: list[tuple[float, float]]
+    times: Floats  # the times of the samples, in elapsed seconds, ascending
+    spans: list[tuple[float, float]]  # the intervals that the samples cover: first and last time, in seconds
     actors: list[SampledActor]
+    # their paths, those of an actor in order of time; the last sample of one may be the first of the next
     tracks: list[Track]
-    lights: list[Change]
+    lights: list[Change]  # each change of a traffic light: its index in `actors`, elapsed seconds, the state
+    # each change of a walker that lies: its index in `actors`, elapsed seconds, the heading of its head in degrees,
+    # right-handed; -1 from when on it does not lie
     lying: list[Change]
+    # each change of a vehicle's lit lamps: its index in `actors`, elapsed seconds, the bits of CARLA's
+    # VehicleLightState
     lamps: list[Change]
+    # the elapsed seconds at which marks of collisions appear or disappear, and where all are from then on, (marks, 2)
+    # in m, right-handed
     marks: list[tuple[float, Floats]]
 
     def covers(self, time: float) -> bool:
@@ -223,11 +199,7 @@ class _Changes:
 
 
 class Sampler:
-    """Takes samples of scenes in order of time.
-
-    Args:
-        rate: The most samples per second.
-    """
+    """Takes samples of scenes in order of time."""
 
     def __init__(self, rate: float) -> None:
         self._times: list[float] = []
@@ -258,12 +230,7 @@ class Sampler:
         return self._rows * ROW_BYTES + len(self._sampled) * ACTOR_BYTES
 
     def begin(self, player: Player, contacts: RecordedContacts) -> None:
-        """Begin an interval that does not continue the one before.
-
-        Args:
-            player: Plays it, and has not begun.
-            contacts: The contacts of the recording.
-        """
+        """Begin an interval that does not continue the one before."""
         self._flush(ended=True)
         self._due = -math.inf
         self._describer.recall(player, contacts)

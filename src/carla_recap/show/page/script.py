@@ -317,12 +317,7 @@ def single_page(folder: Path, data: Mapping[str, str]) -> str:
 
 
 def data_address(content: bytes, kind: str) -> str:
-    """Return the address that contains a file.
-
-    Args:
-        content: The content of the file.
-        kind: Its media type.
-    """
+    """Return the address that contains a file."""
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 

@@ -171,12 +171,7 @@ def sizes_of(player: Player) -> dict[int, Triple | None]:
 
 
 def overviews(locations: NDArray[np.float64], hidden: Sequence[str] = ()) -> dict[View, rrb.Spatial3DView]:
-    """Return the views of cameras that stand still and see some locations: (n, 3) in m, right-handed.
-
-    Args:
-        locations: The locations.
-        hidden: The paths of what is not shown.
-    """
+    """Return the views of cameras that stand still and see some locations: (n, 3) in m, right-handed."""
     centre, radius = _extent(locations)
     x, y, z = centre
     return {

@@ -279,11 +279,7 @@ def _factor_columns(colors: Sequence[Color]) -> Iterable[rr.ComponentColumn]:
 
 
 class LampWriter:
-    """Writes the lamps of actors whenever they change: an entity for each kind of lamp that is ever lit.
-
-    Args:
-        stream: The stream.
-    """
+    """Writes the lamps of actors whenever they change: an entity for each kind of lamp that is ever lit."""
 
     def __init__(self, stream: Stream) -> None:
         self._stream = stream

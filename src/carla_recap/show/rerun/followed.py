@@ -74,12 +74,7 @@ def chase_eye(half_extents: Triple | None) -> Triple:
 
 
 class CameraAxes:
-    """Writes level axes that follow an actor and turn calmly; a camera is fixed in them.
-
-    Args:
-        stream: The stream.
-        path: The path of the entity.
-    """
+    """Writes level axes that follow an actor and turn calmly; a camera is fixed in them."""
 
     def __init__(self, stream: Stream, path: str) -> None:
         self._stream = stream
@@ -231,13 +226,7 @@ def _name_plots(stream: Stream) -> None:
 
 
 def write_measures(stream: Stream, clock: TimeColumns, series: MeasureSeries) -> None:
-    """Write the plots of how close others are to the followed actor, at the scenes in which it is measured.
-
-    Args:
-        stream: The stream.
-        clock: The times of all scenes.
-        series: The measures.
-    """
+    """Write the plots of how close others are to the followed actor, at the scenes in which it is measured."""
     seconds = np.maximum.accumulate(clock.seconds)
     rows = np.searchsorted(seconds, series.time - SAME_TIME)
     known = np.flatnonzero(rows < len(seconds))

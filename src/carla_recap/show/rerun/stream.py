@@ -205,20 +205,13 @@ class PoseBlock:
     """The poses of consecutive frames: the first axis of arrays is the frames, the second one the actors.
 
     Row 0 is the last frame of the block before; in the first block, no actor is present in it.
-
-    Attributes:
-        times: The times of the frames.
-        ids: The actors, ascending.
-        poses: x, y, z in m and roll, pitch, yaw in degrees, right-handed.
-        present: Whether an actor is somewhere to be seen.
-        written: Whether a pose has to be written: it differs from the one before, or the next one differs from it.
     """
 
-    times: TimeColumns
-    ids: Ids
-    poses: Floats
-    present: Booleans
-    written: Booleans
+    times: TimeColumns  # the times of the frames
+    ids: Ids  # the actors, ascending
+    poses: Floats  # x, y, z in m and roll, pitch, yaw in degrees, right-handed
+    present: Booleans  # whether an actor is somewhere to be seen
+    written: Booleans  # whether a pose has to be written: it differs from the one before, or the next one differs from it
 
     @cached_property
     def joined(self) -> Booleans:

@@ -187,11 +187,7 @@ def _plane() -> rr.Mesh3D:
 
 
 class CorridorWriter:
-    """Gathers what vehicles drive along, and writes it at the end.
-
-    Args:
-        stream: The stream.
-    """
+    """Gathers what vehicles drive along, and writes it at the end."""
 
     def __init__(self, stream: Stream) -> None:
         self._stream = stream
@@ -199,12 +195,7 @@ class CorridorWriter:
         self._known = np.zeros(0, np.int64)
 
     def add(self, block: PoseBlock, vehicles: NDArray[np.bool_]) -> None:
-        """Add a block of poses.
-
-        Args:
-            block: The block.
-            vehicles: Which of its actors are vehicles.
-        """
+        """Add a block of poses."""
         if not vehicles.any() or len(self._known) >= _MOST:
             return
         seconds = block.times.seconds

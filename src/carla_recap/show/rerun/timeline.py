@@ -59,11 +59,7 @@ _LABEL: Final = (245, 246, 248)
 
 
 class EventWriter:
-    """Writes the log and the collisions.
-
-    Args:
-        stream: The stream.
-    """
+    """Writes the log and the collisions."""
 
     def __init__(self, stream: Stream) -> None:
         self._stream = stream
@@ -150,11 +146,7 @@ def _closed(corners: Floats) -> Floats:
 
 
 class TrafficLightWriter:
-    """Writes the states of traffic lights whenever they change, each as a lane; their lamps are those of actors.
-
-    Args:
-        stream: The stream.
-    """
+    """Writes the states of traffic lights whenever they change, each as a lane; their lamps are those of actors."""
 
     def __init__(self, stream: Stream) -> None:
         self._stream = stream
@@ -194,11 +186,7 @@ class TrafficLightWriter:
 
 
 class LightAheadWriter:
-    """Writes the light ahead of the followed actor: a ring around it with its name, and a lane of states.
-
-    Args:
-        stream: The stream.
-    """
+    """Writes the light ahead of the followed actor: a ring around it with its name, and a lane of states."""
 
     def __init__(self, stream: Stream) -> None:
         self._stream = stream

@@ -44,38 +44,20 @@ _FADE: Final = 0.25  # s; the time constant of a change of opacity
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """The followed actor at a moment, in m, right-handed.
+    """The followed actor at a moment, in m, right-handed."""
 
-    Attributes:
-        ground: The point below its centre, at the bottom of its box.
-        rotation: A matrix whose columns point forward, left and up.
-        half: Half the size of its box.
-        body: The same as `rotation`, but of the body as it is drawn: that of a walker that has fallen lies.
-        heading: The yaw of a calm camera, in degrees.
-        speed: Its speed in m/s; None if unknown.
-        two_wheeled: Whether its rider is not inside of it.
-        is_walker: Whether it is a walker.
-    """
-
-    ground: Floats
-    rotation: Floats
-    half: Floats
-    body: Floats
-    heading: float
-    speed: float | None
-    two_wheeled: bool = False
-    is_walker: bool = False
+    ground: Floats  # the point below its centre, at the bottom of its box
+    rotation: Floats  # a matrix whose columns point forward, left and up
+    half: Floats  # half the size of its box
+    body: Floats  # the same as `rotation`, but of the body as it is drawn: that of a walker that has fallen lies
+    heading: float  # the yaw of a calm camera, in degrees
+    speed: float | None  # its speed in m/s; None if unknown
+    two_wheeled: bool = False  # whether its rider is not inside of it
+    is_walker: bool = False  # whether it is a walker
 
 
 def subject_of(id: int, scene: Scene, instances: Instances, series: FollowedSeries) -> Subject | None:
-    """Return the followed actor in a scene; None if it has no finite pose then.
-
-    Args:
-        id: The actor.
-        scene: The scene.
-        instances: All actors in it.
-        series: The followed actor over time.
-    """
+    """Return the followed actor in a scene; None if it has no finite pose then."""
     pose, actor = scene.pose_of(id), scene.actors.get(id)
     if pose is None or actor is None:
         return None

@@ -67,28 +67,18 @@ class Caption(NamedTuple):
 
 @dataclass(frozen=True)
 class Readings:
-    """What a picture shows in numbers.
+    """What a picture shows in numbers."""
 
-    Attributes:
-        time: The elapsed seconds.
-        progress: The part of the video that has passed, from 0 to 1; None: it is a single picture.
-        name: The name of the followed actor.
-        speed: Its speed in m/s, if known.
-        controls: Throttle and brake from 0 to 1, steering from -1 (left) to 1, if recorded.
-        light: The traffic light ahead of it, if any.
-        captions: The incidents, the most important first.
-        pixels_per_metre: The scale of a picture from above; None for other views.
-        kept_free: The pixels that the followed actor covers: left, top, right, bottom; None if it is not seen.
-    """
-
-    time: float
-    progress: float | None = None
-    name: str = ""
-    speed: float | None = None
+    time: float  # the elapsed seconds
+    progress: float | None = None  # the part of the video that has passed, from 0 to 1; None: it is a single picture
+    name: str = ""  # the name of the followed actor
+    speed: float | None = None  # its speed in m/s, if known
+    # throttle and brake from 0 to 1, steering from -1 (left) to 1, if recorded
     controls: tuple[float, float, float] | None = None
-    light: LightAhead | None = None
-    captions: tuple[Caption, ...] = ()
-    pixels_per_metre: float | None = None
+    light: LightAhead | None = None  # the traffic light ahead of it, if any
+    captions: tuple[Caption, ...] = ()  # the incidents, the most important first
+    pixels_per_metre: float | None = None  # the scale of a picture from above; None for other views
+    # the pixels that the followed actor covers: left, top, right, bottom; None if it is not seen
     kept_free: Rectangle | None = None
 
 
