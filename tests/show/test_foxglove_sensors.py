@@ -28,6 +28,16 @@ def test_data_of_sensors_are_kept(sensed_recording, tmp_path):
     assert {topic for topic, *_ in found} >= {*topics, "/scene/vehicles"}
 
 
+def test_a_part_begins_with_the_latest_message_of_each_topic(sensed_recording, tmp_path):
+    with open_recording(sensed_recording) as recording:
+        earlier = [data for _, data in recording.reader.messages("/sensors/front/image", 0, 11.52)][-1]
+        export(recording, tmp_path / "out.mcap", to="foxglove", start=11.52, duration=0.1)
+    with (tmp_path / "out.mcap").open("rb") as file:
+        found = {channel.topic: message for _, channel, message in make_reader(file).iter_messages(reverse=True)}
+    first = found["/sensors/front/image"]
+    assert (first.data, first.log_time) == (earlier, found["/scene/vehicles"].log_time)
+
+
 def test_layouts_beside_the_export_show_the_sensors(sensed_recording, tmp_path):
     with open_recording(sensed_recording) as recording:
         done = export(recording, tmp_path / "out.foxglove.mcap", start=11.5, duration=0.2)

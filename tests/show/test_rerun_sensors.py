@@ -58,6 +58,15 @@ def test_each_image_is_shown_when_it_was_taken_with_its_frame(rrd, sensed_record
     assert (picture.format, picture.size) == ("JPEG", (160, 120))
 
 
+def test_a_part_begins_with_what_was_measured_last(sensed_recording, tmp_path):
+    with open_recording(sensed_recording) as recording:
+        export_rerun(recording, tmp_path / "part.rrd", start=11.52, duration=0.1)
+    earlier = [data for elapsed, data in stored(sensed_recording, "/sensors/front/image") if elapsed < 11.52][-1]
+    images, times, _ = rows(tmp_path / "part.rrd", entities.sensor("front", "image"), "EncodedImage:blob")
+    assert times[0] == 11_520_000_000
+    assert bytes(images[0][0]) in earlier
+
+
 def test_sensors_move_with_the_actor(rrd):
     places, times, _ = rows(rrd, entities.sensor("lidar"), "Transform3D:translation")
     cars, car_times, _ = rows(rrd, entities.actor(41), "Transform3D:translation")

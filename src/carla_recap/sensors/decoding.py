@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from io import BytesIO
+from itertools import chain
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -129,8 +130,13 @@ class SensorDecoder:
         self.topics = list(self._decoders)
 
     def messages(self, start: float, stop: float) -> Iterator[TopicMessage]:
-        """Yield the messages of all topics that are decoded, in order of time, in elapsed seconds."""
-        return self._reader.further_messages(self.topics, start, stop)
+        """Yield the messages of all topics that are decoded, in order of time, in elapsed seconds.
+
+        The first ones are the latest of before the start, as of then, but for packets of videos, which need those before.
+        """
+        earlier = (each for each in self._reader.latest_messages(self.topics, start) if kind_of(each.topic) != "video")
+        shown = (each._replace(elapsed=start) for each in earlier if each.elapsed < start)
+        return chain(shown, self._reader.further_messages(self.topics, start, stop))
 
     def decoded(self, message: TopicMessage) -> Decoded:
         """Return what a message says.

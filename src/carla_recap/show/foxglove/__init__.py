@@ -18,6 +18,7 @@ right-handed: x forward, y left, z up.
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from carla_recap.editing.convert import check_destination
@@ -82,7 +83,9 @@ def export_foxglove(
     messages = RecordingMessages(source, player, road_map, incidents)
     further, clock = passed_topics(reader), LogClock(reader.header)
     names = [topic.name for topic in further]
-    passed = reader.further_messages(names, player.start, player.stop + 2 * SAME_TIME) if names else iter(())
+    start, stop = player.start, player.stop + 2 * SAME_TIME
+    earlier = [each for each in reader.latest_messages(names, start) if each.elapsed < start] if names else []
+    passed = chain((each._replace(elapsed=start) for each in earlier), reader.further_messages(names, start, stop))
     with FoxgloveFile(destination, _description(reader, player), further, force=force) as file:
         for part in messages.scenes(progress):
             file.write(part)

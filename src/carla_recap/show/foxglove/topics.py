@@ -150,7 +150,7 @@ class SceneMessages:
         self._frames = followed.ViewFrames()
         self._lights = followed.LightMessages()
         self._text = EventText()
-        self._due = 0.0  # the elapsed time of the next scene to show
+        self._due = -math.inf  # the elapsed time of the next scene to show
         self._start = 0.0  # the elapsed time of the first scene
         self._last: tuple[SceneDescription, Times, FollowedSeries] | None = None
         self._shown = False  # whether the last scene is shown
