@@ -310,6 +310,23 @@ def test_a_time_that_mcap_does_not_have_is_before_or_behind_all_messages(tmp_pat
         assert [message.data for message in reader.further_messages(["/a"], stop=elapsed)][-1:] == expected
 
 
+def test_the_first_and_the_last_time_are_those_of_all_chunks_that_overlap(tmp_path):
+    with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
+        writer.add_topic(plain("/a"), group="both")
+        writer.add_topic(plain("/b"), group="both")
+        for topic, time, size in [
+            ("/b", 2.0, 1),
+            ("/a", 1.0, 1),
+            ("/a", 3.0, FURTHER_CHUNK_SIZE),
+            ("/b", 1.5, 1),
+            ("/b", 2.5, 1),
+        ]:
+            writer.write_message(topic, time, noise(size, 0))
+    with open_recording(tmp_path / "run.mcap") as recording:
+        topics = recording.reader.further_topics().values()
+        assert [(topic.first, topic.last) for topic in topics] == [(1.0, 3.0), (1.5, 2.5)]
+
+
 def test_the_latest_messages_are_found_where_others_came_late(tmp_path):
     with McapWriter(tmp_path / "run.mcap", HEADER) as writer:
         writer.add_topic(plain("/a"))

@@ -10,7 +10,7 @@ import struct
 import warnings
 from collections import Counter, defaultdict
 from contextlib import suppress
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
@@ -22,7 +22,7 @@ from carla_recap.errors import FormatError, RecapError, RecapWarning
 from carla_recap.formats.base import FurtherTopic, Topic, TopicMessage
 from carla_recap.formats.mcap import index
 from carla_recap.formats.mcap.frames import MESSAGES_LIMIT, PENDING_LIMIT
-from carla_recap.formats.mcap.schema import MESSAGE, MESSAGE_FIELDS, MESSAGE_INDEX, RECORD, LogClock
+from carla_recap.formats.mcap.schema import MAX_TIME, MESSAGE, MESSAGE_FIELDS, MESSAGE_INDEX, RECORD, LogClock
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.util.text import first_of
 
@@ -275,27 +275,24 @@ class FurtherTopics:
 
     def _spans(self) -> dict[int, tuple[int, int]]:
         """Return the first and the last log time of each channel, in ns, as the index has them."""
-        first: dict[int, ChunkIndex] = {}
-        last: dict[int, ChunkIndex] = {}
-        ids = self._ids()
+        ids, times_in = self._ids(), cache(self._times_in)
+        first: dict[int, int] = {}
+        last: dict[int, int] = {}
         for chunk in self._summary.chunks:
             for id in chunk.channels & ids:
-                first.setdefault(id, chunk)
-                if id not in last or chunk.end >= last[id].end:
-                    last[id] = chunk
-        times: dict[int, dict[int, tuple[int, int]]] = {}  # of the channels of chunks, by the offsets of these
-        for chunk in {*first.values(), *last.values()}:
-            times[chunk.offset] = {} if len(chunk.channels) == 1 else self._times_in(chunk)
-        spans = {}
-        for id, chunk in first.items():
-            end = last[id]
-            start_time = times[chunk.offset].get(id, (chunk.start, chunk.end))[0]
-            spans[id] = start_time, times[end.offset].get(id, (end.start, end.end))[1]
-        return spans
+                if id not in first or chunk.start < first[id]:
+                    first[id] = min(first.get(id, MAX_TIME), times_in(chunk).get(id, (chunk.start, 0))[0])
+        for chunk in sorted(self._summary.chunks, key=lambda chunk: chunk.end, reverse=True):
+            for id in chunk.channels & ids:
+                if id not in last or chunk.end > last[id]:
+                    last[id] = max(last.get(id, 0), times_in(chunk).get(id, (0, chunk.end))[1])
+        return {id: (time, last[id]) for id, time in first.items()}
 
     def _times_in(self, chunk: ChunkIndex) -> dict[int, tuple[int, int]]:
         """Return the first and last log time of the channels of a chunk, as the message indexes behind it have them."""
         found: dict[int, tuple[int, int]] = {}
+        if len(chunk.channels) == 1:
+            return found
         at = chunk.offset + chunk.length
         try:
             for _ in chunk.channels:
