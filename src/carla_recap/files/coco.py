@@ -93,11 +93,7 @@ class CocoWriter(DatasetWriter):
 def encoded(mask: NDArray[np.bool_], corner: tuple[int, int], height: int, width: int) -> str:
     """Return a mask as COCO encodes it: the lengths of runs of pixels, column by column, as text.
 
-    Args:
-        mask: A part of the mask; all other pixels of the image are 0.
-        corner: The column and the row of the first pixel of the part.
-        height: The height of the image.
-        width: The width of the image.
+    Given is a part of the mask from a column and a row on; all other pixels of the image are 0.
     """
     left, top = corner
     edges = np.diff(np.pad(mask.T.astype(np.int8), ((0, 0), (1, 1))), axis=1)

@@ -57,17 +57,11 @@ _LIDAR: Final = "lidar"
 
 @dataclass(frozen=True)
 class DatasetPart:
-    """What was written of a recording.
+    """What was written of a recording."""
 
-    Attributes:
-        name: The name of the recording in the dataset.
-        folder: The folder.
-        split: The split that the recording is in.
-    """
-
-    name: str
+    name: str  # of the recording in the dataset
     folder: Path
-    split: str = TRAIN
+    split: str = TRAIN  # that the recording is in
 
     def rows(self, table: str) -> Iterator[dict[str, Any]]:
         """Yield the rows of a table, as `PartTables` has written them."""
@@ -77,12 +71,7 @@ class DatasetPart:
 
 
 class PartTables:
-    """The tables of a part, as a file with a JSON object in each line; a context manager.
-
-    Args:
-        folder: The folder of the part.
-        names: The names of the tables.
-    """
+    """The tables of a part by name, as a file with a JSON object in each line; a context manager."""
 
     def __init__(self, folder: Path, names: Iterable[str]) -> None:
         self._files = {name: (folder / f"{name}.jsonl").open("w", encoding="utf-8") for name in names}
@@ -100,30 +89,17 @@ class PartTables:
 
 
 class LabelledFrame:
-    """A moment of a recording with labels.
+    """A moment of a recording with labels, of what the sensors measure."""
 
-    Args:
-        sensed: What the sensors measure.
-        index: The number of labelled moments before it.
-
-    Attributes:
-        index: See above.
-        time: The moment, in elapsed seconds.
-        samples: The samples by the ids of the sensors.
-        carrier: The id of the actor that carries the rig.
-        carrier_pose: Its pose in m and degrees, right-handed, (6,).
-        has_labels: Whether an image of those that were asked about so far has labels.
-    """
-
-    has_labels = False
+    has_labels = False  # whether an image of those that were asked about so far has labels
 
     def __init__(self, sensed: SensedFrame, index: int) -> None:
         assert sensed.carrier is not None
-        self.index = index
-        self.time = sensed.time
-        self.samples = sensed.samples
-        self.carrier = sensed.carrier
-        self.carrier_pose = sensed.carrier_pose
+        self.index = index  # the number of labelled moments before it
+        self.time = sensed.time  # in elapsed seconds
+        self.samples = sensed.samples  # by the ids of the sensors
+        self.carrier = sensed.carrier  # the id of the actor that carries the rig
+        self.carrier_pose = sensed.carrier_pose  # in m and degrees, right-handed, (6,)
         self._sensed = sensed
 
     @cached_property
@@ -145,40 +121,22 @@ class LabelledFrame:
 
 @dataclass(frozen=True)
 class PartToWrite:
-    """A part of a dataset that is being written.
-
-    Attributes:
-        recording: The recording.
-        sensors: The sensors that measure.
-        name: The name of the recording in the dataset.
-        folder: The folder of the part.
-        tables: Its tables.
-    """
+    """A part of a dataset that is being written."""
 
     recording: Recording
-    sensors: Sequence[SensorSpec]
-    name: str
+    sensors: Sequence[SensorSpec]  # that measure
+    name: str  # of the recording in the dataset
     folder: Path
     tables: PartTables
 
 
 class DatasetWriter(ABC):
-    """Writes the part of a dataset that is of a recording, and puts parts together; a class for each format.
+    """Writes the part of a dataset that is of a recording, and puts parts together; a class for each format."""
 
-    Args:
-        part: The part, whose folder is empty.
-
-    Attributes:
-        rate: The usual moments per second.
-        kinds: The kinds of sensors that the format has besides RGB cameras.
-        has_one: Whether it has one camera and one sensor of each other kind; else all that the rig has.
-        tables_of_part: The names of the tables of a part.
-    """
-
-    rate: ClassVar[float] = 10.0
-    kinds: ClassVar[tuple[str, ...]] = ()
-    has_one: ClassVar[bool] = False
-    tables_of_part: ClassVar[tuple[str, ...]]
+    rate: ClassVar[float] = 10.0  # the usual moments per second
+    kinds: ClassVar[tuple[str, ...]] = ()  # of sensors that the format has besides RGB cameras
+    has_one: ClassVar[bool] = False  # whether it has one camera and one sensor of each kind; else all that the rig has
+    tables_of_part: ClassVar[tuple[str, ...]]  # the names of the tables of a part
 
     def __init__(self, part: PartToWrite) -> None:
         self._recording, self._sensors, self._name = part.recording, part.sensors, part.name
@@ -191,15 +149,7 @@ class DatasetWriter(ABC):
 
     @classmethod
     def sensors_of(cls, rig: SensorRig, camera: str | None = None) -> list[SensorSpec]:
-        """Return the sensors of a rig that the format has.
-
-        Args:
-            rig: The rig.
-            camera: The id of a camera, for formats that have one; None: the first one.
-
-        Raises:
-            RecapError: See `SensorRig.rgb_cameras`.
-        """
+        """Return the sensors of a rig that the format has; the camera of formats that have one, None: the first one."""
         cameras = rig.rgb_cameras(None if camera is None else [camera])
         groups = [cameras, *([spec for spec in rig if spec.kind == kind] for kind in cls.kinds)]
         return [spec for group in groups for spec in (group[:1] if cls.has_one else group)]
@@ -215,12 +165,7 @@ class DatasetWriter(ABC):
     @staticmethod
     @abstractmethod
     def combine(parts: Sequence[DatasetPart], folder: Path) -> None:
-        """Put parts together.
-
-        Args:
-            parts: The parts, whose files are moved.
-            folder: The folder of the dataset.
-        """
+        """Put parts together, whose files are moved, in the folder of the dataset."""
 
 
 def write_part(
@@ -236,25 +181,9 @@ def write_part(
 ) -> Played:
     """Write the part of a dataset that is of a recording: what a rig would have seen, with labels.
 
-    Args:
-        dataset: The class of the format.
-        recording: The recording.
-        folder: The folder of the part, which is there and empty.
-        name: The name of the recording in the dataset.
-        rig: The rig, or its file.
-        camera: See `DatasetWriter.sensors_of`.
-        progress: Is given the stream of scenes and their player, and passes the scenes on.
-        options: The fields of `SensingOptions`; the rate is that of the format unless it is given.
-
-    Returns:
-        The number of moments, and the seconds that they span.
-
-    Raises:
-        RecapError: There is no rig, or it has no such camera; see `sense` for others.
-        MissingExtra: An optional dependency is not installed.
-
-    Warns:
-        RecapWarning: No image has labels.
+    The folder of the part is there and empty, and the recording has a name in the dataset. The rate is that of the format
+    unless the options give one. Return the number of moments, and the seconds that they span. A `RecapWarning` says that no
+    image has labels, a `RecapError` that there is no rig, or no such camera; see `sense` for others.
     """
     if rig is None:
         raise RecapError("a dataset needs a rig: --rig RIG.json (in Python, rig=...)")
@@ -280,16 +209,8 @@ def labelled_frames(
 ) -> Iterator[LabelledFrame]:
     """Yield the moments of a recording with labels, at each of which all sensors measure, whatever their `sensor_tick`.
 
-    A lidar turns once between two moments, with as many points as in a turn of its own.
-
-    Args:
-        recording: The recording; it must stay open.
-        sensors: The sensors.
-        options: Of which part, on which actor; they have a rate.
-        progress: See `sense`.
-
-    Raises:
-        RecapError: See `sense`; or the actor is never there.
+    A lidar turns once between two moments, with as many points as in a turn of its own. The options have a rate. A
+    `RecapError` says that the actor is never there; see `sense` for others.
     """
     assert options.rate is not None
     rig = SensorRig(tuple(each for spec in sensors for each in _at_rate(spec, options.rate)))
@@ -342,11 +263,7 @@ def world_points(sample: Sample) -> Floats:
 
 @contextmanager
 def dataset_folder(folder: Path | str, *, force: bool) -> Iterator[tuple[Path, Path]]:
-    """Yield a folder for a dataset and one in it for parts, which is removed; the dataset appears at the end of the block.
-
-    Raises:
-        RecapError: See `check_folder` and `new_folder`.
-    """
+    """Yield a folder for a dataset and one in it for parts, which is removed; the dataset appears at the end."""
     check_folder(folder, force=force)
     with new_folder(folder) as partial:
         parts = partial / _PARTS

@@ -36,17 +36,11 @@ _EDGES: Final = tuple((a, b) for a in range(8) for b in range(a) if np.abs(_FACE
 
 
 class LabelClass(NamedTuple):
-    """A class of road users, as datasets call it.
+    """A class of road users, as datasets call it."""
 
-    Attributes:
-        kitti: The type of KITTI.
-        coco: The category of COCO.
-        nuscenes: The category of nuScenes.
-    """
-
-    kitti: str
-    coco: str
-    nuscenes: str
+    kitti: str  # a type
+    coco: str  # a category
+    nuscenes: str  # a category
 
 
 _BY_MODEL: Final = {
@@ -76,23 +70,14 @@ CLASSES: Final = (*dict.fromkeys((*_BY_TAG.values(), *_BY_MODEL.values())),)
 
 @dataclass(frozen=True, eq=False)
 class LabelledActor:
-    """A road user at a moment.
-
-    Attributes:
-        id: Its id.
-        label: Its class.
-        model: The index of its model, of `carla_recap.scene.models.MODELS`.
-        center: The centre of its box in the world, in m, (3,).
-        rotation: The rotation of its box: a matrix whose columns point forward, left and up, (3, 3).
-        half_extents: Half the size of its box in m, (3,).
-    """
+    """A road user at a moment."""
 
     id: int
     label: LabelClass
-    model: int
-    center: Floats
-    rotation: Floats
-    half_extents: Floats
+    model: int  # the index of its model, of `carla_recap.scene.models.MODELS`
+    center: Floats  # of its box in the world, in m, (3,)
+    rotation: Floats  # of its box: a matrix whose columns point forward, left and up, (3, 3)
+    half_extents: Floats  # half the size of its box in m, (3,)
 
     @property
     def corners(self) -> Floats:
@@ -115,11 +100,7 @@ class LabelledActor:
         return LabelledActor(self.id, self.label, self.model, self.center, rotation, half_extents)
 
     def hits(self, points: Floats) -> int:
-        """Return how many points are in the box, without those on the ground below.
-
-        Args:
-            points: The points in the world in m, (n, 3).
-        """
+        """Return how many points in the world, in m, (n, 3), are in the box, without those on the ground below."""
         near = points[np.abs(points - self.center).max(axis=1) <= np.linalg.norm(self.half_extents) + _ON_SURFACE]
         inside = (near - self.center) @ self.rotation
         found = (np.abs(inside) <= self.half_extents + _ON_SURFACE).all(axis=1)
@@ -129,26 +110,17 @@ class LabelledActor:
 
 @dataclass(frozen=True, eq=False)
 class ImageLabel:
-    """A road user in an image.
-
-    Attributes:
-        actor: The road user.
-        box: The sides of the box around all of its outline that is in the image, also where others are in front of it: left,
-            top, right, bottom in pixels, (4,).
-        truncation: The share of its outline that is outside the image, from 0 to 1.
-        visibility: The share of what is in the image that nothing is in front of, from 0 to 1.
-        pixels: The number of its pixels.
-        mask: Which pixels are its own, of those from `corner` on, (height, width).
-        corner: The column and the row of the first pixel of the mask.
-    """
+    """A road user in an image."""
 
     actor: LabelledActor
+    # The sides of the box around all of its outline that is in the image, also where others are in front of it: left, top,
+    # right, bottom in pixels, (4,).
     box: Floats
-    truncation: float
-    visibility: float
-    pixels: int
-    mask: Booleans
-    corner: tuple[int, int]
+    truncation: float  # the share of its outline that is outside the image, from 0 to 1
+    visibility: float  # the share of what is in the image that nothing is in front of, from 0 to 1
+    pixels: int  # the number of its pixels
+    mask: Booleans  # which pixels are its own, of those from `corner` on, (height, width)
+    corner: tuple[int, int]  # the column and the row of the first pixel of the mask
 
 
 def labelled_actors(frame: SensedFrame) -> list[LabelledActor]:
@@ -164,13 +136,7 @@ def labelled_actors(frame: SensedFrame) -> list[LabelledActor]:
 
 
 def image_labels(actors: Sequence[LabelledActor], camera: Camera, ids: Ids) -> list[ImageLabel]:
-    """Return the labels of the road users of whom an image has at least one pixel.
-
-    Args:
-        actors: The road users.
-        camera: The camera.
-        ids: The ids of actors in each pixel, (height, width); 0 for none.
-    """
+    """Return the labels of the road users of whom an image has a pixel: their ids in each one, (height, width), else 0."""
     present = set(np.unique(ids).tolist())
     labels = []
     for actor in actors:

@@ -97,13 +97,7 @@ def _is_fixed(column: Column) -> bool:
 
 
 class _RecordFile:
-    """The file of a record type, created with its first records.
-
-    Args:
-        type: The record type.
-        path: The file.
-        stack: Closes the file.
-    """
+    """The file of a record type, created with its first records, which a stack closes."""
 
     def __init__(self, type: RecordType, path: Path, stack: ExitStack) -> None:
         self._builder = RecordTableBuilder(type)

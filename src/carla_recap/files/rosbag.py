@@ -116,29 +116,12 @@ def export_rosbag(
     force: bool = False,
     progress: Progress | None = None,
 ) -> Played:
-    """Write a recording as a bag of ROS 2: its scene, and the data of its sensors and of those of a rig.
+    """Write a recording as a bag of ROS 2: its scene, and the data of its sensors and of those of a rig, or of its file.
 
-    Args:
-        source: The recording.
-        destination: The folder of the bag; it appears when it is complete.
-        rig: Sensors that the bag gets besides, or their file; see `carla_recap.sense`.
-        actor: The actor of the odometry, which carries the rig: an id or "hero".
-        start: The beginning, in elapsed seconds; negative: in seconds before the end.
-        duration: The number of seconds to export; 0: all of the rest.
-        opendrive: The file of the map of the town; None: looked for in the usual folders.
-        force: Write into a folder that is not empty, over files of the same names.
-        progress: Is given the stream of scenes and their player, and passes the scenes on.
-
-    Returns:
-        The number of scenes, and the seconds that they span.
-
-    Raises:
-        MissingExtra: The extra `ros` is not installed, or for images, `cameras`.
-        RecapError: There is no such time or actor, the rig is wrong, or the folder is not empty or cannot be written.
-        FormatError: The recording is damaged.
-
-    Warns:
-        RecapWarning: The actor has no pose, so that there is no odometry; or moments or videos are left out.
+    The destination is the folder of the bag, which appears when it is complete; with `force`, files of the same names in it
+    are replaced. The actor of the odometry carries the rig. The start is in elapsed seconds, before the end if it is
+    negative; a duration of 0 is all of the rest. Return the number of scenes, and the seconds that they span. A
+    `RecapWarning` says that the actor has no pose, so that there is no odometry, or that moments or videos are left out.
     """
     check_folder(destination, force=force)
     folder = Path(destination).absolute()
@@ -163,15 +146,7 @@ def _writer(path: Path) -> Writer:
 
 
 class _Export:
-    """Writes a recording.
-
-    Args:
-        source: The recording.
-        rig: Further sensors.
-        actor: The actor of the odometry.
-        player: The part of the recording that is written.
-        opendrive: The file of the map.
-    """
+    """Writes the part of a recording that a player has, with further sensors; see `export_rosbag`."""
 
     def __init__(
         self, source: Recording, rig: SensorRig | None, actor: ActorName, player: Player, opendrive: Path | None
@@ -343,11 +318,7 @@ class _Export:
     # --- sensors -------------------------------------------------------------------------------------------------------
 
     def _write_sensed(self, topic: str, data: bytes, elapsed: float, time: int) -> None:
-        """Write a message of a sensor.
-
-        Raises:
-            FormatError: It contradicts its schema.
-        """
+        """Write a message of a sensor; a `FormatError` if it contradicts its schema."""
         translate = _TRANSLATIONS.get(self._schemas[topic])
         if translate is None:
             self._left_out.add(topic)

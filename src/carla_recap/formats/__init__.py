@@ -160,18 +160,11 @@ def format_of(path: Path | str) -> str:
 def create_writer(
     path: Path | str, header: Header, *, live: bool = False, force: bool = True, format: str | None = None
 ) -> Writer:
-    """Return a writer of a new recording, in the format of a path's suffix.
+    """Return a writer of a new recording, in the format of a path's suffix, or of another suffix that is given.
 
-    Args:
-        path: The destination, ending in .log or .mcap unless the format is given.
-        header: The header.
-        live: Write the data as it comes, so that a crash loses at most 5 s of the recording. An unfinished file is left
-            beside the destination, and `recover` can read it.
-        force: Replace a file of that name; without it, such a file is an error.
-        format: The suffix of the format, if it is not that of the destination.
-
-    Raises:
-        RecapError: The suffix belongs to no format, or the destination cannot be written.
+    If it is `live`, the data are written as they come, so that a crash loses at most 5 s of the recording; an unfinished
+    file is left beside the destination, which `recover` can read. With `force`, a file of that name is replaced; else it is
+    an error. A `RecapError` says that the suffix belongs to no format, or that the destination cannot be written.
     """
     if (format or format_of(path)) == ".log":
         from carla_recap.formats.carla_log import LogWriter

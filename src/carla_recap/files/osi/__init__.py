@@ -85,17 +85,7 @@ def export_osi(
 
 
 class _TraceWriter(ChunkedFile):
-    """Writes messages into a trace.
-
-    Args:
-        path: The destination.
-        header: The header of the recording.
-        name: The name of the recording.
-        force: See `AtomicFile`.
-
-    Attributes:
-        played: The number of messages, and the seconds that they span.
-    """
+    """Writes messages of a recording into a trace; see `AtomicFile`."""
 
     def __init__(self, path: Path | str, header: Header, name: str, *, force: bool) -> None:
         protobuf = version("protobuf")
@@ -107,7 +97,7 @@ class _TraceWriter(ChunkedFile):
         self._sequence = 0
         self._start: int | None = None
         self._last = -1
-        self.played = Played(0, 0.0)
+        self.played = Played(0, 0.0)  # the number of messages, and the seconds that they span
         trace = {
             "version": "1.0.0",
             "min_osi_version": osi,
@@ -122,11 +112,7 @@ class _TraceWriter(ChunkedFile):
         self._begin(lambda: self._write_description(trace))
 
     def write(self, time: int, message: bytes) -> None:
-        """Add a message, unless its time in ns is not after that of the message before.
-
-        Raises:
-            RecapError: The disk is full, or broken.
-        """
+        """Add a message, unless its time in ns is not after that of the message before."""
         if time <= self._last:
             return
         self._add(_TRUTH_CHANNEL, time, message)
@@ -135,11 +121,7 @@ class _TraceWriter(ChunkedFile):
         self.played = Played(self.played.frames + 1, (time - self._start) / 1e9)
 
     def write_map(self, name: str, opendrive: str) -> None:
-        """Add the map.
-
-        Raises:
-            RecapError: The disk is full, or broken.
-        """
+        """Add the map."""
         message = message_class(MAP)(map_reference=name, open_drive_xml_content=opendrive)
         self._add(_MAP_CHANNEL, 0, message.SerializeToString())
 

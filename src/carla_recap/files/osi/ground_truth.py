@@ -42,12 +42,7 @@ _STATE_OFF: Final = 3  # of CARLA's lights
 
 
 class GroundTruths:
-    """Makes a message of each scene.
-
-    Args:
-        host: The id of the host vehicle; None without one.
-        map_reference: The name of the map; empty without one.
-    """
+    """Makes a message of each scene; with the id of a host vehicle, and the name of a map unless that is empty."""
 
     def __init__(self, host: int | None, map_reference: str) -> None:
         self._class = message_class(GROUND_TRUTH)
@@ -140,19 +135,12 @@ class GroundTruths:
 
 
 class _Light(NamedTuple):
-    """A traffic light in the scenes of a batch.
-
-    Attributes:
-        look: What it looks like.
-        finite: Whether its pose is finite, (scenes,).
-        centers: The centres of its box in m, (scenes, 3).
-        rotations: Roll, pitch and yaw in radians, (scenes, 3).
-    """
+    """A traffic light in the scenes of a batch."""
 
     look: Look
-    finite: NDArray[np.bool_]
-    centers: Floats
-    rotations: Floats
+    finite: NDArray[np.bool_]  # whether its pose is finite, (scenes,)
+    centers: Floats  # of its box in m, (scenes, 3)
+    rotations: Floats  # roll, pitch and yaw in radians, (scenes, 3)
 
 
 def _add_lights(message: Any, states: NDArray[np.void], lights: Mapping[int, _Light], row: int) -> None:

@@ -20,11 +20,7 @@ MAP: Final = "osi3.MapAsamOpenDrive"
 
 
 def message_class(name: str) -> Any:
-    """Return the class of a message, such as `osi3.GroundTruth`.
-
-    Raises:
-        MissingExtra: betterosi is not installed.
-    """
+    """Return the class of a message, such as `osi3.GroundTruth`; a `MissingExtra` without betterosi."""
     return GetMessageClass(_pool().FindMessageTypeByName(name))
 
 

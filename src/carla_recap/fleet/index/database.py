@@ -120,36 +120,21 @@ class RecordingIndex:
             return _answer(database, query)
 
     def replace(self, tables: Mapping[str, pa.Table]) -> None:
-        """Replace all rows of the recordings that a table of recordings has, in one transaction.
-
-        Args:
-            tables: The new rows by table.
-
-        Raises:
-            RecapError: The index cannot be written, or is damaged.
-        """
+        """Replace all rows of the recordings that a table of recordings has by new ones, in one transaction."""
         with self._changing(tables[RECORDINGS.name].select([RECORDING])) as database:
             for name, rows in tables.items():
                 database.register("new", rows)
                 database.execute(f"insert into {name} from new")
 
     def remove(self, recordings: Collection[str]) -> None:
-        """Remove all rows of recordings, in one transaction.
-
-        Raises:
-            RecapError: The index cannot be written, or is damaged.
-        """
+        """Remove all rows of recordings, in one transaction."""
         import pyarrow as pa
 
         with self._changing(pa.table({RECORDING: pa.array(recordings, pa.string())})):
             pass
 
     def verify(self) -> None:
-        """Read all tables.
-
-        Raises:
-            RecapError: The index is damaged.
-        """
+        """Read all tables; a `RecapError` if the index is damaged."""
         with self._opened(_READING) as database:
             for name in TABLES:
                 database.execute(f"select bit_xor(hash(rows)) from {name} as rows")
@@ -306,11 +291,7 @@ def _require() -> None:
 
 
 def _is_file(path: Path) -> bool:
-    """Return whether a file exists.
-
-    Raises:
-        RecapError: It cannot be an index.
-    """
+    """Return whether a file exists; a `RecapError` if it cannot be an index."""
     try:
         if (path / _OLD_MARKER).is_file():
             made = f"'carla-recap index SOURCE... {path.with_suffix('.duckdb')}' makes it anew"

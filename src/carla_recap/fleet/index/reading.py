@@ -76,14 +76,8 @@ def read_recording(
 ) -> tuple[dict[str, Any], list[Columns]]:
     """Return the fields of a recording's row that its content determines, and the columns of each of `CHILDREN`.
 
-    Args:
-        source: The recording.
-        measured: Whether to read every frame, for measures and incidents of the road; else its events are read alone.
-        road_map: The map, or the folder to look in; None: the usual folders.
-        routes: The routes by which it is scored; None: it is not.
-
-    Raises:
-        RecapError: The recording cannot be read.
+    If it is `measured`, every frame is read, for measures and incidents of the road; else its events alone. The map may be a
+    folder to look in, None: the usual ones. It is scored by the routes, if any. A `RecapError` says that it cannot be read.
     """
     try:
         with Recording(open_reader(source.location)) as recording:
@@ -169,11 +163,7 @@ def _columns(rows: Iterable[tuple[Any, ...]], count: int) -> Columns:
 
 
 class _ReadOnce:
-    """A reader of what several queries read: its events and stationary intervals, and the motion of a small recording.
-
-    Args:
-        reader: The reader.
-    """
+    """A reader of what several queries read: its events and stationary intervals, and the motion of a small recording."""
 
     def __init__(self, reader: Reader) -> None:
         self._reader = reader

@@ -112,17 +112,11 @@ class StationaryRow:
 
 @dataclass(frozen=True)
 class IndexTable:
-    """A table of an index.
-
-    Attributes:
-        name: Its name.
-        row_type: The dataclass of its rows.
-        units: The units of columns.
-    """
+    """A table of an index."""
 
     name: str
-    row_type: type[Any]
-    units: Mapping[str, str]
+    row_type: type[Any]  # the dataclass of its rows
+    units: Mapping[str, str]  # of columns
 
     @cached_property
     def hints(self) -> dict[str, Any]:

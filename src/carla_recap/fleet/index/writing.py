@@ -163,14 +163,9 @@ def write_index(
 
 
 def _suffices(row: RecordingRow, source: SourceFile, finds: Callable[[str], bool], *, retry: bool, measured: bool) -> bool:
-    """Return whether a recording need not be read again: it is as it was, and was read as is wanted.
+    """Return whether a recording need not be read again: it is as its row says, and was read as is wanted.
 
-    Args:
-        row: What the index has of it.
-        source: The recording.
-        finds: Returns whether a map is known now.
-        retry: Whether to read it again if it could not be read.
-        measured: Whether measures are wanted.
+    `finds` returns whether a map is known now. With `retry`, it is read again if it could not be read.
     """
     if row.error is not None:
         return not retry and _is_unchanged(row, source)

@@ -65,9 +65,6 @@ class McapWriter(ChunkedFile, Writer):
     """Writes a recording, and beside it further topics, such as those of sensors; see `AtomicFile`.
 
     If it is `live`, every chunk is written when it is cut, so that a crash loses no more than 5 s of recording.
-
-    Raises:
-        RecapError: The destination cannot be written to.
     """
 
     def __init__(self, path: Path | str, header: Header, *, live: bool = False, force: bool = True) -> None:
@@ -103,12 +100,7 @@ class McapWriter(ChunkedFile, Writer):
         self._begin(self._write_header)
 
     def write(self, frame: Frame) -> None:
-        """Add a frame.
-
-        Raises:
-            RecapError: The disk is full, or broken.
-            FormatError: A packet contradicts its layout.
-        """
+        """Add a frame; a `FormatError` if a packet contradicts its layout."""
         self._check_open()
         times = self._clock.times(frame.elapsed)
         self._begin_frame(times[1])
@@ -125,12 +117,7 @@ class McapWriter(ChunkedFile, Writer):
         self._cut_large()
 
     def write_batch(self, batch: Batch) -> None:
-        """Add the frames of a batch.
-
-        Raises:
-            RecapError: The disk is full, or broken.
-            FormatError: A packet contradicts its layout.
-        """
+        """Add the frames of a batch; see `write`."""
         self._check_open()
         template = self._template_of(batch) if len(batch) > 1 else None
         rows = template.encode(batch) if template else None
@@ -180,10 +167,8 @@ class McapWriter(ChunkedFile, Writer):
         """Add a further topic, at any time before its first message.
 
         Topics of the same group share chunks, as those with few and small messages should; "" means chunks of its own. To
-        read a topic, the chunks of its group are decompressed.
-
-        Raises:
-            RecapError: The file has a topic of that name, or as many as a file can have; or it cannot be written.
+        read a topic, the chunks of its group are decompressed. A `RecapError` says that the file has a topic of that name,
+        or as many as a file can have.
         """
         self._check_open()
         if topic.name in self._by_topic:
@@ -200,9 +185,7 @@ class McapWriter(ChunkedFile, Writer):
     def write_message(self, topic: str, elapsed: float, body: Buffer) -> None:
         """Add an encoded message of a topic that was added, at some elapsed seconds; those of a topic in order of time.
 
-        Raises:
-            RecapError: There is no such topic, the time is none that MCAP has, or the disk is full or broken.
-            RecordError: The message is too large.
+        A `RecapError` says that there is no such topic, or that MCAP has no such time, a `RecordError` that it is too large.
         """
         self._check_open()
         further, time = self._further.get(topic), self._clock.at(elapsed)
