@@ -91,8 +91,14 @@ class RoadHeights:
         away[:, np.isin(ids, self._ids(lambda actor: actor.kind == "sensor" or actor.type_id == "spectator"))] = False
         away[~(low <= high)] = False  # there is nothing to compare with
         references = users & ~away
-        for column in np.flatnonzero(away.any(axis=0)).tolist():
-            rows = np.flatnonzero(away[:, column])
+        # The nearest reference is not farther than any other one: most actors that are away are too far for a slope from it.
+        one = places[np.arange(len(z)), references.argmax(axis=1)]
+        one[~references.any(axis=1)] = self._landmarks[0] if len(self._landmarks) else np.inf
+        with np.errstate(invalid="ignore", over="ignore"):
+            reach = 2 * LEVEL + SLOPE * np.hypot(places[..., 0] - one[:, None, 0], places[..., 1] - one[:, None, 1])
+            near = away & (z <= high[:, None] + reach) & (z >= low[:, None] - reach)
+        for column in np.flatnonzero(near.any(axis=0)).tolist():
+            rows = np.flatnonzero(near[:, column])
             away[rows, column] = ~self._on_a_slope(places[rows, column], places[rows], references[rows])
         return away
 
