@@ -13,6 +13,7 @@ from carla_recap import RecapError, open_recording
 from carla_recap.cli import cli, options
 from carla_recap.output.table import cells
 from carla_recap.output.terminal import INCIDENT_STYLES
+from carla_recap.queries.detectors import Detector
 from carla_recap.queries.incidents import Incident
 from carla_recap.queries.kinds import KINDS, kind_named, kinds_named
 from carla_recap.queries.measures import MEASURES, measures
@@ -26,12 +27,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 
-class FastDetector:
+class FastDetector(Detector):
     """Finds vehicles that drive faster than 10 m/s."""
 
-    types: Collection[str] = ("velocities",)
-    also: Collection[str] = ()
-    span = None
+    types = ("velocities",)
+    every_frame = True
 
     def __init__(self, search: Any) -> None:
         self.search, self.found = search, {}

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 HARD: Final = 6.0
 """The deceleration from which on braking is hard, in m/s², unless a query asks for another one."""
-TYPES: Final = ("transforms", "velocities")
-"""The record types that hard braking is computed from."""
 HALF_WINDOW: Final = 0.125  # s before and after a moment, of which the speeds count
 SHORTEST: Final = 0.3  # s
 _FEWEST: Final = 3  # frames of hard braking

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.model.motion import counts, motion_of
+from carla_recap.model.motion import MOTION, counts, motion_of
 from carla_recap.model.records import CM, UE4
 
 if TYPE_CHECKING:
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     Vector = tuple[float, float, float]
 
-MOTION: Final = ("transforms", "velocities")
-"""The record types of positions and velocities."""
 TYPES: Final = ("collisions", *MOTION)
 """The record types that contacts are found by."""
 SAME_CONTACT: Final = 1.0

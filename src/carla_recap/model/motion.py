@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 Value = TypeVar("Value", float, "Floats")
 
+MOTION: Final = ("transforms", "velocities")
+"""The record types of positions and velocities."""
 JUMP: Final = 5.0
 """The shortest step that can be a jump, in m."""
 TOP_SPEED: Final = 100.0

@@ -7,7 +7,8 @@ from bisect import bisect_left
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.formats.sources import is_remote
-from carla_recap.model.contacts import MOTION, Impact
+from carla_recap.model.contacts import Impact
+from carla_recap.model.motion import MOTION
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

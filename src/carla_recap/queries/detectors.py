@@ -6,14 +6,13 @@ import math
 from bisect import bisect_right
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Final, Literal, TypedDict
+from typing import TYPE_CHECKING, ClassVar, Final, Literal, TypedDict
 
 from carla_recap.errors import RecapError
 from carla_recap.model.braking import HALF_WINDOW, HARD, SHORTEST, Braking, BrakingDetector
-from carla_recap.model.braking import TYPES as BRAKING_TYPES
-from carla_recap.model.contacts import MOTION, UNKNOWN, Contact, Impact
+from carla_recap.model.contacts import UNKNOWN, Contact, Impact
 from carla_recap.model.lives import ROAD_USERS, ranked
-from carla_recap.model.motion import FIRMEST_BRAKING, place_in_metres
+from carla_recap.model.motion import FIRMEST_BRAKING, MOTION, place_in_metres
 from carla_recap.model.presence import RoadHeights
 from carla_recap.model.stationary import MIN_DISTANCE, MIN_TIME, StationaryTracker, check_limits
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
@@ -27,7 +26,6 @@ from carla_recap.queries.measures.near_misses import (
     TIME_TO_COLLISION,
     NearMissDetector,
 )
-from carla_recap.queries.measures.near_misses import TYPES as MOTION_TYPES
 from carla_recap.queries.measures.road import BEFORE, RoadSearch
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 
@@ -195,6 +193,10 @@ class Detector:
     """The record types that it needs; none if it needs no frames."""
     also: Collection[str] = ()
     """The record types that it uses, too, if frames are read."""
+    every_frame: ClassVar[bool] = False
+    """Whether it always reads every frame."""
+    needs_roads: ClassVar[bool] = False
+    """Whether it needs the roads of the map."""
     span: tuple[float, float] | None = None
     """The times from which on and before which it needs frames, in elapsed seconds; None: the part that is looked at."""
 
@@ -291,7 +293,7 @@ class HardBrakingIncidents(Detector):
         self._listed = listed_braking(search.source, deceleration) if search.options.is_whole else None
         is_listed = self._listed is not None
         self._detector = None if is_listed else BrakingDetector(search.actors.ids("vehicle"), deceleration)
-        self.types = BRAKING_TYPES if self._detector else ()
+        self.types = MOTION if self._detector else ()
         super().__init__(search, self._detector.batch if self._detector else None)
 
     def finish(self) -> Iterator[Incident]:
@@ -332,7 +334,8 @@ class HardBrakingIncidents(Detector):
 class NearMissIncidents(Detector):
     """Finds near misses."""
 
-    types = MOTION_TYPES
+    types = MOTION
+    every_frame = True
 
     def __init__(self, search: Search) -> None:
         ids = None if search.near is None else frozenset(search.near)
@@ -374,6 +377,7 @@ class RoadIncidents(Detector):
     """Finds vehicles that break a rule of the road."""
 
     types = ROAD_TYPES
+    every_frame = needs_roads = True
 
     def __init__(self, search: Search) -> None:
         assert search.options.roads is not None

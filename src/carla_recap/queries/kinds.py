@@ -16,9 +16,9 @@ from carla_recap.queries.detectors import (
 from carla_recap.queries.measures.definitions import DURATION, MEASURES, RELATIVE_SPEED, Measure
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Collection, Mapping
 
-    from carla_recap.queries.detectors import Detector, Search
+    from carla_recap.queries.detectors import Detector
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,9 +32,17 @@ class IncidentKind:
     measures: tuple[Measure, ...]  # that its incidents have
     dark: str  # its colour on dark ground, such as `#ff5f5f`
     light: str  # that on light ground
-    detector: Callable[[Search], Detector]  # what finds it; one detector may find several kinds
-    every_frame: bool = False  # whether every frame is read to find it, so that it is looked for only if it is asked for
-    needs_roads: bool = False  # of the map
+    detector: type[Detector]  # what finds it; one detector may find several kinds
+
+    @property
+    def every_frame(self) -> bool:
+        """Whether every frame is read to find it, so that it is looked for only if it is asked for."""
+        return self.detector.every_frame
+
+    @property
+    def needs_roads(self) -> bool:
+        """Whether it needs the roads of the map."""
+        return self.detector.needs_roads
 
     @property
     def option(self) -> str:
@@ -66,8 +74,6 @@ KINDS: Final[Mapping[str, IncidentKind]] = {
             dark="#ff6fa5",
             light="#b3125f",
             detector=RoadIncidents,
-            every_frame=True,
-            needs_roads=True,
         ),
         IncidentKind(
             name="wrong way",
@@ -79,8 +85,6 @@ KINDS: Final[Mapping[str, IncidentKind]] = {
             dark="#ff8a66",
             light="#a8380f",
             detector=RoadIncidents,
-            every_frame=True,
-            needs_roads=True,
         ),
         IncidentKind(
             name="off road",
@@ -91,8 +95,6 @@ KINDS: Final[Mapping[str, IncidentKind]] = {
             dark="#d6b36a",
             light="#7a5a12",
             detector=RoadIncidents,
-            every_frame=True,
-            needs_roads=True,
         ),
         IncidentKind(
             name="stop sign",
@@ -104,8 +106,6 @@ KINDS: Final[Mapping[str, IncidentKind]] = {
             dark="#f08fd6",
             light="#96308a",
             detector=RoadIncidents,
-            every_frame=True,
-            needs_roads=True,
         ),
         IncidentKind(
             name="near miss",
@@ -116,7 +116,6 @@ KINDS: Final[Mapping[str, IncidentKind]] = {
             dark="#ffd24d",
             light="#806300",
             detector=NearMissIncidents,
-            every_frame=True,
         ),
         IncidentKind(
             name="hard braking",
@@ -137,8 +136,6 @@ KINDS: Final[Mapping[str, IncidentKind]] = {
             dark="#5cc8ff",
             light="#0b6fa8",
             detector=RoadIncidents,
-            every_frame=True,
-            needs_roads=True,
         ),
         IncidentKind(
             name="blocked",

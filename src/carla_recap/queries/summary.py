@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from carla_recap.model.lives import ROAD_USERS, ActorLives, heroes_of
+from carla_recap.model.motion import MOTION
 from carla_recap.queries import Answer
 from carla_recap.queries.incidents import IncidentOptions, IncidentSearch
 from carla_recap.queries.kinds import KINDS
 from carla_recap.queries.recorded_actors import actors
 from carla_recap.queries.sensors import sensors
-from carla_recap.tables.trajectories import MOTION, RowCollector, portions, trajectories_of
+from carla_recap.tables.trajectories import RowCollector, portions, trajectories_of
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:

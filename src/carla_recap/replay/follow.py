@@ -9,7 +9,7 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.model.lives import HERO, ROAD_USERS, ActorName, find_actor, heroes_of
-from carla_recap.model.motion import FAULTY_SPEED, possible_step
+from carla_recap.model.motion import FAULTY_SPEED, MOTION, possible_step
 from carla_recap.model.records import CM
 from carla_recap.queries.recorded_actors import actors
 from carla_recap.replay.motion import numbers_of
@@ -132,7 +132,7 @@ def _samples(
 ) -> Iterator[tuple[float, NDArray[np.void], NDArray[np.void]]]:
     """Yield the elapsed seconds, the transforms and the velocities of frames that are at least a step, in s, apart."""
     due = -math.inf
-    for batch in reader.batches(("transforms", "velocities"), start=start):
+    for batch in reader.batches(MOTION, start=start):
         transforms, velocities = batch.records("transforms"), batch.records("velocities")
         row = int(np.searchsorted(batch.elapsed, due))
         while row < len(batch):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.motion import LONGEST_STEP, counts, motion_of, neighbours, rates
+from carla_recap.model.motion import LONGEST_STEP, MOTION, counts, motion_of, neighbours, rates
 from carla_recap.replay.pose import LOCATION, angular_velocities, right_handed, right_handed_velocities
 from carla_recap.replay.selection import numbers
 from carla_recap.tables.trajectories import actor_rows, life_numbers, spawn_times
@@ -43,7 +43,7 @@ class CarrierMotion:
 
     def __init__(self, recording: Recording, id: int, start: float = -math.inf, stop: float = math.inf) -> None:
         begin, end = start - LONGEST_STEP, stop + LONGEST_STEP
-        found = actor_rows(recording.reader, ("transforms", "velocities"), {id}, start=begin, stop=end)
+        found = actor_rows(recording.reader, MOTION, {id}, start=begin, stop=end)
         rows, recorded = found["transforms"].get(id), found["velocities"].get(id)
         self._time = np.zeros(0)
         if rows is None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal, get_args
 import numpy as np
 
 from carla_recap.errors import RecapError
-from carla_recap.model.motion import counts, motion_of, possible_step
+from carla_recap.model.motion import MOTION, counts, motion_of, possible_step
 from carla_recap.model.records import CM
 from carla_recap.tables import Columns, Tabular
 from carla_recap.tables.display import Preview, first_and_last
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 Axes = Literal["right-handed", "carla"]
 """Right-handed: x forward, y left, z up, as in ROS, Rerun and Foxglove. CARLA's own: y right, yaw and pitch reversed."""
 
-MOTION: Final = ("transforms", "velocities")
-"""The record types of which trajectories are made."""
 _FRAMES: Final = 1024  # that are handled at once
 
 

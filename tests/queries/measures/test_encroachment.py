@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 
 from carla_recap.errors import RecapWarning
 from carla_recap.model.lives import ActorLife
+from carla_recap.model.motion import MOTION
 from carla_recap.model.records import Spawn
 from carla_recap.queries.measures.encroachment import CrossingSearch, Encounter
-from carla_recap.queries.measures.motion_table import TYPES, MotionCollector, MotionTable
+from carla_recap.queries.measures.motion_table import MotionCollector, MotionTable
 from carla_recap.queries.recorded_actors import actors
 from tests.queries.measures.conftest import Mover
 
@@ -120,7 +121,7 @@ def crossings(reader: Reader, longest: float) -> set[tuple[int, int, float, floa
     """Return the actors that leave a spot, those that arrive, when, and the least time between both."""
     search = CrossingSearch(longest)
     collector = MotionCollector(actors(reader), before=search.before, after=3.0)
-    tables = [table for batch in reader.batches(TYPES) for table in collector.add(batch)]
+    tables = [table for batch in reader.batches(MOTION) for table in collector.add(batch)]
     for table in [*tables, *collector.finish()]:
         search.add(table, np.ones(len(table.ids), np.bool_))
     return {

@@ -14,10 +14,11 @@ from carla_recap.formats import open_reader
 from carla_recap.model.batch import Batch
 from carla_recap.model.frame import Frame
 from carla_recap.model.lives import ActorLife
+from carla_recap.model.motion import MOTION
 from carla_recap.model.presence import FAR
 from carla_recap.model.records import Spawn
 from carla_recap.queries.measures import motion_table
-from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
+from carla_recap.queries.measures.motion_table import MotionCollector
 from carla_recap.queries.recorded_actors import actors
 from tests.queries.measures.conftest import Mover, straight
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 def tables_of(reader: Reader, **margins: float) -> list[MotionTable]:
     collector = MotionCollector(actors(reader), **margins)
-    tables = [table for batch in reader.batches(TYPES) for table in collector.add(batch)]
+    tables = [table for batch in reader.batches(MOTION) for table in collector.add(batch)]
     return [*tables, *collector.finish()]
 
 

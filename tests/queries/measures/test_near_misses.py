@@ -9,10 +9,11 @@ import pytest
 
 from carla_recap.formats import open_reader
 from carla_recap.model.lives import ActorLife
+from carla_recap.model.motion import MOTION
 from carla_recap.model.records import Spawn
 from carla_recap.queries.measures import measures
 from carla_recap.queries.measures.motion_table import MotionTable
-from carla_recap.queries.measures.near_misses import TYPES, NearMissDetector
+from carla_recap.queries.measures.near_misses import NearMissDetector
 from carla_recap.queries.measures.pairs import paths_meet
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from tests.queries.measures.conftest import Mover, straight
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 def near_misses(reader: Reader, ids: frozenset[int] | None = None, **thresholds: float) -> list[Encounter]:
     detector = NearMissDetector(*lives_and_contacts(reader), ids, **thresholds)
-    for batch in reader.batches(TYPES):
+    for batch in reader.batches(MOTION):
         detector.batch(batch)
     return detector.finish()
 

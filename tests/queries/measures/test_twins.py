@@ -14,10 +14,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from carla_recap.formats import open_reader
+from carla_recap.model.motion import MOTION
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.measures import measures, time_series
 from carla_recap.queries.measures import motion_table as tables
-from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
+from carla_recap.queries.measures.motion_table import MotionCollector
 from carla_recap.queries.measures.near_misses import NearMissDetector
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from tests.queries.measures.traffic import traffic
@@ -36,7 +37,7 @@ def twin_of(reader: Reader) -> Twin:
     lives, contacts = lives_and_contacts(reader)
     with patch.object(tables, "_FRAMES", 1 << 20), patch.object(tables, "_VALUES", 1 << 30):
         collector = MotionCollector(lives, contacts)
-        found = [table for batch in reader.batches(TYPES) for table in collector.add(batch)]
+        found = [table for batch in reader.batches(MOTION) for table in collector.add(batch)]
         (table,) = [*found, *collector.finish()]
     return Twin(table, contacts)
 
@@ -56,7 +57,7 @@ def test_near_misses(tmp_path: Path, seed: int, longest: float, soonest: float, 
             post_encroachment_time=soonest,
             required_deceleration=deceleration,
         )
-        for batch in reader.batches(TYPES):
+        for batch in reader.batches(MOTION):
             detector.batch(batch)
         found = detector.finish()
     assert [(each.id1, each.id2) for each in found] == [(each.id1, each.id2) for each in expected]

@@ -14,10 +14,10 @@ import numpy as np
 from carla_recap.formats.mcap.codec import encode
 from carla_recap.formats.mcap.schema import BRAKING, CONTACTS, STATIONARY, STATIONARY_RULE
 from carla_recap.model.braking import HARD, BrakingDetector
-from carla_recap.model.braking import TYPES as BRAKING_TYPES
 from carla_recap.model.contacts import TYPES as CONTACT_TYPES
 from carla_recap.model.contacts import ImpactTracker
 from carla_recap.model.layout import MAX_COUNT, pack
+from carla_recap.model.motion import MOTION
 from carla_recap.model.stationary import MIN_DISTANCE, StationaryTracker
 from carla_recap.model.stationary import TYPES as STATIONARY_TYPES
 
@@ -64,7 +64,7 @@ class Digest:
         name = type.name if type is not None else ""
         if name in STATIONARY_TYPES:
             self._stationary = None
-        if name in BRAKING_TYPES or name == "spawned":
+        if name in MOTION or name == "spawned":
             self._detector = None
         if name in CONTACT_TYPES:
             self._impacts = None

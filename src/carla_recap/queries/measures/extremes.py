@@ -9,18 +9,19 @@ from typing import TYPE_CHECKING, ClassVar, Final
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
+from carla_recap.model.motion import MOTION
 from carla_recap.queries import Answer
 from carla_recap.queries.measures.definitions import MEASURES, NO_OTHER, MeasureRow, MeasureValues
 from carla_recap.queries.measures.drives import BACKGROUND, Drive, background, comfort, efficiency
 from carla_recap.queries.measures.encroachment import CrossingSearch
-from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
+from carla_recap.queries.measures.motion_table import MotionCollector
 from carla_recap.queries.measures.pairs import SEEN
 from carla_recap.queries.measures.road import TYPES as ROAD_TYPES
 from carla_recap.queries.measures.road import RoadSearch
 from carla_recap.queries.measures.series import HORIZON, measured_actors, series_of
 from carla_recap.queries.recorded_actors import lives_and_contacts
 from carla_recap.queries.roads import roads_of, warn_without_roads
-from carla_recap.tables.trajectories import MOTION, RowCollector, Trajectory, portions, trajectories, trajectories_of
+from carla_recap.tables.trajectories import RowCollector, Trajectory, portions, trajectories, trajectories_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
@@ -106,7 +107,7 @@ class MeasureSearch:
     def find(self) -> Measures:
         """Return the measures."""
         if self._subjects:
-            types = TYPES if self._roads is None else (*TYPES, *ROAD_TYPES)
+            types = MOTION if self._roads is None else ROAD_TYPES
             start, stop = self._motion.span
             for batches in portions(self._source.batches(types, start=start, stop=stop)):
                 if self._heroes and self._is_whole:

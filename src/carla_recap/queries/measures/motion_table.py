@@ -14,7 +14,7 @@ from carla_recap.errors import RecapWarning
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import ROAD_USERS
-from carla_recap.model.motion import LONGEST_STEP, motion_of, place_in_metres
+from carla_recap.model.motion import LONGEST_STEP, MOTION, motion_of, place_in_metres
 from carla_recap.model.presence import FAR, RoadHeights
 from carla_recap.model.segment import SegmentBuffer, segments
 
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from carla_recap.util.arrays import Booleans, Floats, Ids, Indices, Integers
 
 
-TYPES: Final = ("transforms", "velocities")
-"""The record types that motion is computed from."""
 THROWN: Final = 5.0
 """The time after a contact with a vehicle in which an actor may be thrown, in s."""
 
@@ -230,7 +228,7 @@ class MotionCollector:
         """Add frames that have at least their transforms and velocities, and yield the tables that are complete."""
         if batch.preamble:
             return
-        for buffer, name in ((self._velocities, TYPES[1]), (self._poses, TYPES[0])):
+        for buffer, name in zip((self._poses, self._velocities), MOTION, strict=True):
             records = batch.records(name)
             buffer.add(segments(records), len(records))
         self._size = max(1, min(_FRAMES, _VALUES // max(records.shape[1], 1)))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.queries.measures.encroachment import ENCOUNTER, CrossingSearch, Encounter, encounters
-from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
+from carla_recap.queries.measures.motion_table import MotionCollector
 from carla_recap.queries.measures.pairs import BEND_TIME, SEEN, PairFrames, near_pairs, on_collision_course
 
 if TYPE_CHECKING:
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from carla_recap.queries.measures.series import SeriesCollector
     from carla_recap.util.arrays import Booleans
 
-
-__all__ = ["TYPES", "NearMissDetector"]
 
 TIME_TO_COLLISION: Final = 1.5
 """The greatest time to collision of a near miss, in s."""

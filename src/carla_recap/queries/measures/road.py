@@ -14,7 +14,7 @@ import numpy as np
 
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.motion import runs, steps_joined
+from carla_recap.model.motion import MOTION, runs, steps_joined
 from carla_recap.queries.measures.definitions import MeasureValues
 from carla_recap.queries.measures.motion_table import MotionCollector
 from carla_recap.queries.measures.road_signals import LightHistory, StopLines
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from carla_recap.roads.network import LanePositions, RoadNetwork
     from carla_recap.util.arrays import Booleans, Floats
 
-TYPES: Final = ("transforms", "velocities", "light_states")
+TYPES: Final = (*MOTION, "light_states")
 """The record types that are read."""
 
 STOPPED: Final = 0.5

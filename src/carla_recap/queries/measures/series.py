@@ -12,10 +12,10 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.model.lives import HERO, ROAD_USERS, ActorLife, ActorName, find_actor
-from carla_recap.model.motion import slope
+from carla_recap.model.motion import MOTION, slope
 from carla_recap.queries.measures.boxes import gap, required_deceleration, time_headway
 from carla_recap.queries.measures.definitions import NO_OTHER, MeasureSeries
-from carla_recap.queries.measures.motion_table import TYPES, MotionCollector
+from carla_recap.queries.measures.motion_table import MotionCollector
 from carla_recap.queries.measures.pairs import PairFrames, ahead, near_pairs, on_collision_course
 from carla_recap.queries.recorded_actors import lives_and_contacts
 
@@ -214,7 +214,7 @@ def _collected(
 ) -> dict[int, MeasureSeries]:
     """Return what collectors have of a recording, by the id of the actor."""
     motion = MotionCollector(lives, contacts, before=MARGIN, after=MARGIN, start=start, stop=stop)
-    tables = chain.from_iterable(map(motion.add, source.batches(TYPES, start=motion.span[0], stop=motion.span[1])))
+    tables = chain.from_iterable(map(motion.add, source.batches(MOTION, start=motion.span[0], stop=motion.span[1])))
     for table in chain(tables, motion.finish()):
         for each in collectors:
             each.add(table)
