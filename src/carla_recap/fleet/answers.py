@@ -59,12 +59,7 @@ def answers(
 ) -> Generator[RecordingAnswer]:
     """Yield the answers to a query for many recordings, in their order, as soon as they are known.
 
-    Args:
-        query: The query: a function of a module, or a partial of one.
-        form: The form of the pieces.
-        sources: The recordings.
-        jobs: See `map_sources`.
-        client: See `map_sources`.
+    The query is a function of a module, or a partial of one. See `map_sources`, too.
     """
     function = partial(_answer, query, form)
     for outcome in map_sources(function, sources, jobs=jobs, client=client):

@@ -83,15 +83,7 @@ def check_sources(
     jobs: int | None = None,
     client: Client | None = None,
 ) -> Generator[CheckedRecording]:
-    """Yield many recordings with the verdicts on them, in their order.
-
-    Args:
-        sources: The recordings.
-        rules: The rules.
-        road_map: See `carla_recap.rules.rule_sets.check`.
-        jobs: See `map_sources`.
-        client: See `map_sources`.
-    """
+    """Yield many recordings with the verdicts on them, in their order; see `carla_recap.rules.rule_sets.check`."""
     for outcome in map_sources(partial(_checked, rules, road_map), sources, jobs=jobs, client=client):
         if outcome.value is None:
             error = visible((outcome.error or "it cannot be read").removeprefix(f"{outcome.source.location}: "))

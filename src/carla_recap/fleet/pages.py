@@ -38,33 +38,20 @@ _WORDS: Final[dict[Status, str]] = {"pass": "passed", "fail": "failed", "error":
 
 
 class _Wanted(NamedTuple):
-    """The files of a recording to be written.
+    """The files of a recording to be written."""
 
-    Attributes:
-        page: The path of its incident page.
-        clip: The path of the clip of an offence; None: no clip.
-        opening: What the page shows first: the offence, and the broken rules.
-        road_map: The map, or the folder of maps; None: the usual folders.
-    """
-
-    page: Path
-    clip: Path | None
-    opening: Opening
-    road_map: str | None
+    page: Path  # its incident page
+    clip: Path | None  # that of an offence; None: none
+    opening: Opening  # what the page shows first: the offence, and the broken rules
+    road_map: str | None  # the map, or the folder of maps; None: the usual folders
 
 
 class WrittenPage(NamedTuple):
-    """Where the incident page of a recording is.
+    """Where the incident page of a recording is, relative to the folder of pages."""
 
-    Attributes:
-        page: The path of the page, relative to the folder of pages; None if it could not be made.
-        clip: The path of the clip, relative to the folder of pages; None if there is none.
-        warnings: The warnings about it, a line each.
-    """
-
-    page: str | None
-    clip: str | None
-    warnings: tuple[str, ...]
+    page: str | None  # None if it could not be made
+    clip: str | None  # None if there is none
+    warnings: tuple[str, ...]  # about it, a line each
 
 
 def write_pages(
@@ -77,14 +64,8 @@ def write_pages(
 ) -> Generator[tuple[CheckedRecording, tuple[str, ...]]]:
     """Write the incident page of each recording that fails into a folder; yield each recording, and the warnings about it.
 
-    The first `MOST` recordings that fail get a page. One whose page cannot be made has none, which is a warning.
-
-    Args:
-        checked: The recordings.
-        folder: The folder.
-        clips: Write a clip of the first offence of each, too.
-        road_map: The map, or the folder of maps; None: the usual folders.
-        jobs: See `map_sources`.
+    The first `MOST` recordings that fail get a page, and with `clips` a clip of the first offence. One whose page cannot be
+    made has none, which is a warning.
     """
     failed = [each for each in checked if each.status == "fail"][:MOST]
     openings = {each.recording: opening_of(each.verdicts) for each in failed}
@@ -108,13 +89,7 @@ def write_incident_pages(
 ) -> Generator[WrittenPage]:
     """Write the incident pages of recordings below a folder, and yield where they are, in the order of the recordings.
 
-    Args:
-        openings: What the page of each recording shows first.
-        folder: The folder.
-        clips: See `write_pages`.
-        road_map: See `write_pages`.
-        force: Replace pages that exist.
-        jobs: See `map_sources`.
+    The openings are what each page shows first; `force` replaces pages that exist.
     """
     wanted = {}
     for recording, name in zip(openings, _names(openings), strict=True):

@@ -65,16 +65,7 @@ def score_sources(
     jobs: int | None = None,
     client: Client | None = None,
 ) -> Generator[Outcome[Score], None, None]:
-    """Yield the scores of many recordings, in their order.
-
-    Args:
-        sources: The recordings.
-        routes: The routes of files; None: the driven path of each vehicle.
-        options: How to score.
-        route_id: See `score`.
-        jobs: See `map_sources`.
-        client: See `map_sources`.
-    """
+    """Yield the scores of many recordings, in their order, by routes of files; None: the driven path of each vehicle."""
     return map_sources(partial(_scored, routes, route_id, options), sources, jobs=jobs, client=client)
 
 

@@ -41,70 +41,38 @@ _FEW: Final = 6  # columns that also fit on a phone
 
 @dataclass(frozen=True)
 class _Axis:
-    """The rows or the columns of a heat map.
+    """The rows or the columns of a heat map."""
 
-    Attributes:
-        name: The parameter.
-        labels: A text for each.
-        index: Returns which one a row of the campaign belongs to.
-    """
-
-    name: str
-    labels: tuple[str, ...]
-    index: Callable[[CampaignRow], int]
+    name: str  # the parameter
+    labels: tuple[str, ...]  # a text for each
+    index: Callable[[CampaignRow], int]  # returns which one a row of the campaign belongs to
 
 
 class _Cell(NamedTuple):
-    """A cell of a heat map.
-
-    Attributes:
-        row: Its row.
-        column: Its column.
-        text: The worst value of its runs.
-        tone: The class of its colour.
-        tip: What it is, in words.
-        address: Where it leads; None: nowhere.
-    """
+    """A cell of a heat map."""
 
     row: int
     column: int
-    text: str
-    tone: str
-    tip: str
-    address: str | None
+    text: str  # the worst value of its runs
+    tone: str  # the class of its colour
+    tip: str  # what it is, in words
+    address: str | None  # where it leads; None: nowhere
 
 
 class _HeatMap(NamedTuple):
-    """A heat map: the worst value of a measure in each cell.
-
-    Attributes:
-        measure: The measure.
-        worst: Which values are the worst, in words.
-        down: The parameter of the rows.
-        across: The parameter of the columns.
-        rows: A label for each row.
-        columns: A label for each column.
-        cells: The cells that have runs.
-    """
+    """A heat map: the worst value of a measure in each cell."""
 
     measure: Measure
-    worst: str
-    down: str
-    across: str
-    rows: tuple[str, ...]
+    worst: str  # which values are the worst, in words
+    down: str  # the parameter of the rows
+    across: str  # that of the columns
+    rows: tuple[str, ...]  # a label for each
     columns: tuple[str, ...]
-    cells: list[_Cell]
+    cells: list[_Cell]  # those that have runs
 
 
 def campaign_page(rows: Sequence[CampaignRow], folder: Path, measure: Measure, title: str) -> str:
-    """Return the page of a campaign, which loads nothing and runs nothing.
-
-    Args:
-        rows: The rows.
-        folder: The folder of the page, from which it links to pages and recordings.
-        measure: What the runs are compared by.
-        title: What is simulated, in words.
-    """
+    """Return the page of a campaign in a folder, by rows and what they are compared by; the title says what is simulated."""
     counts = Counter(_status(row) for row in rows)
     said = [f"{len(rows):,} {'run' if len(rows) == 1 else 'runs'}"]
     said += [f"{counts['fail']:,} {'breaks' if counts['fail'] == 1 else 'break'} rules"] if counts["fail"] else []

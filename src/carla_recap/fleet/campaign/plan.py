@@ -156,15 +156,7 @@ def check_name(name: str) -> None:
 
 
 def check_keywords(keywords: Keywords | None, names: Sequence[str]) -> None:
-    """Check that a function can be called with parameters.
-
-    Args:
-        keywords: What it can be called with; None: unknown.
-        names: The names of the parameters.
-
-    Raises:
-        RecapError: It has no such parameter, or needs another one.
-    """
+    """Raise `RecapError` unless a function with some keywords (None: unknown) can be called with these parameters."""
     if keywords is None:
         return
     for name in names:
@@ -180,12 +172,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def planned(seeds: Sequence[int], parameters: Mapping[str, Sequence[Value]], out: str) -> Iterator[CampaignRun]:
-    """Yield all combinations of seeds and values; the seeds vary fastest.
-
-    Args:
-        seeds: The seeds.
-        parameters: The values by name.
-        out: The folder or prefix of the recordings.
+    """Yield all combinations of seeds and values, with recordings in a folder or behind a prefix; the seeds vary fastest.
 
     Raises:
         RecapError: There are none, too many, or two that are alike.

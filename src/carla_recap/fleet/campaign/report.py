@@ -106,15 +106,7 @@ def judged(
     jobs: int | None = None,
     client: Client | None = None,
 ) -> Iterator[tuple[CampaignRow, CheckedRecording | None]]:
-    """Yield rows with the rules that their recordings break, each with the verdicts; None for a run without a recording.
-
-    Args:
-        rows: The rows.
-        rules: The rules.
-        road_map: See `carla_recap.rules.rule_sets.check`.
-        jobs: See `map_sources`.
-        client: See `map_sources`.
-    """
+    """Yield rows with the rules that their recordings break, each with the verdicts; None for a run without a recording."""
     from carla_recap.fleet.sources import find_sources
 
     there = [row.recording for row in rows if row.error is None]
@@ -149,16 +141,9 @@ def with_pages(
     road_map: str | None = None,
     jobs: int | None = None,
 ) -> tuple[list[CampaignRow], list[str]]:
-    """Write the incident pages of the worst runs, and remove all others; return the rows with their paths, and warnings.
+    """Write the incident pages of the worst runs, `most` of them, and remove all others; return the rows with their paths.
 
-    Args:
-        rows: The rows.
-        folder: The folder of pages.
-        measure: What the rows are compared by, after the rules.
-        most: The most pages.
-        checked: The verdicts by recording.
-        road_map: See `write_incident_pages`.
-        jobs: See `map_sources`.
+    Also return warnings. Rows are compared by the rules that they break, by recording in `checked`, then by the measure.
     """
     openings = {
         row.recording: _opening(row, measure, checked.get(row.recording)) for row in worst_first(rows, measure)[:most]
@@ -203,14 +188,7 @@ def runs_as_json(rows: Iterable[CampaignRow]) -> str:
 def write_campaign_index(
     rows: Sequence[CampaignRow], path: Path, *, jobs: int | None = None, client: Client | None = None
 ) -> str | None:
-    """Write the index of the recordings, and of no others; return why it is not written, if it is not.
-
-    Args:
-        rows: The rows.
-        path: The file.
-        jobs: See `map_sources`.
-        client: See `map_sources`.
-    """
+    """Write the index of the recordings, and of no others; return why it is not written, if it is not."""
     from carla_recap.fleet.index.writing import write_index
 
     there = [row.recording for row in rows if row.error is None]

@@ -60,17 +60,11 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Scoring:
-    """How the recordings of a campaign are scored.
+    """How the recordings of a campaign are scored."""
 
-    Attributes:
-        routes: The routes of a file; None: the driven path of the hero.
-        route_id: The id of the route; None: that of the recording's town.
-        road_map: The map, or the folder to look in; None: the usual folders.
-    """
-
-    routes: tuple[Route, ...] | None
-    route_id: str | None = None
-    road_map: str | None = None
+    routes: tuple[Route, ...] | None  # of a file; None: the driven path of the hero
+    route_id: str | None = None  # None: that of the recording's town
+    road_map: str | None = None  # the map, or the folder to look in; None: the usual folders
 
     def results(self, recording: Recording) -> dict[str, Result]:
         """Return the score of a recording, with the time of the first infraction, and the known numbers of Bench2Drive.
@@ -119,15 +113,7 @@ def crash_text(results: Mapping[str, Result]) -> str:
 def measured(recording: Recording, scoring: Scoring | None = None) -> dict[str, Result]:
     """Return the most critical values of the measures of a recording's heroes, or if there is none, of all vehicles.
 
-    Args:
-        recording: The recording.
-        scoring: How to score it; None: it gets no score.
-
-    Raises:
-        FormatError: The file contradicts its format.
-
-    Warns:
-        RecapWarning: It cannot be scored.
+    With `scoring`, it has a score, too; that it cannot be scored is a warning.
     """
     rows = recording.collisions()
     has_hero = bool(recording.heroes)

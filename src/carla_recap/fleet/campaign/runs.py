@@ -67,33 +67,18 @@ class RunReport:
 
 @dataclass(frozen=True, slots=True)
 class Simulation:
-    """What the runs of a campaign simulate, and how; called with each run in a worker process.
+    """What the runs of a campaign simulate, and how, see `Campaign`; called with each run in a worker process."""
 
-    Attributes:
-        function: Gets a world whose recorder is on, and the parameters by name; None for a script.
-        measure: Returns what is measured in a recording.
-        staging: The folder of recordings that are not complete; None for the one of temporary files.
-        date: The date of all recordings, in Unix seconds.
-        script: The absolute path of a script for CARLA's client, which gets a server instead.
-        town: The name of a map or an .xodr file; None for the built-in town.
-        maps: The folder of maps.
-        duration: The simulated time in s up to which a world ticks on when the function has returned.
-        additional_data: Record velocities, boxes and physics, too.
-        made_with: What the recordings are made with, by name; it is written into them beside the seed and the parameters.
-        again: Make a recording anew that was made with something else.
-        carla: The release of CARLA that a script is served; see `Campaign`.
-    """
-
-    function: Callable[..., object] | None
-    measure: Callable[..., Mapping[str, Result]]
-    staging: str | None
+    function: Callable[..., object] | None  # None for a script
+    measure: Callable[..., Mapping[str, Result]]  # returns what is measured in a recording
+    staging: str | None  # the folder of recordings that are not complete; None for the one of temporary files
     date: int
-    script: str | None = None
+    script: str | None = None  # the absolute path of a script for CARLA's client, which gets a server instead
     town: str | None = None
     maps: str | None = None
     duration: float = 0.0
     additional_data: bool = False
-    made_with: Mapping[str, str] = field(default_factory=dict)
+    made_with: Mapping[str, str] = field(default_factory=dict)  # is written into recordings, beside seed and parameters
     again: bool = False
     carla: str = "auto"
 

@@ -38,13 +38,9 @@ def search(
     The values of each run depend on the results of those that are finished when it begins. With one worker, the same search
     makes the same runs.
 
-    Args:
-        campaign: What is simulated, and where.
-        seeds: The seeds of the runs, in turn.
-        parameters: The range of each parameter, or its values.
-        objective: What is to be small. A run without a value of it counts as the worst; one that fails does not count.
-        count: The number of runs; fewer if all values of the parameters have been tried.
-        is_maximized: It is to be great instead.
+    Runs have the seeds in turn, and there are fewer than `count` if all values of the parameters have been tried. The
+    objective is to be small, or great if `is_maximized`. A run without a value of it counts as the worst; one that fails
+    does not count.
 
     Raises:
         MissingExtra: Optuna is not installed.
@@ -67,12 +63,7 @@ def search(
 
 
 class _Proposals:
-    """The runs that a study proposes, no two alike.
-
-    Args:
-        study: The study.
-        distributions: The distributions of the parameters.
-    """
+    """The runs that a study proposes by distributions of parameters, no two alike."""
 
     def __init__(self, study: Study, distributions: dict[str, BaseDistribution]) -> None:
         self._study = study

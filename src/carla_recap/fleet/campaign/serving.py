@@ -29,12 +29,7 @@ _DELTA: Final = 0.05  # s
 
 
 class _RunHost(Host):
-    """The served world of a run: in synchronous mode until the script says otherwise, and recorded in each episode.
-
-    Args:
-        world: The world, whose recorder is on.
-        path: The path of the recording, which is that of the last episode.
-    """
+    """The served world of a run: in synchronous mode until the script says otherwise; its last episode is recorded."""
 
     def __init__(self, world: World, path: Path, *, additional_data: bool, carla: str) -> None:
         super().__init__(world, release=release_named(carla))
@@ -54,15 +49,7 @@ class _RunHost(Host):
 
 
 def run_script(script: str, world: World, run: CampaignRun, path: Path, *, additional_data: bool, carla: str) -> None:
-    """Serve a world to a script until that ends.
-
-    Args:
-        script: Its path.
-        world: The world, whose recorder is on.
-        run: The run, whose seed and parameters the script gets.
-        path: The path of the recording.
-        additional_data: Whether velocities, boxes and physics are recorded.
-        carla: The release of CARLA that it is served; "auto": that of its client.
+    """Serve a world, whose recorder is on, to a script until that ends; it gets the seed and the parameters of a run.
 
     Raises:
         RecapError: There is no such release, or the script ends with another exit code than 0, or the server ends.
