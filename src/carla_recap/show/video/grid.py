@@ -66,7 +66,7 @@ class CameraGrid:
 
         Args:
             images: The images: red, green, blue; the places of those that are missing stay dark.
-            names: Whether each has the id of its camera in its lower left corner.
+            names: Whether each has the id of its camera in its lower right corner.
         """
         from PIL import Image, ImageDraw, ImageFont
 
@@ -81,8 +81,8 @@ class CameraGrid:
             if names:
                 font = ImageFont.load_default(max(_SMALLEST_NAME, place.height // _NAME))
                 margin = place.height // 40
-                corner = place.left + margin, place.top + place.height - margin
-                draw.text(corner, id, (255, 255, 255), font, anchor="ls", stroke_width=2, stroke_fill=(0, 0, 0))
+                corner = place.left + place.width - margin, place.top + place.height - margin
+                draw.text(corner, id, (255, 255, 255), font, anchor="rs", stroke_width=2, stroke_fill=(0, 0, 0))
         picture = np.full((*canvas.size[::-1], 4), 255, np.uint8)
         picture[..., 2::-1] = np.asarray(canvas)
         return picture
