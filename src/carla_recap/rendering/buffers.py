@@ -186,12 +186,7 @@ class ModelBuffers:
 class InstanceGroup:
     """Instances of one model.
 
-    Args:
-        model: The model.
-        table: The instances; see `instance_table`.
-        before: Where they were in the previous image.
-        is_solid: Whether they are opaque.
-        shadows: How many of them, from the first, have a shadow of their shape.
+    `shadows` is how many of them, from the first, have a shadow of their shape.
     """
 
     def __init__(
@@ -233,12 +228,7 @@ def fill(buffer: Any, rows: NDArray[np.void]) -> None:
 
 
 def instance_table(seen: Instances, offsets: NDArray[np.float64]) -> NDArray[np.void]:
-    """Return instances as the shaders read them.
-
-    Args:
-        seen: The instances.
-        offsets: Their centres relative to the camera.
-    """
+    """Return instances as the shaders read them."""
     table = np.zeros(len(seen), shaders.INSTANCE)
     lamps = seen.lamps & LAMP_BITS
     table["location"] = offsets
@@ -264,10 +254,7 @@ class Halos:
     def around(self, seen: Instances, offsets: Floats, strength: float) -> NDArray[np.void]:
         """Return the halos.
 
-        Args:
-            seen: Instances.
-            offsets: Their centres relative to the camera.
-            strength: The brightness of the halos: 1 at night.
+        The strength is the brightness of the halos: 1 at night.
         """
         lit = np.flatnonzero((seen.lamps & LAMP_BITS != 0) & ((offsets**2).sum(axis=1) < _HALO_REACH**2))
         parts = [

@@ -72,11 +72,7 @@ class TriangleGrid:
         self._members, self._starts = members[order], starts
 
     def hits(self, points: Floats) -> tuple[Integers, Floats, Integers]:
-        """Return the triangles above and below points: the index of the point, the height, and the key of each.
-
-        Args:
-            points: Rows of x, y, (n, 2) or (n, 3).
-        """
+        """Return the triangles above and below points: the index of the point, the height, and the key of each."""
         parts = [self._hits(points[start : start + _MOST_AT_ONCE], start) for start in range(0, len(points), _MOST_AT_ONCE)]
         if not parts:
             return np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64)
@@ -144,14 +140,7 @@ class MeshBuilder:
         self._count = 0
 
     def add(self, vertices: Floats, normals: Floats, triangles: Integers, material: Material) -> None:
-        """Add triangles of one material; those without an area, or that are not finite, are left out later.
-
-        Args:
-            vertices: The points, (n, 3).
-            normals: The normals, (n, 3) or (3,).
-            triangles: The indices of the corners, (m, 3).
-            material: The material.
-        """
+        """Add triangles of one material; those without an area, or that are not finite, are left out later."""
         if not len(triangles):
             return
         self._vertices.append(vertices)
@@ -163,12 +152,8 @@ class MeshBuilder:
     def add_strip(self, left: Floats, right: Floats, normals: Floats, material: Material, wanted: NDArray[np.bool_]) -> None:
         """Add the surface between two lines of points, as seen in their direction; seen from above if left is left.
 
-        Args:
-            left: The points of one line, (n, 3).
-            right: Those of the other.
-            normals: The normals at the points, (n, 3) or (3,).
-            material: The material.
-            wanted: Which parts between two successive points, (n - 1,).
+        Normals are those at the points, (n, 3), or one, (3,); only the wanted parts between two successive points are added,
+        (n - 1,).
         """
         n = len(left)
         first = np.flatnonzero(wanted)
@@ -181,10 +166,7 @@ class MeshBuilder:
     def add_quads(self, corners: Floats, normals: Floats, material: Material) -> None:
         """Add quadrangles.
 
-        Args:
-            corners: The corners, counterclockwise as seen from outside, (n, 4, 3).
-            normals: The normals, (n, 3) or (3,).
-            material: The material.
+        Corners are counterclockwise as seen from outside, (n, 4, 3); normals (n, 3) or (3,).
         """
         n = len(corners)
         first = 4 * np.arange(n)[:, None]

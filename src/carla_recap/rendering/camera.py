@@ -21,11 +21,7 @@ Quality = Literal["low", "epic"]
 
 
 def check_quality(quality: str) -> None:
-    """Check a quality.
-
-    Raises:
-        RecapError: There is no such quality.
-    """
+    """Check a quality."""
     if quality not in get_args(Quality):
         raise RecapError(f"quality {quality!r:.200}; one of {', '.join(get_args(Quality))} was expected")
 
@@ -61,11 +57,7 @@ class Camera:
         return self.width / 2 / tan(radians(self.fov) / 2)
 
     def project(self, points: Floats) -> Floats:
-        """Return the pixels of points: x to the right, y down, and the depth along the view axis in m, (n, 3).
-
-        Args:
-            points: The points in m, (n, 3), right-handed.
-        """
+        """Return the pixels of points: x to the right, y down, and the depth along the view axis in m, (n, 3)."""
         forward, left, up = ((np.asarray(points) - self.location) @ self.rotation).T
         with np.errstate(divide="ignore", invalid="ignore"):
             x = self.width / 2 - self.focal_length * left / forward

@@ -56,21 +56,12 @@ class CameraView:
         self._planes /= np.linalg.norm(self._planes, axis=1, keepdims=True)
 
     def sees_spheres(self, offsets: NDArray[np.float64], radii: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which spheres are in view; false for those that are not finite.
-
-        Args:
-            offsets: The centres, relative to the camera.
-            radii: The radii, in m.
-        """
+        """Return which spheres are in view; false for those that are not finite."""
         seen: NDArray[np.bool_] = (offsets @ self._planes.T >= -radii[:, None]).all(axis=1)
         return seen
 
     def sees_boxes(self, bounds: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which boxes are in view.
-
-        Args:
-            bounds: The lower and upper corners, in m, (boxes, 2, 3).
-        """
+        """Return which boxes are in view."""
         centres, halves = bounds.mean(axis=1) - self.camera.location, (bounds[:, 1] - bounds[:, 0]) / 2
         seen: NDArray[np.bool_] = (centres @ self._planes.T + halves @ np.abs(self._planes).T >= 0).all(axis=1)
         return seen

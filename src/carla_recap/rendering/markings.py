@@ -102,11 +102,7 @@ def glyphs(text: str, width: float, height: float) -> list[Floats]:
 
 
 def arrow(name: str) -> list[Floats]:
-    """Return an arrow on a road as polygons, (n, 2): forward and to the left, counterclockwise.
-
-    Args:
-        name: The name of its kind in maps, such as `Stencil_ArrowType4R`.
-    """
+    """Return an arrow on a road as polygons, (n, 2): forward and to the left, counterclockwise."""
     shapes = [_box(-1.6, 0.1, -0.08, 0.08)]
     for way in _ARROWS.get(name.rpartition("Type")[2], "S"):
         if way == "S":

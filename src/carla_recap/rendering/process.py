@@ -288,12 +288,8 @@ class _Tiles:
 class _Child:
     """The process, and the memory that it shares.
 
-    Args:
-        setup: Returns a pickle of the arguments of the renderer; called while the process starts.
-        loads_models: Whether the process loads the models of this package itself.
-
-    Raises:
-        RecapError: The process cannot be started.
+    `setup` returns a pickle of the arguments of the renderer; with `loads_models`, the process loads the models of this
+    package.
     """
 
     def __init__(self, setup: Callable[[], bytes], *, loads_models: bool) -> None:
@@ -338,11 +334,7 @@ class _Child:
             raise
 
     def send(self, command: _Command) -> None:
-        """Have images drawn; if the process has ended, that is found when they are received.
-
-        Raises:
-            RecapError: They are too large.
-        """
+        """Have images drawn; if the process has ended, that is found when they are received."""
         for view in command.views:
             _check_size(view.camera)
         memory = self._memories[0]
@@ -437,11 +429,7 @@ def _create_memory() -> int:
 
 
 def _check_size(camera: Camera) -> None:
-    """Check the width and height of the images of a camera.
-
-    Raises:
-        RecapError: They are too large.
-    """
+    """Check the width and height of the images of a camera."""
     if not (1 <= camera.width <= LARGEST and 1 <= camera.height <= LARGEST):
         size = f"{camera.width} x {camera.height}"
         raise RecapError(f"an image of {size} pixels: 1 to {LARGEST} along each side can be drawn")

@@ -62,10 +62,7 @@ class OrientedBoxes:
     def cast(self, origin: Floats, directions: Floats, reach: float) -> RayHits:
         """Return the first hit of each ray that hits something.
 
-        Args:
-            origin: The start of all rays, (3,) in m.
-            directions: The directions, (n, 3), of length 1.
-            reach: The length of the rays in m.
+        All rays have one origin, (3,) in m, directions of length 1, (n, 3), and a length in m.
         """
         hits = self.pierce(origin, directions, reach)
         return hits.take(np.unique(hits.ray, return_index=True)[1])
@@ -131,11 +128,8 @@ class SurfaceHits:
 class RayScene:
     """A town and the models of actors for rays: those whose instances are at the moment that is asked for.
 
-    Rays may be cast from several threads at a time.
-
-    Args:
-        tiles: The meshes of the town.
-        models: The models, by the numbers that instances have; each is asked for when a ray first meets its box.
+    Rays may be cast from several threads at a time. A model, by the number that instances have, is asked for when a ray
+    first meets its box.
 
     Raises:
         MissingExtra: Embree is not installed.
@@ -152,11 +146,7 @@ class RayScene:
     def cast(self, origin: Floats, directions: Floats, reach: float, instances: Instances | None = None) -> SurfaceHits:
         """Return the first hit of each ray that hits something.
 
-        Args:
-            origin: The start of all rays, (3,) in m.
-            directions: The directions, (n, 3), of length 1.
-            reach: The length of the rays in m.
-            instances: The actors; None for the town alone.
+        For the rays, see `OrientedBoxes.cast`.
         """
         count = len(directions)
         distance, actor = np.full(count, reach), np.zeros(count, np.int64)

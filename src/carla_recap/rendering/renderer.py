@@ -348,11 +348,7 @@ class Renderer:
     ) -> tuple[Instances, NDArray[np.float64]]:
         """Return the instances in view, and their centres relative to the camera.
 
-        Args:
-            view: The view.
-            instances: All instances.
-            without: The ids of those to leave out.
-            shadow: The length of shadows, as a part of the height; they may be in view alone.
+        `shadow` is the length of shadows, as a part of the height; they may be in view alone.
         """
         offsets = instances.locations - view.camera.location
         with np.errstate(invalid="ignore", over="ignore"):

@@ -114,11 +114,7 @@ def sample_roads(roads: Sequence[Road]) -> list[SampledSection]:
 
 
 def _limit_crowd(sections: Sequence[SampledSection]) -> None:
-    """Examine how many lanes lie above each other, or cross.
-
-    Raises:
-        ValueError: They are more than in any town.
-    """
+    """Examine how many lanes lie above each other, or cross."""
     if not sections:
         return
     parts = np.concatenate([section.borders[1:, :-1, :2].reshape(-1, 2) for section in sections])
@@ -251,13 +247,7 @@ _SMOOTHINGS: Final = 40
 
 
 def fill_junctions(builder: MeshBuilder, sections: Sequence[SampledSection], surfaces: TriangleGrid) -> None:
-    """Fill the gaps between the lanes of each junction.
-
-    Args:
-        builder: Collects the triangles.
-        sections: The sections of all roads.
-        surfaces: All surfaces of roads; with the keys of `surface_grid`.
-    """
+    """Fill the gaps between the lanes of each junction."""
     junctions = defaultdict(list)
     for section in sections:
         if section.road.in_junction:

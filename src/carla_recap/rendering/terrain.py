@@ -34,11 +34,7 @@ _SAMPLES: Final = 2.0  # m
 
 
 class Terrain:
-    """The ground around roads.
-
-    Args:
-        sections: The sections of roads; at least one.
-    """
+    """The ground around roads."""
 
     def __init__(self, sections: Sequence[SampledSection]) -> None:
         lines = np.concatenate([section.borders[[0, -1]].reshape(-1, 3) for section in sections])

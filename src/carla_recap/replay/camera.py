@@ -29,9 +29,7 @@ CALM: Final = 0.5  # s; the time constant of the heading
 def level(poses: Floats, heading: ArrayLike | None = None) -> Floats:
     """Return poses without roll and pitch: the axes in which a following camera stands still.
 
-    Args:
-        poses: The poses of the actor.
-        heading: The yaw to look along, in degrees, instead of the actor's own; see `calm_headings`.
+    Without a heading (the yaw to look along, in degrees; see `calm_headings`), it is that of the actor.
     """
     levelled = np.zeros_like(poses)
     levelled[..., LOCATION] = poses[..., LOCATION]
@@ -49,12 +47,7 @@ def chase(
 ) -> Floats:
     """Return the poses of a camera behind and above an actor, looking down at it.
 
-    Args:
-        poses: The poses of the actor.
-        heading: The yaw to look along, in degrees; None: the actor's own.
-        back: The distance behind the actor, in cm.
-        up: The height above the actor, in cm.
-        pitch: The pitch of the camera, in degrees; downwards is negative.
+    Distances are in cm, angles in degrees; a heading is as in `level`.
     """
     camera = level(poses, heading)
     yaw = np.radians(camera[..., YAW])
@@ -68,10 +61,7 @@ def chase(
 def top(poses: Floats, heading: ArrayLike | None = None, *, up: float = TOP_UP) -> Floats:
     """Return the poses of a camera straight above an actor, looking down.
 
-    Args:
-        poses: The poses of the actor.
-        heading: The yaw that is upwards in the picture, in degrees; None: the actor's own.
-        up: The height above the actor, in cm.
+    The height is in cm; the heading, which is upwards in the picture, as in `level`.
     """
     camera = level(poses, heading)
     camera[..., 2] += up

@@ -38,11 +38,6 @@ _MIN_STEPS: Final = 100  # the number of steps in a short recording
 def find_followed(reader: Reader, follow: Follow, *, ignore_hero: bool = False) -> int:
     """Return the id of the actor to follow.
 
-    Args:
-        reader: The recording.
-        follow: An id, or "hero": the first actor with that role name.
-        ignore_hero: Whether the hero is left out, so that it cannot be followed.
-
     Raises:
         RecapError: The actor does not exist; the message names some that do.
     """
@@ -59,16 +54,8 @@ def choose_followed(reader: Reader, *, start: float = 0.0, stop: float = math.in
     """Return the actor to follow by default: the hero, or the first one to collide, or the one that moves farthest.
 
     Only vehicles and walkers count as the first to collide; of those that move, vehicles come first, then walkers. To find
-    the farthest, all transforms within the time are read.
-
-    Args:
-        reader: The recording.
-        start: The elapsed seconds from which on actors count.
-        stop: The elapsed seconds until which they count.
-        ignore_hero: Choose another actor than the hero.
-
-    Returns:
-        An id; None if nothing moves.
+    the farthest, all transforms within the time are read. The actors count that are present between two moments, in elapsed
+    seconds; None if nothing moves.
     """
     present = [actor for actor in actors(reader) if _is_present(actor, start, stop)]
     if ignore_hero:

@@ -121,9 +121,7 @@ def angular_velocities(time: Floats, poses: Floats, joined: Booleans) -> Floats:
 def attach(parent: Floats, relative: Floats) -> Floats:
     """Return the pose in the world (cm, degrees, left-handed) of an actor that is fixed to a parent.
 
-    Args:
-        parent: The parent's pose in the world.
-        relative: The actor's pose in the parent's axes.
+    The relative pose is in the axes of the parent.
     """
     parent, relative = right_handed(parent), right_handed(relative)
     rotation = rotations(parent)
@@ -132,12 +130,7 @@ def attach(parent: Floats, relative: Floats) -> Floats:
 
 
 def detach(parent: Floats, child: Floats) -> Floats:
-    """Return the pose of an actor in its parent's axes (cm, degrees, left-handed), as `attach` takes it.
-
-    Args:
-        parent: The parent's pose in the world.
-        child: The actor's pose in the world.
-    """
+    """Return the pose of an actor in its parent's axes (cm, degrees, left-handed), as `attach` takes it."""
     parent, child = right_handed(parent), right_handed(child)
     inverse = np.swapaxes(rotations(parent), -1, -2)
     location = (inverse @ (child - parent)[..., LOCATION, None])[..., 0]

@@ -79,14 +79,7 @@ def corridors_of(
 ) -> RoadMap | None:
     """Return what the vehicles of a recording have driven along as a road map.
 
-    Args:
-        recording: The recording.
-        start: The elapsed seconds from which on it is read.
-        stop: The elapsed seconds until which it is read.
-        longest: The most seconds that are read.
-
-    Returns:
-        None for more seconds.
+    It is read between two moments, in elapsed seconds; None if these are more than `longest` s apart.
     """
     if min(stop, recording.info.duration) - max(start, 0.0) > longest:
         return None

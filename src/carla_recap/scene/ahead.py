@@ -39,9 +39,6 @@ def stop_points(reader: Reader) -> dict[int, Floats]:
     """Return the points on the lanes at which traffic lights stop cars, if they are recorded: by id, (n, 3) in m.
 
     They are the centres of the trigger volumes at the start of a recording.
-
-    Raises:
-        FormatError: The file contradicts its format.
     """
     stops: dict[int, Floats] = {}
     for frame in reader.frames(("trigger_volumes",), sparse=True, stop=_EARLY):
@@ -62,10 +59,8 @@ def add_stop_points(stops: dict[int, Floats], frame: Frame) -> None:
 class LightAheadFinder:
     """Finds the light ahead: the nearest one whose stop line is in front of the actor, on its lane.
 
-    Of a light without a known stop line, its own location counts, if the light faces the actor.
-
-    Args:
-        stops: See `stop_points`.
+    Of a light without a known stop line, its own location counts, if the light faces the actor. For the stops, see
+    `stop_points`.
     """
 
     def __init__(self, stops: StopPoints) -> None:

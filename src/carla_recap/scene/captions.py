@@ -132,14 +132,8 @@ def incidents_around(
 ) -> list[Incident]:
     """Return the incidents of a recording, of kinds that need every frame only those around a part of it.
 
-    Near misses are those of the followed actor, if there is one.
-
-    Args:
-        source: The recording.
-        options: Which incidents are shown; see `shown_options`.
-        followed: The followed actor.
-        start: The elapsed seconds at which the part begins.
-        stop: The elapsed seconds at which it ends.
+    Near misses are those of the followed actor, if there is one. The part is between two moments, in elapsed seconds; for
+    the options, see `shown_options`.
     """
     kinds = kinds_named(options.kinds)
     listed = kinds & kinds_named(None)

@@ -241,9 +241,7 @@ class SceneDescriber:
     def recall(self, player: Player, contacts: RecordedContacts | None = None) -> None:
         """Learn what of the time before the first scene of a player, which has not begun, is still to be seen then.
 
-        Args:
-            player: The player.
-            contacts: The contacts of its recording, if this is done for many moments, so that they are read once.
+        The contacts of its recording are given if this is done for many moments, so that they are read once.
         """
         contacts = contacts or RecordedContacts(player.reader)
         self._lamps, self._walkers, self._marks = VehicleLamps(), FallenWalkers(), CollisionMarks()
@@ -258,8 +256,7 @@ class SceneDescriber:
     def recall_uncut(self, uncut: Uncut) -> None:
         """Learn what of the time before a clip is still to be seen at its beginning: who lies, and marks of collisions.
 
-        Args:
-            uncut: What the clip is a part of; the next scene is the first one of the clip.
+        The next scene is the first one of the clip.
         """
         self.recall(Player(uncut.recording, start=uncut.begin))
         self._lamps = VehicleLamps()

@@ -94,9 +94,7 @@ class FallenWalkers:
     def changes(self, batch: SceneBatch, *, keep: bool = False) -> list[FallChange]:
         """Return the falls and risings in the scenes of a batch; each batch has to be given, in order.
 
-        Args:
-            batch: The scenes.
-            keep: Whether walkers keep lying in a batch that does not follow the one before.
+        With `keep`, walkers keep lying in a batch that does not follow the one before.
         """
         found: list[FallChange] = []
         if is_new(batch, self._before):
@@ -139,11 +137,7 @@ class FallenWalkers:
                     break
 
     def shift(self, seconds: float) -> None:
-        """Let elapsed times begin later, as those of a clip do.
-
-        Args:
-            seconds: By how much, in s.
-        """
+        """Let elapsed times begin later, as those of a clip do."""
         self._hits = {id: None if hit is None else hit._replace(time=hit.time - seconds) for id, hit in self._hits.items()}
         self._tips = {id: tip._replace(time=tip.time - seconds) for id, tip in self._tips.items()}
 
@@ -250,11 +244,6 @@ def _unrisen(reader: Reader, hits: dict[int, list[float]], time: float) -> dict[
     """Return those hits since which, until a moment, the walker has not got up.
 
     It is looked for from the moment backwards, in longer and longer steps: most walkers walk in the seconds before it.
-
-    Args:
-        reader: The recording.
-        hits: When walkers were hit, in elapsed seconds, by their ids.
-        time: The moment, in elapsed seconds.
     """
     stop, span = time, _LOOK_BACK
     while hits and stop >= (earliest := min(times[0] for times in hits.values())):

@@ -105,12 +105,7 @@ def followed_series(
 ) -> FollowedSeries:
     """Return the series of an actor in all frames of a part of a recording, and of a second before it.
 
-    Args:
-        source: The recording.
-        id: The actor.
-        stops: The points at which traffic lights stop cars; see `carla_recap.scene.ahead`.
-        start: The elapsed seconds of the first scene.
-        stop: The elapsed seconds of the last scene.
+    The part is between two moments, in elapsed seconds; for the stops, see `carla_recap.scene.ahead`.
     """
     begin = max(0.0, start - _BEFORE)
     actor = FollowedActor(id, stops)
@@ -121,9 +116,7 @@ def followed_series(
 class FollowedActor:
     """Measures the followed actor in scenes, which come in order; after a seek, it begins anew.
 
-    Args:
-        id: The actor; None: none is followed.
-        stops: The points at which traffic lights stop cars; see `carla_recap.scene.ahead`.
+    If `id` is None, none is followed. For the stops, see `carla_recap.scene.ahead`.
     """
 
     def __init__(self, id: int | None, stops: StopPoints) -> None:

@@ -93,9 +93,7 @@ class VehicleLamps:
     def flags(self, batch: SceneBatch, *, keep: bool = False) -> Integers:
         """Return the lit lamps of the vehicles in each scene, as bits of CARLA's VehicleLightState, (scenes, ids).
 
-        Args:
-            batch: The scenes; each batch has to be given, in order.
-            keep: Whether a first batch after a seek follows the one before, nevertheless.
+        Each batch has to be given, in order; with `keep`, a first batch after a seek follows the one before, nevertheless.
         """
         is_new = (batch.fresh and not keep) or not batch.time[0] >= self._time
         self._time = float(batch.time[-1])
@@ -128,12 +126,7 @@ class VehicleLamps:
     def flags_at(self, time: float, ids: Ids, lights: NDArray[np.integer], brakes: Floats, reversing: Booleans) -> Integers:
         """Return the lit lamps of the vehicles of a running simulation at a moment, as `flags` does.
 
-        Args:
-            time: The moment, in elapsed seconds, later than those before.
-            ids: The vehicles.
-            lights: Their light flags.
-            brakes: Their brake controls, from 0 to 1.
-            reversing: Whether each is in a reverse gear.
+        The moment, in elapsed seconds, is later than those before. Brake controls are from 0 to 1.
         """
         if not np.array_equal(ids, self.ids):
             order = np.argsort(self.ids)

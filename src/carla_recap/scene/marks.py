@@ -54,9 +54,7 @@ class CollisionMarks:
     def changes(self, batch: SceneBatch, *, keep: bool = False) -> list[tuple[int, Floats]]:
         """Return the rows at which marks appear or disappear, and `locations` from then on.
 
-        Args:
-            batch: The scenes; each batch has to be given, in order.
-            keep: Whether marks are kept in a batch that does not follow the one before.
+        Each batch has to be given, in order; with `keep`, marks are kept in one that does not follow the one before.
         """
         shown = self._shown()
         if not keep and is_new(batch, self._before):
@@ -78,11 +76,7 @@ class CollisionMarks:
         return found
 
     def shift(self, seconds: float) -> None:
-        """Let elapsed times begin later, as those of a clip do.
-
-        Args:
-            seconds: By how much, in s.
-        """
+        """Let elapsed times begin later, as those of a clip do."""
         for mark in self._marks.values():
             mark.until -= seconds
 

@@ -32,10 +32,7 @@ MOST_RADAR_RAYS: Final = 100_000
 class _Rays:
     """What the rays of lidars and radars share: how many there are in a frame.
 
-    Args:
-        numbers: The attributes of the sensor.
-        most: The greatest number of rays in a frame.
-        warn: Is called with a text when an attribute asks for more than is simulated, once for each attribute.
+    `warn` is called with a text when an attribute asks for more than is simulated, once for each attribute.
     """
 
     def __init__(self, numbers: Numbers, most: int, warn: Warn) -> None:
@@ -56,10 +53,6 @@ class _Rays:
 class LidarBeams(_Rays):
     """The rays of a lidar: they sweep around, channel by channel.
 
-    Args:
-        numbers: The attributes of the lidar.
-        warn: Is called with a text when an attribute asks for more than is simulated, once for each attribute.
-
     Attributes:
         channels: The number of channels.
         angle: The horizontal angle at the end of the latest frame, in radians.
@@ -79,9 +72,6 @@ class LidarBeams(_Rays):
 
     def rays(self, seconds: float) -> Floats:
         """Turn, and return the directions of the rays in the axes of the lidar, channel by channel.
-
-        Args:
-            seconds: The time since the frame before, in s.
 
         Returns:
             The directions, (n, 3), of length 1; each channel has n / `channels` of them.
@@ -128,10 +118,6 @@ class LidarReturns:
 class RadarBeams(_Rays):
     """The rays of a radar, at random in a cone.
 
-    Args:
-        numbers: The attributes of the radar.
-        warn: Is called with a text when an attribute asks for more than is simulated, once for each attribute.
-
     Attributes:
         reach: The length of the rays in m.
     """
@@ -147,11 +133,7 @@ class RadarBeams(_Rays):
     def rays(self, seconds: float) -> Floats:
         """Return the directions of the rays in the axes of the radar.
 
-        Args:
-            seconds: The time since the frame before, in s.
-
-        Returns:
-            The directions, (n, 3), of length 1.
+        The time is since the frame before, in s; directions have the length 1, (n, 3).
         """
         count = self._count(seconds)
         radius, angle = self._random.random(count), self._random.random(count) * tau

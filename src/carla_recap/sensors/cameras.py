@@ -31,12 +31,7 @@ _IDS: Final = 1 << 16  # that instance images tell apart
 
 
 def camera_of(spec: SensorSpec, pose: Floats) -> Camera:
-    """Return the camera of a sensor.
-
-    Args:
-        spec: The sensor, a camera.
-        pose: Its pose in m and degrees, right-handed, (6,).
-    """
+    """Return the camera of a sensor."""
     width, height = int(spec.number("image_size_x")), int(spec.number("image_size_y"))
     return Camera(width, height, spec.number("fov"), pose[LOCATION], rotations(pose))
 
@@ -49,12 +44,7 @@ class PlacedSensor(NamedTuple):
 
 
 class _Pass:
-    """What cameras of the same pose, size and field of view see.
-
-    Args:
-        camera: One of these cameras.
-        hidden: The ids of the actors that they do not see.
-    """
+    """What cameras of the same pose, size and field of view see."""
 
     def __init__(self, camera: Camera, hidden: frozenset[int]) -> None:
         self.camera = camera

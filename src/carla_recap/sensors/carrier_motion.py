@@ -32,13 +32,8 @@ _REST = Motion(np.zeros(3), np.zeros(3), np.zeros(3))
 class CarrierMotion:
     """The motion of an actor, by the rule of `carla_recap.model.motion`; what is unknown counts as 0.
 
-    Where no velocities are recorded, an acceleration is the change from the step to a frame to the step from it.
-
-    Args:
-        recording: The recording.
-        id: The actor.
-        start: The elapsed seconds from which on it is known.
-        stop: The elapsed seconds until which it is known.
+    Where no velocities are recorded, an acceleration is the change from the step to a frame to the step from it. It is known
+    between two moments, in elapsed seconds.
     """
 
     def __init__(self, recording: Recording, id: int, start: float = -math.inf, stop: float = math.inf) -> None:

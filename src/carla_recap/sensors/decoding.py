@@ -139,11 +139,7 @@ class SensorDecoder:
         return chain(shown, self._reader.further_messages(self.topics, start, stop))
 
     def decoded(self, message: TopicMessage) -> Decoded:
-        """Return what a message says.
-
-        Raises:
-            FormatError: It contradicts its schema.
-        """
+        """Return what a message says."""
         try:
             return self._decoders[message.topic](message.data)
         except (DecodeError, ValueError) as error:
@@ -296,13 +292,7 @@ class StoredImages:
 
 
 def _picture(data: bytes) -> Image:
-    """Return a JPEG, PNG or WebP as an array.
-
-    Raises:
-        MissingExtra: Pillow is not installed.
-        OSError: It is damaged.
-        ValueError: It is damaged, too large, or no such image.
-    """
+    """Return a JPEG, PNG or WebP as an array."""
     pillow = load_pillow()
     from PIL import UnidentifiedImageError
 

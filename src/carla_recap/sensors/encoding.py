@@ -49,12 +49,7 @@ def bgrx(image: Image) -> Image:
 def jpeg(image: Image, quality: int = QUALITY) -> bytes:
     """Return an image as JPEG.
 
-    Args:
-        image: The image: red, green, blue, (height, width, 3) of uint8.
-        quality: The quality, from 1 to 95.
-
-    Raises:
-        MissingExtra: Pillow is not installed.
+    The image is red, green, blue, (height, width, 3) of uint8; the quality from 1 to 95.
     """
     pillow = load_pillow()
     height, width = image.shape[:2]
@@ -66,12 +61,7 @@ def jpeg(image: Image, quality: int = QUALITY) -> bytes:
 def webp(image: Image, quality: int) -> bytes:
     """Return an image as WebP, which takes half of the bytes of a JPEG, and several times as long.
 
-    Args:
-        image: The image: red, green, blue, (height, width, 3) of uint8.
-        quality: The quality, from 1 to 100.
-
-    Raises:
-        MissingExtra: Pillow is not installed.
+    The image is red, green, blue, (height, width, 3) of uint8; the quality from 1 to 100.
     """
     file = BytesIO()
     load_pillow().fromarray(np.ascontiguousarray(image)).save(file, "WEBP", quality=quality, method=_WEBP_EFFORT)
@@ -81,11 +71,7 @@ def webp(image: Image, quality: int) -> bytes:
 def png(image: Image) -> bytes:
     """Return an image as PNG.
 
-    Args:
-        image: Grey values, (height, width) of uint8 or uint16; or red, green, blue, (height, width, 3) of uint8.
-
-    Raises:
-        MissingExtra: Pillow is not installed.
+    The image is grey, (height, width) of uint8 or uint16, or red, green, blue, (height, width, 3) of uint8.
     """
     file = BytesIO()
     load_pillow().fromarray(np.ascontiguousarray(image)).save(file, "PNG", compress_level=_FASTEST_PNG)
@@ -135,9 +121,7 @@ class VideoStream:
     def encode(self, image: Image, *, is_key: bool) -> bytes:
         """Return the packet of the next image.
 
-        Args:
-            image: The image: red, green, blue, (height, width, 3) of uint8.
-            is_key: Whether it can be decoded without those before.
+        A key image can be decoded without those before.
         """
         from av import VideoFrame
         from av.video.frame import PictureType
@@ -150,11 +134,7 @@ class VideoStream:
 
 
 def load_pillow(feature: str = "an image of a camera", extra: str = _EXTRA) -> Any:
-    """Return Pillow's module `Image`.
-
-    Raises:
-        MissingExtra: It is not installed.
-    """
+    """Return Pillow's module `Image`."""
     try:
         from PIL import Image
     except ImportError:

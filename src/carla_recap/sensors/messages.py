@@ -169,13 +169,7 @@ class SensorMessages:
 
 
 class _Maker:
-    """Makes the messages of a sensor.
-
-    Args:
-        spec: The sensor.
-        video: See `SensorMessages`.
-        quality: See `SensorMessages`.
-    """
+    """Makes the messages of a sensor."""
 
     def __init__(self, spec: SensorSpec, *, video: bool, quality: int) -> None:
         self._id = spec.id
@@ -339,11 +333,6 @@ def _calibration(id: str, camera: Camera, stamp: Stamp) -> Message:
 
 
 def frame_rotation(spec: SensorSpec, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation of a sensor's frame as a quaternion x, y, z, w.
-
-    Args:
-        spec: The sensor.
-        pose: Its pose in m and degrees, right-handed, (6,).
-    """
+    """Return the rotation of a sensor's frame as a quaternion x, y, z, w."""
     turn = quaternions(pose)
     return turn if spec.image is None else turn @ _OPTICAL

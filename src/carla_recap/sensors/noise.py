@@ -18,9 +18,7 @@ Numbers = Callable[[str], float]
 def generator(seed: float, purpose: str = "") -> np.random.Generator:
     """Return a source of random numbers for one purpose: the same for the same seed.
 
-    Args:
-        seed: The seed; the sign and the fraction do not count.
-        purpose: The name of what the numbers are for, so that two sources of a sensor differ.
+    The sign and the fraction of the seed do not count; purposes tell two sources of a sensor apart.
     """
     return np.random.default_rng((abs(int(seed)), zlib.crc32(purpose.encode())))
 

@@ -177,12 +177,7 @@ def sensed_frames(
 ) -> Generator[SensedFrame]:
     """Return the same, given the options as an object; see `sense`.
 
-    Args:
-        recording: See `sense`.
-        rig: See `sense`.
-        options: The options.
-        progress: See `sense`.
-        uncut: What the recording is a clip of, if that is known: what has happened before is seen then.
+    `uncut` is what the recording is a clip of, if that is known: what has happened before is seen then.
     """
     find_actor(recording.location, recording.actors.lives, options.actor, purpose="to carry the rig")
     duration = 0.0 if math.isinf(options.duration) else options.duration
@@ -201,13 +196,7 @@ class _Surroundings:
 
 
 class _Town:
-    """The town of a recording, loaded when it is first asked for.
-
-    Args:
-        recording: The recording.
-        road_map: The map or the folder to look in; None: the usual folders.
-        player: The part of the recording that counts.
-    """
+    """The town of a recording, loaded when it is first asked for."""
 
     def __init__(self, recording: Recording, road_map: Path | str | None, player: Player) -> None:
         self._recording = recording
@@ -336,11 +325,7 @@ class _Sensing:
                 yield waiting.popleft()()
 
     def _open(self, stack: ExitStack) -> None:
-        """Start what draws, and make the instruments; those that cannot work are left out with a warning.
-
-        Raises:
-            RecapError: None can work.
-        """
+        """Start what draws, and make the instruments; those that cannot work are left out with a warning."""
         kinds = {spec.kind for spec in self._rig}
         for name, those in (("cameras", ("camera",)), ("lidars and radars", _RAY_KINDS)):
             if not kinds.isdisjoint(those):
@@ -436,12 +421,7 @@ class _Sensing:
 def carrier_of(scene: Scene, actor: ActorName) -> tuple[int | None, Floats]:
     """Return which actor carries a rig in a scene, and its pose.
 
-    Args:
-        scene: The scene.
-        actor: The actor; see `sense`.
-
-    Returns:
-        The id; None while there is none; and the pose in m and degrees, right-handed, (6,); NaN if it is unknown.
+    The id is None while there is none; the pose is in m and degrees, right-handed, (6,), NaN if it is unknown.
     """
     if actor == HERO:
         heroes = heroes_of(scene.actors.values())
@@ -494,14 +474,7 @@ class _RaySensor(ABC):
 
     @abstractmethod
     def measure(self, moment: _Moment, pose: Floats, hits: SurfaceHits, directions: Floats) -> NDArray[np.void]:
-        """Return what it measures.
-
-        Args:
-            moment: The moment.
-            pose: Its pose in m and degrees, right-handed.
-            hits: What its rays meet first.
-            directions: Their directions.
-        """
+        """Return what it measures."""
 
 
 class _RayCaster:

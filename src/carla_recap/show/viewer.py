@@ -88,11 +88,7 @@ class RerunViewer:
         return self._process.poll() is None
 
     def wait(self) -> None:
-        """Wait until it ends.
-
-        Raises:
-            RecapError: It failed.
-        """
+        """Wait until it ends."""
         if self._process.wait():
             raise self._failure()
 
@@ -123,21 +119,13 @@ class RerunViewer:
         return int(self.wait_for("open port", lambda: announced.search(self._output()))[1])
 
     def check(self) -> None:
-        """Check that it is running.
-
-        Raises:
-            RecapError: It ended.
-        """
+        """Check that it is running."""
         if self._process.poll() is not None:
             raise self._failure()
 
     @contextmanager
     def answering(self) -> Iterator[None]:
-        """Guard requests to the viewer: without an answer within `TIMEOUT`, it is killed, since its client has no timeout.
-
-        Raises:
-            RecapError: It does not answer, or answers with an error.
-        """
+        """Guard requests to the viewer: without an answer within `TIMEOUT`, it is killed; its client has no timeout."""
         watchdog = threading.Timer(TIMEOUT, self._process.kill)
         watchdog.daemon = True
         watchdog.start()

@@ -112,11 +112,7 @@ class _TransformsTemplate:
     def messages(self, topic: str, rows: Indices, stamps: Stamps, poses: Floats) -> TopicMessages:
         """Return the messages of some scenes.
 
-        Args:
-            topic: The topic.
-            rows: The positions of the scenes in the batch.
-            stamps: The timestamp of each scene.
-            poses: The poses of the actors in m and degrees, right-handed, (scenes, actors, 6).
+        Poses are in m and degrees, right-handed, (scenes, actors, 6).
         """
         turns = quaternions(poses)
         changing = np.empty((*turns.shape[:2], len(_CHANGING.data)), np.uint8)
@@ -140,14 +136,7 @@ class _TopicEntities:
         self._shown: dict[str, bytes] = {}
 
     def messages(self, entities: dict[str, bytes], row: int, stamp: Stamps, *, fresh: bool) -> Iterator[TopicMessages]:
-        """Yield a message if the entities have changed, or if it is the first one.
-
-        Args:
-            entities: The serialized entities by their ids.
-            row: The position of the scene in the batch.
-            stamp: Its timestamp.
-            fresh: Whether it is the first scene.
-        """
+        """Yield a message if the entities have changed, or if it is the first one."""
         if entities == self._shown and not fresh:
             return
         time, before = stamp.tobytes(), self._shown
@@ -240,14 +229,7 @@ class ActorEntities:
             warnings.warn(text, RecapWarning, stacklevel=2)
 
     def _show_lamps(self, lit: NDArray[np.uint64], rows: Indices, stamps: Stamps, *, fresh: bool) -> Iterator[TopicMessages]:
-        """Yield the messages of the lamps, whenever one goes on or off.
-
-        Args:
-            lit: A bit for each lamp that is lit, (scenes, actors).
-            rows: The positions of the scenes in the batch.
-            stamps: The timestamp of each.
-            fresh: Whether the first of these is the first one of all.
-        """
+        """Yield the messages of the lamps, whenever one goes on or off."""
         for start in (0, *(np.flatnonzero((lit[1:] != lit[:-1]).any(axis=1)) + 1).tolist()):
             now, fresh_now = lit[start].tobytes(), fresh and not start
             if now == self._lit and not fresh_now:

@@ -72,14 +72,7 @@ def topic_of(actor: ActorLife) -> str:
 
 
 def body(actor: ActorLife, look: Look, fall: Fall | None = None, *, detailed: bool = True) -> bytes:
-    """Return an actor as an entity, a field of a `SceneUpdate` whose end is a `TIMESTAMP`.
-
-    Args:
-        actor: The actor.
-        look: Its look.
-        fall: How it lies, if it was knocked down.
-        detailed: Draw its model, not only its box.
-    """
+    """Return an actor as an entity, a field of a `SceneUpdate` whose end is a `TIMESTAMP`."""
     return entity(actor, frame_of(actor.id), _shape(look, fall) if detailed else _box(look))
 
 
@@ -94,10 +87,7 @@ def entity(actor: ActorLife, id: str, shape: bytes, **metadata: str) -> bytes:
 def lit_lamps(actor: ActorLife, look: Look, lamps: int) -> bytes:
     """Return the lit lamps of a vehicle or traffic light as an entity; see `body`.
 
-    Args:
-        actor: The vehicle or traffic light.
-        look: Its look.
-        lamps: A bit for each lamp that is lit; see `SceneDescription.lamps`.
+    There is a bit for each lamp that is lit; see `SceneDescription.lamps`.
     """
     if actor.kind != "traffic_light":
         return entity(actor, lamps_id(actor), _lit_shape(look._replace(color=_ANY_COLOR), lamps))

@@ -52,12 +52,7 @@ def town_around(road_map: RoadMap | None, player: Player, source: Recording) -> 
 
 
 def map_message(town: TownMesh | None, stamp: Stamps) -> bytes:
-    """Return the surfaces of a town as a `SceneUpdate`, an entity for each piece; empty without a town.
-
-    Args:
-        town: The town.
-        stamp: The timestamp of the beginning of the recording.
-    """
+    """Return the surfaces of a town as a `SceneUpdate`, an entity for each piece; empty without a town."""
     pieces: defaultdict[tuple[int, int], list[Mesh]] = defaultdict(list)
     for tile, bounds in () if town is None else zip(town.tiles, town.bounds, strict=True):
         x, y = np.floor(bounds.mean(axis=0)[:2] / _PIECE).astype(int).tolist()

@@ -47,11 +47,7 @@ class FoxgloveFile(ChunkedFile):
         self._begin(lambda: self._write_description(description))
 
     def write(self, added: TimedMessages) -> None:
-        """Add messages in the order of time; where times are equal, in the given order.
-
-        Raises:
-            RecapError: The disk is full, or broken.
-        """
+        """Add messages in the order of time; where times are equal, in the given order."""
         messages, times, _ = added
         if not messages:
             return
@@ -79,13 +75,7 @@ class FoxgloveFile(ChunkedFile):
     def write_further(self, topic: str, time: int, data: bytes) -> None:
         """Add a message of a further topic, to chunks that have no others.
 
-        Args:
-            topic: The name of the topic.
-            time: Its time in ns since 1970.
-            data: The message, encoded.
-
-        Raises:
-            RecapError: The disk is full, or broken.
+        Its time is in ns since 1970.
         """
         self._further_chunk.add(self._channel_of[topic], 0, (time, time), b"", data)
         if self._further_chunk.size >= _CHUNK_SIZE:

@@ -146,11 +146,7 @@ def export_sensed(
 
 
 def _check_new(source: Recording, rig: SensorRig) -> None:
-    """Check that a recording has no data of the sensors of a rig.
-
-    Raises:
-        RecapError: It has.
-    """
+    """Check that a recording has no data of the sensors of a rig."""
     known = {sensor.id for sensor in source.sensors}
     for spec in rig:
         if spec.id in known:
@@ -185,11 +181,7 @@ class _SensedWriter:
         writer.add_topic(Topic(ACTORS, ActorTable.DESCRIPTOR.full_name, partial(schema_of, ActorTable)))
 
     def write(self, scenes: RecordingMessages, moments: Iterable[SensedFrame]) -> None:
-        """Write everything.
-
-        Raises:
-            RecapError: The disk is full, or broken.
-        """
+        """Write everything."""
         self._writer.write_message(ACTORS, 0.0, _table(self._source.actors.values()).SerializeToString())
         parts = self._frames(), self._scene_messages(scenes), self._samples(moments)
         for _, write in merge(*parts, key=itemgetter(0)):

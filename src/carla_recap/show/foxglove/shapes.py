@@ -54,9 +54,7 @@ def color(rgb: Rgb) -> Color:
 def triangles(geometry: bytes, rgb: Rgb) -> bytes:
     """Return a `TriangleListPrimitive`, as a field of an entity.
 
-    Args:
-        geometry: The points and corners; see `geometries`.
-        rgb: The colour.
+    For the points and corners, see `geometries`.
     """
     start = TriangleListPrimitive(pose=_POSE, color=color(rgb)).SerializeToString()
     return MessagePart(start + geometry).within(SceneEntity.TRIANGLES_FIELD_NUMBER).data
@@ -116,9 +114,7 @@ def surfaces(found: Mesh) -> list[Surfaces]:
 def geometries(parts: Iterable[Surfaces], vertices: Floats) -> list[tuple[Surfaces, bytes]]:
     """Return the points and corners of triangles.
 
-    Args:
-        parts: The triangles.
-        vertices: The points of the mesh in m, in the frame of the entity, (vertices, 3).
+    The points of the mesh are in m, in the frame of the entity, (vertices, 3).
     """
     return [(part, _geometry(vertices[part.vertices], part.corners)) for part in parts]
 
@@ -129,12 +125,7 @@ def mesh(found: Mesh) -> bytes:
 
 
 def boxes(part: Surfaces, vertices: Floats) -> list[tuple[Floats, Floats]]:
-    """Return boxes around connected triangles: the middle and the size of each.
-
-    Args:
-        part: The triangles.
-        vertices: The points of the mesh in m, (vertices, 3).
-    """
+    """Return boxes around connected triangles: the middle and the size of each."""
     points, labels = np.asarray(vertices, np.float64)[part.vertices], np.arange(len(part.vertices))
     while True:  # each point gets the least label of its triangles, until nothing changes
         least = labels[part.corners].min(axis=1)

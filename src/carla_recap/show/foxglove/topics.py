@@ -272,11 +272,7 @@ class RecordingMessages:
         self._elapsed, self._times = [np.zeros(0)], [np.zeros(0, np.uint64)]
 
     def scenes(self, progress: Progress | None = None) -> Iterator[TimedMessages]:
-        """Yield the messages of all scenes, in the order of time.
-
-        Args:
-            progress: Is given the stream of scenes and their player, and passes the scenes on.
-        """
+        """Yield the messages of all scenes, in the order of time."""
         for batch in self._player.batches(progress):
             for part in self._messages.of(batch):
                 yield part
@@ -295,13 +291,7 @@ class RecordingMessages:
 
 
 def incident_messages(found: Iterable[Incident], elapsed: Floats, times: Times) -> TimedMessages:
-    """Return the incidents that began during some scenes as text, each at the scene at which it began.
-
-    Args:
-        found: The incidents.
-        elapsed: The moments of the scenes, in elapsed seconds.
-        times: The same in ns since 1970.
-    """
+    """Return the incidents that began during some scenes as text, each at the scene at which it began."""
     lines = [_log_line(line, row, times) for row, line in incident_lines(found, elapsed)]
     return TimedMessages(lines, times, elapsed)
 

@@ -70,11 +70,7 @@ _MOST_WAITING: Final = 1024  # messages that wait for a slow viewer, which loses
 
 
 def check_sdk() -> None:
-    """Check that Foxglove's SDK is installed.
-
-    Raises:
-        MissingExtra: It is not.
-    """
+    """Check that Foxglove's SDK is installed."""
     try:
         import foxglove  # noqa: F401
     except ImportError:
@@ -406,9 +402,7 @@ class _PlayedRecording:
     def messages(self, moment: int, rate: Callable[[], float]) -> Iterator[Sent]:
         """Yield the messages from some time before a moment on, in the order of time; of sensors, the latest ones then, too.
 
-        Args:
-            moment: The moment, in ns since 1970.
-            rate: Returns how many scenes are shown in a second of the recording.
+        The moment is in ns since 1970; `rate` returns how many scenes are shown in a second of the recording.
         """
         elapsed = self._clock.elapsed(moment)
         begin = max(elapsed - _LEAD, self._start)

@@ -101,15 +101,7 @@ class Opening(NamedTuple):
 
 
 class _Reported:
-    """A recording in a page.
-
-    Args:
-        recording: The recording.
-        options: Which incidents to list.
-        around: The seconds before and after an incident in the replay of a long recording.
-        camera: The camera whose images are shown; None: the one that looks ahead, if there is one.
-        progress: Gets the scenes and their player, and yields the scenes.
-    """
+    """A recording in a page."""
 
     def __init__(
         self,

@@ -238,9 +238,7 @@ class Sampler:
     def add(self, scene: Scene, *, last: bool = False) -> None:
         """Add a scene, if a sample is due.
 
-        Args:
-            scene: The scene; all scenes of an interval must be given.
-            last: Whether to take the sample in any case.
+        All scenes of an interval must be given; with `last`, the sample is taken in any case.
         """
         if self._moving is None or self._moving[0] is not scene.batch:
             velocities = self._motion.velocities(scene.batch)
@@ -372,9 +370,7 @@ class Sampler:
 def _intervals(samples: Floats, times: Floats) -> Iterator[tuple[int, int, int, bool]]:
     """Yield the uninterrupted paths in a block: the actor's column, the first and last sample, whether it stands still.
 
-    Args:
-        samples: x, y, yaw by sample and actor; NaN if the actor is absent.
-        times: The times of the samples.
+    Samples are x, y, yaw by sample and actor; NaN if the actor is absent.
     """
     present = np.asarray(np.isfinite(samples).all(axis=2))
     distances = np.hypot(*np.moveaxis(np.diff(samples[:, :, :2], axis=0), 2, 0))
@@ -394,15 +390,7 @@ def _intervals(samples: Floats, times: Floats) -> Iterator[tuple[int, int, int, 
 def sample(
     recording: Recording, found: Sequence[Incident], before: float, after: float, progress: Progress | None
 ) -> tuple[SampledReplay, bool]:
-    """Return the samples of a recording, or if they are too large, those around its incidents; and whether it is all.
-
-    Args:
-        recording: The recording.
-        found: The incidents.
-        before: The seconds before each.
-        after: The seconds after each.
-        progress: Gets the scenes and their player, and yields the scenes.
-    """
+    """Return the samples of a recording, or if they are too large, those around its incidents; and whether it is all."""
     for rate in RATES:
         player = Player(recording)
         sampler = Sampler(rate)
@@ -444,13 +432,7 @@ def _around(recording: Recording, windows: Sequence[tuple[float, float]], sample
 
 
 class _Measurer:
-    """Measures actors at the times of samples.
-
-    Args:
-        ids: The ids of the actors.
-        times: The times of the samples, in elapsed seconds, ascending.
-        stops: The points at which traffic lights stop cars; see `carla_recap.scene.ahead`.
-    """
+    """Measures actors at the times of samples."""
 
     def __init__(self, ids: Iterable[int], times: Floats, stops: StopPoints) -> None:
         self.measured = [
@@ -505,10 +487,7 @@ class _Measurer:
 def measure(recording: Recording, ids: Iterable[int], times: Floats) -> list[MeasuredActor]:
     """Return what is plotted of some actors at the times of samples.
 
-    Args:
-        recording: The recording.
-        ids: The ids of the actors.
-        times: The times of the samples, in elapsed seconds, ascending.
+    The times are in elapsed seconds, ascending.
     """
     measurer = _Measurer(ids, times, stop_points(recording.reader))
     motion = MotionCollector(recorded_actors(recording.reader), before=MARGIN, after=MARGIN)

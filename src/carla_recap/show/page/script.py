@@ -111,9 +111,7 @@ class Packer:
 def script(name: str, value: Any) -> str:
     """Return a script that assigns a value to a global name.
 
-    Args:
-        name: The name.
-        value: A value of JSON's types, without NaN or infinity.
+    The value is of JSON's types, without NaN or infinity.
     """
     text = json.dumps(value, separators=(",", ":"), allow_nan=False)
     # "<" could end the script, if it is put into a page.
@@ -296,9 +294,7 @@ def image_data(images: PageImages) -> dict[str, Any]:
 def single_page(folder: Path, data: Mapping[str, str]) -> str:
     """Return the page of a folder as one document, which loads nothing and runs nothing but its own scripts.
 
-    Args:
-        folder: The folder with `index.html` and what it refers to.
-        data: The texts of the scripts that are not in the folder, by address.
+    `data` has the texts of the scripts that are not in the folder, by address.
     """
     page = (folder / "index.html").read_text("utf-8")
     styles = "\n".join((folder / name).read_text("utf-8") for name in _STYLE.findall(page))

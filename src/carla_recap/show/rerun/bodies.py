@@ -148,11 +148,7 @@ class ActorWriter:
         self._placed = set(self._drawn)
 
     def close(self) -> None:
-        """Write what is held back, and if the map has no roads, an edge around it, so that it keeps its scale.
-
-        Warns:
-            RecapWarning: There are too many actors for all of them to have boxes.
-        """
+        """Write what is held back, and if the map has no roads, an edge around it, so that it keeps its scale."""
         self.flush()
         if self._left_out is not None:
             text = f"from {self._left_out:g} s on, actors are only on the map: there are more than {MOST_BOXES} at a time"

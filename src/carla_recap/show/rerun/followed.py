@@ -61,11 +61,7 @@ _HEADWAY: Final[Color] = (110, 200, 235)
 
 
 def chase_eye(half_extents: Triple | None) -> Triple:
-    """Return where the camera behind an actor is, in its level axes, in m: farther away from one larger than a car.
-
-    Args:
-        half_extents: Half the size of the actor's box; None if it is unknown.
-    """
+    """Return where the camera behind an actor is, in its level axes, in m: farther away from one larger than a car."""
     back, up = camera.CHASE_BACK * CM, camera.CHASE_UP * CM
     if half_extents is not None:
         back += max(0.0, half_extents[0] - _CAR[0]) * 1.6
@@ -97,15 +93,7 @@ class CameraAxes:
 
 
 class FollowedWriter:
-    """Writes what is shown of the followed actor alone, and what is see-through for the camera behind it.
-
-    Args:
-        stream: The stream.
-        id: The actor.
-        stops: The points at which traffic lights stop cars; see `carla_recap.scene.ahead`.
-        models: The present actors that are drawn as models, which can be see-through.
-        ground: Whether a ground moves along with it, which shows its speed if there is no map.
-    """
+    """Writes what is shown of the followed actor alone, and what is see-through for the camera behind it."""
 
     def __init__(self, stream: Stream, id: int, stops: StopPoints, models: Set[int], *, ground: bool) -> None:
         self._stream = stream

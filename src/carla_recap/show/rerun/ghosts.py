@@ -39,19 +39,7 @@ def write_ghosts(
 ) -> int:
     """Write the vehicles and walkers of another recording, each from the time on at which its path parts.
 
-    Args:
-        recording: The stream, with the scenes of the recording.
-        source: The recording.
-        ghost: The other one.
-        start: The elapsed seconds from which on it is shown.
-        duration: The seconds that are shown; 0: all of the rest.
-        follow: An actor of the recording whose ghost has a name.
-
-    Returns:
-        The number of ghosts.
-
-    Raises:
-        FormatError: A file contradicts its format.
+    Return the number of ghosts; the one of `follow` has a name.
     """
     found = differences(source, ghost, tolerance=APART, events=False)
     shown = {(row.id_b, row.spawned_at_b): row.first for row in found.actors if row.first is not None}
@@ -71,10 +59,7 @@ def write_ghosts(
 class GhostWriter:
     """Writes ghosts.
 
-    Args:
-        stream: The stream.
-        shown: The elapsed seconds from which on an actor is shown, by its id and the time of its spawn.
-        named: The actors that have names, by the same.
+    An actor, by its id and the time of its spawn, is shown from some elapsed seconds on; some have names.
 
     Attributes:
         count: The number of ghosts that were written.

@@ -56,11 +56,7 @@ class _Row(NamedTuple):
 class SensorWriter:
     """Writes what the sensors of a recording measured.
 
-    Args:
-        stream: The stream.
-        reader: The recording.
-        start: The elapsed seconds at which the scenes begin.
-        stop: The elapsed seconds at which they end.
+    The scenes begin and end at some elapsed seconds.
 
     Raises:
         MissingExtra: An optional dependency is not installed.

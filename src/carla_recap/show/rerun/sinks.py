@@ -57,11 +57,7 @@ class Rrd:
         _clean_up()
 
     def take(self) -> bytes:
-        """Return what was written since the last call, which is a complete .rrd.
-
-        Raises:
-            RecapError: Rerun fails.
-        """
+        """Return what was written since the last call, which is a complete .rrd."""
         return _read(self._bytes)
 
 
@@ -97,12 +93,7 @@ def piped(arrangement: rrb.Blueprint, put: Callable[[bytes], object]) -> Iterato
 def sent(arrangement: rrb.Blueprint, address: str) -> Iterator[rr.RecordingStream]:
     """Open a stream to a running viewer; a context manager.
 
-    Args:
-        arrangement: The arrangement of the viewer.
-        address: The address of the viewer, as `rerun+http://127.0.0.1:9876/proxy`.
-
-    Raises:
-        RecapError: The address is invalid.
+    The address is one such as `rerun+http://127.0.0.1:9876/proxy`.
     """
     stream = rr.RecordingStream(APPLICATION, send_properties=False)
     try:
@@ -158,11 +149,7 @@ class _PipeReader(Thread):
 
 
 def rbl(arrangement: rrb.Blueprint) -> bytes:
-    """Return the content of a blueprint's file.
-
-    Raises:
-        RecapError: Rerun fails.
-    """
+    """Return the content of a blueprint's file."""
     stream = _blueprint_stream(APPLICATION)
     data = rr.binary_stream(stream)
     send_blueprint(arrangement, stream)

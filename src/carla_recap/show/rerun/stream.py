@@ -95,11 +95,7 @@ class TimeColumns(NamedTuple):
 
 
 class Stream:
-    """Writes to a Rerun stream, by rows and by columns.
-
-    Args:
-        recording: The stream; its own clock is switched off.
-    """
+    """Writes to a Rerun stream, by rows and by columns."""
 
     def __init__(self, recording: rr.RecordingStream) -> None:
         self._recording = recording
@@ -126,10 +122,7 @@ class Stream:
     def trajectories(self, rows: Iterable[tuple[str, int, int]], times: TimeColumns, poses: Floats) -> None:
         """Log poses as the transforms of many entities.
 
-        Args:
-            rows: The path of each entity, and its first row and the one after its last.
-            times: The times of the rows.
-            poses: The poses, in m and degrees, right-handed.
+        Each has a path, a first row and the one after its last; poses are in m and degrees, right-handed.
         """
         single = poses.astype(np.float32)
         indexes = _indexes(times)
@@ -163,9 +156,7 @@ def _indexes(times: TimeColumns) -> dict[str, pa.Array]:
 class HeldRows(Generic[V]):
     """Single rows of some entities, which are written as columns: when there are many, or when `flush` is called.
 
-    Args:
-        stream: The stream.
-        columns: Returns the components of rows, given their values.
+    `columns` returns the components of rows, given their values.
     """
 
     def __init__(self, stream: Stream, columns: Callable[[list[V]], Iterable[rr.ComponentColumn]]) -> None:
@@ -273,10 +264,7 @@ class PoseBuffer:
     def add(self, description: SceneDescription, times: TimeColumns, spawned: Iterable[int]) -> None:
         """Add scenes.
 
-        Args:
-            description: The scenes.
-            times: Their times.
-            spawned: The ids that belong to new actors from the first scene on.
+        `spawned` are the ids that belong to new actors from the first scene on.
         """
         self._spawned += [(self._rows, id) for id in spawned]
         self._times.append(times)

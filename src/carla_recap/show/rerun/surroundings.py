@@ -94,10 +94,7 @@ def _write_layer(stream: Stream, name: str, mesh: Mesh, triangles: NDArray[np.ui
 def write_sky(stream: Stream, center: Floats, radius: float) -> None:
     """Write a dome that is seen from inside alone.
 
-    Args:
-        stream: The stream.
-        center: Its centre in m, right-handed.
-        radius: Its radius in m; it is larger than `_SKY` at least.
+    Its radius in m is larger than `_SKY` at least.
     """
     radius = max(radius, _SKY)
     rise = -_BELOW_HORIZON + (np.pi / 2 + _BELOW_HORIZON) * np.linspace(0, 1, _RINGS + 1)[:, None] ** 1.5

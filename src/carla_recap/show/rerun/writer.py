@@ -153,11 +153,7 @@ class SceneWriter:
             self._followed.flush()
 
     def close(self) -> None:
-        """Write what is held back, and what is known only at the end.
-
-        Warns:
-            RecapWarning: There are too many actors to show all of them.
-        """
+        """Write what is held back, and what is known only at the end."""
         self.flush()
         self._actors.close()
         if self._road_map is not None and not self._live:
@@ -208,11 +204,7 @@ class LiveView:
         self._writer.flush()
 
     def close(self) -> None:
-        """Show all frames that were added, and what is known only at the end.
-
-        Warns:
-            RecapWarning: There were too many actors to show all of them.
-        """
+        """Show all frames that were added, and what is known only at the end."""
         self._writer.close()
 
 

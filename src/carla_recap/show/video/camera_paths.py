@@ -277,11 +277,7 @@ class Transparency:
     def apply(self, camera: Camera, instances: Instances, followed: int | None, seconds: float) -> Instances:
         """Return instances with their opacities for a camera.
 
-        Args:
-            camera: The camera.
-            instances: The instances.
-            followed: The followed actor.
-            seconds: The seconds of the video since the last picture.
+        `seconds` is the time of the video since the last picture.
         """
         wanted = self._wanted(camera, instances, followed)
         share = -math.expm1(-seconds / _FADE)

@@ -186,11 +186,7 @@ def _label(actor: ActorLife) -> str:
 
 
 def _check_view(recording: Recording, view: VideoView) -> None:
-    """Check that a camera exists.
-
-    Raises:
-        RecapError: It does not, or is no camera; the message lists those that exist.
-    """
+    """Check that a camera exists."""
     if not isinstance(view, int):
         return
     cameras = [actor for actor in recording.actors.values() if actor.type_id.startswith("sensor.camera.")]
@@ -201,11 +197,7 @@ def _check_view(recording: Recording, view: VideoView) -> None:
 
 
 def followed_of(recording: Recording, view: VideoView, follow: Follow | None) -> Follow | None:
-    """Return the actor that is given to be followed; of a recorded camera, else the actor that it is attached to.
-
-    Raises:
-        RecapError: There is no such camera.
-    """
+    """Return the actor that is given to be followed; of a recorded camera, else the actor that it is attached to."""
     _check_view(recording, view)
     camera = recording.actors.get(view) if isinstance(view, int) else None
     if follow is None and camera is not None and camera.parent in recording.actors:

@@ -91,11 +91,7 @@ class CameraGrid:
 def camera_pictures(scenes: Iterable[CameraMoment], grid: CameraGrid, film: Film, frames: int) -> Generator[Picture]:
     """Yield the pictures of a video.
 
-    Args:
-        scenes: The scenes with the images of the cameras.
-        grid: The places of the images.
-        film: What writes on pictures what is known of a scene.
-        frames: The number of pictures; with fewer scenes, the last one stays.
+    With fewer scenes than pictures, the last one stays.
     """
     count, picture = 0, None
     for count, (scene, images) in enumerate(islice(scenes, frames), 1):

@@ -412,15 +412,7 @@ def _draw_lamps(draw: Any, state: int, lamp: int, gap: int) -> None:
 
 
 class Captions:
-    """The incidents that a video shows.
-
-    Args:
-        incidents: The incidents of the recording.
-        start: The elapsed seconds of the first picture.
-        stop: The elapsed seconds of the last picture.
-        speed: The seconds of the recording in a second of the video.
-        followed: The followed actor, if any.
-    """
+    """The incidents that a video shows."""
 
     def __init__(
         self, incidents: Iterable[Incident], *, start: float, stop: float, speed: float = 1.0, followed: int | None = None
@@ -441,12 +433,7 @@ class Captions:
                 yield (each.start - self._start) / length, each.kind
 
     def at(self, time: float, is_near: Callable[[float, float], bool] | None = None) -> tuple[Caption, ...]:
-        """Return the captions of a moment, the most important first: those of the followed actor before others.
-
-        Args:
-            time: The elapsed seconds.
-            is_near: Returns whether a location, x and y in m, is near what the video shows; None: all are.
-        """
+        """Return the captions of a moment, the most important first: those of the followed actor before others."""
         found = []
         for each in self._incidents:
             begin, end = self._begin(each), self._end(each)

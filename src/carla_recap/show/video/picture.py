@@ -149,11 +149,7 @@ def picture(
 
 
 def _check_followed(source: Recording, followed: int | None, shot: VideoShot) -> None:
-    """Check that an actor that is to be followed has a pose in a scene.
-
-    Raises:
-        RecapError: It is not present, or its pose is not finite.
-    """
+    """Check that an actor that is to be followed has a pose in a scene."""
     pose = None if followed is None else shot.scene.pose_of(followed)
     if pose is None:
         raise RecapError(
