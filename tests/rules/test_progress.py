@@ -139,6 +139,26 @@ def test_steps_that_are_too_long_for_places_in_between_are_said(tmp_path: Path) 
         check(recording, rules)
 
 
+FAR_APART, TICKS = np.arange(0.0, 21.0, 2.0).tolist(), np.cumsum(np.append(0.0, np.full(200, 0.05))).tolist()
+
+
+@pytest.mark.parametrize(
+    ("times", "rule", "status", "applies"),
+    [
+        (FAR_APART, 'stays_in = { x = 50, y = 0, within = 5, tolerate = "10 s" }', "fail", True),
+        (FAR_APART, 'stays_in = { x = 50, y = 0, within = 5, tolerate = "20 s" }', "pass", True),
+        (FAR_APART, 'stays_in = { x = 50, y = 0, within = 5, during = ["3 s", "3.5 s"] }', "pass", False),
+        (TICKS, 'duration = { min = "10 s", max = "10 s" }', "pass", True),
+        (TICKS, 'speed = { min = 1, for = "0 s" }', "fail", True),
+        (TICKS, 'speed = { max = 1, for = "10 s" }', "pass", True),
+    ],
+)
+def test_an_actor_that_stands(tmp_path: Path, times: list[float], rule: str, status: str, applies: bool) -> None:
+    with open_recording(fast_drive(tmp_path, times, 0.0)) as recording:
+        (verdict,) = check(recording, parse_rules(f"[rules.it]\n{rule}", "rules.toml"))
+    assert (verdict.status, verdict.applies) == (status, applies)
+
+
 def fast_drive(folder: Path, times: list[float], speed: float) -> Path:
     """Write a recording of the hero, which drives along x at a speed in m/s."""
     hero = Spawn(1, ActorKind.VEHICLE, type_id="vehicle.a", attributes=attributes(role_name="hero"))

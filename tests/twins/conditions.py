@@ -11,13 +11,13 @@ SAME_TIME = 1e-6
 LONGEST_STEP = 1.0  # s between two moments of one interval
 
 
-def intervals(times: Sequence[float], flags: Sequence[bool]) -> list[list[int]]:
+def intervals(times: Sequence[float], flags: Sequence[bool], longest: float = LONGEST_STEP) -> list[list[int]]:
     """Return the moments that are flagged, those in a list that follow each other without a break."""
     found: list[list[int]] = []
     for number, is_flagged in enumerate(flags):
         if not is_flagged:
             continue
-        if found and found[-1][-1] == number - 1 and times[number] - times[number - 1] <= LONGEST_STEP:
+        if found and found[-1][-1] == number - 1 and times[number] - times[number - 1] <= longest:
             found[-1].append(number)
         else:
             found.append([number])
@@ -29,18 +29,18 @@ def seconds(times: Sequence[float], interval: Sequence[int]) -> float:
 
 
 def offending(
-    times: Sequence[float], counts: Sequence[bool], valid: Sequence[bool], tolerate: float | None
+    times: Sequence[float], counts: Sequence[bool], valid: Sequence[bool], tolerate: float | None, longest: float
 ) -> list[list[int]]:
     """Return the intervals of invalid moments that count and last longer than is tolerated."""
-    found = intervals(times, [c and not v for c, v in zip(counts, valid, strict=True)])
+    found = intervals(times, [c and not v for c, v in zip(counts, valid, strict=True)], longest)
     return [each for each in found if tolerate is None or seconds(times, each) > tolerate + SAME_TIME]
 
 
 def longest_valid(times: Sequence[float], counts: Sequence[bool], valid: Sequence[bool], tolerate: float | None) -> float:
-    """Return the longest time without a break in which moments count and are valid, or are tolerated, in s."""
-    wrong = {number for each in offending(times, counts, valid, tolerate) for number in each}
+    """Return the longest time without a break in which moments count and are valid, or are tolerated; -1 without any."""
+    wrong = {number for each in offending(times, counts, valid, tolerate, float("inf")) for number in each}
     kept = [c and (v or tolerate is not None) and n not in wrong for n, (c, v) in enumerate(zip(counts, valid, strict=True))]
-    return max((seconds(times, each) for each in intervals(times, kept)), default=0.0)
+    return max((seconds(times, each) for each in intervals(times, kept)), default=-1.0)
 
 
 def first_time(starts: Iterable[float], life: tuple[float, float]) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.formats import SUFFIXES
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import ROAD_USERS
 from carla_recap.queries.differences import differences, metres, name_of
 from carla_recap.queries.kinds import KINDS
@@ -99,7 +100,7 @@ class LongestStop(Condition):
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
-        stops = [row for row in facts.stops if row.duration > self.longest.value]
+        stops = [row for row in facts.stops if row.duration > self.longest.value + SAME_TIME]
         found = [row for row in stops if self.of.matches_user(facts.actors.at(row.id, row.start))]
         if not found:
             absent = facts.absent(self.of)
@@ -126,7 +127,7 @@ class Size(Condition):
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
         extent = facts.recording.reader.extent()
-        value = extent.duration if self.unit == "s" else extent.frames
+        value = round(extent.duration, 6) if self.unit == "s" else extent.frames  # sums of time steps are not exact
         written = self.bounds.written
         length = written.shown(value) if written.text else f"{number(value) if self.unit == 's' else value} {self.unit}"
         return bounded(f"the recording has {length}", value, self.bounds, unit=self._unit)

@@ -83,7 +83,7 @@ class MeasureBounds(Condition):
         for life, found, counts in self._measured(facts):
             valid = self._valid(found, counts)
             for is_valid in (True, False):
-                for first, last in _intervals(found, counts & (valid == is_valid)):
+                for first, last in self._intervals(found, counts & (valid == is_valid)):
                     part = slice(first, last + 1)
                     row = first + int(np.argmax([self._badness(value) for value in found.value[part].tolist()]))
                     other = int(found.other[row])
@@ -100,11 +100,11 @@ class MeasureBounds(Condition):
         for life, found, counts in self._measured(facts):
             spans = [
                 (found.time[last] - found.time[first], first)
-                for first, last in _intervals(found, counts & self._valid(found, counts))
+                for first, last in runs(counts & self._valid(found, counts), np.diff(found.time) <= LONGEST_STEP)
             ]
             seconds, first = max(spans, default=(0.0, None))
             longest.append(seconds)
-            if seconds < self.lasting.value - SAME_TIME:
+            if not spans or seconds < self.lasting.value - SAME_TIME:
                 when = None if first is None else float(found.time[first])
                 text = f"{life.name} for {seconds:.2f} s" if spans else f"{life.name} never"
                 offences.append(Offence(text, when, (life.id,)))
@@ -134,10 +134,15 @@ class MeasureBounds(Condition):
         least, most = self.bounds.limits
         valid = (found.value >= least) & (found.value <= most)
         if self.tolerate is not None:
-            for first, last in _intervals(found, counts & ~valid):
+            for first, last in self._intervals(found, counts & ~valid):
                 if found.time[last] - found.time[first] <= self.tolerate.value + SAME_TIME:
                     valid[first : last + 1] = True
         return valid
+
+    def _intervals(self, found: MeasureValues, flags: Booleans) -> Iterator[tuple[int, int]]:
+        """Yield the first and the last of intervals; those of tolerated times go on between frames that are far apart."""
+        longest = LONGEST_STEP if self.tolerate is None else math.inf
+        return runs(flags, np.diff(found.time) <= longest)
 
     def _badness(self, value: float) -> float:
         """Return by how much a value is outside the bounds; negative within them."""
@@ -161,7 +166,3 @@ class MeasureBounds(Condition):
         if other is None:
             return Offence(f"{name}, {shown}", time, (id,))
         return Offence(f"{name} and {facts.actors.name(other, time)}, {shown}", time, (id, other))
-
-
-def _intervals(found: MeasureValues, flags: Booleans) -> Iterator[tuple[int, int]]:
-    return runs(flags, np.diff(found.time) <= LONGEST_STEP)

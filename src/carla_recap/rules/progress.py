@@ -10,7 +10,7 @@ import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import HERO
-from carla_recap.model.motion import LONGEST_STEP, runs
+from carla_recap.model.motion import runs
 from carla_recap.rules.facts import WHOLE, Condition, Finding, Needs, Offence
 from carla_recap.rules.values import ANY, ROLE, tolerated
 
@@ -164,11 +164,13 @@ class Stays(Condition):
 
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
-        subjects, offences = [life for life in facts.subjects(self.of) if self.scope.has_any(life, facts)], []
-        for life in subjects:
+        subjects, offences = [], []
+        for life in facts.subjects(self.of):
             time, outside = facts.positions(life).time, facts.outside(self.place, life)
-            wrong = ((outside > 0) == self.is_inside) & self.scope.has(life, time, facts)
-            for first, last in runs(wrong, np.diff(time) <= LONGEST_STEP):
+            counts = self.scope.has(life, time, facts)
+            if counts.any():
+                subjects.append(life)
+            for first, last in runs(counts & ((outside > 0) == self.is_inside), np.ones(len(time) - 1, np.bool_)):
                 seconds = float(time[last] - time[first])
                 if self.tolerate is not None and seconds <= self.tolerate.value + SAME_TIME:
                     continue
