@@ -291,3 +291,22 @@ def test_a_rule_with_nothing_to_judge_says_so(judge: Judge, rule: str, applies: 
 def test_what_is_tolerated_is_in_the_description(condition: str) -> None:
     (rule,) = parse_rules(f'[rules.it]\n{condition}, tolerate = "1 min" }}', "rules.toml")
     assert rule.description.endswith(", except for up to 1 min at a time")
+
+
+def test_values_of_another_actor_with_the_id_do_not_count(tmp_path: Path) -> None:
+    """From 1 s on, a car at 40 m/s has the id of the hero, which drives at 10 m/s; in that frame, the hero is gone."""
+    with create_recording(tmp_path / "again.mcap", map_name="Nowhere") as recorder:
+        for frame in range(40):
+            spawned = [Spawn(7, 1, type_id=CAR, attributes=[] if frame else HERO_ROLE)] if frame in (0, 20) else []
+            speed = 10.0 if frame < 20 else 40.0
+            recorder.add_frame(
+                frame * 0.05,
+                spawned=spawned,
+                destroyed=[7] if frame == 20 else [],
+                transforms={"id": [7], "x": [100 * speed * frame * 0.05]},
+                velocities={"id": [7], "x": [speed]},
+            )
+    rules = parse_rules('[rules.slow]\nspeed = { of = "hero", max = "20 m/s", tolerate = "0 s" }', "rules.toml")
+    with open_recording(tmp_path / "again.mcap") as recording:
+        (verdict,) = check(recording, rules)
+    assert (verdict.status, verdict.message) == ("pass", "the greatest speed of the hero is 10.00 m/s")

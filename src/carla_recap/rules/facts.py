@@ -202,7 +202,7 @@ class Facts:
     def values(self, measure: str, life: ActorLife, other: Selector) -> MeasureValues:
         """Return the values over time of a measure of an actor, in relation to others."""
         found = self._measured(other)[1].get((measure, life.id), MeasureValues.joined([]))
-        return found.only((found.time >= life.spawned_at) & (found.time <= life.end))
+        return found.only((found.time >= life.spawned_at) & (found.time < life.end))
 
     @_once
     def _measured(self, other: Selector) -> tuple[Sequence[MeasureRow], Mapping[tuple[str, int], MeasureValues]]:

@@ -225,6 +225,12 @@ def test_a_red_light_is_run_by_the_rear_of_the_hero(drives: Drives) -> None:
     assert drives(poses, route=None, lights={30: (light, GREEN)}).infractions == ()
 
 
+@pytest.mark.parametrize("kind", [roads.LIGHT, roads.STOP])
+def test_a_hero_that_jumps_over_a_line_has_run_nothing(drives: Drives, kind: int) -> None:
+    poses, signal = over_line(kind, [*at_speed(10.0, 5.0), 600.0, *at_speed(10.0, 5.0)])
+    assert {"red_light", "stop_infraction"}.isdisjoint(kinds(drives(poses, route=None, lights={30: (signal, RED)})))
+
+
 def test_a_hero_that_stops_with_its_front_over_the_line_has_run_no_light(drives: Drives) -> None:
     poses, light = over_line(roads.LIGHT, [*at_speed(10.0, 20.5), *[0.0] * 40])
     assert drives(poses, route=None, lights={30: (light, RED)}).infractions == ()

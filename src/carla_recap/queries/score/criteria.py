@@ -229,9 +229,11 @@ def stop_signs(drive: Drive, lines: StopLines, actors: ActorLives) -> Iterator[I
 
 
 def _crossings(drive: Drive, lines: StopLines, points: Floats, wider: float, turned: float) -> list[tuple[float, int]]:
-    """Return when a point of the hero crosses lines, in elapsed seconds, and which, in order."""
+    """Return when a point of the hero crosses lines, in elapsed seconds, and which, in order; none in a jump."""
     with np.errstate(all="ignore"):
         steps, crossed, shares = lines.crossed(points[:-1], points[1:], drive.yaw[1:], wider=wider, turned=turned)
+    driven = drive.steps[steps + 1] > 0
+    steps, crossed, shares = steps[driven], crossed[driven], shares[driven]
     times = drive.time[steps] + shares * (drive.time[steps + 1] - drive.time[steps])
     return sorted(zip(times.tolist(), crossed.tolist(), strict=True))
 
