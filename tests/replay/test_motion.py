@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from carla_recap import Player, open_recording
@@ -29,6 +29,7 @@ PRESENCE = st.sampled_from(["there"] * 6 + ["absent", "another"])
     others=st.sets(st.integers(0, 9)),
     length=st.integers(1, 4),
 )
+@example(frames=[(0.05, 1.0, None, ("there", "absent")[row % 2]) for row in range(9)], others=set(range(9)), length=4)
 def test_velocities_are_those_of_a_loop(
     suffix: str, frames: list[tuple[float, float, float | None, str]], others: set[int], length: int
 ) -> None:

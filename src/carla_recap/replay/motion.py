@@ -43,13 +43,18 @@ class SceneMotion:
             poses: Their poses in cm and degrees, left-handed, (scenes, ids, 6); None: those of the batch.
         """
         ids, poses = batch.ids if ids is None else ids, batch.poses if poses is None else poses
+        there = ~np.isin(ids, batch.ids[batch.held])
+        if not there.all():
+            velocities, accelerations = np.full((2, len(batch), len(ids), 3), np.nan)
+            velocities[:, there] = self.velocities(batch, ids[there], poses[:, there])
+            accelerations[:, there], self.accelerations = self.accelerations, accelerations
+            return np.asarray(velocities)
         rows = len(batch) + 2  # with the scene before, and the frame behind
         time, before = np.full((rows, len(ids)), np.nan), np.full((len(ids), 3), np.nan)
         places, recorded = np.full((2, rows, len(ids), 3), np.nan)
         behind, motion = recorded_motion(batch, ids)
         places[1:], recorded[1:], time[1:] = motion[..., :3], motion[..., 3:], behind[:, None]
         time[1:-1], places[1:-1] = batch.time[:, None], right_handed(poses)[..., LOCATION]
-        places[1:-1, np.isin(ids, batch.ids[batch.held])] = np.nan
         changed = [event.id for event in batch.events if isinstance(event, Destroyed)]
         changed += [event.actor.id for event in batch.events if isinstance(event, Spawned)]
         self._keep(~np.isin(self._ids, changed) & (batch.time[0] - self._time <= LONGEST_STEP) & (not batch.fresh))
