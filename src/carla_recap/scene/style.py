@@ -13,9 +13,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.lives import ActorLife
     from carla_recap.replay.events import Event
-
-Color = tuple[int, int, int]
-"""Red, green, blue, from 0 to 255."""
+    from carla_recap.scene.materials import Color
 
 BACKGROUND: Final[Color] = (20, 22, 28)
 MAP: Final[Color] = (24, 28, 36)

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.scene.materials import Color as Rgb
     from carla_recap.scene.mesh import Mesh
-    from carla_recap.scene.style import Color as Rgb
 
     Floats = NDArray[np.floating]
     Integers = NDArray[np.integer]

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from carla_recap.model.lives import ActorLife
     from carla_recap.scene.appearance import Look
-    from carla_recap.scene.style import Color
+    from carla_recap.scene.materials import Color
     from carla_recap.show.page.base_map import BaseMap
     from carla_recap.show.page.images import PageImages
     from carla_recap.show.page.samples import Change, MeasuredActor, SampledActor, SampledReplay

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.ahead import StopPoints
     from carla_recap.scene.description import SceneDescription
     from carla_recap.scene.follow import FollowedSeries
-    from carla_recap.scene.style import Color
+    from carla_recap.scene.materials import Color
     from carla_recap.show.rerun.stream import Stream, TimePoint
     from carla_recap.util.arrays import Floats
 

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from carla_recap.scene.captions import Line
     from carla_recap.scene.description import SceneDescription
     from carla_recap.scene.follow import FollowedRecords
+    from carla_recap.scene.materials import Color
     from carla_recap.show.rerun.stream import Stream, TimePoint
     from carla_recap.util.arrays import Floats
 
@@ -193,7 +194,7 @@ class LightAheadWriter:
         self._begun = False
         self._last: tuple[int, int] | None = None  # id and state
         self._changes = HeldRows(stream, _state_columns)
-        self._colors: dict[str, style.Color] = {_NONE: _NO_COLOR}
+        self._colors: dict[str, Color] = {_NONE: _NO_COLOR}
 
     def write(self, description: SceneDescription, times: TimeColumns, followed: FollowedRecords) -> None:
         """Write scenes, given what is recorded of the followed actor."""
@@ -240,7 +241,7 @@ def _middle_of_lamps() -> Floats:
     return np.asarray(mesh.vertices[np.isin(mesh.materials, SIGNAL_LAMPS)].mean(axis=0), np.float64)
 
 
-def _ring(center: Floats, seen_from: Floats, text: str, color: style.Color) -> list[rr.AsComponents]:
+def _ring(center: Floats, seen_from: Floats, text: str, color: Color) -> list[rr.AsComponents]:
     """Return an upright ring that faces a pose, and a label above it."""
     away = center[:2] - seen_from[:2]
     across = np.array((-away[1], away[0], 0.0)) / max(float(np.hypot(*away)), 1e-6)

@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     from carla_recap.queries.incidents import Incident
     from carla_recap.show.video.encoding import Picture, Size
 
-Color = tuple[int, int, int, int]
+Rgba = tuple[int, int, int, int]
 Rectangle = tuple[float, float, float, float]
 
-_WHITE: Final[Color] = (255, 255, 255, 255)
-_DIM: Final[Color] = (255, 255, 255, 170)
-_TRACK: Final[Color] = (86, 90, 96, 200)  # opaque enough: shapes replace what is below them
-_PANEL: Final[Color] = (14, 17, 22, 165)
-_HOUSING: Final[Color] = (8, 9, 11, 255)
-_UNLIT: Final[Color] = (62, 65, 70, 255)
-_THROTTLE: Final[Color] = (70, 210, 110, 255)
-_BRAKE: Final[Color] = (235, 64, 52, 255)
-_STEER: Final[Color] = (120, 186, 255, 255)
+_WHITE: Final[Rgba] = (255, 255, 255, 255)
+_DIM: Final[Rgba] = (255, 255, 255, 170)
+_TRACK: Final[Rgba] = (86, 90, 96, 200)  # opaque enough: shapes replace what is below them
+_PANEL: Final[Rgba] = (14, 17, 22, 165)
+_HOUSING: Final[Rgba] = (8, 9, 11, 255)
+_UNLIT: Final[Rgba] = (62, 65, 70, 255)
+_THROTTLE: Final[Rgba] = (70, 210, 110, 255)
+_BRAKE: Final[Rgba] = (235, 64, 52, 255)
+_STEER: Final[Rgba] = (120, 186, 255, 255)
 _REFERENCE: Final = (1280, 720)  # the size in which the lengths below are given, in pixels
 _GROWTH: Final = 0.75  # the exponent by which they grow with the size, so that small videos are still readable
 _MARGIN: Final = 24
@@ -351,13 +351,13 @@ def _number_width(text: str, font: Any) -> int:
     return sum(_digit_width(font) if char.isdigit() else math.ceil(font.getlength(char)) for char in text)
 
 
-def _color(kind: str) -> Color:
+def _color(kind: str) -> Rgba:
     """Return the colour of a kind of incident."""
     red, green, blue = bytes.fromhex(KINDS[kind].dark.removeprefix("#"))
     return red, green, blue, 255
 
 
-def _draw_number(draw: Any, start: tuple[int, int], text: str, font: Any, color: Color) -> int:
+def _draw_number(draw: Any, start: tuple[int, int], text: str, font: Any, color: Rgba) -> int:
     """Draw a text whose digits are all equally wide, from a point on its baseline, and return where it ends."""
     x, y = start
     for char in text:
