@@ -21,11 +21,6 @@ def test_segments_are_cut_where_the_ids_change() -> None:
     assert np.concatenate([each.field("x") for each in found]).tolist() == records["x"].tolist()
 
 
-def test_segments_are_cut_where_they_have_to_be() -> None:
-    found = segments(frames((7,), (7,), (7,), (8,)), cuts=np.array([False, True, False]))
-    assert [each.frames for each in found] == [slice(0, 2), slice(2, 3), slice(3, 4)]
-
-
 def test_a_segment_of_some_actors() -> None:
     (segment,) = segments(frames((7, 8, 9), (7, 8, 9)))
     some = segment.only(segment.ids != 8)

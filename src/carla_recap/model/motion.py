@@ -86,22 +86,16 @@ def steps_joined(
     return joined if actor is None else joined & (np.diff(actor) == 0)
 
 
-def motion_of(
-    time: Floats, places: Floats, recorded: Floats, actor: Integers | None = None, *, longest: float = LONGEST_STEP
-) -> tuple[Floats, Booleans]:
+def motion_of(time: Floats, places: Floats, recorded: Floats, actor: Integers | None = None) -> tuple[Floats, Booleans]:
     """Return the velocities at places in m/s, (axes, n), and whether motion follows from each and its next one, (n - 1,).
 
-    Arguments are as of `steps_joined`; recorded velocities are in m/s, (axes, n), NaN where none is. No velocity is derived
-    over more than 1 s.
+    Arguments are as of `steps_joined`; recorded velocities are in m/s, (axes, n), NaN where none is.
     """
     known = counts(recorded)
-    joined = steps_joined(
-        time, places, np.sqrt((recorded**2).sum(axis=0)) if known.any() else np.nan, actor, longest=longest
-    )
+    joined = steps_joined(time, places, np.sqrt((recorded**2).sum(axis=0)) if known.any() else np.nan, actor)
     if known.all():
         return recorded, joined
-    near = joined if longest <= LONGEST_STEP else joined & (np.diff(time) <= LONGEST_STEP)
-    derived = rates(time, places, near)
+    derived = rates(time, places, joined)
     np.copyto(derived, np.nan, where=~counts(derived))
     return np.where(known, recorded, derived) if known.any() else derived, joined
 

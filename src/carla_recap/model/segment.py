@@ -47,19 +47,15 @@ class Segment:
         return Segment(self.first + frames, self.ids, self.columns, self.records)
 
 
-def segments(records: NDArray[np.void], *, cuts: Booleans | None = None) -> Iterator[Segment]:
+def segments(records: NDArray[np.void]) -> Iterator[Segment]:
     """Yield the segments of the records of a type.
 
     For example, frames with the ids 7 8, 7 8, 7 8 9 have a segment of two frames and one of one frame.
 
-    The records are those of consecutive frames, (frames, records of each), as of a batch. `cuts` are frames, of all but the
-    first, with which a segment begins anyway.
+    The records are those of consecutive frames, (frames, records of each), as of a batch.
     """
     ids = np.ascontiguousarray(records["id"])
-    edges = [0, len(ids)]
-    if len(ids) > 1:
-        changes = (ids[1:] != ids[:-1]).any(axis=1)
-        edges[1:1] = (np.flatnonzero(changes if cuts is None else changes | cuts) + 1).tolist()
+    edges = [0, *(np.flatnonzero((ids[1:] != ids[:-1]).any(axis=1)) + 1).tolist(), len(ids)]
     columns = np.arange(ids.shape[1])
     for start, stop in pairwise(edges):
         if stop > start:
