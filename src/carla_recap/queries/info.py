@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from carla_recap.model.layout import FLAG, Framing, Layout, Many, Records
+from carla_recap.model.layout import FLAG, Framing, Layout, Records
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -83,15 +83,11 @@ def info(source: Reader, *, all: bool = False, compat: bool = False) -> Info:
 def _records(layout: Layout, records: Records) -> Iterator[dict[str, Any]]:
     names = tuple(layout.fields)
     if isinstance(records, np.ndarray):
-        columns = [_column(layout.fields[name], records[name]) for name in names]
-        for row in zip(*columns, strict=True):
+        columns = (records[name] != 0 if layout.fields[name] == FLAG else records[name] for name in names)
+        for row in zip(*(values.tolist() for values in columns), strict=True):
             yield dict(zip(names, row, strict=True))
     else:
         from carla_recap.tables.records import plain_record
 
         for record in records:
             yield plain_record(layout, record)
-
-
-def _column(kind: str | Many, values: Any) -> list[Any]:
-    return (values != 0).tolist() if kind == FLAG else values.tolist()  # type: ignore[no-any-return]

@@ -73,7 +73,7 @@ class _HeatMap(NamedTuple):
 
 def campaign_page(rows: Sequence[CampaignRow], folder: Path, measure: Measure, title: str) -> str:
     """Return the page of a campaign in a folder, by rows and what they are compared by; the title says what is simulated."""
-    counts = Counter(_status(row) for row in rows)
+    counts = Counter("error" if row.error is not None else "fail" if row.broken else "pass" for row in rows)
     said = [f"{len(rows):,} {'run' if len(rows) == 1 else 'runs'}"]
     said += [f"{counts['fail']:,} {'breaks' if counts['fail'] == 1 else 'break'} rules"] if counts["fail"] else []
     said += [f"{counts['error']:,} failed"] if counts["error"] else []
@@ -100,10 +100,6 @@ def campaign_page(rows: Sequence[CampaignRow], folder: Path, measure: Measure, t
         "few": _FEW,
     }
     return render("campaign", ", ".join(said), title, content, {"short": _short, "address": _address})
-
-
-def _status(row: CampaignRow) -> str:
-    return "error" if row.error is not None else "fail" if row.broken else "pass"
 
 
 # --- heat maps -----------------------------------------------------------------------------------------------------------

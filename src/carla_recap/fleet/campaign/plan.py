@@ -161,14 +161,11 @@ def check_keywords(keywords: Keywords | None, names: Sequence[str]) -> None:
         return
     for name in names:
         if name not in keywords.names and not keywords.has_any:
-            raise RecapError(f"parameter {name}: the function has none of that name; it has {_listed(keywords.names)}")
+            known = ", ".join(keywords.names)[:200] or "none"
+            raise RecapError(f"parameter {name}: the function has none of that name; it has {known}")
     missing = [name for name in keywords.names if name in keywords.required and name not in names]
     if missing:
         raise RecapError(f"parameter {missing[0]}: the function needs it; --param {missing[0]}=VALUE,... was expected")
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names)[:200] or "none"
 
 
 def planned(seeds: Sequence[int], parameters: Mapping[str, Sequence[Value]], out: str) -> Iterator[CampaignRun]:

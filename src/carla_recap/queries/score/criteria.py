@@ -223,7 +223,8 @@ def stop_signs(drive: Drive, lines: StopLines, actors: ActorLives) -> Iterator[I
         if not (drive.speed[first : frame + 1] < _STATIONARY).any():
             latest = signal
             place = lines.place(signal)
-            id = next((life.id for life in actors if life.type_id == "traffic.stop" and _apart(life, place) < _SIGN), None)
+            signs = (life for life in actors if life.type_id == "traffic.stop")
+            id = next((life.id for life in signs if math.dist(life.place[:2], place[:2]) < _SIGN), None)
             text = f"Agent ran a stop with id={id} at {_in_carla_axes(place)}"
             yield _infraction("stop_infraction", drive, frame, text, id, "traffic.stop")
 
@@ -321,10 +322,6 @@ def not_yielded(drive: Drive, others: Iterable[tuple[ActorLife, Trajectory]]) ->
 def is_emergency(life: ActorLife) -> bool:
     """Return whether an actor is an emergency vehicle of a scenario."""
     return life.attributes.get("special_type") == "emergency" and life.role_name == _SCENARIO
-
-
-def _apart(life: ActorLife, place: Sequence[float]) -> float:
-    return math.dist(life.place[:2], place[:2])
 
 
 def _frame_at(drive: Drive, time: float) -> int:

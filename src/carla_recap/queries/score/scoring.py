@@ -261,9 +261,7 @@ def _planned(route: Route, town: LaneMap, path: Path) -> PlannedRoute:
     return PlannedRoute(points, at.ahead, stations(points), behind)
 
 
-@lru_cache(2)
-def _planner(town: LaneMap) -> RoutePlanner:
-    return RoutePlanner(town)
+_planner = lru_cache(2)(RoutePlanner)
 
 
 def _status(end: criteria.Ending, infractions: list[Infraction], *, has_route: bool) -> str:
