@@ -105,6 +105,8 @@ def test_values_of_every_kind_are_printed(index):
         "time '03:04:05'": "03:04:05",
         "'ab'::blob": "6162",
         "map {'a': 1}": {"a": 1},
+        "map {}": {},
+        "interval '2 days'": "MonthDayNano(months=0, days=2, nanoseconds=0)",
         "{'a': [1, null]}": {"a": [1, None]},
         "null": None,
         "true": True,

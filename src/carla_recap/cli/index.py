@@ -176,7 +176,7 @@ def _values(column: pa.Array) -> list[Any]:
         values: list[Any] = column.to_pylist()
     except OverflowError:
         raise RecapError("a date that is not between the years 1 and 9999 cannot be printed; cast it to varchar") from None
-    return [value and dict(value) for value in values] if pa.types.is_map(column.type) else values
+    return [None if value is None else dict(value) for value in values] if pa.types.is_map(column.type) else values
 
 
 def _different(names: list[str]) -> list[str]:
@@ -270,7 +270,7 @@ def _plain(value: Any) -> Any:
         return int(value) if value == value.to_integral_value() else float(value)
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple) and not hasattr(value, "_fields"):
+    if type(value) in (list, tuple):
         return [_plain(item) for item in value]
     if isinstance(value, datetime):
         return value.isoformat(" ")
