@@ -15,6 +15,7 @@ import pytest
 from carla_recap.fleet.campaign.report import INDEX, PAGE, RUNS
 from tests.cli.command import COMMAND, ENVIRONMENT, answer, error, run
 from tests.fleet.campaign import functions
+from tests.roads.straight_road import STRAIGHT_ROAD
 from tests.samples import SAMPLES, names_in
 from tests.waiting import wait_until
 
@@ -99,7 +100,9 @@ def test_a_second_time_only_what_failed_is_run_again(done):
 
 
 def test_pages_and_index_have_the_runs_of_the_last_campaign_alone(tmp_path):
-    command = ("campaign", f"{FILE}:misbehave", "--out", tmp_path, "--param", "how=nothing", *ALONE)
+    (town := tmp_path / "Own.xodr").write_text(STRAIGHT_ROAD, "utf-8")
+    options = ("--param", "how=nothing", "--town", town, "--map", town, *ALONE)
+    command = ("campaign", f"{FILE}:misbehave", "--out", tmp_path, *options)
     assert run(*command, "--seeds", "1,2", "--pages", "0").returncode == 0
     (tmp_path / "pages").mkdir()
     for seed in (1, 2):
@@ -108,8 +111,8 @@ def test_pages_and_index_have_the_runs_of_the_last_campaign_alone(tmp_path):
     assert (done.returncode, b"exists" in done.stderr) == (0, False)
     assert names_in(tmp_path / "pages") == ["seed-2-how-nothing.html"]
     assert (tmp_path / "pages" / "seed-2-how-nothing.html").read_text("utf-8") != "stale"
-    query = "select parameters['seed'] as seed from recordings order by seed"
-    assert answer("sql", tmp_path / INDEX, query, "--csv") == "seed\n2\n3\n"
+    query = "select parameters['seed'] as seed, roads_known from recordings order by seed"
+    assert answer("sql", tmp_path / INDEX, query, "--csv") == "seed,roads_known\n2,true\n3,true\n"
 
 
 def test_recordings_of_another_function_are_one_line(tmp_path):

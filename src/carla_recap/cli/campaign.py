@@ -335,7 +335,7 @@ def _reported(
     for line in warnings:
         warn(line)
     if any(row.error is None for row in rows):
-        reason = write_campaign_index(rows, folder / INDEX, jobs=jobs, client=client)
+        reason = write_campaign_index(rows, folder / INDEX, road_map=road_map, jobs=jobs, client=client)
         if reason is not None:
             warn(reason)
         else:

@@ -186,14 +186,14 @@ def runs_as_json(rows: Iterable[CampaignRow]) -> str:
 
 
 def write_campaign_index(
-    rows: Sequence[CampaignRow], path: Path, *, jobs: int | None = None, client: Client | None = None
+    rows: Sequence[CampaignRow], path: Path, *, road_map: str | None, jobs: int | None, client: Client | None
 ) -> str | None:
     """Write the index of the recordings, and of no others; return why it is not written, if it is not."""
     from carla_recap.fleet.index.writing import write_index
 
     there = [row.recording for row in rows if row.error is None]
     try:
-        write_index(there, path, measures=True, prune=True, jobs=jobs, client=client)
+        write_index(there, path, measures=True, road_map=road_map, prune=True, jobs=jobs, client=client)
     except MissingExtra:
         return "no index is written: it needs the extra sql"
     except RecapError as error:
