@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -115,6 +116,24 @@ def test_drives_about_as_fast_as_the_limit() -> None:
     speeds = [speed(vehicle) for _ in ticks(world, 25.0)]
     assert max(speeds) < 1.06 * LIMIT
     assert speeds[-1] > 0.8 * LIMIT
+
+
+@pytest.mark.parametrize("places", [(120.0, 160.0), (120.0, 120.0), (160.0, 120.0)])
+@pytest.mark.parametrize("red", [0, 1])
+@pytest.mark.parametrize("in_junction", [False, True])
+def test_of_two_lights_on_a_lane_the_nearest_and_the_strictest_one_acts(
+    places: tuple[float, float], red: int, *, in_junction: bool
+) -> None:
+    lanes, junction = crossing() if in_junction else ([lane(0, (300, 0))], None)
+    stops = (90.0, 90.0) if in_junction else places
+    signals = tuple(replace(light(s, governs=(1,) * in_junction), index=index) for index, s in enumerate(stops))
+    world = world_of(*lanes, signals=signals, junctions=(junction,) if junction else ())
+    for signal in world.traffic_lights:
+        signal.freeze()
+        signal.set_state(RED if signal.row == red else GREEN)
+    vehicle = car(world, 10.0)
+    run(world, 25.0)
+    assert stops[red] - 1.5 < front(vehicle) < stops[red]
 
 
 def test_stops_at_red_with_its_brake_lights_on_and_goes_at_green() -> None:

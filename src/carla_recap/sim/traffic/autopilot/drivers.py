@@ -102,8 +102,8 @@ class Drivers(StructOfArrays):
     """The slope at its start, see `routes.lateral_offset`."""
     stop_line: Floats = column(np.inf)
     """The position of the next stop line; infinity if there is none."""
-    signal: Integers = column(np.int64(NONE))
-    """The index of the signal in force there, or `NONE`."""
+    lights: Integers = column(np.int64(NONE))
+    """The number of the group of lights in force there."""
     must_stop: Booleans = column(False)
     """Whether there is a stop sign at which the vehicle has not stopped yet."""
     has_reservation: Booleans = column(False)

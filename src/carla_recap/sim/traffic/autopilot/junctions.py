@@ -57,6 +57,11 @@ class JunctionControl:
         self._network, self._drivers, self._routes = network, drivers, routes
         self._rules = JunctionRules.of(town)
         self._rows: dict[int, int] = {}
+        lights = {lights for lines in self._rules.midblock_lights.values() for _, lights in lines}
+        groups = [*sorted(lights | {*self._rules.lights.values()}), ()]  # what stands for none is the last one
+        most = max(1, *map(len, groups))
+        self._number_of = {group: number for number, group in enumerate(groups)}
+        self._lights = np.array([[*group, *[NONE] * (most - len(group))] for group in groups])
         self._half_length = np.empty(0)
         self._rear: list[float] = []
         self._reservations = Reservations(
@@ -117,7 +122,7 @@ class JunctionControl:
         """
         drivers = self._drivers
         distance = drivers.stop_line - self._routes.position - self._half_length
-        state = states[drivers.signal]
+        state = states[self._lights[drivers.lights]].min(axis=1)
         self._revoke(state, distance, speed)
         near = distance < _REQUEST * braking + _REQUEST_MARGIN
         waiting = ~drivers.has_reservation & near & ~drivers.off_road
@@ -170,7 +175,7 @@ class JunctionControl:
         passed = self._passed.get(id)
         drivers.junction_end[row] = passed[0].end if passed else np.inf
         drivers.has_reservation[row], drivers.waiting_since[row] = False, np.inf
-        drivers.signal[row] = NONE if line is None else line.signal
+        drivers.lights[row] = self._number_of[() if line is None else line.lights]
         drivers.must_stop[row] = line is not None and line.has_stop_sign
         if line is None:
             drivers.stop_line[row] = np.inf
@@ -206,9 +211,9 @@ class StopLine:
     Attributes:
         position: The position of the line.
         lanes: The lanes through the junction behind it, with their starts; empty behind a light between junctions.
-        end: The end of the last of these lanes; the line, if there are none.
+        end: The end of the last of these lanes; a bit behind the line, if there are none.
         exits: The lanes of the route from there on, with their starts.
-        signal: The index of the light that is in force there, or `NONE`.
+        lights: The indices of the lights that are in force there; the strictest acts.
         has_stop_sign: Whether vehicles have to stop at the line.
     """
 
@@ -216,7 +221,7 @@ class StopLine:
     lanes: tuple[tuple[int, float], ...]
     end: float
     exits: tuple[tuple[int, float], ...]
-    signal: int = NONE
+    lights: tuple[int, ...] = ()
     has_stop_sign: bool = False
 
     @property
@@ -234,14 +239,14 @@ class JunctionRules:
         lights: The lights at the entrance of lanes.
         stop_signs: The stop signs at the entrance of lanes.
         lines: The distances of stop lines along lanes, by signal and lane.
-        midblock_lights: The lights between junctions, with the distances of their stop lines.
+        midblock_lights: The distances of stop lines between junctions, ascending, with their lights.
     """
 
     conflicts: list[list[tuple[Conflict, float]]]
-    lights: dict[int, int] = field(default_factory=dict)
+    lights: dict[int, tuple[int, ...]] = field(default_factory=dict)
     stop_signs: dict[int, int] = field(default_factory=dict)
     lines: dict[tuple[int, int], float] = field(default_factory=dict)
-    midblock_lights: dict[int, tuple[int, float]] = field(default_factory=dict)
+    midblock_lights: dict[int, list[tuple[float, tuple[int, ...]]]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, town: Town) -> JunctionRules:
@@ -254,11 +259,16 @@ class JunctionRules:
         for signal in town.signals:
             if signal.kind not in (SignalKind.LIGHT, SignalKind.STOP):
                 continue
-            governing = rules.lights if signal.kind is SignalKind.LIGHT else rules.stop_signs
-            governing.update((lane, signal.index) for lane in signal.governs)
             rules.lines.update({(signal.index, lane): s for lane, s in signal.stops})
-            if signal.kind is SignalKind.LIGHT and not signal.governs:
-                rules.midblock_lights.update((lane, (signal.index, s)) for lane, s in signal.stops)
+            if signal.kind is SignalKind.STOP:
+                rules.stop_signs.update((lane, signal.index) for lane in signal.governs)
+                continue
+            for lane in signal.governs:
+                rules.lights[lane] = (*rules.lights.get(lane, ()), signal.index)
+            for lane, s in () if signal.governs else signal.stops:
+                lines = dict(rules.midblock_lights.get(lane, ()))
+                lines[s] = (*lines.get(s, ()), signal.index)
+                rules.midblock_lights[lane] = sorted(lines.items())
         return rules
 
 
@@ -273,9 +283,9 @@ def next_stop_line(
     lanes: list[int] = routes.lanes[row, :used].tolist()
     starts: list[float] = routes.starts[row, :used].tolist()
     for number, (lane, start) in enumerate(zip(lanes, starts, strict=True)):
-        midblock = rules.midblock_lights.get(lane)
-        if midblock is not None and start + midblock[1] > front - _BEHIND_LINE:
-            return StopLine(start + midblock[1], (), start + midblock[1], (), midblock[0])
+        for s, lights in rules.midblock_lights.get(lane, ()):
+            if start + s > front - _BEHIND_LINE:
+                return StopLine(start + s, (), start + s + _BEHIND_LINE, (), lights)
         if network.junction[lane] != NONE and start > front - _BEHIND_LINE:
             return _before_junction(network, rules, lanes, starts, number, room)
     return None
@@ -313,18 +323,18 @@ def _before_junction(
             break
         through.append((lanes[index], starts[index]))
         end, after = starts[index] + float(network.length[lanes[index]]), index + 1
-    light = rules.lights.get(entry, NONE)
+    lights = rules.lights.get(entry, ())
     sign = rules.stop_signs.get(entry, NONE)
     position = begin
     for back in range(number - 1, -1, -1):
         if begin - starts[back + 1] > _MAX_SETBACK:
             break
-        for signal in (light, sign):
+        for signal in (*lights, sign):
             s = rules.lines.get((signal, lanes[back]))
             if s is not None and begin - starts[back] - s <= _MAX_SETBACK:
                 position = min(position, starts[back] + s)
     exits = tuple(zip(lanes[after:], starts[after:], strict=True))
-    return StopLine(position, tuple(through), end, exits, light, sign != NONE)
+    return StopLine(position, tuple(through), end, exits, lights, sign != NONE)
 
 
 @dataclass
