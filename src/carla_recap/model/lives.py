@@ -76,8 +76,9 @@ class ActorLife:
         attached: Whether it was attached when it was spawned: the pose of its spawn is then in the parent's axes.
         spawn: The record of its spawn, with its pose in cm and degrees, left-handed.
         physics: The latest record of its physics, in a replay; None without one.
+        physics_pose: Its pose in the frame of that record; None if the frame has none.
 
-    The last three are no columns of a table.
+    The last four are no columns of a table.
     """
 
     id: int
@@ -92,6 +93,7 @@ class ActorLife:
     attached: bool = field(default=False, repr=False)
     spawn: Spawn = field(kw_only=True, repr=False, compare=False)
     physics: Physics | None = field(default=None, repr=False, compare=False)
+    physics_pose: tuple[float, ...] | None = field(default=None, repr=False, compare=False)
 
     @classmethod
     def of(cls, spawn: Spawn, elapsed: float) -> ActorLife:

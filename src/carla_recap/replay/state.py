@@ -12,7 +12,7 @@ import numpy as np
 from carla_recap.model.lives import ROAD_USERS, ActorLife, BoundingBox
 from carla_recap.model.presence import RoadHeights
 from carla_recap.replay.events import Collided, Destroyed, Event, Parented, Spawned
-from carla_recap.replay.selection import NO_IDS, Selection, merged
+from carla_recap.replay.selection import NO_IDS, Selection, array, merged, numbers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -112,6 +112,7 @@ class ReplayState:
         self.selections: defaultdict[str, Selection] = defaultdict(Selection)
         self._spawned: set[int] = set()  # in this frame
         self._events: list[Event] = []
+        self._transforms: NDArray[np.void] = np.empty(0, table.named("transforms").dtype)  # of this frame
         self._actors_changed = False
 
     @property
@@ -128,7 +129,7 @@ class ReplayState:
 
     def apply(self, frame: Frame) -> list[Event]:
         """Apply a frame, and return its events."""
-        self._events = []
+        self._events, self._transforms = [], array(frame["transforms"])
         self._spawned.clear()
         for packet in frame.packets:
             handler = _HANDLERS.get(packet.type.name) if packet.type else None
@@ -229,7 +230,9 @@ class ReplayState:
         self._unshare()
         for physics in records:
             if physics.id in self._actors:
-                self._actors[physics.id] = replace(self._actors[physics.id], physics=physics)
+                there = self._transforms[self._transforms["id"] == physics.id]
+                pose = tuple(numbers(there)[0].tolist()) if len(there) else None
+                self._actors[physics.id] = replace(self._actors[physics.id], physics=physics, physics_pose=pose)
 
     def _change_weather(self, records: NDArray[np.void], elapsed: float) -> None:
         self.weather = records[-1]

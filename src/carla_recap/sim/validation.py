@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from carla_recap.sim.geometry import Location, Transform, Vector
 
-_MAX_COORDINATE: Final = 1e6  # m
-_MAX_ANGLE: Final = 1e6  # degrees
+MAX_COORDINATE: Final = 1e6  # m
+MAX_ANGLE: Final = 1e6  # degrees
 _MAX_SPEED: Final = 1e4  # m/s
 _MAX_ANGULAR_SPEED: Final = 1e5  # degrees/s
 LARGEST: Final = 1e9  # the limit of all other numbers, in any unit
@@ -54,14 +54,14 @@ def expect_seconds(what: str, value: float, most: float = MAX_TICK) -> None:
 
 def expect_place(what: str, location: Location, *, of: object = None) -> None:
     """Make sure that the coordinates of a location are within bounds."""
-    _expect_at_most(what, of, "m", _MAX_COORDINATE, location.x, location.y, location.z)
+    _expect_at_most(what, of, "m", MAX_COORDINATE, location.x, location.y, location.z)
 
 
 def expect_transform(what: str, transform: Transform, *, of: object = None) -> None:
     """Make sure that the numbers of a transform are within bounds."""
     rotation = transform.rotation
     expect_place(what, transform.location, of=of)
-    _expect_at_most(what, of, "degrees", _MAX_ANGLE, rotation.pitch, rotation.yaw, rotation.roll)
+    _expect_at_most(what, of, "degrees", MAX_ANGLE, rotation.pitch, rotation.yaw, rotation.roll)
 
 
 def expect_velocity(what: str, velocity: Vector, *, of: object = None) -> None:

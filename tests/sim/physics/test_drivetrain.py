@@ -167,16 +167,17 @@ def test_a_vehicle_that_is_shifting_is_not_put_in_another_gear() -> None:
     assert in_gear(car)[:2] == (0, 3)
 
 
-def test_physics_begins_anew_after_it_was_off() -> None:
+@pytest.mark.parametrize("gear", [0, 2])
+def test_physics_begins_anew_after_it_was_off_but_for_a_manual_gear(gear: int) -> None:
     world = flat_world()
     car = spawn_car(world, at(10.0), "vehicle.lincoln.mkz_2017")
-    car.apply_control(VehicleControl(throttle=1.0, steer=0.5))
+    car.apply_control(VehicleControl(throttle=1.0, steer=0.5, manual_gear_shift=gear > 0, gear=gear))
     world.run(3.0)
     assert in_gear(car)[2] > 100
     for on in (False, True):
         car.set_simulate_physics(on)
     fleet = world.vehicles
-    assert in_gear(car) == (0, 0, 0.0)
+    assert in_gear(car) == (gear, gear, 0.0)
     assert not np.any([fleet.throttle_input[0], fleet.steer_input[0], *fleet.omega[0]])
 
 

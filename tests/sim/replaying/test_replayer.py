@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -616,6 +617,8 @@ def test_a_vehicle_drives_on_with_the_physics_that_were_recorded(tmp_path: Path,
     hero.physics_control = replace(hero.physics_control, mass=5000.0, forward_gears=gears)
     hero.apply_control(VehicleControl(throttle=1.0))
     path = tmp_path / f"drive{suffix}"
+    driven: list[tuple[float, int]] = []
+    world.listeners.append(lambda: driven.append((hero.rows.engine[0], hero.control.gear)))
     record(world, path, 160, additional_data=True)
     with carla_recap.open_recording(path) as recording:
         way = recording.trajectory(hero.id, axes="carla")
@@ -625,8 +628,8 @@ def test_a_vehicle_drives_on_with_the_physics_that_were_recorded(tmp_path: Path,
     mine = played(again, hero.id)
     control = mine.physics_control
     assert (control.mass, [gear.ratio for gear in control.forward_gears]) == (5000.0, [4.0, 2.0])
-    turns = control.forward_gears[mine.control.gear - 1].ratio * control.final_ratio * mine.velocity.x / 0.355
-    assert again.vehicles.engine[mine.row] == pytest.approx(turns, rel=0.1)
+    engine, gear = driven[80]
+    assert (mine.rows.engine[mine.row], mine.control.gear) == (pytest.approx(engine, rel=0.12), gear)
     mine.set_autopilot(False)
     mine.apply_control(VehicleControl(throttle=1.0))
     again.run(3.0)
@@ -891,20 +894,77 @@ def test_a_recording_that_turns_out_to_be_damaged_ends_the_replay(drive: Path, m
     world.run(0.5)
 
 
-def test_poses_that_are_no_numbers_move_no_actor(tmp_path: Path) -> None:
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 2e8, 1e30])
+def test_records_that_are_out_of_range_are_left_out(tmp_path: Path, bad: float) -> None:
+    spawns = [
+        Spawn(1, 0, type_id="spectator"),
+        Spawn(9, 1, x=1000, type_id="vehicle.audi.tt"),
+        Spawn(10, 0, x=2000, type_id="static.prop.barrel"),
+        Spawn(11, 1, x=bad, type_id="vehicle.audi.tt"),
+        Spawn(12, 1, x=5000, type_id="vehicle.audi.tt"),
+    ]
     with carla_recap.create_recording(tmp_path / "a.log", map_name="Flat", date=0) as recording:
-        spawns = [Spawn(9, 1, x=1000, type_id="vehicle.audi.tt"), Spawn(10, 0, x=3000, type_id="static.prop.barrel")]
         for frame in range(5):
-            x = np.nan if frame > 1 else 1000.0
-            rows = {"id": [9, 10], "x": [x, 2 * x]}
-            recording.add_frame(frame * DELTA, spawned=spawns if not frame else [], transforms=rows)
+            x = bad if frame > 1 else 1000.0
+            rows = {"id": [1, 9, 10, 11, 12], "x": [x, x, 2 * x, bad, bad if not frame else 5000.0]}
+            others = {"weather": {"cloudiness": [bad * 1e6]}, "doors": {"id": [9], "door": [200], "open": [1]}}
+            recording.add_frame(frame * DELTA, spawned=spawns * (not frame), transforms=rows, **others)
     world = new_world()
-    world.replay_file(tmp_path / "a.log")
-    for _ in range(4):
-        world.tick()
-        assert played(world, 9).transform.location.x == pytest.approx(10)
-        assert played(world, 10).transform.location.x == pytest.approx(20)
+    world.set_replayer_ignore_spectator(False)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        world.replay_file(tmp_path / "a.log", follow=9)
+        for _ in range(4):
+            world.tick()
+            assert played(world, 9).transform.location.x == pytest.approx(10)
+            assert played(world, 10).transform.location.x == pytest.approx(20)
+            assert played(world, 12).transform.location.x == pytest.approx(50)
+            assert world.replayer.is_playing
     assert played(world, 9).transform.rotation == Rotation()
+    assert 11 not in world.replayer.mapping
+    told = " ".join(str(each.message) for each in warned)
+    assert [told.count(f"{what}): its recorded pose") for what in ("'spectator'", "'vehicle.audi.tt'", "barrel'")] == [
+        1,
+        2,
+        1,
+    ]
+    assert [told.count(what) for what in ("audi.tt (11) is left out", "weather is left out")] == [1, 5]
+
+
+@pytest.mark.parametrize(
+    ("model", "control", "seconds"),
+    [
+        ("audi.tt", VehicleControl(throttle=0.6, steer=0.03), 6.0),
+        ("lincoln.mkz_2017", VehicleControl(throttle=0.8), 7.0),
+        ("carlamotors.firetruck", VehicleControl(throttle=1.0), 9.0),
+    ],
+)
+def test_a_released_vehicle_drives_on_as_it_did(tmp_path: Path, model: str, control: VehicleControl, seconds: float) -> None:
+    world = flat_world()
+    car = world.spawn(f"vehicle.{model}", at(0.0))
+    car.apply_control(control)
+    world.recorder.start(tmp_path / "a.log", in_process=True)
+    world.run(seconds)
+    before = car.control, car.rows.engine[0], car.rows.steer_input[0]
+    driven = []
+    for _ in range(40):
+        world.tick()
+        driven.append((car.velocity.length(), car.transform.rotation.yaw))
+    world.close()
+    again = new_world()
+    play(again, tmp_path / "a.log", round(seconds / DELTA) - 1)
+    car = played(again, car.id)
+    again.replayer.release(car)
+    car.apply_control(control)
+    assert (car.control.gear, car.rows.engine[0], car.rows.steer_input[0]) == (
+        before[0].gear,
+        pytest.approx(before[1], rel=0.12),
+        pytest.approx(before[2], abs=1e-6),
+    )
+    for speed, yaw in driven:
+        again.tick()
+        assert car.velocity.length() == pytest.approx(speed, abs=0.15)
+        assert yaw_between(car.transform.rotation.yaw, yaw) == pytest.approx(0, abs=1.5)
 
 
 def test_what_is_being_replayed_is_not_recorded_over(tmp_path: Path) -> None:
@@ -988,15 +1048,18 @@ def test_a_replayed_walker_that_meets_a_car_does_not_fall(tmp_path: Path) -> Non
         assert replayed.transform.rotation.pitch == 0.0
 
 
-@pytest.mark.parametrize("start", [0.0, 1.0])
-def test_physics_that_change_in_a_recording_change_in_its_replay(tmp_path: Path, start: float) -> None:
+@pytest.mark.parametrize(("start", "moved"), [(0.0, 0.0), (1.0, 0.0), (0.0, 100.0)])
+def test_physics_that_change_in_a_recording_change_in_its_replay(tmp_path: Path, start: float, moved: float) -> None:
     """The places of wheels are recorded in the world, those of a change where the vehicle is then."""
     world = flat_world()
     car = spawn_car(world, at(20.0, yaw=30.0), speed=10.0)
     world.recorder.start(tmp_path / "a.log", True, in_process=True)
     car.apply_control(VehicleControl(throttle=0.5, steer=0.3))
     world.run(0.5)
-    control = car.physics_control = replace(car.physics_control, mass=2000.0)
+    control = replace(car.physics_control, mass=2000.0)
+    for wheel in control.wheels[:2]:
+        wheel.position.x += moved
+    car.physics_control = control
     world.run(1.0)
     world.close()
     again = flat_world()

@@ -95,11 +95,15 @@ class Vehicles(Drivetrains):
             self.engage(row)
 
     def set_simulated(self, row: int, simulated: bool) -> None:
-        """See `MovingBodies.set_simulated`; physics begins with an engine at rest in neutral and wheels that roll."""
+        """See `MovingBodies.set_simulated`; physics begins with an engine at rest in neutral and wheels that roll.
+
+        A gear that a control has put in stays in.
+        """
         if simulated and not self.simulated[row]:
             inputs = (self.throttle_input, self.steer_input, self.brake_input)
-            for values in (*inputs, self.gear, self.target_gear, self.engine, self.slow_time):
+            for values in (*inputs, self.engine, self.slow_time, *(() if self.manual[row] else (self.gear,))):
                 values[row] = 0
+            self.target_gear[row] = self.gear[row]
             self.omega[row] = self.speed[row] / self.tables.wheels[self.table[row], _RADIUS]
             if self.autopilot[row]:
                 self.engage(row)

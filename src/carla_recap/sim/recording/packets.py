@@ -11,21 +11,24 @@ from carla_recap.model.records import CM_PER_M, Attribute, Physics, Spawn
 from carla_recap.sim.attributes import attribute_type
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.physics.physics_control import Gear, PhysicsControl, WheelPhysics
+from carla_recap.sim.validation import MAX_ANGLE, MAX_COORDINATE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
-    from carla_recap.model.packets import Pose, Row
+    from carla_recap.model.packets import Row
     from carla_recap.sim.actors.lights import Sign, TrafficLight
     from carla_recap.sim.actors.moving import Vehicle
     from carla_recap.sim.episode import Actor
     from carla_recap.sim.town.loading import Town
+    from carla_recap.util.arrays import Booleans, Floats
 
 _OLD_TYRES: Final = {"lat_stiff_max_load": 2.0, "lat_stiff_value": 17.0, "long_stiff_value": 1000.0}
 """The tyres of UE4, which CARLA has recorded since 0.9.12."""
 _OLD_SWITCH_TIME: Final = 0.5  # s, of UE4
-_NEAR: Final = 50.0  # cm between a wheel and its usual place
+_NEAR: Final = 200.0  # cm between the middle of the wheels and its usual place; users may have moved them
 _ALIKE: Final = 0.25  # the least size of a rectangle of wheels, as a share of the usual one
+_FARTHEST: Final = np.repeat((MAX_COORDINATE * CM_PER_M, MAX_ANGLE), 3)  # of a pose
 _HALF_HEIGHT: Final = 1.0  # m, of trigger volumes, which stand on the road
 
 
@@ -67,16 +70,16 @@ def physics(vehicle: Vehicle) -> Physics:
     return physics_record(vehicle.id, control, control.torque_curve, control.steering_curve, wheels)
 
 
-def physics_control(record: Physics, place: Pose, usual: PhysicsControl) -> PhysicsControl:
+def physics_control(record: Physics, pose: Sequence[float], usual: PhysicsControl) -> PhysicsControl:
     """Return the physics of a vehicle as a record has it.
 
-    `place` is the pose of its spawn. A record does not tell how long it takes to shift, nor do those of CARLA up to 0.9.11
-    have the stiffness of tyres, which was UE4's then, as was the time to shift.
+    The pose is that of the vehicle in the same frame. A record does not tell how long it takes to shift, nor do those of
+    CARLA up to 0.9.11 have the stiffness of tyres, which was UE4's then, as was the time to shift.
     """
     names = [name for name in record.wheels.dtype.names or () if not name.startswith("position_")]
     is_old = "long_stiff_value" not in names
     wheels = []
-    for row, position in zip(record.wheels, _own_places(record, place, usual), strict=True):
+    for row, position in zip(record.wheels, _own_places(record, pose, usual), strict=True):
         values = {name: float(row[name]) for name in names}
         wheels.append(WheelPhysics(**(_OLD_TYRES if is_old else {}) | values, position=position))
     return PhysicsControl(
@@ -91,26 +94,32 @@ def physics_control(record: Physics, place: Pose, usual: PhysicsControl) -> Phys
     )
 
 
-def _own_places(record: Physics, place: Pose, usual: PhysicsControl) -> list[Vector]:
+def _own_places(record: Physics, pose: Sequence[float], usual: PhysicsControl) -> list[Vector]:
     """Return the places of the wheels of a record in the axes of the vehicle, in cm.
 
-    In the record, they are in the world. Where they are not beside the usual ones at the pose of the spawn, the vehicle had
-    moved on: they are turned and shifted as a whole to the usual ones, as near as possible. Places that do not look like
-    those of wheels become the usual ones.
+    In the record, they are in the world. Where they are far from the usual ones at the pose, the vehicle had moved on: they
+    are turned and shifted as a whole to the usual ones, as near as possible. Places that do not look like those of wheels
+    become the usual ones.
     """
     known = [wheel.position for wheel in usual.wheels]
     usually = np.array([place.x + 1j * place.y for place in known])
     with np.errstate(invalid="ignore"):  # NaN
         wheels = record.wheels["position_x"] + 1j * record.wheels["position_y"].astype(np.float64)
+        own = (wheels - complex(*pose[:2])) * np.exp(-1j * np.radians(pose[5]))
     if len(wheels) == len(usually) and np.isfinite(wheels).all():
-        own = (wheels - complex(*place[:2])) * np.exp(-1j * np.radians(place[5]))
-        if np.abs(own - usually).max() < _NEAR:
-            return [Vector(at.real, at.imag) for at in own.tolist()]
         centre, wheels = usually.mean(), wheels - wheels.mean()
+        if abs(own.mean() - centre) < _NEAR:
+            return [Vector(at.real, at.imag) for at in own.tolist()]
         turn = np.vdot(wheels, usually - centre)
         if abs(turn) > _ALIKE * np.vdot(usually - centre, usually - centre).real:
             return [Vector(at.real, at.imag) for at in (wheels * turn / abs(turn) + centre).tolist()]
     return [*known, *[Vector()] * len(wheels)][: len(wheels)]
+
+
+def possible(poses: Floats) -> Booleans:
+    """Return whether actors can have poses."""
+    found: Booleans = np.all(np.abs(poses) <= _FARTHEST, axis=-1)
+    return found
 
 
 def transform(pose: Iterable[float]) -> Transform:

@@ -22,7 +22,7 @@ from carla_recap.sim.episode import LARGEST_WANTED
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Box, Location, Vector
 from carla_recap.sim.physics.physics_control import expect_physics
-from carla_recap.sim.recording.packets import physics_control, transform
+from carla_recap.sim.recording.packets import physics_control, possible, transform
 from carla_recap.util.text import readable
 
 if TYPE_CHECKING:
@@ -148,7 +148,12 @@ class ActorMapping:
         pose = scene.pose_of(actor.id) if parent is None else actor.spawn_pose
         if pose is None or not (parent is None or parent.is_alive):  # its parent is left out, or gone meanwhile
             return None
-        spawned = place(self._episode, blueprint, transform(pose), parent, wanted_id=actor.id)
+        pose = pose if possible(pose) else actor.spawn_pose
+        try:
+            spawned = place(self._episode, blueprint, transform(pose), parent, wanted_id=actor.id)
+        except SimError as error:
+            warnings.warn(f"{actor.name} is left out: {error}", RecapWarning, stacklevel=2)
+            return None
         self._spawned.add(actor.id)
         self._physics[actor.id] = actor.physics
         if actor.type_id != model:
@@ -218,7 +223,7 @@ def _physics(actor: ActorLife, model: Blueprint) -> PhysicsControl | None:
     """Return the physics that were recorded of a vehicle, else those of the blueprint."""
     if actor.physics is None or model.physics is None:
         return model.physics
-    recorded = physics_control(actor.physics, tuple(actor.spawn_pose.tolist()), model.physics)
+    recorded = physics_control(actor.physics, actor.physics_pose or actor.spawn_pose.tolist(), model.physics)
     try:
         expect_physics(f"the recorded physics of {actor.name}", recorded)
     except SimError as error:

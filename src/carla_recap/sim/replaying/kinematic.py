@@ -5,12 +5,14 @@ Replayed actors move through each other, so that physics finds no collisions bet
 
 from __future__ import annotations
 
+import warnings
 from collections import defaultdict, deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.errors import RecapWarning
 from carla_recap.model.lives import is_object
 from carla_recap.model.motion import LONGEST_STEP, possible_step
 from carla_recap.model.records import CM_PER_M
@@ -22,7 +24,7 @@ from carla_recap.sim.actors.stepping import is_watched
 from carla_recap.sim.episode import Collision
 from carla_recap.sim.geometry import Location, Vector
 from carla_recap.sim.physics.physics_control import GEARS
-from carla_recap.sim.recording.packets import transform
+from carla_recap.sim.recording.packets import possible, transform
 from carla_recap.sim.replaying.actor_mapping import TRAFFIC
 
 if TYPE_CHECKING:
@@ -82,8 +84,9 @@ class KinematicReplay:
         self._mapping = mapping
         self._pairs = np.empty((2, 0), np.int64)  # of the ids of the recording, ascending, and those of the world
         self._changes_of_pairs = -1
-        self._speeds: dict[int, list[float]] = {}
+        self._motions: dict[int, list[float]] = {}
         self._set_poses: dict[int, bytes] = {}
+        self._impossible: set[int] = set()  # recorded ids of which a warning has told
         self._in_motion: dict[str, Ids] = {}
         self._moved: defaultdict[str, Ids] = defaultdict(lambda: np.empty(0, np.int64))
         self._latest: defaultdict[str, deque[_Velocities]] = defaultdict(lambda: deque(maxlen=_MOST_TICKS))
@@ -97,13 +100,20 @@ class KinematicReplay:
             self._changes_of_pairs = self._mapping.changes
             pairs = sorted((id, actor.id) for id, actor in self._mapping.replayed.items())
             self._pairs = np.array(pairs, np.int64).reshape(-1, 2).T
+        for id in scene.ids[~possible(scene.poses)].tolist():
+            if id in self._mapping.replayed and id not in self._impossible:
+                self._impossible.add(id)
+                told = (
+                    f"its recorded pose at {scene.time:g} s is out of range; it is not moved to it, nor to later such ones"
+                )
+                warnings.warn(f"{self._mapping.replayed[id]!r}: {told}", RecapWarning, stacklevel=5)
         for name, movers in (("vehicles", self._episode.vehicles), ("walkers", self._episode.walkers)):
             rows, indices = self._linked(scene.ids, movers.id)
             for row in rows[movers.simulated[rows]].tolist():  # its physics has been switched on meanwhile
                 movers.set_simulated(row, False)
             poses = scene.poses[indices]
-            finite = np.isfinite(poses).all(axis=1)
-            rows, poses = rows[finite], poses[finite]
+            usable = possible(poses)
+            rows, poses = rows[usable], poses[usable]
             self._stop(name, movers, rows)
             velocities = self._move(name, movers, rows, poses, delta, seconds)
             movers.acceleration[rows] = 0.0
@@ -117,11 +127,11 @@ class KinematicReplay:
 
     def has_moved(self, actor: MovingActor) -> bool:
         """Return whether the recorded velocity of an actor is known."""
-        return actor.id in self._speeds
+        return actor.id in self._motions
 
-    def velocity(self, actor: MovingActor) -> list[float]:
-        """Return the recorded velocity of an actor, in m/s along the world's axes."""
-        return self._speeds.get(actor.id, [0.0, 0.0, 0.0])
+    def motion(self, actor: MovingActor) -> list[float]:
+        """Return the recorded velocity of an actor, in m/s along the world's axes, and its yaw rate in degrees/s."""
+        return self._motions.get(actor.id, [0.0] * 4)
 
     def _stop(self, name: str, movers: MovingBodies, rows: Rows) -> None:
         """Let replayed actors stand still that have no pose any more."""
@@ -144,7 +154,7 @@ class KinematicReplay:
             jumps = distance > possible_step(seconds, least=0.0)
             path[jumps], turn[jumps] = 0.0, 0.0
             velocities = path / seconds
-            self._speeds |= zip(ids.tolist(), velocities.tolist(), strict=True)
+            self._motions |= zip(ids.tolist(), np.column_stack((velocities, turn[:, 1] / seconds)).tolist(), strict=True)
             velocities[jumps] = np.nan
             if not np.array_equal(ids, self._moved[name]):
                 velocities[~np.isin(ids, self._moved[name])] = np.nan
@@ -193,7 +203,7 @@ class KinematicReplay:
             if index is None:
                 continue
             pose = scene.poses[index]
-            if self._set_poses.get(id) != pose.tobytes() and np.isfinite(pose).all():
+            if self._set_poses.get(id) != pose.tobytes() and possible(pose):
                 actor.transform = transform(pose)
                 self._set_poses[id] = pose.tobytes()
 
@@ -345,7 +355,7 @@ class CollisionReplay:
         return self._velocities.get(actor.id, np.zeros(3))
 
     def _velocity(self, actor: Actor) -> Floats:
-        return np.array(self._kinematic.velocity(actor) if isinstance(actor, MovingActor) else (0.0, 0.0, 0.0))
+        return np.array(self._kinematic.motion(actor)[:3] if isinstance(actor, MovingActor) else (0.0, 0.0, 0.0))
 
 
 def _position(actor: Actor) -> Floats:

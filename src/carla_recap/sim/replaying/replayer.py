@@ -17,10 +17,11 @@ from carla_recap.replay import Player, level
 from carla_recap.replay.camera import CHASE_BACK, CHASE_PITCH, CHASE_UP
 from carla_recap.replay.follow import find_followed
 from carla_recap.roads.find import described_folder, map_key, plain_name
-from carla_recap.sim.actors.moving import MovingActor, Vehicle, VehicleControl, Walker
+from carla_recap.sim.actors.moving import ALL_DOORS, MovingActor, Vehicle, VehicleControl, Walker
 from carla_recap.sim.errors import MapMissing, SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
-from carla_recap.sim.recording.packets import transform
+from carla_recap.sim.physics.physics_control import TORQUES
+from carla_recap.sim.recording.packets import possible, transform
 from carla_recap.sim.recording.recorder import recording_path
 from carla_recap.sim.replaying.actor_mapping import ActorMapping
 from carla_recap.sim.replaying.kinematic import CollisionReplay, KinematicReplay
@@ -367,7 +368,7 @@ class Replayer:
     def _move_spectator(self, followed: int, scene: Scene) -> None:
         released = self._mapping.released.get(followed)
         recorded = scene.pose_of(followed) if released is None else np.array(pose(released.transform))
-        if recorded is not None:
+        if recorded is not None and possible(recorded):
             self._episode.spectator.transform = transform(level(recorded)).attached(self._offset)
 
     def _move_doors(self, scene: Scene) -> None:
@@ -377,26 +378,57 @@ class Replayer:
         for id, actor in self._mapping.replayed.items():
             if isinstance(actor, Vehicle):
                 doors = scene.doors.get(id, frozenset())
-                for door in sorted(doors ^ actor.open_doors):
+                for door in sorted(door for door in doors ^ actor.open_doors if door < ALL_DOORS):
                     actor.set_door(door, door in doors)
 
     def _change_weather(self, scene: Scene) -> None:
         if scene.weather is not None and scene.weather is not self._weather:
             self._weather = scene.weather
-            self._episode.weather = Weather(*scene.weather.item())
+            try:
+                self._episode.weather = Weather(*scene.weather.item())
+            except SimError as error:
+                warnings.warn(f"{self._path}: a recorded weather is left out: {error}", RecapWarning, stacklevel=4)
 
     def _return_to_traffic(self, actor: Actor, *, autopilot: bool) -> None:
         """Let an actor move by itself again."""
-        if isinstance(actor, MovingActor):
-            actor.set_simulate_physics(True)
-        if isinstance(actor, Vehicle):
-            actor.set_target_velocity(Vector(*self._kinematic.velocity(actor)))
-            actor.apply_control(VehicleControl())
-            actor.rows.engage(actor.row)
+        if isinstance(actor, Vehicle) and actor.parent is None:
+            *velocity, yaw_rate = self._kinematic.motion(actor)
+            _drive_on(actor, Vector(*velocity), yaw_rate)
+            if not autopilot:  # which acts at the beginning of the next tick
+                actor.apply_control(VehicleControl())
             actor.set_autopilot(autopilot)
         if isinstance(actor, Walker):
+            actor.set_simulate_physics(True)
             self._episode.walkers.speed[actor.row] = 0.0
             actor.set_target_velocity(Vector())
+
+
+def _drive_on(vehicle: Vehicle, velocity: Vector, yaw_rate: float) -> None:
+    """Let physics move a vehicle on, at a yaw rate in degrees/s, with its recorded gear, pedals and steering.
+
+    The wheels roll, and the engine turns as fast as its torque and the clutch hold it.
+    """
+    rows, row = vehicle.rows, vehicle.row
+    gear, own, tables = rows.gear[row], rows.table[row], rows.tables
+    vehicle.set_simulate_physics(True)
+    rows.gear[row] = rows.target_gear[row] = gear
+    vehicle.set_target_velocity(velocity)
+    rows.turning[row] = np.radians(yaw_rate)
+    throttle, steer, brake = np.nan_to_num((rows.throttle[row], rows.steer[row], rows.brake[row])).tolist()
+    vehicle.apply_control(VehicleControl(throttle, steer, brake, bool(rows.hand_brake[row]), reverse=bool(gear < 0)))
+    for reached, control in (
+        (rows.throttle_input, rows.throttle),
+        (rows.steer_input, rows.steer),
+        (rows.brake_input, rows.brake),
+    ):
+        reached[row] = control[row]
+    turns, most, clutch = abs(tables.ratios[own, gear] * rows.omega[row, 0]), tables.most_turns[own], tables.clutch[own]
+    if turns > most:  # as no engine does
+        rows.gear[row] = rows.target_gear[row] = 0
+    elif gear and clutch:
+        torque = rows.throttle[row] * tables.torques[own, int(turns / most * TORQUES)] - tables.damping[own, 0] * turns
+        rows.engine[row] = min(max(turns + torque / clutch, 0.0), most)
+    rows.engage(row)
 
 
 def finished(steps: Generator[None, None, T]) -> T:
