@@ -77,7 +77,7 @@ def test_at_the_junction_there_are_no_collisions_and_some_actors_wait():
     assert rows("blocked", "junction", "id", "type_id", "start", "duration", options=("--min-time", "10")) == [
         (1, "spectator", 0.05, 29.9),
         (49, "vehicle.audi.tt", 13.55, 16.4),
-        (56, "vehicle.seat.leon", 14.05, 15.9),
+        (56, "vehicle.seat.leon", 14.25, 15.7),
         (54, "vehicle.nissan.patrol", 14.45, 15.5),
         (46, "vehicle.nissan.patrol", 19.0, 10.95),
         (64, "walker.pedestrian.0019", 17.95, 10.1),

@@ -24,6 +24,7 @@ _LANE_CHANGE: Final = 1.0  # m: transitions from a greater lateral offset are in
 _JERK: Final = 3.0  # m/s³ of the throttle
 _BRAKE_JERK: Final = 25.0  # m/s³
 _RELEASE: Final = -1.0  # m/s²: from harder braking, drivers release the brake at once
+_RESUMED: Final = 0.2  # throttle: drivers who brake press no less against the drag of an engine, which shifts change
 _STANDING: Final = 0.15  # m/s
 _START: Final = 0.25  # m/s²: standing vehicles start for no smaller desired acceleration
 _HOLD: Final = 0.4  # brake of standing vehicles
@@ -49,6 +50,7 @@ def set_pedals(state: AutopilotState, desired: Floats, delta: float) -> None:
     most = np.maximum(drivers.acceleration, _RELEASE) + _JERK * delta
     drivers.acceleration = np.minimum(np.maximum(desired, least), most)
     throttle, brake = vehicles.pedals(cars.rows, drivers.acceleration)
+    throttle[(vehicles.throttle[cars.rows] == 0) & (throttle < _RESUMED) & (drivers.acceleration < 0)] = 0.0
     standing = cars.speed < _STANDING
     drivers.standing_time = np.where(standing, drivers.standing_time + delta, 0.0)
     held = standing & (desired < _START)
