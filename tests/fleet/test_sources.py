@@ -27,7 +27,7 @@ def names(sources, folder):
     [
         (("",), ["a.log", "b.mcap", "deep/d.LOG"]),  # a folder means the recordings in it and below
         (("/*.mcap", "/**/*.LOG"), ["b.mcap", "deep/d.LOG"]),
-        (("/a.log", "", "/c.txt"), ["a.log", "b.mcap", "deep/d.LOG", "c.txt"]),  # each once
+        (("/a.log", "", "/c.txt", "/deep/../a.log"), ["a.log", "b.mcap", "deep/d.LOG", "c.txt"]),  # each once
         (("/missing.log",), ["missing.log"]),  # is left to whatever opens it
     ],
 )

@@ -143,6 +143,7 @@ def test_the_description_is_the_first_line_of_the_docstring(folder: Path) -> Non
         *(
             "[Offence('a', 1.0, ('b',))]",
             "Finding(2, 'a')",
+            "Finding(np.ones(2) > 0, 'a')",
             "Finding(True, 3)",
             "Finding(False, 'a', None)",
             "Finding(True, 'a', (), 3)",

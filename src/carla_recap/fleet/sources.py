@@ -79,8 +79,9 @@ def find_sources(sources: Iterable[str | Path], *, errors: Literal["raise", "yie
             if not source:
                 raise RecapError("'': a path or a URL was expected")
             for found in _expanded(source):
-                if found.location not in seen:
-                    seen.add(found.location)
+                path = found.location if "://" in found.location else os.path.abspath(found.location)  # noqa: PTH100
+                if path not in seen:
+                    seen.add(path)
                     yield found
         except (RecapError, OSError, ValueError) as error:  # the latter of names that are too long, or have a NUL
             if not isinstance(error, RecapError):

@@ -11,6 +11,8 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+
 from carla_recap.errors import NotSetUp, RecapError
 from carla_recap.rules.facts import Condition, Finding, Offence
 from carla_recap.rules.reading import Unexpected, hint, shown
@@ -88,8 +90,8 @@ def _is_valid(found: Finding) -> bool:
     """Return whether a finding has values of the right types."""
     return (
         isinstance(found.message, str)
-        and found.passes in (True, False)
-        and found.applies in (True, False)
+        and isinstance(found.passes, (bool, np.bool_))
+        and isinstance(found.applies, (bool, np.bool_))
         and isinstance(found.offences, (tuple, list))
         and all(
             isinstance(each, Offence)
