@@ -513,6 +513,14 @@ def test_the_trail_has_the_colour_of_the_actor(tmp_path: Path) -> None:
         assert tuple(shown.to_bytes(4, "big")[:3]) == color
 
 
+def test_an_actor_that_is_not_there_for_long_can_be_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("carla_recap.show.rerun.followed.ROWS", 4)
+    frames = [{"transforms": [pose(2), *[pose(1, 100 * n)] * (n >= 10)]} for n in range(20)]
+    frames[0]["spawned"], frames[10]["spawned"] = [spawn(2)], [spawn(1)]
+    rrd = export(write(tmp_path / "x.log", frames), tmp_path / "x.rrd", follow=1)
+    assert [rrd.place("/world/chase", time)[0] for time in (0, 9, 10, 15)] == [10, 10, 10, 15]
+
+
 def test_an_attached_actor_leaves_its_parent_as_soon_as_its_own_poses_are_recorded(tmp_path: Path) -> None:
     frames = [{"transforms": [pose(1, 100 * n), *[pose(2, 900)] * (n > 2)]} for n in range(6)]
     frames[0] |= {"spawned": [spawn(1), spawn(2, "static.prop.box", x=50)], "parented": [(2, 1)]}

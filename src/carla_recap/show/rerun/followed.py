@@ -182,7 +182,7 @@ class FollowedWriter:
         self._stream.columns(entities.trail(self._id), times.take(moved), rr.LineStrips3D.columns(strips=strips))
         if self._ground:
             below = ground_below(below)
-            changed = np.concatenate(([True], (np.diff(below, axis=0) != 0).any(axis=1)))
+            changed = np.append(True, (np.diff(below, axis=0) != 0).any(axis=1))[: len(below)]
             cells = below[changed].astype(np.float32)
             self._stream.columns(entities.GROUND, times.take(changed), rr.Transform3D.columns(translation=cells))
 
