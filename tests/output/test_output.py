@@ -12,14 +12,17 @@ from rich.console import Console
 
 from carla_recap.model.frame import Header
 from carla_recap.model.lives import BoundingBox
-from carla_recap.model.records import NO_ACTOR, Attribute, Spawn
+from carla_recap.model.records import NO_ACTOR, Attribute, Spawn, attributes
 from carla_recap.output import table as table_output
 from carla_recap.output.json import encoded
 from carla_recap.output.json import json as json_text
-from carla_recap.output.table import table
+from carla_recap.output.table import cells, table
+from carla_recap.output.text import lines
 from carla_recap.queries.blocked import blocked
 from carla_recap.queries.collisions import collisions
+from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.info import info
+from carla_recap.queries.summary import summary
 from carla_recap.recording import open_recording
 
 if TYPE_CHECKING:
@@ -113,6 +116,14 @@ def test_table_of_collisions(make: Make) -> None:
     assert "0.50 2 1 vehicle.a (hero) a static object 1 5.00 5.00" in lines
     assert "0.50 2 1 vehicle.a 9 unknown 2 5.00" in lines
     assert lines[-1] == "2 rows; 2 frames, 0.5 seconds"
+
+
+def test_what_is_unknown_is_empty_in_tables(make: Make) -> None:
+    hero = Spawn(1, 1, type_id="vehicle.a", attributes=attributes(role_name="hero"))
+    reader = make({"spawned": [hero], "transforms": [(1, 0, 0, 0, 0, 0, 0)]}, {"collisions": [(0, 1, NO_ACTOR, 1, 0)]})
+    (incident,), (recording,) = cells(incidents(reader)), cells(summary(reader, IncidentOptions()))
+    assert (incident[-1], recording[6]) == ("", "")
+    assert "nan" not in "".join(lines(summary(reader, IncidentOptions())))
 
 
 def test_table_of_a_contact_that_is_interrupted(make: Make) -> None:

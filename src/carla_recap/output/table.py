@@ -17,7 +17,7 @@ from carla_recap.output.terminal import (
     number_column,
     print_table,
 )
-from carla_recap.output.text import KMH, incident_counts, local_date
+from carla_recap.output.text import incident_counts, local_date, top_speed
 from carla_recap.queries.blocked import Blocked, BlockedRow
 from carla_recap.queries.collisions import CollisionRow, Collisions
 from carla_recap.queries.incidents import Incident
@@ -95,6 +95,10 @@ def _seconds(value: float) -> str:
 
 def _speed(value: float) -> str:
     return "" if math.isnan(value) else _seconds(value)
+
+
+def _place(place: tuple[float, ...]) -> str:
+    return "" if math.isnan(place[0]) else ", ".join(f"{number:.1f}" for number in place)
 
 
 def _id(id: int | None) -> str:
@@ -186,7 +190,7 @@ _COLUMNS: Final[dict[type, tuple[TableColumn, ...]]] = {
         number_column("Vehicles", lambda row: str(row.actors.get("vehicle", 0)), rank=1),
         number_column("Walkers", lambda row: str(row.actors.get("walker", 0)), rank=2),
         number_column("Hero (m)", lambda row: f"{row.hero.distance:.0f}" if row.hero else ""),
-        number_column("Top speed (km/h)", lambda row: f"{row.hero.top_speed * KMH:.0f}" if row.hero else "", rank=1),
+        number_column("Top speed (km/h)", lambda row: top_speed(row.hero) if row.hero else "", rank=1),
         TableColumn("Incidents", lambda row: incident_counts(row.incidents), narrowed="end"),
     ),
     Incident: (
@@ -195,6 +199,6 @@ _COLUMNS: Final[dict[type, tuple[TableColumn, ...]]] = {
         TableColumn("Incident", lambda row: row.kind, style=lambda kind: INCIDENT_STYLES.get(kind, "")),
         TableColumn("What happens", lambda row: row.text, narrowed="words", brief=brief_actor),
         number_column("Value", lambda row: "" if math.isnan(row.value) else f"{row.value:.2f} {row.unit}", rank=3),
-        TableColumn("Place (m)", lambda row: ", ".join(f"{number:.1f}" for number in (row.x, row.y, row.z)), rank=1),
+        TableColumn("Place (m)", lambda row: _place((row.x, row.y, row.z)), rank=1),
     ),
 }

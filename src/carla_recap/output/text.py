@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from carla_recap.queries.measures.definitions import MeasureRow
     from carla_recap.queries.measures.series import MeasuresOverTime
     from carla_recap.queries.recorded_actors import RecordedActors
-    from carla_recap.queries.summary import RecordingSummary, Summaries
+    from carla_recap.queries.summary import HeroSummary, RecordingSummary, Summaries
 
     AnyAnswer = RecordedActors | Info | Collisions | Blocked | Incidents | Measures | MeasuresOverTime | Summaries
 
@@ -121,9 +121,14 @@ def _actor(row: ActorLife) -> str:
 def _summary(row: RecordingSummary) -> str:
     vehicles, walkers = row.actors.get("vehicle", 0), row.actors.get("walker", 0)
     others = sum(row.actors.values()) - vehicles - walkers
-    way = f"{row.hero.distance:>8.0f} {row.hero.top_speed * KMH:>5.0f}" if row.hero else f"{'':>14}"
+    way = f"{row.hero.distance:>8.0f} {top_speed(row.hero):>5}" if row.hero else f"{'':>14}"
     numbers = f"{number(row.duration):>8} {row.frames:>8} {vehicles:>8} {walkers:>7} {others:>6}"
     return f"{numbers} {way} {readable(row.map):<12} {incident_counts(row.incidents)}"
+
+
+def top_speed(hero: HeroSummary) -> str:
+    """Return the top speed of a hero in km/h; empty if it is unknown."""
+    return "" if math.isnan(hero.top_speed) else f"{hero.top_speed * KMH:.0f}"
 
 
 def _overview(answer: Summaries) -> Iterator[str]:
@@ -131,8 +136,10 @@ def _overview(answer: Summaries) -> Iterator[str]:
         yield f"Actors: {_counted(row.actors, answer.others)}\n"
         if row.hero is not None:
             hero = row.hero
-            speed = "an unknown speed" if math.isnan(hero.top_speed) else f"{hero.top_speed * KMH:.0f} km/h at most"
-            way = f"{hero.distance:.0f} m in {hero.time:.1f} s, at {speed}"
+            speed = top_speed(hero)
+            way = (
+                f"{hero.distance:.0f} m in {hero.time:.1f} s, at {f'{speed} km/h at most' if speed else 'an unknown speed'}"
+            )
             yield f"Hero: {hero.type_id} ({hero.id}), {way}\n"
         yield f"Incidents: {incident_counts(row.incidents)}\n"
         if row.sensors:
