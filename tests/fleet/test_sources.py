@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 
 import pytest
@@ -49,6 +50,20 @@ def test_a_source_without_recordings_is_an_error_or_a_row(folder, source):
     found, other = find_sources([folder / source, folder / "a.log"], errors="yield")
     assert (found.location, other.error) == (f"{folder}/{source}", None)
     assert "no recordings" in found.error
+
+
+def test_a_folder_that_cannot_be_listed_hides_no_recordings(folder, monkeypatch):
+    listed = os.scandir
+
+    def refuse(path):
+        if str(path).endswith("deep"):
+            raise PermissionError(13, "Permission denied", path)
+        return listed(path)
+
+    monkeypatch.setattr(os, "scandir", refuse)
+    *found, missing = find_sources([folder], errors="yield")
+    assert [source.error for source in found] == [None, None]
+    assert missing.error == f"{folder}/deep: Permission denied"
 
 
 def test_a_form_means_one_recording_or_many(folder):

@@ -133,27 +133,31 @@ def _expanded(source: str) -> Iterator[SourceFile]:
         yield from _remote(source)
         return
     path = os.fspath(path_of(source)) if scheme_of(source) else source
+    errors: list[OSError] = []
     if Path(path).is_dir():
-        found, folder = _in_folder(path), path
+        found, folder = _in_folder(path, errors), path
         expected = "a folder with .log or .mcap files was expected"
     elif has_magic(path) and not Path(path).exists():
         matched = sorted(glob(path, recursive=True))  # noqa: PTH207 - which takes no absolute pattern
-        found = [each for match in matched for each in (_in_folder(match) if Path(match).is_dir() else [match])]
+        found = [each for match in matched for each in (_in_folder(match, errors) if Path(match).is_dir() else [match])]
         folder = os.path.dirname(path[: _MAGIC.search(path).start()])  # type: ignore[union-attr]  # noqa: PTH120
         expected = "a glob that matches recordings was expected"
     else:
         yield _described(path, split_time(Path(path).name)[0])
         return
-    if not found:
-        raise RecapError(f"{source}: no recordings; {expected}")
     for each in found:
         yield _described(each, os.path.relpath(each, folder or os.curdir))
+    if errors:
+        raise RecapError(f"{errors[0].filename}: {reason_of(errors[0])}")
+    if not found:
+        raise RecapError(f"{source}: no recordings; {expected}")
 
 
-def _in_folder(folder: str) -> list[str]:
+def _in_folder(folder: str, errors: list[OSError]) -> list[str]:
+    """Return the recordings in a folder and below; add the errors of folders that cannot be listed."""
     found = []
     skipped = 0
-    for parent, folders, files in os.walk(folder):
+    for parent, folders, files in os.walk(folder, onerror=errors.append):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         names = [name for name in files if not name.startswith(".") and Path(name).suffix.lower() in SUFFIXES]
         found += [str(Path(parent, name)) for name in sorted(names)]
