@@ -139,14 +139,7 @@ def main() -> None:
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; errors are a line on stderr.
-
-    Args:
-        arguments: Its name and arguments; None: those of the process.
-
-    Returns:
-        The exit code, as far as the command does not end the process itself.
-    """
+    """Run a command, and return its exit code, unless it ends the process itself; errors are a line on stderr."""
     name = None if arguments is None else "carla-recap"
     try:
         return int(cli(arguments, name, standalone_mode=False) or 0)

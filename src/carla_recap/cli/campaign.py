@@ -261,13 +261,7 @@ def _workers(jobs: int | None, client: Client | None) -> int:
 
 
 def _watched(runs: Generator[FinishedRun], total: int, most: float) -> Generator[FinishedRun]:
-    """Yield runs until too many have failed in a row; show the progress, the warnings, and each error once.
-
-    Args:
-        runs: The runs.
-        total: Their number.
-        most: The number of failed runs in a row that end it.
-    """
+    """Yield runs until `most` have failed in a row; show the progress, the warnings, and each error once."""
     from carla_recap.cli.progress import SourcesBar
 
     errors: Counter[str] = Counter()

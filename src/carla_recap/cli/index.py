@@ -152,12 +152,7 @@ def _without_measures(opened: RecordingIndex) -> int:
 
 
 def show_rows(rows: pa.Table, form: Form) -> None:
-    """Print the rows of an answer on stdout.
-
-    Args:
-        rows: The rows.
-        form: "table" for a terminal, "json" or "csv".
-    """
+    """Print the rows of an answer on stdout."""
     names = _different(rows.schema.names)
     batches = rows.to_batches(max_chunksize=_BATCH)
     values = chain.from_iterable(zip(*map(_values, batch.columns), strict=True) for batch in batches)

@@ -61,9 +61,6 @@ class SourcesRequest:
         """Yield the recordings, the client of a Dask cluster, if any, and a progress bar.
 
         Signals end the `with` block; see `watched`, too.
-
-        Args:
-            title: What is done, for the progress bar.
         """
         with cluster(self.dask) as client:
             found, bar = watched(self.sources, title)
@@ -94,9 +91,6 @@ class QueryRequest(SourcesRequest):
         """Print the answer to the query, and end the program.
 
         The exit code is 2 if a recording cannot be read, else 1 if all have more rows together than allowed.
-
-        Args:
-            query: The query: a function of a module, or a partial of one.
         """
         if len(self.sources) == 1 and is_one(self.sources[0]):
             warned = collect_warnings() if self.shape == "json" else None
@@ -173,9 +167,6 @@ def _print(given: Iterable[RecordingAnswer], form: str, bar: SourcesBar, max_row
 
 class Messages:
     """Prints errors and warnings about recordings, a line each; that maps are unknown, once for all recordings.
-
-    Args:
-        bar: The progress bar.
 
     Attributes:
         failed: The number of errors.

@@ -48,11 +48,8 @@ def opened_part(source: str, given: dict[str, Any]) -> Iterator[tuple[Recording,
 def timed(source: str, given: dict[str, Any]) -> tuple[str, dict[str, Any]]:
     """Return a source without the times at its end (`#t=12.1`), and options with the start and duration that are meant.
 
-    A moment is shown with the seconds around it that clips of incidents have. What the options say prevails.
-
-    Args:
-        source: The source.
-        given: The options of a command, of which `start` and `duration` are None if they are not given.
+    A moment is shown with the seconds around it that clips of incidents have. What the options say, if it is not None,
+    prevails.
     """
     from carla_recap.errors import RecapError
 
@@ -71,11 +68,7 @@ def timed(source: str, given: dict[str, Any]) -> tuple[str, dict[str, Any]]:
 
 
 def moment(source: str, time: float | None) -> tuple[str, float]:
-    """Return a source without the time at its end (`#t=12.1`), and the time that is meant: that of the option, if any.
-
-    Raises:
-        click.MissingParameter: There is neither.
-    """
+    """Return a source without the time at its end (`#t=12.1`), and the time that is meant: that of the option, if any."""
     location, times = _split(source)
     if time is None and times is None:
         ctx = click.get_current_context()
@@ -84,11 +77,7 @@ def moment(source: str, time: float | None) -> tuple[str, float]:
 
 
 def _split(source: str) -> tuple[str, TimeFragment | None]:
-    """Return a source without the times at its end, and these, if it has any.
-
-    Raises:
-        RecapError: What it has is no time.
-    """
+    """Return a source without the times at its end, and these, if it has any."""
     from carla_recap.errors import RecapError
     from carla_recap.formats.sources import split_time
 
@@ -110,11 +99,7 @@ def _exists(source: str) -> bool:
 
 
 def _check_moment(location: str, time: float) -> None:
-    """Refuse a time after the end of a recording of this machine; others are not read twice.
-
-    Raises:
-        RecapError: It is one, or the recording cannot be read.
-    """
+    """Refuse a time after the end of a recording of this machine; others are not read twice."""
     from carla_recap.errors import RecapError
     from carla_recap.formats import open_reader
     from carla_recap.formats.sources import is_remote
@@ -128,18 +113,9 @@ def _check_moment(location: str, time: float) -> None:
 
 
 def road_map_of(recording: Recording, path: str | None, start: float = 0.0, duration: float = 0.0) -> RoadMap | None:
-    """Return the map of a recording's town; without one, what its vehicles have driven along.
+    """Return the map of a recording's town; without one, what its vehicles have driven along in the shown part.
 
     None if that is not known either, or if an extra is missing; a warning says so.
-
-    Args:
-        recording: The recording; its map name is looked for.
-        path: The map, or the folder to look in; None: the usual folders.
-        start: The elapsed seconds from which on the recording is shown; negative: before the end.
-        duration: The seconds that are shown; 0: all of the rest.
-
-    Raises:
-        RecapError: The given folder has no such map, or the map is damaged.
     """
     from carla_recap.replay.recorded_map import load_map_of
     from carla_recap.roads import load_map

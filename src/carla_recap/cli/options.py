@@ -204,9 +204,7 @@ involved = click.option(
 def gathered(name: str, load: Callable[[], type[Any]]) -> Callable[[Command], Command]:
     """Return a decorator that passes the parameters of a command that are fields of a dataclass as an instance of it.
 
-    Args:
-        name: The parameter that takes the instance.
-        load: Returns the dataclass. It is called when the command runs, so that the help does not import it.
+    `load` returns the dataclass when the command runs, so that the help does not import it.
     """
 
     def decorate(command: Command) -> Command:
@@ -275,12 +273,7 @@ incident_options = together(
 
 
 def rig(text: str, *, is_required: bool = False) -> Callable[[Command], Command]:
-    """Return a decorator that adds the options for a rig to a command, which takes it as a `SensorRig`, or None.
-
-    Args:
-        text: The help of `--rig`.
-        is_required: Whether it must be given.
-    """
+    """Return a decorator that adds the options for a rig to a command, which takes it as a `SensorRig`, or None."""
 
     def decorate(command: Command) -> Command:
         @click.option("--rig", type=click.Path(), required=is_required, metavar="FILE", help=text)

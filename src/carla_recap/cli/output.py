@@ -29,12 +29,7 @@ _WRITTEN: Final = "carla_recap.written"
 
 
 def form_of(form: str | None, *, compat: bool) -> Form:
-    """Return the form in which an answer is printed: json, text or table.
-
-    Args:
-        form: The form that was asked for; None: a table on a terminal, else text.
-        compat: Whether the answer has the mistakes of CARLA 0.9.16, which are about its text.
-    """
+    """Return the form in which an answer is printed; without one, a table on a terminal, else text, as with `compat`."""
     if form in ("json", "csv") and compat:
         raise click.UsageError(f"--compat is about CARLA's text: it does not go with --{form}.")
     if form is not None:
@@ -56,14 +51,7 @@ def collect_warnings() -> list[str]:
 
 
 def show(answer: Any, form: str | None, max_rows: int | None = None, warned: Sequence[str] | None = None) -> NoReturn:
-    """Print an answer, and end the program, with exit code 1 if it has more rows than allowed.
-
-    Args:
-        answer: The answer of a query.
-        form: "json", "text", or None: a table on a terminal, else text.
-        max_rows: The number of rows that are allowed.
-        warned: The warnings about the recording, for JSON.
-    """
+    """Print an answer, in JSON with the warnings, and end the program, with exit code 1 if it has more rows than allowed."""
     form = form_of(form, compat=getattr(answer, "compat", False))
     if form == "text":
         from carla_recap.output.text import text
@@ -126,14 +114,7 @@ def has_colors(stream: TextIO) -> bool:
 
 
 def say(message: str, *, before: str = "", color: str = "", stream: TextIO | None = None) -> None:
-    """Print a line on stderr; names from a recording can neither control the terminal nor break the line.
-
-    Args:
-        message: The text.
-        before: Words in front of it, which are in colour if the stream has colours.
-        color: This colour, by its name in click.
-        stream: Another stream.
-    """
+    """Print a line on stderr, with coloured words before it; no name can control the terminal or break the line."""
     stream = stream or sys.stderr
     line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
     if before:
@@ -156,16 +137,7 @@ def wrote(
     size: int | None = None,
     **facts: Any,
 ) -> None:
-    """Say that a file or folder was written: `wrote crash.mp4: 300 frames, 10 s, 2.1 MB`.
-
-    Args:
-        path: The file or folder.
-        notes: What else is to be said, in words.
-        frames: The number of its frames.
-        seconds: Its duration.
-        size: Its size in bytes; None: as found.
-        facts: More facts for JSON.
-    """
+    """Say that a file or folder was written: `wrote crash.mp4: 300 frames, 10 s, 2.1 MB`; `facts` are for JSON."""
     if size is None:
         from carla_recap.util.files import size_of
 
@@ -187,24 +159,14 @@ def wrote(
 
 
 def not_written(name: str, things: list[Any]) -> None:
-    """List what was not written in the JSON object.
-
-    Args:
-        name: The name of the list.
-        things: Its values.
-    """
+    """List things that were not written in the JSON object, under a name."""
     context = click.get_current_context()
     if wants_json(context):
         context.meta[_WRITTEN][name] = things
 
 
 def print_written(context: click.Context, *, empty: bool) -> None:
-    """Print what was written as one JSON object, if the command was asked for it.
-
-    Args:
-        context: The context of the command.
-        empty: Whether to print the object if nothing was written.
-    """
+    """Print what was written as one JSON object, if the command was asked for it, also an `empty` one if that is so."""
     if wants_json(context) and (empty or any(context.meta[_WRITTEN].values())):
         from carla_recap.output.json import encoded
 
@@ -236,10 +198,9 @@ def warn(message: object) -> None:
 
 
 def log_to_stderr(verbosity: int = 0) -> None:
-    """Print the package's log on stderr; a line that was printed recently is not repeated.
+    """Print warnings and errors of the log on stderr, with a verbosity of 1 also what is done, with 2 its details.
 
-    Args:
-        verbosity: 0 for warnings and errors, 1 for what is done, too, 2 for its details.
+    A line that was printed recently is not repeated.
     """
     import logging
 

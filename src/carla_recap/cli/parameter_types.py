@@ -11,13 +11,7 @@ import click
 
 
 class _Number(click.ParamType[Any]):
-    """A number.
-
-    Args:
-        least: The smallest valid number.
-        most: The largest one.
-        exclusive: Whether the smallest one is not valid either.
-    """
+    """A number."""
 
     name = "number"
 
@@ -44,13 +38,7 @@ class _Number(click.ParamType[Any]):
 
 
 class _ActorId(click.ParamType[Any]):
-    """The id of an actor, or one of some words.
-
-    Args:
-        name: The name of the type.
-        words: The words.
-        expected: What is expected, in words, for errors: neither ….
-    """
+    """The id of an actor, or one of some words."""
 
     def __init__(self, name: str, words: tuple[str, ...], expected: str) -> None:
         self.name = name

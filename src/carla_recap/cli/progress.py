@@ -83,10 +83,6 @@ class SourcesBar:
     """A bar that counts recordings; a context manager, in which it is shown.
 
     It is not shown while stdout is a pipe, whose reader may print on the same terminal.
-
-    Args:
-        title: What is done with them.
-        total: Their number.
     """
 
     is_open = False  # whether there is one, which is then the only bar

@@ -134,11 +134,7 @@ def replay(
 
 
 def _world(town: str | None, seed: int | None = None) -> World:
-    """Return a town without actors; with a seed, the date of its recordings is fixed, too.
-
-    Raises:
-        MissingExtra: The physics engine is not installed.
-    """
+    """Return a town without actors; with a seed, the date of its recordings is fixed, too."""
     from carla_recap.sim import World
     from carla_recap.sim.settings import seeded_date
 

@@ -76,14 +76,7 @@ class WriteRequest(SourcesRequest):
         return not is_remote(self.destination) and Path(self.destination).is_dir()
 
     def write(self, write: Write, suffix: str | None, usual: str, title: str) -> None:
-        """Write the file of the only recording, or those of many into the folder.
-
-        Args:
-            write: The function that writes one.
-            suffix: The suffix of files in the folder, which a single file has in its name; None: the usual one.
-            usual: That one.
-            title: See `write_many`.
-        """
+        """Write the file of the only recording, or those of many into the folder, with the suffix, or else the usual one."""
         if self.is_into_folder:
             self.write_many(write, f".{suffix or usual}", title)
         elif suffix is None:
@@ -92,11 +85,7 @@ class WriteRequest(SourcesRequest):
             raise click.UsageError("--to goes with a folder.", click.get_current_context())
 
     def write_one(self, write: Write) -> None:
-        """Write the file, or the folder, of the only recording, and say so.
-
-        Args:
-            write: The function that writes it.
-        """
+        """Write the file, or the folder, of the only recording, and say so."""
         from carla_recap.fleet.destinations import is_current, write_file
         from carla_recap.fleet.sources import find_sources
 
@@ -109,13 +98,7 @@ class WriteRequest(SourcesRequest):
         _say(written)
 
     def write_many(self, write: Write, suffix: str, title: str) -> None:
-        """Write a file for each recording into the folder, and say so; end the program with exit code 2 if one fails.
-
-        Args:
-            write: The function that writes one: that of a module, or a partial of one.
-            suffix: The suffix of the files; empty for folders.
-            title: What is done, for the progress bar.
-        """
+        """Write a file for each recording into the folder, and say so; end the program with exit code 2 if one fails."""
         from carla_recap.fleet.destinations import DestinationFolder, write_files
         from carla_recap.scene.models import models_directory
 
@@ -129,13 +112,7 @@ class WriteRequest(SourcesRequest):
         self._run(outcomes, title, folder.skipped, _say)
 
     def write_dataset(self, write: WritePart, form: ExportFormat, split: Mapping[str, float] | None) -> None:
-        """Write a dataset of all recordings, and say so; end the program with exit code 2 if one fails.
-
-        Args:
-            write: The function that writes the part of one: that of a module, or a partial of one.
-            form: The format.
-            split: The shares of the splits; None: all recordings are in one.
-        """
+        """Write a dataset of all recordings, and say so; end the program with exit code 2 if one fails."""
         from carla_recap.fleet.datasets import write_dataset
         from carla_recap.scene.models import models_directory
 
@@ -165,12 +142,7 @@ class WriteRequest(SourcesRequest):
     ) -> None:
         """Go through the recordings, and say what fails; end the program with exit code 2 if one does.
 
-        Args:
-            write: Yields what is written of the recordings.
-            title: What is done, for the progress bar.
-            skipped: The files that are skipped, which grow meanwhile.
-            take: Is called with what is written.
-            end: Is called when all is written.
+        `take` is called with what is written of each, and `end` when all is; the files that are skipped grow meanwhile.
         """
         written, failed, hints = 0, list[dict[str, str]](), dict[str, None]()
         with self.opened(title) as (found, client, bar), closing(write(found, client)) as outcomes:

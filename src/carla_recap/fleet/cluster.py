@@ -168,11 +168,7 @@ def _kept(pickled: bytes, limit: float) -> KeptWorker[Any]:
 
 
 class _Pickled:
-    """A function that Dask has pickled, which a child process gets as it is.
-
-    Args:
-        pickled: The pickle.
-    """
+    """A function that Dask has pickled, which a child process gets as it is."""
 
     def __init__(self, pickled: bytes) -> None:
         self._pickled = pickled

@@ -132,18 +132,7 @@ def write_dataset(
 ) -> Generator[Outcome[WrittenFile]]:
     """Yield what is written of each of many recordings, or the error, in their order; behind them, the dataset appears.
 
-    Args:
-        write: The function that writes a part: that of a module, or a partial of one.
-        sources: The recordings.
-        folder: The folder of the dataset.
-        form: The format.
-        split: The shares of the splits; None: all recordings are in `train`.
-        force: Write into a folder that is not empty, over files of the same names.
-        jobs: The number of worker processes; None: as many as there are processors, or none for one recording.
-        client: See `map_sources`.
-
-    Raises:
-        RecapError: The folder cannot be written, or no recording could be; see `splits_of`, too.
+    Without a split, all recordings are in `train`.
     """
     found = list(sources)
     with dataset_folder(folder, force=force) as (whole, below):
@@ -165,15 +154,7 @@ def write_dataset(
 
 
 def splits_of(names: Iterable[str], shares: Mapping[str, float]) -> dict[str, str]:
-    """Return the split of each recording, which depends on the names alone.
-
-    Args:
-        names: The names of the recordings.
-        shares: The share of each split, which add up to 1.
-
-    Raises:
-        RecapError: They do not, or a split is unknown.
-    """
+    """Return the split of each recording, which depends on the names alone."""
     for name, share in shares.items():
         if name not in SPLITS:
             raise RecapError(f"split {name!r}: is unknown; one of {', '.join(SPLITS)} was expected")

@@ -34,14 +34,7 @@ _LAST: Final = "actors.parquet"  # of the files of a folder, the one that is upl
 def write_file(write: Write, source: str, destination: str, *, force: bool) -> WrittenFile:
     """Write a file or a folder; if the destination is a URL, as a temporary file, which is uploaded when it is complete.
 
-    Args:
-        write: The function that writes.
-        source: The recording.
-        destination: A path, or the URL of an object.
-        force: Replace what is there; else that is an error.
-
-    Raises:
-        RecapError: It cannot be read, or written.
+    What is there is replaced with `force`, else it is an error.
     """
     _check_scheme(destination)
     if not is_remote(destination):
@@ -124,9 +117,7 @@ class DestinationFolder:
     def planned(self, sources: Iterable[SourceFile], given: dict[str, str]) -> Iterator[SourceFile]:
         """Yield the recordings that are to be read, or have an error.
 
-        Args:
-            sources: The recordings.
-            given: The files that are written already, or are to be, each with its recording. More are added.
+        `given` has the files that are written already, or are to be, each with its recording; more are added.
         """
         uploaded = _modified_below(self.location) if self.newer and is_remote(self.location) else {}
         written = frozenset(given)
@@ -170,16 +161,7 @@ class DestinationFolder:
 
 
 def is_current(path: str, source: SourceFile, uploaded: Mapping[str, float] | None = None) -> bool:
-    """Return whether a file or folder is there, and no older than its recording.
-
-    Args:
-        path: Its path, or its URL.
-        source: The recording.
-        uploaded: The times of objects, if they are known already.
-
-    Raises:
-        RecapError: The server does not say.
-    """
+    """Return whether a file or folder is there, and no older than its recording; the times of objects may be known."""
     if source.modified is None:
         return False
     if not is_remote(path):
@@ -211,13 +193,6 @@ def write_files(
     """Yield what is written for each of many recordings, or the error, in their order.
 
     Of recordings of one name, the first that can be written is; the others come behind all recordings, with an error.
-
-    Args:
-        write: The function that writes: that of a module, or a partial of one.
-        sources: The recordings.
-        folder: The folder.
-        jobs: See `map_sources`.
-        client: See `map_sources`.
     """
     if client is not None and not is_remote(folder.location):
         folder.location = os.path.abspath(folder.location)  # noqa: PTH100

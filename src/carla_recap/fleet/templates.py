@@ -19,15 +19,7 @@ if TYPE_CHECKING:
 
 
 def render(name: str, title: str, origin: str, content: Mapping[str, Any], filters: Mapping[str, Callable[..., Any]]) -> str:
-    """Return a page.
-
-    Args:
-        name: The name of its template and of its own style sheet, if it has one.
-        title: Its title.
-        origin: What it is made of.
-        content: The variables of the template.
-        filters: The filters of the template.
-    """
+    """Return the page of a template, and of a style sheet of the same name, if there is one, with what it is made of."""
     folder = viewer_folder() / "check"
     sheets = dict.fromkeys(folder / f"{each}.css" for each in ("check", name))
     style = "".join(sheet.read_text("utf-8") for sheet in sheets)

@@ -63,12 +63,7 @@ class _Raised:
 
 
 class _Worker(Generic[T]):
-    """A worker process, and the tasks that it has.
-
-    Args:
-        function: The function that it calls.
-        limit: The most seconds for a recording; None: whatever the function does, it does not end or block its process.
-    """
+    """A worker process, and the tasks that it has; without a limit, no function ends or blocks it."""
 
     def __init__(self, function: Callable[[SourceFile], T], limit: float | None) -> None:
         context = get_context("spawn")
@@ -97,12 +92,7 @@ class _Worker(Generic[T]):
             self.connection.send([task.source for task in self.tasks])
 
     def receive(self) -> list[tuple[_Task, Outcome[T]]]:
-        """Return the outcomes that the worker has sent.
-
-        Raises:
-            EOFError: The worker has ended.
-            Exception: The function's error.
-        """
+        """Return the outcomes that the worker has sent; raise `EOFError` if it has ended, or the function's error."""
         try:
             message: list[Outcome[T]] | _Raised | None = self.connection.recv()
         except OSError:
@@ -127,12 +117,7 @@ class _Worker(Generic[T]):
 
 
 class _Pool(Generic[T]):
-    """Worker processes that call a function.
-
-    Args:
-        function: The function.
-        limit: See `engine.map_sources`.
-    """
+    """Worker processes that call a function."""
 
     def __init__(self, function: Callable[[SourceFile], T], limit: float | None) -> None:
         self._function = function
@@ -154,12 +139,7 @@ class _Pool(Generic[T]):
         return worker
 
     def wait(self) -> list[tuple[_Task, Outcome[T] | None]]:
-        """Wait for workers that have tasks; return finished tasks with their outcomes, and None for those to be given anew.
-
-        Raises:
-            RecapError: The workers do not start.
-            Exception: The function's error.
-        """
+        """Wait for workers that have tasks; return finished tasks with their outcomes, None for those to be given anew."""
         busy = {worker.connection: worker for worker in self._workers if worker.tasks}
         patience = None if self._limit is None else min(_CHECK, *(each.due - monotonic() for each in busy.values()))
         found: list[tuple[_Task, Outcome[T] | None]] = []
@@ -245,12 +225,7 @@ def map_in_workers(
 
 
 class KeptWorker(Generic[T]):
-    """A worker process that calls a function for one recording after another, and is started anew when it ends.
-
-    Args:
-        function: The function.
-        limit: See `engine.map_sources`.
-    """
+    """A worker process that calls a function for one recording after another, and is started anew when it ends."""
 
     def __init__(self, function: Callable[[SourceFile], T], limit: float) -> None:
         self._pool = _Pool(function, limit)

@@ -89,11 +89,7 @@ class Campaign:
 
     @property
     def folder(self) -> DestinationFolder:
-        """The folder of the recordings.
-
-        Raises:
-            RecapError: It is a file, or at a web server.
-        """
+        """The folder of the recordings."""
         folder = DestinationFolder(os.fspath(self.out), _SUFFIX)
         if self.client is not None and not is_remote(folder.location):
             folder.location = os.path.abspath(folder.location)  # noqa: PTH100
@@ -199,11 +195,7 @@ def campaign(
 
 
 def _check_origin(run: CampaignRun, other: str | None) -> None:
-    """Refuse the recording of a run that was made with something else.
-
-    Raises:
-        RecapError: It was.
-    """
+    """Refuse the recording of a run that was made with something else."""
     if other is not None:
         raise RecapError(f"{run.location}: {other}")
 

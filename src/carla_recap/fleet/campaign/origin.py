@@ -34,11 +34,7 @@ _LONGEST: Final = 60  # characters of a value in an error
 
 
 def made_with(campaign: Campaign) -> dict[str, str]:
-    """Return what a campaign makes its recordings with, besides seeds and parameters: no paths, so that machines agree.
-
-    Raises:
-        RecapError: The script or the town is missing.
-    """
+    """Return what a campaign makes its recordings with, besides seeds and parameters: no paths, so that machines agree."""
     name, path = _source(campaign.function)
     town, map_file = find_town(campaign.town or "", None if campaign.maps is None else Path(campaign.maps))
     try:
@@ -57,12 +53,7 @@ def made_with(campaign: Campaign) -> dict[str, str]:
 
 
 def difference(parameters: Mapping[str, str], expected: Mapping[str, str]) -> str | None:
-    """Return how the origin of a recording differs from the expected one, as the line of an error; None if it does not.
-
-    Args:
-        parameters: The parameters of its header.
-        expected: See `made_with`.
-    """
+    """Return how the origin of a recording differs from the expected one, as the line of an error; None if it does not."""
     changed = [name for name, value in expected.items() if parameters.get(name) != value]
     if not changed:
         return None

@@ -73,11 +73,7 @@ def text_of(value: Value) -> str:
 
 
 def parse_seeds(text: str) -> Sequence[int]:
-    """Return the seeds that a text means: `7`, `1,5,9`, or `1:1000` for all from 1 to 1000.
-
-    Raises:
-        RecapError: It means none.
-    """
+    """Return the seeds that a text means: `7`, `1,5,9`, or `1:1000` for all from 1 to 1000."""
     first, colon, last = text.partition(":")
     if colon and all(_is_seed(each) for each in (first, last)):
         if int(last) < int(first):
@@ -97,9 +93,6 @@ def parse_parameter(text: str) -> tuple[str, Sequence[Value] | ParameterRange]:
     """Return name and values of a parameter: `speed=8,10,12`, `speed=[8, 10]` in JSON, or the range `delay=0.2..1.2`.
 
     Values are numbers, true and false, or else texts.
-
-    Raises:
-        RecapError: It has no name, no value, or one that is too long.
     """
     name, equals, given = text.partition("=")
     if not equals or not given:
@@ -143,11 +136,7 @@ def _value(text: str) -> Value:
 
 
 def check_name(name: str) -> None:
-    """Check the name of a parameter.
-
-    Raises:
-        RecapError: No parameter can have it.
-    """
+    """Check the name of a parameter."""
     if not (name.isidentifier() and name.isascii()) or len(name) > _LONGEST_NAME:
         expected = f"a name of letters, digits and _, of at most {_LONGEST_NAME}, was expected"
         raise RecapError(f"parameter {name[:60]!r}: {expected}")
@@ -169,11 +158,7 @@ def check_keywords(keywords: Keywords | None, names: Sequence[str]) -> None:
 
 
 def planned(seeds: Sequence[int], parameters: Mapping[str, Sequence[Value]], out: str) -> Iterator[CampaignRun]:
-    """Yield all combinations of seeds and values, with recordings in a folder or behind a prefix; the seeds vary fastest.
-
-    Raises:
-        RecapError: There are none, too many, or two that are alike.
-    """
+    """Yield all combinations of seeds and values, with recordings in a folder or behind a prefix; the seeds vary fastest."""
     count = math.prod(map(len, (seeds, *parameters.values())))
     if not 0 < count <= MOST:
         raise RecapError(f"{count:,} runs; from 1 to {MOST:,} were expected")
@@ -188,11 +173,7 @@ def planned(seeds: Sequence[int], parameters: Mapping[str, Sequence[Value]], out
 
 
 def run_of(seed: int, parameters: Mapping[str, Value], out: str) -> CampaignRun:
-    """Return a run, whose recording is below a folder or prefix.
-
-    Raises:
-        RecapError: The seed is negative, or a value too long, or no finite number.
-    """
+    """Return a run, whose recording is below a folder or prefix."""
     if seed < 0:
         raise RecapError(f"seed {seed}: 0 or a larger whole number was expected")
     for name, value in parameters.items():

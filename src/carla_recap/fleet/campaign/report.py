@@ -171,11 +171,7 @@ def _opening(row: CampaignRow, measure: Measure, checked: CheckedRecording | Non
 
 
 def write_runs(rows: Iterable[CampaignRow], path: Path) -> None:
-    """Write rows as JSON.
-
-    Raises:
-        RecapError: The file cannot be written.
-    """
+    """Write rows as JSON."""
     with WholeFile(path) as file:
         file.write(runs_as_json(rows).encode())
 

@@ -67,11 +67,7 @@ class Scoring:
     road_map: str | None = None  # the map, or the folder to look in; None: the usual folders
 
     def results(self, recording: Recording) -> dict[str, Result]:
-        """Return the score of a recording, with the time of the first infraction, and the known numbers of Bench2Drive.
-
-        Raises:
-            RecapError: It cannot be scored.
-        """
+        """Return the score of a recording, with the time of the first infraction, and the known numbers of Bench2Drive."""
         route = None if self.routes is None else route_for(self.routes, recording.reader, self.route_id)
         found = score(recording, route, road_map=self.road_map)
         values = {EFFICIENCY.name: found.efficiency, SMOOTHNESS.name: found.smoothness}
@@ -80,11 +76,7 @@ class Scoring:
 
 
 def result_named(name: str) -> Measure:
-    """Return what runs can be compared by, by its name, such as `time_to_collision`, or the short one, such as `ttc`.
-
-    Raises:
-        RecapError: There is none of that name.
-    """
+    """Return what runs can be compared by, by its name, such as `time_to_collision`, or the short one, such as `ttc`."""
     plain = name.lower().replace("-", "_")
     found = RESULTS.get(SHORT_NAMES.get(plain, plain))
     if found is None:

@@ -41,10 +41,6 @@ def search(
     Runs have the seeds in turn, and there are fewer than `count` if all values of the parameters have been tried. The
     objective is to be small, or great if `is_maximized`. A run without a value of it counts as the worst; one that fails
     does not count.
-
-    Raises:
-        MissingExtra: Optuna is not installed.
-        RecapError: See `Campaign.run`.
     """
     try:
         import optuna

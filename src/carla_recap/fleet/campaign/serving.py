@@ -49,11 +49,7 @@ class _RunHost(Host):
 
 
 def run_script(script: str, world: World, run: CampaignRun, path: Path, *, additional_data: bool, carla: str) -> None:
-    """Serve a world, whose recorder is on, to a script until that ends; it gets the seed and the parameters of a run.
-
-    Raises:
-        RecapError: There is no such release, or the script ends with another exit code than 0, or the server ends.
-    """
+    """Serve a world, whose recorder is on, to a script until that ends; it gets the seed and the parameters of a run."""
     host = _RunHost(world, path, additional_data=additional_data, carla=carla)
     with asyncio.Runner() as runner:
         code = runner.run(_session(host, script, run))
