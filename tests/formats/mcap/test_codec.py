@@ -9,10 +9,11 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from google.protobuf.descriptor import FieldDescriptor as Field
+from google.protobuf.message import DecodeError
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from carla_recap.errors import RecapWarning
+from carla_recap.errors import RecapWarning, RecordError
 from carla_recap.formats.mcap import codec
 from carla_recap.formats.mcap.schema import FRAME_MESSAGE, RAW_MESSAGE, STATIONARY, TAIL_MESSAGE
 from carla_recap.model.layout import FLAG, MAX_COUNT, REAL, TEXT, Framing, Layout, Many, PayloadError, pack, unpack
@@ -20,6 +21,7 @@ from carla_recap.model.records import UE4, UE5, Spawn, attributes
 from carla_recap.model.stationary import BlockedRow
 from tests import strategies
 from tests.samples import bone, listed, plain
+from tests.twins.messages import decoded
 from tests.waiting import time_limit
 
 TYPES = [
@@ -387,14 +389,26 @@ def test_the_packets_of_a_frame_are_read_as_protobuf_reads_them(ids, kinds):
 SPAWNED = [Spawn(id, 1, 1.0, type_id="vehicle.ä", attributes=attributes(role_name="hero")) for id in (1, 2)]
 
 
-@given(index=st.integers(0, 200), byte=st.integers(0, 255), cut=st.integers(0, 2))
+# The third and the fourth wire type are groups, which protobuf gave up in 2008; the last bytes would make NaNs.
+NEW = st.integers(0, 255).filter(lambda byte: byte & 7 not in (3, 4, 7))
+
+
+@given(st.sampled_from(["spawned", "doors", "light_states"]), st.integers(0, 200), st.lists(NEW, max_size=3).map(bytes))
 @settings(max_examples=300)
-def test_a_changed_message_is_read_as_protobuf_reads_it(index, byte, cut):
-    type = UE4.named("spawned")
-    message = bytearray(codec.head(1, 0.0) + codec.encode(type, pack(type, SPAWNED)))
-    message[index : index + cut] = bytes([byte])
-    directly = codec._decode_in_order(type, bytes(message))
-    assert directly is None or directly == codec._decode_by_protobuf(type, bytes(message))
+def test_a_changed_message_is_read_as_protobuf_reads_it(name, index, new):
+    type = UE4.named(name)
+    payload = pack(type, SPAWNED) if name == "spawned" else listed(b"\1" * type.dtype.itemsize)
+    message = bytearray(encoded(type, payload))
+    message[index : index + len(new)] = new
+    try:
+        expected = decoded(type, bytes(message))
+    except (DecodeError, OverflowError, RecordError):
+        expected = None
+    try:
+        found = codec.decode(type, bytes(message))
+    except codec.WireError:
+        found = None
+    assert found == expected
 
 
 def test_a_number_without_an_end_costs_no_time():
@@ -410,26 +424,6 @@ def test_a_number_that_takes_more_than_a_byte_is_read(name, field, value):
     setattr(getattr(message, type.items)[0], field, value)
     records, extra = unpack(type, codec.decode(type, message.SerializeToString()))
     assert (records[field].tolist(), extra) == ([value], 0)
-
-
-def test_spawns_are_read_without_protobuf():
-    type = UE4.named("spawned")
-    payload = pack(type, SPAWNED)
-    assert codec._decode_in_order(type, codec.head(1, 0.0) + codec.encode(type, payload)) == payload
-
-
-@pytest.mark.parametrize("change", ["a byte less", "a byte more", "a field more", "a flag that does not fit", "broken text"])
-def test_spawns_of_another_form_are_left_to_protobuf(change):
-    type = UE4.named("spawned")
-    payload = bytearray(pack(type, SPAWNED))
-    if change == "a flag that does not fit":
-        payload[6] = 200  # the kind of the first one
-    if change == "broken text":
-        payload[payload.index(b"hero")] = 0xFF
-    message = codec.head(1, 0.0) + codec.encode(type, bytes(payload))
-    changed = {"a byte less": message[:-1], "a byte more": message + b"\0", "a field more": message + b"\x7a\x01\x00"}
-    message = changed.get(change, message)
-    assert codec._decode_in_order(type, message) is None
 
 
 @pytest.mark.parametrize("count", [2, 1500])

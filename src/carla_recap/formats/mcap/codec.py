@@ -1,4 +1,4 @@
-"""Payloads of packets ↔ protobuf messages: as columns of arrays where they repeat, and by protobuf's own library elsewhere.
+"""Payloads of packets ↔ protobuf messages: as columns of arrays where they repeat, and field by field elsewhere.
 
 All numbers have a fixed size in the schemas, so a message is the numbers of its payload, moved, between bytes that depend on
 the packet's *structure* alone: its counts and texts. A `Transforms` message of one actor, for example (`..` are numbers):
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from google.protobuf.message import Message
     from numpy.typing import NDArray
 
-    from carla_recap.model.layout import Buffer, CompiledLayout, Span, Step
+    from carla_recap.model.layout import Buffer, CompiledLayout, Span
     from carla_recap.model.records import RecordType
 
 HEAD: Final = struct.Struct("<BQBd")  # fields 1 and 2 of every message: frame, elapsed
@@ -58,6 +58,8 @@ ITEMS, RAW = 3, 4  # the fields that hold the records, and the bytes of a payloa
 VARINT, FIXED64, LEN, FIXED32 = 0, 1, 2, 5
 
 _WIRE_TYPES: Final = {"u4": FIXED32, "i4": FIXED32, "f4": FIXED32, "u8": FIXED64, "f8": FIXED64}
+_SIZES: Final = {FIXED32: 4, FIXED64: 8}  # bytes
+_KNOWN: Final = (VARINT, FIXED64, LEN, FIXED32)
 _LEAST: Final = 7  # bytes of a record with nothing but an id
 
 
@@ -175,35 +177,26 @@ class WireNumbers:
     """How numbers that follow each other in a payload are written in a message, from a field number (`first`) on."""
 
     def __init__(self, numbers: Numbers, first: int = 1) -> None:
-        blank, targets, masks, values = bytearray(), list[int](), bytearray(), "<"
-        self._fields: list[tuple[bytes, int, str]] = []
+        blank, targets, masks = bytearray(), list[int](), bytearray()
+        self.fields: list[tuple[int, bytes, int, str]] = []  # the key of each, also as bytes, its size and its kind
         for number, kind in numbers.fields.values():
             size = 1 if kind == FLAG else int(kind[1:])
-            name = tag(number + first - 1, _WIRE_TYPES.get(kind, VARINT))
-            self._fields.append((name, size, kind))
+            key = number + first - 1 << 3 | _WIRE_TYPES.get(kind, VARINT)
+            name = varint(key)
+            self.fields.append((key, name, size, kind))
             blank += name
             targets += range(len(blank), len(blank) + size)
             masks += bytes((0 if size > 1 else 0xFE if kind == FLAG else 0x80,)) * size
             blank += bytes(size)
-            values += f"{len(name)}x{size}s"
         self.blank = bytes(blank)  # the bytes of the message, all numbers being zero
         self.targets = np.array(targets)  # the offset in the message of each byte of a number
         # Of each of these bytes, the bits that are not free: a number of one byte is to fit a varint of one byte.
         self.masks = np.frombuffer(bytes(masks), np.uint8)
-        self.values = struct.Struct(values)  # the numbers in the message, as bytes
-        fixed_bits = np.full(len(blank), 0xFF, np.uint8)
-        fixed_bits[self.targets] = self.masks
-        self._fixed_bits = int.from_bytes(fixed_bits.tobytes(), "little")
-        self._blank_bits = int.from_bytes(blank, "little")
-
-    def matches(self, data: bytes) -> bool:
-        """Return whether some bytes are these numbers in a message."""
-        return len(data) == len(self.blank) and not (int.from_bytes(data, "little") ^ self._blank_bits) & self._fixed_bits
 
     def encode(self, payload: bytes, offset: int) -> tuple[bytes, bool]:
         """Return the numbers at an offset of a payload as a message has them, and whether each has its size in `blank`."""
         parts, fits = list[bytes](), True
-        for name, size, kind in self._fields:
+        for _, name, size, kind in self.fields:
             value = payload[offset : offset + size]
             offset += size
             if size == 1 and value[0] > (1 if kind == FLAG else 0x7F):
@@ -367,13 +360,12 @@ def encode_rows(type: RecordType, payloads: NDArray[np.uint8]) -> NDArray[np.uin
 def decode(type: RecordType, data: Buffer) -> bytes:
     """Return the payload of a message, or raise `WireError`."""
     if type.fixed:
-        return records_codec(type).decode(data) or _decode_by_protobuf(type, data)
+        return records_codec(type).decode(data) or _decode_any(type, bytes(data))
     template = _templates.get(type)
     payloads = template.decode(_row(data)) if template else None
     if payloads is not None:
         return payloads.tobytes()
-    in_order = _decode_in_order(type, bytes(data)) if len(data) <= OBJECTS_LIMIT else None
-    payload = in_order or _decode_by_protobuf(type, data)
+    payload = _decode_any(type, bytes(data))
     if type.group is Group.STATE:
         with suppress(PayloadError):  # there may be anything in a field `raw`
             _encode_any(type, payload)  # which keeps its structure
@@ -457,124 +449,109 @@ def _template(data: bytes, body: bytes, places: Places) -> PacketTemplate:
     return PacketTemplate(payload, body_bytes, sources, targets, payload_mask, body_mask)
 
 
-# --- by protobuf -------------------------------------------------------------------------------------------------------
+# --- messages of any form ----------------------------------------------------------------------------------------------
+
+Fields = dict[int, list[Any]]
+"""The values of a message by the keys of their fields, which are number and wire type: of a varint a number, else bytes."""
 
 
-def _decode_by_protobuf(type: RecordType, data: Buffer) -> bytes:
-    """Return the payload of a message with fields in any order; missing ones are zero, unknown ones are left out."""
-    message = parse(type.name, type.message_name, data)
-    if raw := getattr(message, "raw", b""):
-        return bytes(raw)
-    layout, found = compiled(type), getattr(message, type.items)
-    try:
-        if type.framing is Framing.SINGLE:
-            return bytes(layout.steps[0].struct.pack(found))  # type: ignore[union-attr]
-        if not type.fixed and _LEAST * len(found) > len(data):
-            raise WireError(f"{type.name}: {len(found)} records in {len(data)} bytes, most of them without an id")
-        parts: list[bytes] = []
-        _collect(parts, found, layout, U16)
-        return b"".join(parts)
-    except struct.error as error:
-        raise WireError(f"{type.name}: a number beyond its field ({error})") from None
-
-
-def _collect(parts: list[bytes], items: Any, layout: CompiledLayout, counter: struct.Struct) -> None:
-    """Append the bytes that records of a message have in a payload."""
-    if len(items) > MAX_COUNT:
-        raise WireError(f"{len(items)} records, a packet counts at most {MAX_COUNT}")
-    parts.append(counter.pack(len(items)))
-    for item in items:
-        for step in layout.steps:
-            if isinstance(step, Numbers):
-                parts.append(step.struct.pack(*[getattr(item, name) for name in step.fields]))
-            elif isinstance(step, Items):
-                inner = getattr(item, step.name)
-                _collect(parts, inner, _layout_of(inner, step.layouts), step.counter)
-            else:
-                text = getattr(item, step.name).encode()
-                parts += (U16.pack(len(text)), text)
-
-
-def _layout_of(items: Any, layouts: Sequence[CompiledLayout]) -> CompiledLayout:
-    """Return the one of some layouts of which the first item has all fields; the first layout if there is none."""
-    complete = (layout for layout in layouts if items and all(map(items[0].HasField, layout.dtype.names or ())))
-    return next(complete, layouts[0])
-
-
-# --- without protobuf --------------------------------------------------------------------------------------------------
-
-
-def _decode_in_order(type: RecordType, data: bytes) -> bytes | None:
-    """Return the payload of a message that is as `encode` writes it, with all bits of its numbers; None for others.
+def _decode_any(type: RecordType, data: bytes) -> bytes:
+    """Return the payload of a message with fields in any order; missing ones are zero, unknown ones are left out.
 
     Protobuf makes quiet NaNs of signalling ones where numbers are of 32 bits, and its import takes 15 ms, a fifth of the
     time of `collisions` on a small recording.
     """
-    parts: list[bytes] = []
-    with suppress(ValueError, IndexError, struct.error):
-        end = _read_items(parts, data, HEAD.size, len(data), ITEMS, U16, compiled(type))
-        return b"".join(parts) if end == len(data) and read_head(data) is not None else None
-    return None
+    if len(data) > OBJECTS_LIMIT:
+        raise WireError(f"expected a {type.message_name} of at most {OBJECTS_LIMIT} bytes, found {len(data)}")
+    try:
+        fields = _fields(data)
+        if raw := fields.get(RAW << 3 | LEN, [b""])[-1]:
+            return bytes(raw)
+        if type.framing is Framing.SINGLE:
+            (numbers,) = compiled(type).steps
+            return b"".join(_numbers(fields, wire_numbers(numbers, ITEMS)))
+        found = fields.get(ITEMS << 3 | LEN, [])
+        if not type.fixed and _LEAST * len(found) > len(data):
+            raise WireError(f"{type.name}: {len(found)} records in {len(data)} bytes, most of them without an id")
+        return b"".join(_list(found, U16, (compiled(type),)))
+    except WireError:
+        raise
+    except (ValueError, IndexError) as error:
+        raise WireError(f"not a {type.message_name}: {error}") from None
+    except struct.error as error:
+        raise WireError(f"{type.name}: a number beyond its field ({error})") from None
 
 
-def _read_items(
-    parts: list[bytes], data: bytes, offset: int, end: int, number: int, counter: struct.Struct, layout: CompiledLayout
-) -> int:
-    """Append the bytes that the records in a field have in a payload; return the offset of the next field."""
-    count, at, name = 0, len(parts), tag(number, LEN)
-    parts.append(b"")
-    while offset < end and data.startswith(name, offset):
-        start, offset = _read_size(data, offset + len(name), end)
-        _read_steps(parts, data, start, offset, layout.steps)
-        count += 1
-    parts[at] = counter.pack(count)
-    return offset
+def _fields(data: bytes) -> Fields:
+    """Return the fields of a message, or raise `ValueError` or `IndexError`."""
+    fields: Fields = {}
+    at, end = 0, len(data)
+    while at < end:
+        key, at = _varint(data, at)
+        wire_type = key & 7
+        size = _SIZES.get(wire_type)
+        if size is None:
+            size, at = _varint(data, at)
+        value = size if wire_type == VARINT else data[at : at + size]
+        at += 0 if wire_type == VARINT else size
+        if at > end or key < 8 or wire_type not in _KNOWN:
+            raise ValueError("a field without a number, or without its end, or of an unknown form")
+        fields.setdefault(key, []).append(value)
+    return fields
 
 
-def _read_alternatives(parts: list[bytes], data: bytes, offset: int, end: int, step: Items) -> int:
-    """Do as `_read_items`, by the first of the layouts of a counted array that the records have."""
-    known = len(parts)
-    for layout in step.layouts[:-1]:
-        try:
-            return _read_items(parts, data, offset, end, step.number, step.counter, layout)
-        except ValueError:
-            del parts[known:]
-    return _read_items(parts, data, offset, end, step.number, step.counter, step.layouts[-1])
-
-
-def _read_steps(parts: list[bytes], data: bytes, offset: int, end: int, steps: Sequence[Step]) -> None:
-    """Append the bytes that fields of a record have in a payload."""
-    for step in steps:
-        if isinstance(step, Numbers):
-            form = wire_numbers(step)
-            found = data[offset : offset + len(form.blank)]
-            if not form.matches(found):
-                raise ValueError("another form")
-            parts += form.values.unpack(found)
-            offset += len(found)
-        elif isinstance(step, Items):
-            offset = _read_alternatives(parts, data, offset, end, step)
-        elif data.startswith(text := tag(step.number, LEN), offset):
-            start, offset = _read_size(data, offset + len(text), end)
-            data[start:offset].decode()
-            parts += (U16.pack(offset - start), data[start:offset])
-        else:
-            raise ValueError("no text")
-    if offset != end:
-        raise ValueError("another size")
-
-
-def _read_size(data: bytes, offset: int, end: int) -> tuple[int, int]:
-    """Return the offsets of the begin and the end of what has its size, a varint, in front."""
-    size = shift = 0
+def _varint(data: bytes, at: int) -> tuple[int, int]:
+    """Return the whole number at an offset, and the offset behind it."""
+    value = data[at]
+    if value < 0x80:
+        return value, at + 1
+    value, shift = value & 0x7F, 7
     while True:
-        byte = data[offset]
-        size |= (byte & 0x7F) << shift
-        offset, shift = offset + 1, shift + 7
-        if byte < 0x80:
-            break
-        if shift > 28:
-            raise ValueError("a size of more than 32 bits")
-    if offset + size > end:
-        raise ValueError("too few bytes")
-    return offset, offset + size
+        at += 1
+        value |= (data[at] & 0x7F) << shift
+        if data[at] < 0x80:
+            return value, at + 1
+        shift += 7
+        if shift > 63:
+            raise ValueError("a whole number of more than 64 bits")
+
+
+def _numbers(fields: Fields, form: WireNumbers) -> Iterator[bytes]:
+    """Yield the bytes that numbers which follow each other have in a payload."""
+    for key, _, size, kind in form.fields:
+        values = fields.get(key)
+        if size > 1:
+            yield values[-1] if values else bytes(size)
+            continue
+        value = values[-1] & 0xFFFF_FFFF_FFFF_FFFF if values else 0
+        if kind == FLAG:
+            value = value > 0
+        elif kind == "i1":
+            value = (value & 0xFFFF_FFFF ^ 1 << 31) - (1 << 31)  # as protobuf reads an `int32`
+        yield struct.pack("b" if kind == "i1" else "B", value & 0xFFFF_FFFF if kind == "u1" else value)
+
+
+def _list(items: list[bytes], counter: struct.Struct, layouts: Sequence[CompiledLayout]) -> Iterator[bytes]:
+    """Yield the bytes that records have in a payload, in the first layout all of whose fields the first record has."""
+    if counter is U16 and len(items) > MAX_COUNT:
+        raise WireError(f"{len(items)} records, a packet counts at most {MAX_COUNT}")
+    yield counter.pack(len(items))
+    fields = _fields(items[0]) if items else {}
+    complete = (each for each in layouts if all(key in fields for key in _keys(each)))
+    layout = next(complete, layouts[0]) if len(layouts) > 1 else layouts[0]
+    for item in items:
+        fields = _fields(item)
+        for step in layout.steps:
+            if isinstance(step, Numbers):
+                yield from _numbers(fields, wire_numbers(step))
+            elif isinstance(step, Items):
+                yield from _list(fields.get(step.number << 3 | LEN, []), step.counter, step.layouts)
+            else:
+                text = fields.get(step.number << 3 | LEN, [b""])[-1]
+                text.decode()
+                yield U16.pack(len(text)) + text
+
+
+def _keys(layout: CompiledLayout) -> Iterator[int]:
+    """Yield the keys of the numbers of a layout."""
+    return (key for step in layout.steps if isinstance(step, Numbers) for key, *_ in wire_numbers(step).fields)
