@@ -46,6 +46,11 @@ def test_speed_is_that_between_the_neighbours_where_none_is_recorded(tmp_path: P
     assert found.speed == pytest.approx([10, 15, 20])
 
 
+def test_speed_is_unknown_until_a_pose_is_recorded(tmp_path: Path) -> None:
+    found = series(tmp_path, [{}, {}, {"transforms": [pose(1, 500)]}, {"transforms": [pose(1, 600)]}])
+    assert found.speed == pytest.approx([np.nan, np.nan, 10, 10], nan_ok=True)
+
+
 def test_after_a_jump_speed_is_unknown_and_the_camera_turns_at_once(tmp_path: Path) -> None:
     found = series(tmp_path, [{"transforms": [pose(1, 9e5 * n, yaw=90 * n)]} for n in range(2)])
     assert np.isnan(found.speed).all()

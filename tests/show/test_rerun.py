@@ -531,6 +531,31 @@ def test_an_attached_actor_leaves_its_parent_as_soon_as_its_own_poses_are_record
     assert found == [(["tf#/world/actors/1"], 0.5), (["tf#/world/actors"], 9), (["tf#/world/actors"], 9)]
 
 
+def test_an_actor_gets_the_size_that_is_recorded_after_its_spawn(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 900)], "vehicle_lights": [(1, 1 << 1)]} for _ in range(6)]
+    frames[0]["spawned"], frames[3]["bounding_boxes"] = [spawn(1)], [(1, 0, 0, 100, 500, 100, 100)]
+    rrd = export(write(tmp_path / "x.log", frames), tmp_path / "x.rrd")
+    lengths = []
+    for time in (0, 2, 3, 5):
+        x = np.array(rrd.at("/world/actors/1", "Mesh3D:vertex_positions", time))[:, 0]
+        lengths.append(np.ptp(x))
+        assert rrd.place("/world/actors/1", time)[0] == 9
+    assert lengths[0] == lengths[1] < 6
+    assert lengths[2:] == pytest.approx([10, 10], abs=0.2)
+
+
+def test_the_plots_end_where_the_followed_actor_vanishes(tmp_path: Path) -> None:
+    frames = [{"transforms": [pose(1, 100 * n)]} if n not in range(4, 7) else {} for n in range(12)]
+    frames[0]["spawned"], frames[4]["destroyed"], frames[7]["spawned"] = [spawn(1)], [1], [spawn(1)]
+    for frame in frames:
+        frame["vehicle_controls"] = [(1, 0, 0.5, 0, 0, 0)] * ("transforms" in frame)
+    rrd = export(write(tmp_path / "x.log", frames), tmp_path / "x.rrd", follow=1)
+    for name in ("speed_kmh", "acceleration", "controls", "pedals"):
+        rows = dict(rrd.rows(f"/ego/{name}", "Scalars:scalars"))
+        assert [time for time in (3, 4, 5, 6, 7) if time in rows] == [3, 4, 7][: 2 if name == "acceleration" else 3], name
+        assert np.isnan(rows[4]).all(), name
+
+
 def test_sensors_are_not_drawn(tmp_path: Path) -> None:
     sensor, prop, car = spawn(1, "sensor.camera.rgb"), spawn(2, "static.prop.bin"), spawn(3)
     there = [pose(id) for id in (1, 2, 3)]

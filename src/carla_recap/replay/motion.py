@@ -43,7 +43,7 @@ class SceneMotion:
             poses: Their poses in cm and degrees, left-handed, (scenes, ids, 6); None: those of the batch.
         """
         ids, poses = batch.ids if ids is None else ids, batch.poses if poses is None else poses
-        there = ~np.isin(ids, batch.ids[batch.held])
+        there = np.isin(ids, batch.ids[~batch.held])
         if not there.all():
             velocities, accelerations = np.full((2, len(batch), len(ids), 3), np.nan)
             velocities[:, there] = self.velocities(batch, ids[there], poses[:, there])

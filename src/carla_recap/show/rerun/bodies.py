@@ -22,13 +22,13 @@ from carla_recap.show.rerun.stream import HeldRows, PoseBuffer, screen_radii
 from carla_recap.show.rerun.surroundings import CorridorWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Container, Iterable, Sequence
 
     from numpy.typing import NDArray
 
     from carla_recap.model.lives import ActorLife
     from carla_recap.scene.appearance import Look
-    from carla_recap.scene.description import SceneDescription
+    from carla_recap.scene.description import LookColumns, SceneDescription
     from carla_recap.scene.materials import Color
     from carla_recap.scene.mesh import Mesh
     from carla_recap.show.rerun.stream import PoseBlock, Stream, TimeColumns, TimePoint
@@ -72,7 +72,8 @@ class ActorWriter:
         self.models: set[int] = set()
         self._lamps = LampWriter(stream)
         self._named: int | None = None  # the actor whose name has to be shown from the next scene on
-        self._drawn: set[int] = set()  # the present actors that are in the world
+        self._drawn: dict[int, Look | None] = {}  # the looks of the present actors that are in the world
+        self._looks: LookColumns | None = None  # of the latest scene
         self._placed: set[int] = set()  # those, and the ones that were so since the last block
         self._riding: set[int] = set()  # the present ones that are placed on a parent, as long as they have no poses
         self._left_out: float | None = None  # the first moment at which an actor was not in the world, in elapsed seconds
@@ -109,6 +110,7 @@ class ActorWriter:
                 self._erase(event.id, times.point(0))
         if away or self._away or batch.away.any():
             self._hide(description, times)
+        redrawn = set() if description.actors is self._looks else self._redraw(description, times.point(0))
         if batch.ids is not self._ids:
             self._ids = batch.ids
             for id in set(batch.ids.tolist()) - self._present - away:
@@ -122,8 +124,8 @@ class ActorWriter:
             self._stream.log(entities.actor(named.id), times.point(0), _name(named, description.actors.look_of(named.id)))
             self._named = None
         self._lamps.write(description, times)
-        self._lay(description, times)
-        self._poses.add(description, times, spawned)
+        self._lay(description, times, redrawn)
+        self._poses.add(description, times, [*spawned, *redrawn])
         if self._poses.is_full:
             self._write_poses()
 
@@ -163,7 +165,7 @@ class ActorWriter:
     def _draw(self, actor: ActorLife, description: SceneDescription, time: TimePoint) -> None:
         path = entities.actor(actor.id)
         if actor.id in self._drawn:
-            self._drawn.remove(actor.id)
+            del self._drawn[actor.id]
             self._stream.clear(path, time)
         self._present.add(actor.id)
         self._colors.pop(actor.id, None)
@@ -177,9 +179,8 @@ class ActorWriter:
         if len(self._drawn) >= MOST_BOXES and actor.id != self._followed:
             self._left_out = time.elapsed / 1e9 if self._left_out is None else self._left_out
             return
-        self._drawn.add(actor.id)
+        self._drawn[actor.id] = look = description.actors.look_of(actor.id)
         self._placed.add(actor.id)
-        look = description.actors.look_of(actor.id)
         archetypes: list[rr.AsComponents] = [rr.AnyValues(name=style.label_of(actor))]
         if look is not None and len(self.models) < MOST_MODELS:
             self.models.add(actor.id)
@@ -203,8 +204,18 @@ class ActorWriter:
             self._lamps.remove(id)
             self.models.discard(id)
             if id in self._drawn:
-                self._drawn.remove(id)
+                del self._drawn[id]
                 self._stream.clear(entities.actor(id), time)
+
+    def _redraw(self, description: SceneDescription, time: TimePoint) -> set[int]:
+        """Draw the actors again whose looks have changed, as by a box recorded after the spawn; return their ids."""
+        self._looks = description.actors
+        looks = dict(zip(self._looks.ids.tolist(), self._looks.looks, strict=True))
+        changed = {id for id, look in self._drawn.items() if looks.get(id, look) != look}
+        for id in changed:
+            self._lamps.remove(id)
+            self._draw(description.lives[id], description, time)
+        return changed
 
     def _hide(self, description: SceneDescription, times: TimeColumns) -> None:
         """Erase actors from when on they are away, and draw them again when they are there."""
@@ -219,9 +230,10 @@ class ActorWriter:
                 self._draw(description.lives[id], description, times.point(row))
         self._away = set(batch.ids[batch.away[-1]].tolist())
 
-    def _lay(self, description: SceneDescription, times: TimeColumns) -> None:
+    def _lay(self, description: SceneDescription, times: TimeColumns, redrawn: Container[int]) -> None:
         """Lay down the models of walkers; the transforms of their entities stay those that are recorded."""
-        for row, id, fall in description.falls:
+        lying = [(0, id, fall) for id, fall in description.fallen.items() if id in redrawn]
+        for row, id, fall in (*lying, *description.falls):
             look = description.actors.look_of(id)
             if look is not None:
                 matrix = np.eye(3) if fall is None else fall.matrix

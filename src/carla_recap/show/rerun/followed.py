@@ -113,6 +113,7 @@ class FollowedWriter:
         self._drawn: set[int] = set()  # the actors that have been drawn as models in the scenes that are held back
         self._rows = 0
         self._before = np.full((1, 3), np.nan)  # the last location in m, right-handed
+        self._is_gone = np.array([True])  # in the last scene
         _name_plots(stream)
 
     def write(self, description: SceneDescription, times: TimeColumns) -> None:
@@ -189,6 +190,9 @@ class FollowedWriter:
     def _write_plots(self, times: TimeColumns, series: FollowedSeries) -> None:
         """Write the controls as recorded, the pedals without their chatter at a standstill besides, and the motion."""
         present = series.known | np.isfinite(series.speed)  # where the speed is unknown, its line ends
+        is_gone = np.append(self._is_gone, ~present)
+        self._is_gone = is_gone[-1:]
+        vanishes = is_gone[1:] & ~is_gone[:-1]  # where all lines end
         recorded = np.isfinite(series.pedals[:, 0])
         for path, values, shown in (
             (entities.SPEED, series.speed[:, None] * _KMH, present),
@@ -196,7 +200,7 @@ class FollowedWriter:
             (entities.CONTROLS, series.controls, recorded),
             (entities.PEDALS, series.pedals, recorded),
         ):
-            rows = np.flatnonzero(shown)
+            rows = np.flatnonzero(shown | vanishes)
             (column,) = rr.Scalars.columns(scalars=values[rows].ravel())
             self._stream.columns(path, times.take(rows), [column.partition(np.full(len(rows), values.shape[1]))])
 
