@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from carla_recap import open_recording
+from carla_recap import create_recording, open_recording
 from carla_recap.output.table import cells
 from carla_recap.queries.summary import summary
 from carla_recap.roads import find_map
@@ -67,6 +67,13 @@ def test_info_has_all_lines_of_each_recording(whole, options):
     assert lines("info", "runs/a.log", "runs/d.log", *options) == [
         f"runs/{name}\t{line}" for name in ("a.log", "d.log") for line in text
     ]
+
+
+def test_csv_without_rows_has_its_heading(tmp_path):
+    for name in ("a.mcap", "b.mcap"):
+        create_recording(tmp_path / name, map_name="Brickfield").close()
+    (heading,) = lines("measures", tmp_path / "a.mcap", "--csv", *MAP["measures"])
+    assert lines("measures", tmp_path, "--csv", *MAP["measures"]) == [f"recording,{heading}"]
 
 
 def test_files_folders_and_globs_are_read_in_their_order_and_once(whole):

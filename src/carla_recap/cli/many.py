@@ -236,13 +236,15 @@ class _TextPrinter:
         self._out.flush()
 
     def _head(self, given: RecordingAnswer) -> None:
-        if self._is_headed or given.kind is None:
-            return
+        if not self._is_headed and given.kind is not None:
+            self._is_headed = True
+            self._write(self._heading(given.kind))
+
+    def _heading(self, kind: type[Any]) -> str:
         from carla_recap.output.text import heading
 
-        self._is_headed = True
-        if line := heading(given.kind.__name__):
-            self._write(f"Recording\t{line}")
+        line = heading(kind.__name__)
+        return f"Recording\t{line}" if line else ""
 
     def _write(self, lines: str) -> None:
         if self._is_terminal:  # where tabs are shown as escape sequences, as all that controls it
@@ -281,25 +283,17 @@ class _JsonPrinter:
         self._out.flush()
 
 
-class _CsvPrinter:
-    """Prints a line for each row, with the recording in front, and one with the names of the columns above the first."""
+class _CsvPrinter(_TextPrinter):
+    """Prints a line with the names of the columns, then one for each row, with the recording in front."""
 
-    def __init__(self, bar: SourcesBar) -> None:
-        self._out = _Output(bar)
-        self._is_headed = False
+    def _heading(self, kind: type[Any]) -> str:
+        from carla_recap.output.csv import heading
 
-    def add(self, given: RecordingAnswer) -> None:
-        for piece in given.pieces:
-            if not self._is_headed and given.kind is not None:
-                from carla_recap.output.csv import heading
+        line: str = heading(kind.row_type, "recording")
+        return line
 
-                self._is_headed = True
-                self._out.write(heading(given.kind.row_type, "recording"))
-            self._out.write(str(piece))
-        self._out.pause()
-
-    def end(self) -> None:
-        self._out.flush()
+    def _write(self, lines: str) -> None:
+        self._out.write(lines)
 
 
 class _TablePrinter:
