@@ -135,6 +135,12 @@ def test_pages(runs, tmp_path):
     assert f"page: {tmp_path / 'out' / 'pages' / 'crash.html'}" in (tmp_path / "new" / "out.xml").read_text("utf-8")
 
 
+def test_pages_without_rules_of_the_road_are_a_warning(tmp_path):
+    rules = save(tmp_path / "rules.toml", b"[rules.short]\nduration = { max = '1 s' }")
+    done = run("check", SAMPLES / "crossing.log", "--rules", rules, "--html", tmp_path / "out", *ALONE)
+    assert (done.returncode, b"the map 'Crossing' is unknown; rules of the road are left out" in done.stderr) == (1, True)
+
+
 def test_a_folder_of_pages_that_is_not_empty_is_left_alone_without_force(runs, tmp_path):
     save(tmp_path / "mine.txt", b"")
     assert "is not empty; --force writes over" in error("check", runs, "--rules", RULES, "--html", tmp_path)

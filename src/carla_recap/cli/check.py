@@ -85,6 +85,7 @@ def check(
                 else _write_pages(judged, rules, room, messages, clips=clips, road_map=road_map, jobs=request.jobs)
             )
         checked = shown
+        messages.end()
     except RecapError as error:
         if not is_judged:
             raise
