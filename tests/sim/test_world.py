@@ -240,6 +240,11 @@ def test_a_walker_walks_in_the_direction_of_its_control() -> None:
     world.run(1)
     assert walker.velocity.length() == 0
     assert walker.transform.location.y == pytest.approx(-3)
+    walker.apply_control(WalkerControl(Vector(0.0, -2.0), 1.5))
+    world.run(1)
+    walker.set_simulate_physics(False)
+    world.run(1)
+    assert (walker.velocity, walker.transform.location.y) == (Vector(), pytest.approx(-4.5))
 
 
 def test_signs_and_lights_of_the_town_are_actors() -> None:

@@ -120,6 +120,9 @@ class MovingBodies(StructOfArrays):
     def set_simulated(self, row: int, simulated: bool) -> None:
         """Let forces move an actor, or let it stay where it is placed."""
         body = self.bodies[row]
+        if self.simulated[row] and not simulated:
+            self.set_velocity(row, 0.0, 0.0, 0.0)
+            self.angular_velocity[row] = 0.0
         self.simulated[row] = simulated
         self.acceleration[row], self.angular_velocity[row, :2] = 0.0, 0.0  # a replay may have set them
         if simulated:

@@ -108,8 +108,7 @@ class Vehicles(Drivetrains):
             if self.autopilot[row]:
                 self.engage(row)
         elif self.simulated[row] and not simulated:
-            for values in (self.velocity, self.angular_velocity, self.speed, self.sideways, self.turning):
-                values[row] = 0
+            self.turning[row] = 0.0
         super().set_simulated(row, simulated)
 
     def engage(self, row: int) -> None:
