@@ -44,17 +44,11 @@ _LONGEST: Final = 300  # characters of the names of maps
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourcesRequest:
-    """The recordings of a command, and which processes read them if there are many.
+    """The recordings of a command, and which processes read them if there are many."""
 
-    Attributes:
-        sources: Recordings, folders, globs and URLs.
-        jobs: The number of processes; None: as many as are worthwhile.
-        dask: The address of a Dask scheduler; None: processes of this machine read them.
-    """
-
-    sources: tuple[str, ...]
-    jobs: int | None
-    dask: str | None
+    sources: tuple[str, ...]  # recordings, folders, globs and URLs
+    jobs: int | None  # the number of processes; None: as many as are worthwhile
+    dask: str | None  # the address of a Dask scheduler; None: processes of this machine read them
 
     @contextmanager
     def opened(self, title: str) -> Iterator[tuple[Iterable[SourceFile], Client | None, SourcesBar]]:
@@ -70,17 +64,11 @@ class SourcesRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QueryRequest(SourcesRequest):
-    """A query of one recording or of many.
+    """A query of one recording or of many."""
 
-    Attributes:
-        form: See `show`.
-        compat: Whether the answer has the mistakes of CARLA 0.9.16.
-        max_rows: The number of rows that are allowed.
-    """
-
-    form: str | None
-    compat: bool = False
-    max_rows: int | None = None
+    form: str | None  # see `show`
+    compat: bool = False  # whether the answer has the mistakes of CARLA 0.9.16
+    max_rows: int | None = None  # the number of rows that are allowed
 
     @property
     def shape(self) -> Form:

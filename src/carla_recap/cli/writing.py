@@ -40,17 +40,11 @@ _options = options.together(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WriteRequest(SourcesRequest):
-    """The arguments and options of commands that write a file for each recording.
+    """The arguments and options of commands that write a file for each recording."""
 
-    Attributes:
-        destination: A file, or the folder of many; a path or a URL.
-        force: Replace what is there.
-        newer: Skip recordings whose file is newer, and replace what is older.
-    """
-
-    destination: str
-    force: bool
-    newer: bool
+    destination: str  # a file, or the folder of many; a path or a URL
+    force: bool  # replace what is there
+    newer: bool  # skip recordings whose file is newer, and replace what is older
 
     def __post_init__(self) -> None:
         if not self.sources:

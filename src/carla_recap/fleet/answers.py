@@ -30,28 +30,17 @@ _MOST: Final = 1 << 20  # characters of records, which info reads as it prints t
 
 @dataclass(slots=True)
 class RecordingAnswer:
-    """The answer for one of many recordings.
-
-    Attributes:
-        source: The recording.
-        pieces: For each row, the cells of a table, a JSON object, or a line of CSV; or lines of text. They can be iterated
-            over once; what is below is known afterwards.
-        kind: The class of the answer; None if the recording cannot be read.
-        header: The header of the recording; None if it cannot be read.
-        extent: The extent of the recording; None after an error.
-        rows: The number of pieces.
-        error: The error, in one line; None if there was none.
-        warnings: The warnings, a line each.
-    """
+    """The answer for one of many recordings."""
 
     source: SourceFile
+    # for each row, the cells of a table, a JSON object or a line of CSV; or lines of text: what is below is known after them
     pieces: Iterable[Piece] = ()
-    kind: type[Any] | None = None
-    header: Header | None = None
-    extent: Extent | None = None
-    rows: int = 0
-    error: str | None = None
-    warnings: tuple[str, ...] = ()
+    kind: type[Any] | None = None  # the class of the answer; None if the recording cannot be read
+    header: Header | None = None  # None if it cannot be read
+    extent: Extent | None = None  # None after an error
+    rows: int = 0  # the number of pieces
+    error: str | None = None  # the error, in one line; None if there was none
+    warnings: tuple[str, ...] = ()  # a line each
 
 
 def answers(

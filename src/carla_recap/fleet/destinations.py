@@ -72,25 +72,15 @@ def _at(written: WrittenFile, path: str, destination: str) -> WrittenFile:
 
 @dataclass(slots=True)
 class DestinationFolder:
-    """The folder or prefix below which a file is written for each of many recordings, of the same name.
+    """The folder or prefix below which a file is written for each of many recordings, of the same name."""
 
-    Attributes:
-        location: Its path, or its URL.
-        suffix: The suffix of the files; empty for folders.
-        force: Replace what is there; else that is an error.
-        newer: Skip recordings whose file is there, and no older than they are; replace others.
-        skipped: The files that were skipped, so far.
-        again: Recordings so far whose file is that of another one, which may yet fail.
-        missing: The folders of files, and those above them, that were not there at first.
-    """
-
-    location: str
-    suffix: str
-    force: bool = False
-    newer: bool = False
-    skipped: list[str] = field(default_factory=list)
-    again: list[SourceFile] = field(default_factory=list)
-    missing: set[Path] = field(default_factory=set)
+    location: str  # its path, or its URL
+    suffix: str  # the suffix of the files; empty for folders
+    force: bool = False  # replace what is there; else that is an error
+    newer: bool = False  # skip recordings whose file is there, and no older than they are; replace others
+    skipped: list[str] = field(default_factory=list)  # the files that were skipped, so far
+    again: list[SourceFile] = field(default_factory=list)  # whose file is that of another one, which may yet fail
+    missing: set[Path] = field(default_factory=set)  # folders, and those above, that were not there at first
 
     def __post_init__(self) -> None:
         try:

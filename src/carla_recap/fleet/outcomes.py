@@ -37,25 +37,15 @@ class Outcome(Generic[T]):
 
 @dataclass(frozen=True, slots=True)
 class WrittenFile:
-    """What was written for a recording.
+    """What was written for a recording."""
 
-    Attributes:
-        notes: What is to be said of it, in words.
-        frames: The number of its frames.
-        seconds: Its duration.
-        size: Its size in bytes; None: as found.
-        facts: More facts, for JSON.
-        hints: What is to be said once, however many recordings there are.
-        path: The path or URL; what `write_file` calls returns the path of the file to open in a folder, or nothing.
-    """
-
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what is to be said of it, in words
     frames: int | None = None
     seconds: float | None = None
-    size: int | None = None
-    facts: Mapping[str, Any] = field(default_factory=dict)
-    hints: tuple[str, ...] = ()
-    path: str = ""
+    size: int | None = None  # its size in bytes; None: as found
+    facts: Mapping[str, Any] = field(default_factory=dict)  # more facts, for JSON
+    hints: tuple[str, ...] = ()  # what is to be said once, however many recordings there are
+    path: str = ""  # path or URL; what `write_file` calls returns that of the file to open in a folder, or nothing
 
 
 def outcome_of(function: Callable[[SourceFile], T], source: SourceFile) -> Outcome[T]:

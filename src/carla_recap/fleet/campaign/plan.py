@@ -38,12 +38,7 @@ _UNSAFE: Final = re.compile(rb"[^A-Za-z0-9._+-]")
 
 @dataclass(frozen=True, slots=True)
 class ParameterRange:
-    """The range of a parameter that a search varies; of whole numbers if both ends are.
-
-    Attributes:
-        low: The least value.
-        high: The greatest value.
-    """
+    """The range of a parameter that a search varies; of whole numbers if both ends are."""
 
     low: float
     high: float
@@ -51,15 +46,10 @@ class ParameterRange:
 
 @dataclass(frozen=True, slots=True)
 class CampaignRun(SourceFile):
-    """A run of a campaign: as a source, the recording that it gives, whose size is known if it is there already.
+    """A run of a campaign: as a source, the recording that it gives, whose size is known if it is there already."""
 
-    Attributes:
-        seed: The seed of its world.
-        parameters: The values by name.
-    """
-
-    seed: int = 0
-    parameters: Mapping[str, Value] = field(default_factory=dict, hash=False)
+    seed: int = 0  # the seed of its world
+    parameters: Mapping[str, Value] = field(default_factory=dict, hash=False)  # the values by name
 
     @property
     def texts(self) -> dict[str, str]:

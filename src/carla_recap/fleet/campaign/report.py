@@ -35,35 +35,20 @@ PAGE: Final = "index.html"
 
 @dataclass(frozen=True, slots=True)
 class CampaignRow:
-    """A run as a row of the answer.
-
-    Attributes:
-        seed: The seed.
-        parameters: The values by name.
-        recording: The path or URL of the recording.
-        error: Why there is none, in one line; None if there is one.
-        details: The traceback, and what the run printed.
-        was_there: Whether the recording was there already.
-        seconds: The time that it took, in s.
-        frames: The number of frames.
-        duration: The duration, in s.
-        results: What was measured, by name.
-        broken: The names of the rules that it breaks, or that cannot be judged; None without rules.
-        page: The path of its incident page, relative to the page of the campaign; None if it has none.
-    """
+    """A run as a row of the answer."""
 
     seed: int
-    parameters: Mapping[str, Any]
-    recording: str
-    error: str | None
-    details: str
-    was_there: bool
-    seconds: float
+    parameters: Mapping[str, Any]  # the values by name
+    recording: str  # its path or URL
+    error: str | None  # why there is none, in one line; None if there is one
+    details: str  # the traceback, and what the run printed
+    was_there: bool  # whether the recording was there already
+    seconds: float  # the time that it took, in s
     frames: int
-    duration: float
-    results: Mapping[str, Result]
-    broken: tuple[str, ...] | None = None
-    page: str | None = None
+    duration: float  # in s
+    results: Mapping[str, Result]  # what was measured, by name
+    broken: tuple[str, ...] | None = None  # rules that it breaks, or that cannot be judged; None without rules
+    page: str | None = None  # the path of its incident page, relative to that of the campaign; None without one
 
     def cells(self) -> dict[str, Any]:
         """Return the row as columns: results and parameters have one each, such as `param.page` of a parameter `page`."""
