@@ -99,6 +99,20 @@ def test_the_speed_over_time(judge: Judge, condition: str, status: str, message:
     assert message in found.message
 
 
+@pytest.mark.parametrize(("most", "status"), [("50 km/h", "pass"), ("49.999 km/h", "fail")])
+def test_a_recorded_speed_that_is_the_bound_is_within_it(tmp_path: Path, most: str, status: str) -> None:
+    """50 km/h as a number of 32 bits, which is how recordings have it, is greater than 50 / 3.6."""
+    with create_recording(tmp_path / "fast.mcap", map_name="Straight") as recorder:
+        for time in np.arange(0, 2, TICK).tolist():
+            transforms = {"id": [HERO], "x": [time * 5000 / 3.6], "y": [0.0], "z": [0.0]}
+            spawned = {} if time else {"spawned": [Spawn(HERO, 1, type_id=CAR, attributes=HERO_ROLE)]}
+            velocities = {"id": [HERO], "x": [50 / 3.6], "y": [0.0], "z": [0.0]}
+            recorder.add_frame(time, transforms=transforms, velocities=velocities, **spawned)
+    with open_recording(tmp_path / "fast.mcap") as recording:
+        rules = parse_rules(f'[rules.it]\nspeed = {{ of = "hero", max = "{most}" }}', "rules.toml")
+        assert check(recording, rules)[0].status == status
+
+
 def test_each_time_that_breaks_a_rule_is_an_offence_and_the_worst_is_first(judge: Judge) -> None:
     way = drive((10, 3), (20, 2), (10, 3), (30, 1), (10, 2))
     found = judge('speed = { of = "hero", max = "15 m/s", during = ["0 s", "20 s"] }', way)

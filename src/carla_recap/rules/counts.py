@@ -127,7 +127,7 @@ class Size(Condition):
     def judge(self, facts: Facts) -> Finding:
         """See `Condition.judge`."""
         extent = facts.recording.reader.extent()
-        value = round(extent.duration, 6) if self.unit == "s" else extent.frames  # sums of time steps are not exact
+        value = extent.duration if self.unit == "s" else extent.frames
         written = self.bounds.written
         length = written.shown(value) if written.text else f"{number(value) if self.unit == 's' else value} {self.unit}"
         return bounded(f"the recording has {length}", value, self.bounds, unit=self._unit)

@@ -29,6 +29,7 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = {
 }
 """The units in which quantities can be written, with their sizes in the unit of the values."""
 
+_ROUNDING: Final = 1e-6  # of a value, or of its unit
 _LARGE: Final = 1e6  # from which on a value is shown with an exponent
 _MANY: Final = {HERO: "the hero", "vehicle": "vehicles", "walker": "walkers", OBJECT: "static objects"}
 
@@ -81,6 +82,11 @@ class Quantity:
     def __str__(self) -> str:
         return self.text or f"{self.value:.5g} {self.unit}".rstrip()
 
+    @property
+    def rounding(self) -> float:
+        """By how much an equal value may differ that was recorded with 32 bits, or added up; 0 for numbers of things."""
+        return _ROUNDING * max(1.0, abs(self.value)) if self.unit else 0.0
+
     def shown(self, value: float) -> str:
         """Return another value in the unit in which this one is written, with at least the digits of its own unit."""
         scaled = value / self.size
@@ -103,9 +109,12 @@ class Bounds:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """The least and the greatest valid number; infinite without a limit."""
+        """The least and the greatest valid number, with room for rounding; infinite without a limit."""
         least, most = self.least, self.most
-        return -math.inf if least is None else least.value, math.inf if most is None else most.value
+        return (
+            -math.inf if least is None else least.value - least.rounding,
+            math.inf if most is None else most.value + most.rounding,
+        )
 
     def contain(self, value: float) -> bool:
         """Return whether a number is valid; NaN is not."""
