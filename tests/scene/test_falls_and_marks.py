@@ -46,13 +46,15 @@ def marks(found):
 LYING = (WALKER, 200.0, 0.0, 20.0, 0.0, 90.0, 0.0)
 
 
-@pytest.mark.parametrize("end", ["walks", "disappears", "is recorded lying"])
+@pytest.mark.parametrize("end", ["walks", "disappears", "is another one", "is recorded lying"])
 def test_a_walker_lies_from_the_hit_until_it_does_something_else(batches, end):
     frames = accident()
     if end == "walks":
         frames[12]["walker_controls"] = [(WALKER, 140.0)]
     elif end == "disappears":
         frames[12]["destroyed"] = [WALKER]
+    elif end == "is another one":
+        frames[12]["spawned"] = [spawn(WALKER, "walker.pedestrian.0002")]
     else:
         for frame in frames[12:]:
             frame["transforms"][1] = LYING

@@ -10,7 +10,7 @@ import numpy as np
 from carla_recap.model.contacts import velocity_before
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.records import NO_ACTOR
-from carla_recap.replay.events import Collided
+from carla_recap.replay.events import Collided, Spawned
 from carla_recap.replay.player import Player
 from carla_recap.replay.pose import ROTATION, right_handed, rotations
 from carla_recap.replay.selection import array
@@ -105,7 +105,12 @@ class FallenWalkers:
                 self._hits.clear()
                 self._tips.clear()
         for event in batch.events:
-            if isinstance(event, Collided) and (knocked := self._hit(event, batch)) is not None:
+            if isinstance(event, Spawned) and not batch.fresh:
+                self._hits.pop(event.actor.id, None)
+                self._tips.pop(event.actor.id, None)
+                if self.falls.pop(event.actor.id, None) is not None:
+                    found.append(FallChange(0, event.actor.id, None))
+            elif isinstance(event, Collided) and (knocked := self._hit(event, batch)) is not None:
                 self._hits[knocked[0]] = knocked[1]
             elif isinstance(event, Collided):
                 self._tips |= self._tipped(event, batch)
