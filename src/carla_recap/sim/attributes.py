@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from carla_recap.sensors.kinds import SENSOR_ATTRIBUTES
+from carla_recap.sim.validation import LARGEST
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 _WHOLE: Final = re.compile(r"[+-]?[0-9]{1,10}(\.0*)?")
 _NUMBER: Final = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?", re.IGNORECASE)
@@ -80,3 +81,12 @@ def attribute_type(key: str) -> int:
 def is_restricted(key: str) -> bool:
     """Return whether an attribute is meant to have recommended values only."""
     return key in _RESTRICTED
+
+
+def number(attributes: Mapping[str, str], key: str, otherwise: float, most: float = LARGEST) -> float:
+    """Return an attribute from 0 to `most`, in CARLA's notation as well: 3.5f; any other one counts as `otherwise`."""
+    try:
+        value = float(attributes[key].removesuffix("f"))
+    except (KeyError, ValueError):
+        return otherwise
+    return value if 0 <= value <= most else otherwise

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 MAX_COORDINATE: Final = 1e6  # m
 MAX_ANGLE: Final = 1e6  # degrees
-_MAX_SPEED: Final = 1e4  # m/s
+MAX_SPEED: Final = 1e4  # m/s
 _MAX_ANGULAR_SPEED: Final = 1e5  # degrees/s
 LARGEST: Final = 1e9  # the limit of all other numbers, in any unit
 MAX_TICK: Final = 10.0  # s
@@ -66,12 +66,12 @@ def expect_transform(what: str, transform: Transform, *, of: object = None) -> N
 
 def expect_velocity(what: str, velocity: Vector, *, of: object = None) -> None:
     """Make sure that a velocity in m/s is within bounds, in whichever axes."""
-    _expect_at_most(what, of, "m/s", _MAX_SPEED, velocity.x, velocity.y, velocity.z, velocity.length())
+    _expect_at_most(what, of, "m/s", MAX_SPEED, velocity.x, velocity.y, velocity.z, velocity.length())
 
 
 def expect_push(what: str, impulse: Vector, mass: float, *, of: object = None) -> None:
     """Make sure that the velocity to which an impulse in N s accelerates a mass in kg is within bounds."""
-    _expect_at_most(what, of, "m/s", _MAX_SPEED, impulse.x / mass, impulse.y / mass, impulse.z / mass)
+    _expect_at_most(what, of, "m/s", MAX_SPEED, impulse.x / mass, impulse.y / mass, impulse.z / mass)
 
 
 def expect_turning(what: str, velocity: Vector, *, of: object = None) -> None:

@@ -125,6 +125,18 @@ def test_a_control_clears_the_destination() -> None:
     assert person.destination is None
 
 
+@pytest.mark.parametrize(
+    ("speed", "expected"), [("2.5", 2.5), ("2.5f", 2.5), ("0", 1.4), ("abc", 1.4), ("nan", 1.4), ("inf", 1.4), ("-3", 1.4)]
+)
+def test_a_walker_walks_at_the_speed_of_its_attribute_if_it_is_one(speed: str, expected: float) -> None:
+    world = flat_world(walks=graph())
+    person = world.spawn("walker.pedestrian.0015", at(80.0, 5.0), speed=speed)
+    assert isinstance(person, Walker)
+    person.destination = Location(100.0, 5.0)
+    world.run(2)
+    assert person.velocity.length() == pytest.approx(expected)
+
+
 def test_a_destination_that_cannot_be_reached_is_an_error() -> None:
     world = flat_world(walks=graph())
     person = walker(world, 80.0, 5.0)

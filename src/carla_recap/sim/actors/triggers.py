@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.model.records import CM
+from carla_recap.sim.attributes import number
 from carla_recap.sim.episode import Actor
-from carla_recap.sim.validation import LARGEST
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -70,12 +70,7 @@ class FrictionTrigger(Actor):
         return [vehicles.actors[row] for row in np.flatnonzero(overlaps)]
 
     def _number(self, key: str) -> float:
-        """Return an attribute, in CARLA's notation as well: 3.5f."""
-        try:
-            value = float(self.attributes.get(key, "").removesuffix("f"))
-        except ValueError:
-            return _DEFAULTS[key]
-        return value if 0 <= value <= LARGEST else _DEFAULTS[key]
+        return number(self.attributes, key, _DEFAULTS[key])
 
     def _affect(self, vehicle: Vehicle) -> None:
         outside = [wheel.tire_friction for wheel in vehicle.physics_control.wheels]

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from carla_recap.sim.attributes import number
 from carla_recap.sim.signals import OFF, RED
+from carla_recap.sim.validation import MAX_SPEED
 
 if TYPE_CHECKING:
     from carla_recap.sim.episode import Episode
@@ -104,7 +106,7 @@ class PedestrianNavigation:
             if path:
                 attributes = self._episode.actors[id].attributes
                 usual = _SPEED_BY_AGE.get(attributes.get("age", ""), _ADULT_SPEED)
-                journey = self._journeys[id] = _Journey(destination, float(attributes.get("speed") or 0) or usual)
+                journey = self._journeys[id] = _Journey(destination, number(attributes, "speed", usual, MAX_SPEED) or usual)
                 self._set_path(journey, path)
             else:  # it has been moved since its destination was set
                 walkers.destination[row] = np.nan
