@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import os
+from collections import Counter
 from datetime import UTC, datetime
 from pathlib import Path
 from time import process_time
@@ -236,8 +237,10 @@ def test_every_export_is_imported_again(tmp_path, path):
         import_tracks(tracks, tmp_path / "again.log", date=datetime(2024, 5, 1, tzinfo=UTC))
         with open_recording(tmp_path / "again.log") as recording:
             export_csv(recording, again)
-    numbers = [[row[:1] + row[2:3] + row[5:] for row in rows_of(file)] for file in (tracks, again)]
-    assert numbers[0] == numbers[1]  # unnamed blueprints get a name
+    # Unnamed blueprints get a name, and where an id has a gap, as between two actors, its object stands.
+    first, second = (Counter((*row[:1], *row[2:3], *row[5:]) for row in rows_of(file)) for file in (tracks, again))
+    assert not first - second
+    assert {row[1:8] for row in second - first} <= {row[1:8] for row in first}
 
 
 def test_what_is_not_finite_is_empty_in_a_table_and_said(tmp_path):

@@ -25,55 +25,30 @@ RECORDING: Final = "recording"
 
 @dataclass(frozen=True, slots=True)
 class RecordingRow:
-    """A recording that was read, or could not be.
+    """A recording that was read, or could not be."""
 
-    Attributes:
-        size: Its size in bytes.
-        modified: The time of its last change, in UTC.
-        etag: What identifies its content in an object store, without quotes.
-        error: Why it cannot be read; None if it can.
-        warning: The warnings of its reading; None without any.
-        map: The name of the map.
-        date: The time of its beginning, in UTC; None if the file's date is out of range.
-        version: The version of CARLA's format.
-        frames: The number of frames.
-        duration: The elapsed time of the last frame, in s.
-        additional_data: Whether the first frame has additional data, such as velocities.
-        measured: Whether every frame was read, for its measures.
-        roads_known: Whether its map was found then, so that its rules of the road were judged, too.
-        actors: The number of actors.
-        heroes: The number of heroes.
-        parameters: What the simulation was run with; see `Header.parameters`.
-        route_file: The route file by which it was scored; None: it was not.
-        score: Its driving score; None if it could not be scored, which `warning` says.
-        scenario: The type of the first scenario of its route; None without one.
-        success: Whether it is a success by Bench2Drive.
-        driving_efficiency: Bench2Drive's driving efficiency in %; None without background vehicles.
-        driving_smoothness: Bench2Drive's driving smoothness in %.
-    """
-
-    size: int | None
-    modified: datetime | None
-    etag: str | None
-    error: str | None
-    warning: str | None
-    map: str | None = None
-    date: datetime | None = None
-    version: int | None = None
-    frames: int | None = None
-    duration: float | None = None
-    additional_data: bool | None = None
-    measured: bool | None = None
-    roads_known: bool | None = None
-    actors: int | None = None
-    heroes: int | None = None
-    parameters: dict[str, str] | None = None
-    route_file: str | None = None
-    score: float | None = None
-    scenario: str | None = None
-    success: bool | None = None
-    driving_efficiency: float | None = None
-    driving_smoothness: float | None = None
+    size: int | None  # its size in bytes
+    modified: datetime | None  # the time of its last change, in UTC
+    etag: str | None  # what identifies its content in an object store, without quotes
+    error: str | None  # why it cannot be read; None if it can
+    warning: str | None  # the warnings of its reading; None without any
+    map: str | None = None  # the name of the map
+    date: datetime | None = None  # the time of its beginning, in UTC; None if the file's date is out of range
+    version: int | None = None  # the version of CARLA's format
+    frames: int | None = None  # the number of frames
+    duration: float | None = None  # the elapsed time of the last frame, in s
+    additional_data: bool | None = None  # whether the first frame has additional data, such as velocities
+    measured: bool | None = None  # whether every frame was read, for its measures
+    roads_known: bool | None = None  # whether its map was found then, so that its rules of the road were judged, too
+    actors: int | None = None  # the number of actors
+    heroes: int | None = None  # the number of heroes
+    parameters: dict[str, str] | None = None  # what the simulation was run with; see `Header.parameters`
+    route_file: str | None = None  # the route file by which it was scored; None: it was not
+    score: float | None = None  # its driving score; None if it could not be scored, which `warning` says
+    scenario: str | None = None  # the type of the first scenario of its route; None without one
+    success: bool | None = None  # whether it is a success by Bench2Drive
+    driving_efficiency: float | None = None  # Bench2Drive's driving efficiency in %; None without background vehicles
+    driving_smoothness: float | None = None  # Bench2Drive's driving smoothness in %
 
     @property
     def lacks_roads(self) -> bool:
