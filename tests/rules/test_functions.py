@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 from textwrap import dedent
@@ -166,6 +167,15 @@ def test_an_error_of_a_function_is_one_line_with_the_file_and_the_line(folder: P
     assert judged(folder, '"my_rules:ends"').message.startswith("my_rules:ends raises SystemExit: 3 (my_rules.py, line ")
     found = judged(folder, '{ function = "my_rules:returns", what = "recording.trajectory(99)" }')
     assert found.message.startswith("no actor 99; known ids are 41 (hero), ")
+
+
+def test_what_a_function_prints_is_no_verdict(folder: Path) -> None:
+    save(folder / "noisy.py", b"print('imported')\ndef it(recording):\n    print('looking')\n    return []\n")
+    save(folder / "rules.toml", b"[rules.it]\ncondition = 'noisy:it'")
+    for jobs in ("1", "2"):
+        done = run("check", SAMPLES / "crash.mcap", "--rules", folder / "rules.toml", "--json", "--jobs", jobs)
+        assert json.loads(done.stdout)["counts"]["pass"] == 1
+        assert b"looking\n" in done.stderr
 
 
 @pytest.mark.parametrize(

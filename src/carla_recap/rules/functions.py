@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 import math
+import sys
 import traceback
+from contextlib import redirect_stdout
 from dataclasses import dataclass, field
 from importlib import import_module
 from numbers import Integral, Real
@@ -40,7 +42,8 @@ class FunctionCondition(Condition):
 
     def function(self) -> Callable[..., Any]:
         """Return the function; an error says that it or the module is not there, or that the module raises one."""
-        found = getattr(_module(self.module, self.folder), self.name, None)
+        with redirect_stdout(sys.stderr):
+            found = getattr(_module(self.module, self.folder), self.name, None)
         if not callable(found):
             raise NotSetUp(f"the module {self.module} has no function {self.name}")
         return found  # type: ignore[no-any-return]
@@ -66,7 +69,7 @@ class FunctionCondition(Condition):
         """See `Condition.judge`; what the function raises, or returns in place of a finding, is an error."""
         function = self.function()
         try:
-            with modules_beside(self.folder):
+            with modules_beside(self.folder), redirect_stdout(sys.stderr):  # stdout is for verdicts
                 answer = function(facts.recording, **self.parameters)
                 is_list = hasattr(answer, "__iter__") and not isinstance(answer, (Finding, str, bytes, dict))
                 found = list(answer) if is_list else answer
