@@ -21,6 +21,7 @@ from carla_recap.scene import style
 from carla_recap.scene.follow import followed_series
 from tests.replay.scripts import light, pose, spawn, write
 from tests.samples import CARLA_LOGS, CROSSING, carla_log, names_in
+from tests.scene.accidents import accident
 
 pytest.importorskip("rerun", reason="the extra rerun is not installed")
 
@@ -542,6 +543,17 @@ def test_an_actor_gets_the_size_that_is_recorded_after_its_spawn(tmp_path: Path)
         assert rrd.place("/world/actors/1", time)[0] == 9
     assert lengths[0] == lengths[1] < 6
     assert lengths[2:] == pytest.approx([10, 10], abs=0.2)
+
+
+def test_a_walker_that_lies_is_drawn_so_again_after_it_was_out_of_sight(tmp_path: Path) -> None:
+    frames = accident(speed=100, walker=WALKER)
+    frames[12]["transforms"][1] = pose(WALKER, 200, z=-60_000)
+    rrd = export(write(tmp_path / "x.log", frames), tmp_path / "x.rrd")
+    path = f"/world/actors/{WALKER}"
+    assert rrd.at(path, "Mesh3D:vertex_positions", 12) is None
+    lying = [rrd.at(path, f"InstancePoses3D:{name}", time) for time in (11, 15) for name in ("mat3x3", "translations")]
+    assert None not in lying
+    assert [np.array(each).tolist() for each in lying[2:]] == [np.array(each).tolist() for each in lying[:2]]
 
 
 def test_the_plots_end_where_the_followed_actor_vanishes(tmp_path: Path) -> None:

@@ -44,6 +44,13 @@ def test_an_actor_that_stands_still_has_one_row_and_one_that_moves_has_one_track
     assert replay.tracks[0].rows[:, 0] == pytest.approx(np.arange(3 * BLOCK) / 100, abs=1e-5)
 
 
+def test_an_actor_that_stands_still_stands_also_where_its_last_pose_is_missing(tmp_path: Path) -> None:
+    frames: list[dict[str, Any]] = [{"transforms": [(1, 0, 0, 0, 0, 0, 0)] * (n != 8)} for n in range(9)]
+    frames[0]["spawned"] = [spawn(1)]
+    (track,) = sampled(record(tmp_path / "a.mcap", frames)).tracks
+    assert track.rows.tolist() == [[0, 0, 0, 0]]
+
+
 def test_the_first_speed_is_that_of_the_first_step_of_the_recording(tmp_path: Path) -> None:
     path = record(tmp_path / "a.mcap", [{"transforms": [(1, n * n, 0, 0, 0, 0, 0)]} for n in range(9)], tick=0.01)
     with open_recording(path) as recording:

@@ -337,7 +337,8 @@ class Sampler:
             for column, first, last, still in _intervals(samples[..., :3], times):
                 rows = samples[first : first + 1 if still else last + 1, column].copy()
                 if still:
-                    rows[0, 3] = samples[last, column, 3]
+                    speeds = samples[first : last + 1, column, 3]
+                    rows[0, 3] = np.append(np.nan, speeds[np.isfinite(speeds)])[-1]
                 self._append(Track(int(present[column]), self._begin + first, self._begin + last, rows))
         self._block = [] if ended else block[-1:]
         self._begin += len(block) - 1

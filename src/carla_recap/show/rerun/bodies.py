@@ -22,7 +22,7 @@ from carla_recap.show.rerun.stream import HeldRows, PoseBuffer, screen_radii
 from carla_recap.show.rerun.surroundings import CorridorWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
     from numpy.typing import NDArray
 
@@ -108,8 +108,7 @@ class ActorWriter:
                 spawned.append(event.actor.id)
             elif isinstance(event, Destroyed):
                 self._erase(event.id, times.point(0))
-        if away or self._away or batch.away.any():
-            self._hide(description, times)
+        again = self._hide(description, times) if away or self._away or batch.away.any() else []
         redrawn = set() if description.actors is self._looks else self._redraw(description, times.point(0))
         if batch.ids is not self._ids:
             self._ids = batch.ids
@@ -124,7 +123,7 @@ class ActorWriter:
             self._stream.log(entities.actor(named.id), times.point(0), _name(named, description.actors.look_of(named.id)))
             self._named = None
         self._lamps.write(description, times)
-        self._lay(description, times, redrawn)
+        self._lay(description, times, [*again, *((0, id) for id in redrawn)])
         self._poses.add(description, times, [*spawned, *redrawn])
         if self._poses.is_full:
             self._write_poses()
@@ -217,9 +216,9 @@ class ActorWriter:
             self._draw(description.lives[id], description, time)
         return changed
 
-    def _hide(self, description: SceneDescription, times: TimeColumns) -> None:
-        """Erase actors from when on they are away, and draw them again when they are there."""
-        batch = description.batch
+    def _hide(self, description: SceneDescription, times: TimeColumns) -> list[tuple[int, int]]:
+        """Erase actors from when on they are away, and draw them again when they are there; return those rows and ids."""
+        batch, again = description.batch, []
         before = np.isin(batch.ids, list(self._away))
         changed = batch.away != np.concatenate((before[None], batch.away[:-1]))
         for row, column in zip(*(index.tolist() for index in np.nonzero(changed)), strict=True):
@@ -228,11 +227,13 @@ class ActorWriter:
                 self._erase(id, times.point(row))
             elif id not in self._present:
                 self._draw(description.lives[id], description, times.point(row))
+                again.append((row, id))
         self._away = set(batch.ids[batch.away[-1]].tolist())
+        return again
 
-    def _lay(self, description: SceneDescription, times: TimeColumns, redrawn: Container[int]) -> None:
-        """Lay down the models of walkers; the transforms of their entities stay those that are recorded."""
-        lying = [(0, id, fall) for id, fall in description.fallen.items() if id in redrawn]
+    def _lay(self, description: SceneDescription, times: TimeColumns, again: Iterable[tuple[int, int]]) -> None:
+        """Lay down the models of walkers, also of those drawn again at some rows; their transforms stay those recorded."""
+        lying = [(row, id, description.fallen_at(row)[id]) for row, id in again if id in description.fallen_at(row)]
         for row, id, fall in (*lying, *description.falls):
             look = description.actors.look_of(id)
             if look is not None:
