@@ -81,7 +81,8 @@ def pose_at(name: str, time: float, frames: tuple[int, int], b: Drive) -> Pose |
     if before == after:
         return first
     seconds = b.clock[after] - b.clock[before]
-    if math.dist(first[:3], second[:3]) / 100 > max(TOP_SPEED * seconds, JUMP):
+    metres = math.sqrt(sum((q - p) ** 2 for p, q in zip(first[:3], second[:3], strict=True))) / 100
+    if metres > max(TOP_SPEED * seconds, JUMP):
         return None
     share = (time - b.clock[before]) / seconds
     x, y, z = (p + share * (q - p) for p, q in zip(first[:3], second[:3], strict=True))

@@ -463,3 +463,15 @@ def test_a_straight_line_out_of_a_bend_is_no_collision_course(drive: Drive) -> N
     reader = drive([bend(1, 25, 9, 0, role_name="hero"), bend(2, 28.5, -9, 2.5)], seconds=6)
     assert time_series(reader, 1).time_to_collision.min() < 1.5
     assert values(measures(reader)).get("time_to_collision", math.inf) >= 3
+
+
+def test_the_time_of_a_value_is_the_first_that_has_it(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The boxes of 2 and 3 overlap; that of 1, whose pairs are computed before theirs, reaches them at 2 s."""
+    monkeypatch.setattr("carla_recap.queries.measures.pairs.ELEMENTS", 64)
+    reader = drive([Mover(1, lambda t: 8 * t - 20), Mover(2), Mover(3, lambda _: 1.0)], seconds=3)
+    rows = [row for row in measures(reader, "all") if row.measure == "time_to_collision"]
+    assert [(row.actor, row.value, row.time, row.other) for row in rows] == [
+        (1, 0.0, pytest.approx(2.0), 2),
+        (2, 0.0, 0.0, 3),
+        (3, 0.0, 0.0, 2),
+    ]
