@@ -261,12 +261,9 @@ def transition_progress(drivers: Drivers, position: Floats) -> Floats:
 
 
 def lateral_offset(offset: Floats, slope: Floats, progress: Floats) -> Floats:
-    """Return the offset of transitions to the right of the lane's centre, in m.
+    """Return the offset of transitions to the right of the lane's centre, in m, by the share that is completed.
 
-    Args:
-        offset: The offset at the start, in m.
-        slope: The slope at the start, as the change of the offset over the whole length, in m.
-        progress: The share of the transition that is completed.
+    The offset is that at the start in m, and the slope the change there over the whole length, in m.
     """
     x = np.minimum(np.maximum(progress, 0), 1)
     cube = x * x * x
@@ -318,15 +315,10 @@ class AutopilotState(NamedTuple):
 
 
 def lane_changes(state: AutopilotState, leader: tuple[Floats, Floats], decision: int) -> Iterator[tuple[int, int]]:
-    """Find the vehicles that change lanes now, to overtake.
+    """Yield the rows of the drivers that change lanes now, to overtake, and the lanes to change to.
 
-    Args:
-        state: The driven vehicles.
-        leader: The distances to the nearest obstacles on their paths in m, and the speeds of these in m/s.
-        decision: The number of the decision; at each, another part of the drivers considers it.
-
-    Yields:
-        The row of a driver, and the lane to change to.
+    The leader is the distances to the nearest obstacles on their paths in m, and the speeds of these in m/s. At each
+    decision, which are numbered, another part of the drivers considers it.
     """
     cars, drivers, routes, network, vehicles = state
     lane = routes.lanes[:, 0]
