@@ -231,6 +231,13 @@ def test_motion_is_that_of_the_carrier(tmp_path: Path, rate: float | None, veloc
         assert float(frame.samples["speed"].data) == pytest.approx(10, abs=0.05)
 
 
+def test_a_speedometer_measures_along_the_carrier_however_it_is_mounted(tmp_path: Path) -> None:
+    rig = SensorRig.of([{"type": "sensor.speedometer", "id": "speed", "yaw": 90.0, "pitch": 30.0}])
+    with carla_recap.open_recording(circle(tmp_path / "circle.mcap", velocities=True)) as recording:
+        for frame in sense(recording, rig, start=0.5, duration=0.2):
+            assert float(frame.samples["speed"].data) == pytest.approx(10, abs=0.05)
+
+
 def test_rays_that_are_cast_in_parts_hit_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = drive(tmp_path / "drive.mcap")
     lidar = {"type": "sensor.lidar.ray_cast", "id": "lidar", "x": 0, "y": 0, "z": 2, "points_per_second": 20_000}

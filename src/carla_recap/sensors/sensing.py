@@ -242,6 +242,7 @@ class _Moment(NamedTuple):
     step: float  # the seconds since the one before; at first, those that are usual
     instances: Instances  # what is drawn of the actors
     motion: Motion | None  # the motion of the carrier; None if no sensor needs it
+    pose: Floats  # of the carrier in m and degrees, right-handed
     carrier: frozenset[int]  # the carrier and what is attached to it, which rays do not meet
 
 
@@ -342,7 +343,7 @@ class _Sensing:
             if spec.kind == "gnss":
                 self._instruments[spec.id] = _gnss(spec, self._town.opendrive())
             elif spec.kind in ("imu", "speedometer"):
-                self._instruments[spec.id] = _imu(spec) if spec.kind == "imu" else _speedometer(spec)
+                self._instruments[spec.id] = _imu(spec) if spec.kind == "imu" else _speed
 
     def _renderer(self) -> Any:
         from carla_recap.rendering.process import RenderProcess
@@ -377,7 +378,8 @@ class _Sensing:
                 poses = right_handed(attach(left_handed(pose), self._mounts[due]))
                 instances = described_instances(description, marks=False)
                 motion = self._motion_of(carrier).at(scene.time) if self._needs_motion else None
-                moment = _Moment(scene, moving, self._step(scene, before), instances, motion, _with_attached(scene, carrier))
+                step, around = self._step(scene, before), _with_attached(scene, carrier)
+                moment = _Moment(scene, moving, step, instances, motion, pose, around)
                 placed = [PlacedSensor(self._rig[row], own) for row, own in zip(due, poses, strict=True)]
                 cameras = [sensor for sensor in placed if sensor.spec.kind == "camera"]
                 casting = [sensor for sensor in placed if sensor.spec.kind in _RAY_KINDS]
@@ -602,9 +604,7 @@ def _imu(spec: SensorSpec) -> _Instrument:
     return measure
 
 
-def _speedometer(spec: SensorSpec) -> _Instrument:
-    def measure(moment: _Moment, pose: Floats) -> NDArray[np.float64]:
-        assert moment.motion is not None
-        return np.array(moment.motion.velocity @ rotations(pose)[:, 0])
-
-    return measure
+def _speed(moment: _Moment, pose: Floats) -> NDArray[np.float64]:
+    """Return the speed along the heading of the carrier, as the Leaderboard's speedometer, wherever this one looks."""
+    assert moment.motion is not None
+    return np.array(moment.motion.velocity @ rotations(moment.pose)[:, 0])
