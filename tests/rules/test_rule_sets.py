@@ -355,7 +355,6 @@ def test_the_description_is_the_authors_or_that_of_the_condition():
         ("[rules.a]\nspeed = { min = 3, max = 2 }", "speed.min: expected no more than max, found 3 m/s"),
         ("[rules.a]\ntime_to_collision = { max = 1 }", "time_to_collision: unknown key 'max'; the keys are of, with, min, "),
         ("[rules.a]\npost_encroachment_time = { min = 1, for = 3 }", "unknown key 'for'; "),
-        ("[rules.a]\npasses = [{ road = 1 }, { road = '1' }]", "passes: expected places that follow each other to differ"),
         ("[rules.a]\nspeed = { max = '3 m' }", 'speed.max: expected a number in m/s, or a text such as "1.5 m/s"'),
         ("[rules.a]\nsame_as = { tolerance = 1 }", "same_as.baseline: expected the path of a recording, or of a folder "),
         ("[rules.a]\nsame_as = { baseline = ['a'] }", "same_as.baseline: expected the path of a recording, or of a folder "),

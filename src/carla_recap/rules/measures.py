@@ -67,8 +67,13 @@ class MeasureBounds(Condition):
     @property
     def _is_over_time(self) -> bool:
         """Whether the extreme values of whole recordings do not suffice."""
+        return not self.scope.is_whole or self.tolerate is not None or self._needs_values
+
+    @property
+    def _needs_values(self) -> bool:
+        """Whether other values than the critical ones count, so that without any it is unknown whether all is well."""
         beyond = self.bounds.most if MEASURES[self.measure].extreme == "least" else self.bounds.least
-        return not self.scope.is_whole or self.tolerate is not None or self.lasting is not None or beyond is not None
+        return self.lasting is not None or beyond is not None
 
     def _extremes(self, facts: Facts) -> Iterator[tuple[float, bool, Offence]]:
         """Yield the extreme value of each actor, whether it is valid, and the offence that it would be."""
@@ -118,7 +123,8 @@ class MeasureBounds(Condition):
     def _unmeasured(self, facts: Facts) -> Finding:
         """Return the finding if there is no value, such as a time to collision where no paths meet."""
         absent = self.scope.absent(self.of, facts) or facts.absent(self.other)
-        return Finding(True, f"no {self._name} was measured{absent}", applies=not absent)
+        applies = not absent and not self._needs_values and self.measure != "speed"
+        return Finding(True, f"no {self._name} was measured{absent}", applies=applies)
 
     def _measured(self, facts: Facts) -> Iterator[tuple[ActorLife, MeasureValues, Booleans]]:
         """Yield the values over time of each actor that has any within the scope, and in which frames it has one there."""

@@ -7,7 +7,6 @@ import os
 import re
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -269,8 +268,6 @@ def _order(value: Any, reading: Reading) -> tuple[Place, ...] | None:
     found = [reading.value(PLACE, each, f"{number}") for number, each in enumerate(value, 1)]
     if None in found:
         raise Unexpected
-    if any(one == following for one, following in pairwise(found)):
-        raise Unexpected("places that follow each other to differ, with one in between to come to a place again")
     return tuple(found)
 
 
