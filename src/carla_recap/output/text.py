@@ -136,10 +136,8 @@ def _overview(answer: Summaries) -> Iterator[str]:
         yield f"Actors: {_counted(row.actors, answer.others)}\n"
         if row.hero is not None:
             hero = row.hero
-            speed = top_speed(hero)
-            way = (
-                f"{hero.distance:.0f} m in {hero.time:.1f} s, at {f'{speed} km/h at most' if speed else 'an unknown speed'}"
-            )
+            speed = f"{top} km/h at most" if (top := top_speed(hero)) else "an unknown speed"
+            way = f"{hero.distance:.0f} m in {hero.time:.1f} s, at {speed}"
             yield f"Hero: {hero.type_id} ({hero.id}), {way}\n"
         yield f"Incidents: {incident_counts(row.incidents)}\n"
         if row.sensors:
