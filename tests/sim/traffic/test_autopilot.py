@@ -118,6 +118,18 @@ def test_drives_about_as_fast_as_the_limit() -> None:
     assert speeds[-1] > 0.8 * LIMIT
 
 
+def test_a_light_before_a_junction_stands_in_a_lane_beside_that_leads_into_none() -> None:
+    lanes, junction = crossing()
+    both = replace(light(95.0, governs=(1,)), stops=((0, 95.0), (6, 60.0)))
+    world = world_of(*lanes, lane(6, (300, 0), start=(0, 200)), signals=(both,), junctions=(junction,))
+    (signal,) = world.traffic_lights
+    signal.freeze()
+    signal.set_state(RED)
+    vehicles = car(world, 10.0), car(world, 10.0, 200.0)
+    run(world, 25.0)
+    assert [front(vehicle) for vehicle in vehicles] == [pytest.approx(94.0, abs=0.6), pytest.approx(59.0, abs=0.6)]
+
+
 @pytest.mark.parametrize("places", [(120.0, 160.0), (120.0, 120.0), (160.0, 120.0)])
 @pytest.mark.parametrize("red", [0, 1])
 @pytest.mark.parametrize("in_junction", [False, True])

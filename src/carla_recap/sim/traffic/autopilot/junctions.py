@@ -265,7 +265,9 @@ class JunctionRules:
                 continue
             for lane in signal.governs:
                 rules.lights[lane] = (*rules.lights.get(lane, ()), signal.index)
-            for lane, s in () if signal.governs else signal.stops:
+            for lane, s in signal.stops:
+                if set(town.lanes[lane].successors) & set(signal.governs):
+                    continue
                 lines = dict(rules.midblock_lights.get(lane, ()))
                 lines[s] = (*lines.get(s, ()), signal.index)
                 rules.midblock_lights[lane] = sorted(lines.items())
