@@ -188,7 +188,7 @@ WORDS = st.sampled_from(["none", "both", "increase", "decrease"])
 def plain_roads(draw: st.DrawFn) -> list[PlainRoad]:
     roads = []
     for _ in range(draw(st.integers(1, 4))):
-        length = draw(st.integers(1, 60)) + 0.5
+        length = draw(st.integers(2, 60)) + 0.5  # a shorter lane has no point inside, as in CARLA's planner
         starts = st.lists(st.integers(0, 60).map(lambda metre: metre + 0.25 if metre else 0.0), max_size=4, unique=True)
         marks = starts.flatmap(lambda found: st.tuples(*(st.tuples(st.just(start), WORDS) for start in sorted(found))))
         roads.append(PlainRoad(length, draw(st.lists(marks.map(list), min_size=1, max_size=4))))
@@ -212,10 +212,9 @@ def test_ways_are_those_of_the_twin(roads: list[PlainRoad], data: st.DataObject)
             for row, each_road in enumerate(roads)
         )
     )
-    shares = data.draw(st.floats(0.2, 0.8)), data.draw(st.floats(0.2, 0.8))
     ends = [
-        (begins[row] + share * roads[row].length, -1.75 - 3.5 * number, 0.0)
-        for (row, number), share in zip((start, stop), shares, strict=True)
+        (begins[row] + data.draw(st.integers(1, int(roads[row].length) - 1)), -1.75 - 3.5 * number, 0.0)
+        for row, number in (start, stop)
     ]
     expected = shortest(roads, start, stop)
     planner = RoutePlanner(town)
