@@ -131,6 +131,9 @@ def test_a_walker_that_is_hit_falls_and_stays() -> None:
     world.run(1)
     assert walker.transform == place
     assert hero.transform.location.x > 20
+    walker.transform = at(60.0, 8.0, yaw=30.0)
+    world.run(1)
+    assert (walker.transform.rotation.pitch, walker.transform.location.z) == (place.rotation.pitch, place.location.z)
 
 
 def test_a_slow_push_lets_a_walker_stand() -> None:

@@ -78,6 +78,11 @@ class Walkers(MovingBodies):
         self.slide[moving] = states[moving, 3:5]
         self._moved |= self.slide.any(axis=1)
 
+    def place(self, row: int, position: tuple[float, float, float], rotation: tuple[float, float, float]) -> None:
+        """See `MovingBodies.place`; one that lies goes on lying."""
+        lying = (self.rotation[row, 0].item(), rotation[1], 0.0)
+        super().place(row, position, lying if self.fallen[row] else rotation)
+
     def set_velocity(self, row: int, x: float, y: float, z: float) -> None:
         """See `MovingBodies.set_velocity`."""
         super().set_velocity(row, x, y, z)
