@@ -9,6 +9,7 @@ import pytest
 
 from carla_recap import create_recording, open_recording
 from carla_recap.model import braking
+from carla_recap.model.motion import MOTION
 from carla_recap.model.records import UE4, ActorKind, Spawn
 from carla_recap.queries.blocked import blocked
 from tests.twins.stationary import stationary
@@ -47,7 +48,7 @@ def path(request, tmp_path_factory):
 def test_no_hard_braking_is_missed(path, monkeypatch):
     def hard_braking(recording):
         detector = braking.BrakingDetector(range(1, VEHICLES + 1), 6.0)
-        for batch in recording.batches(braking.TYPES):
+        for batch in recording.batches(MOTION):
             detector.batch(batch)
         return detector.finish()
 
