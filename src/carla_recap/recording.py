@@ -475,8 +475,11 @@ class Recording:
 
     def _counts(self, actor_id: ActorName, time: Floats) -> Booleans | slice:
         """Return which elapsed seconds, (n,), are of an actor: of an id, all; of the hero, those in which it has its id."""
+        if isinstance(actor_id, int):
+            return slice(None)
         lives = self.actors.lives
-        if isinstance(actor_id, int) or (hero := find_actor(self.location, lives, actor_id)).id not in lives.reuses():
+        hero = find_actor(self.location, lives, actor_id)
+        if hero.id not in lives.reuses():
             return slice(None)
         return np.array([lives.at(hero.id, each) is hero for each in time.tolist()], np.bool_)
 

@@ -82,7 +82,7 @@ def test_a_vehicle_that_turns_back_ends_its_road(roads):
 
 
 def test_invalid_poses_are_left_out(roads):
-    (road,) = roads([*straight(), (np.nan, 0, 0), (1e30, 0, 0)])
+    (road,) = roads([*straight(), (np.nan, 0, 0), (1e30, 0, 0)], [(np.nan, 0, 0)] * 9)
     assert road.length == pytest.approx(68, abs=0.1)
 
 

@@ -51,6 +51,12 @@ def test_speed_is_unknown_until_a_pose_is_recorded(tmp_path: Path) -> None:
     assert found.speed == pytest.approx([np.nan, np.nan, 10, 10], nan_ok=True)
 
 
+def test_what_is_attached_and_has_no_poses_has_the_speed_of_its_parent(tmp_path: Path) -> None:
+    frames: list[dict[str, Any]] = [{"transforms": [pose(2, 100.0 * n)]} for n in range(4)]
+    frames[0] |= {"spawned": [spawn(2), spawn(1, "static.prop.box")], "parented": [(1, 2)]}
+    assert series(tmp_path, frames).speed == pytest.approx([np.nan, 10, 10, 10], nan_ok=True)
+
+
 def test_after_a_jump_speed_is_unknown_and_the_camera_turns_at_once(tmp_path: Path) -> None:
     found = series(tmp_path, [{"transforms": [pose(1, 9e5 * n, yaw=90 * n)]} for n in range(2)])
     assert np.isnan(found.speed).all()

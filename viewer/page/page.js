@@ -1,5 +1,5 @@
-"use strict";(()=>{var f=c=>document.getElementById(c);function L(c,t){c.textContent!==t&&(c.textContent=t)}function $(c,t){return(Math.abs(c)<.5*10**-t?0:c).toFixed(t).
-replace("-","−")}var A=(c,t)=>f(c).setAttribute("aria-pressed",String(t));function dt(c){let t="http://www.w3.org/2000/svg",s=document.createElementNS(
+"use strict";(()=>{var u=c=>document.getElementById(c);function L(c,t){c.textContent!==t&&(c.textContent=t)}function $(c,t){return(Math.abs(c)<.5*10**-t?0:c).toFixed(t).
+replace("-","−")}var A=(c,t)=>u(c).setAttribute("aria-pressed",String(t));function dt(c){let t="http://www.w3.org/2000/svg",s=document.createElementNS(
 t,"svg"),e=document.createElementNS(t,"path");return s.setAttribute("viewBox","0 0 16 16"),s.setAttribute("aria-hidden","true"),e.setAttribute("d",c),
 s.append(e),s}function P(c){let t=p("i","swatch");return t.style.background=c,t}var T=c=>p("i",`letter of-${c}`,c);function p(c,t="",s="",e=[]){let i=document.
 createElement(c);return t&&(i.className=t),s&&(i.textContent=s),i.append(...e),i}function C(c,t,s){let e=p("button",c,"",t);return e.type="button",e.addEventListener(
@@ -12,23 +12,23 @@ s,4+e);return JSON.parse(i,(o,a)=>a&&a.column?Yt(n,a.column):a)}function b(c,t){
 e.id,e])),this.known=new Map}series(t){let s=this.known.get(t)??this.measure(t);return this.known.set(t,s),s}measure(t){let{times:s}=this.tracks,e=this.
 measured.get(this.tracks.actors[t].id),i=Float64Array.from(s,(r,h)=>this.tracks.speedAt(t,h)),n=Uint8Array.from(s,(r,h)=>this.tracks.trackAt(t,h)<0?0:
 1),o={speed:i};for(let r of Zt){let h=e?.[r];o[r]=Float64Array.from(s,(l,d)=>h&&n[d]&&h[d]>-127?h[d]:NaN)}let a=Int32Array.from(s,(r,h)=>e&&o.gap[h]>=
-0?this.tracks.indexOf(e.leader[h],r):-1);return{times:s,values:o,leader:a,isMeasured:e!==void 0}}};var At=2*Math.PI/16384,V=class{constructor(t){this.times=t.times,this.spans=t.spans,this.starts=this.spans.map(([a])=>a),this.actors=t.actors,this.x=t.
-x,this.y=t.y,this.yaw=t.yaw,this.speeds=t.speed;let[s,e,i,n,o]=t.tracks;this.first=e,this.last=i,this.begin=n,this.count=o,this.own=this.actors.map(()=>[]),
-s.forEach((a,r)=>this.own[a].push(r)),this.firsts=this.own.map(a=>a.map(r=>this.first[r])),this.byId=new Map,this.actors.forEach(({id:a,since:r},h)=>{
-let l=this.byId.get(a)??{indices:[],since:[]};this.byId.set(a,l),l.indices.push(h),l.since.push(r??0)}),this.lights=ut(t.lights),this.falls=ut(t.lying),
-this.lamps=ut(t.lamps),this.marks=t.marks,this.marked=this.marks.map(([a])=>a)}lightState(t,s){return pt(this.lights.get(t),s)}lying(t,s){let e=pt(this.
-falls.get(t),s);return e===null||e<0?null:e*Math.PI/180}lampsOf(t,s){return pt(this.lamps.get(t),s)??0}marksAt(t){return this.marks[b(this.marked,t+1e-4)-
-1]?.[1]??[]}covers(t){let s=this.spans[b(this.starts,t)-1];return s!==void 0&&t<=s[1]}sampleAt(t){return Math.max(0,b(this.times,t+1e-5)-1)}pose(t,s,e,i){
-let{until:n}=this.actors[t];if(n!==null&&n<=s)return!1;let o=this.trackAt(t,e);if(o<0)return!1;let a=this.row(o,e);if(i.x=this.x[a],i.y=this.y[a],i.yaw=
-this.yaw[a]*At,this.count[o]>1&&e<this.last[o]){let r=Math.max(0,s-this.times[e])/(this.times[e+1]-this.times[e]);i.x+=r*(this.x[a+1]-i.x),i.y+=r*(this.
-y[a+1]-i.y),i.yaw+=r*(this.yaw[a+1]-this.yaw[a])*At}return!0}trackAt(t,s){let e=this.own[t][b(this.firsts[t],s)-1];return e!==void 0&&this.last[e]>=s?
-e:-1}row(t,s){return this.begin[t]+(this.count[t]===1?0:s-this.first[t])}speedAt(t,s){let e=this.trackAt(t,s),i=e<0?-1:this.speeds[this.row(e,s)];return i<
-0?NaN:i}speed(t,s){return this.speedAt(t,this.sampleAt(s))}path(t,s,e){let[i,n]=[this.sampleAt(s),this.sampleAt(e)],o=[],a=-1;for(let r of this.own[t]){
-let[h,l]=[this.first[r],this.last[r]];if(l>=i&&h<=n){(h!==a||!o.length)&&o.push([]);for(let d=Math.max(i,h);d<=Math.min(n,l);d++){let m=this.row(r,d);
-o[o.length-1].push(this.x[m],this.y[m])}}a=l}return o}continues(t){let[s,e]=[t,t+1].map(i=>b(this.starts,this.times[i]+1e-4));return t+1<this.times.length&&
-s===e}indexOf(t,s){let e=this.byId.get(t??-1);return e?e.indices[Math.max(0,b(e.since,s+1e-4)-1)]:-1}};function ut({actor:c,time:t,value:s}){let e=new Map;
-return c.forEach((i,n)=>{let o=e.get(i)??{times:[],values:[]};e.set(i,o),o.times.push(t[n]),o.values.push(s[n])}),e}function pt(c,t){let s=c?b(c.times,
-t+1e-4):0;return c&&s?c.values[s-1]:null}var Y=.5,Et=.15,Tt=["other","sensor","traffic sign","traffic light","walker","vehicle"],B=({kind:c})=>c==="vehicle"||c==="walker",z=({kind:c,hero:t})=>Tt.
+0?this.tracks.indexOf(e.leader[h],r):-1);return{times:s,values:o,leader:a,isMeasured:e!==void 0}}};var At=2*Math.PI/16384,V=class{constructor(t){this.times=t.times,this.spans=t.spans,this.starts=this.spans.map(([a])=>a),this.ends=new Set(this.starts.
+map(a=>b(this.times,a-1e-4)-1)),this.actors=t.actors,this.x=t.x,this.y=t.y,this.yaw=t.yaw,this.speeds=t.speed;let[s,e,i,n,o]=t.tracks;this.first=e,this.
+last=i,this.begin=n,this.count=o,this.own=this.actors.map(()=>[]),s.forEach((a,r)=>this.own[a].push(r)),this.firsts=this.own.map(a=>a.map(r=>this.first[r])),
+this.byId=new Map,this.actors.forEach(({id:a,since:r},h)=>{let l=this.byId.get(a)??{indices:[],since:[]};this.byId.set(a,l),l.indices.push(h),l.since.
+push(r??0)}),this.lights=ut(t.lights),this.falls=ut(t.lying),this.lamps=ut(t.lamps),this.marks=t.marks,this.marked=this.marks.map(([a])=>a)}lightState(t,s){
+return pt(this.lights.get(t),s)}lying(t,s){let e=pt(this.falls.get(t),s);return e===null||e<0?null:e*Math.PI/180}lampsOf(t,s){return pt(this.lamps.get(
+t),s)??0}marksAt(t){return this.marks[b(this.marked,t+1e-4)-1]?.[1]??[]}covers(t){let s=this.spans[b(this.starts,t)-1];return s!==void 0&&t<=s[1]}sampleAt(t){
+return Math.max(0,b(this.times,t+1e-5)-1)}pose(t,s,e,i){let{until:n}=this.actors[t];if(n!==null&&n<=s)return!1;let o=this.trackAt(t,e);if(o<0)return!1;
+let a=this.row(o,e);if(i.x=this.x[a],i.y=this.y[a],i.yaw=this.yaw[a]*At,this.count[o]>1&&e<this.last[o]){let r=Math.max(0,s-this.times[e])/(this.times[e+
+1]-this.times[e]);i.x+=r*(this.x[a+1]-i.x),i.y+=r*(this.y[a+1]-i.y),i.yaw+=r*(this.yaw[a+1]-this.yaw[a])*At}return!0}trackAt(t,s){let e=this.own[t][b(
+this.firsts[t],s)-1];return e!==void 0&&this.last[e]>=s?e:-1}row(t,s){return this.begin[t]+(this.count[t]===1?0:s-this.first[t])}speedAt(t,s){let e=this.
+trackAt(t,s),i=e<0?-1:this.speeds[this.row(e,s)];return i<0?NaN:i}speed(t,s){return this.speedAt(t,this.sampleAt(s))}path(t,s,e){let[i,n]=[this.sampleAt(
+s),this.sampleAt(e)],o=[],a=-1;for(let r of this.own[t]){let[h,l]=[this.first[r],this.last[r]];if(l>=i&&h<=n){(h!==a||!o.length)&&o.push([]);for(let d=Math.
+max(i,h);d<=Math.min(n,l);d++){let[m,f]=[o[o.length-1],this.row(r,d)];(this.x[f]!==m[m.length-2]||this.y[f]!==m[m.length-1])&&m.push(this.x[f],this.y[f])}}
+a=l}return o}continues(t){return t+1<this.times.length&&!this.ends.has(t)}indexOf(t,s){let e=this.byId.get(t??-1);return e?e.indices[Math.max(0,b(e.since,
+s+1e-4)-1)]:-1}};function ut({actor:c,time:t,value:s}){let e=new Map;return c.forEach((i,n)=>{let o=e.get(i)??{times:[],values:[]};e.set(i,o),o.times.
+push(t[n]),o.values.push(s[n])}),e}function pt(c,t){let s=c?b(c.times,t+1e-4):0;return c&&s?c.values[s-1]:null}var Y=.5,Et=.15,Tt=["other","sensor","traffic sign","traffic light","walker","vehicle"],B=({kind:c})=>c==="vehicle"||c==="walker",z=({kind:c,hero:t})=>Tt.
 indexOf(c)+(t?Tt.length:0),J=class{constructor(t,s,e){this.index=t,this.letter="AB"[t],this.report=s,this.tracks=new V(e),this.motion=new _(this.tracks,
 e.measured);let{actors:i}=this.tracks;this.order=i.map((o,a)=>a).sort((o,a)=>z(i[o])-z(i[a])),this.twins=new Map;let n=s.incidents.flatMap(o=>o.start===
 null?[]:[{incident:o,start:o.start}]);this.timed=n.sort((o,a)=>o.start-a.start),this.starts=this.timed.map(({start:o})=>o)}incidentsIn(t,s){return this.
@@ -36,19 +36,19 @@ timed.slice(b(this.starts,t),b(this.starts,s))}actor(t,s){return this.tracks.act
 this.tracks.indexOf(t,s)];return i>=0&&this.tracks.pose(i,s,this.tracks.sampleAt(s),e)?e:null}twin(t){return this.twins.get(t)??-1}has({kind:t,start:s,
 types:e}){return this.incidentsIn((s??NaN)-1,(s??NaN)+1).some(({incident:n})=>n.kind===t&&n.types.join()===e.join())}};function Lt(c,t){for(let[s,e,i,
 n]of c.report.differences?.pairs??[]){let[o,a]=[c.tracks.indexOf(s,e??0),t.tracks.indexOf(i,n??0)];o<0||a<0||t.twins.has(a)||(c.twins.set(o,a),t.twins.
-set(a,o))}}var gt=200,Z=class{constructor(t,s,e){this.choose=s,this.changed=e,this.search=f("search"),this.list=f("actor-list"),this.panels=[f("incidents-panel"),
-f("actors-panel")],this.entries=t.flatMap(i=>{let{actors:n,own:o}=i.tracks,a=h=>!i.index||B(n[h])&&i.twin(h)<0,r=i.order.filter(h=>o[h].length&&n[h].kind!==
+set(a,o))}}var gt=200,Z=class{constructor(t,s,e){this.choose=s,this.changed=e,this.search=u("search"),this.list=u("actor-list"),this.panels=[u("incidents-panel"),
+u("actors-panel")],this.entries=t.flatMap(i=>{let{actors:n,own:o}=i.tracks,a=h=>!i.index||B(n[h])&&i.twin(h)<0,r=i.order.filter(h=>o[h].length&&n[h].kind!==
 "sensor"&&a(h));return r.sort((h,l)=>z(n[l])-z(n[h])||h-l),r.map(h=>this.entry(i,h,t.length>1))}),this.shown=[],this.search.addEventListener("input",()=>this.
 find()),this.search.addEventListener("keydown",i=>this.key(i)),this.list.addEventListener("keydown",i=>q(i,this.shown.map(({button:n})=>n))),["inciden\
-ts-tab","actors-tab"].forEach((i,n)=>f(i).addEventListener("click",()=>this.open(n===1))),f("actors-count").textContent=String(this.entries.length),this.
+ts-tab","actors-tab"].forEach((i,n)=>u(i).addEventListener("click",()=>this.open(n===1))),u("actors-count").textContent=String(this.entries.length),this.
 find()}entry(t,s,e){let{id:i,type:n,kind:o,label:a,role:r,color:h}=t.tracks.actors[s],l=[...e?[T(t.letter)]:[],P(h),p("span","",a),p("small","",n||o)],
 d=C("actor",l,()=>this.choose(t,s));return d.title=`Follow ${a}`,{recording:t,actor:s,button:d,words:`${a} ${n} ${o} ${r} ${i}`.toLowerCase()}}get isOpen(){
 return!this.panels[1].hidden}open(t){this.panels.forEach((s,e)=>s.hidden=t!==(e===1)),A("actors-tab",t),A("incidents-tab",!t),this.changed()}startSearch(){
 this.open(!0),this.search.focus(),this.search.select()}find(){let t=this.search.value.toLowerCase().split(/\s+/),s=this.entries.filter(i=>t.every(n=>i.
 words.includes(n)));this.shown=s.slice(0,gt),this.list.replaceChildren(...this.shown.map(({button:i})=>p("li","","",[i])));let e=s.length>gt?`and ${s.
-length-gt} more`:"";f("actors-note").textContent=s.length?e:"No actor is found.",this.changed()}key(t){if(t.stopPropagation(),t.key==="ArrowDown")this.
+length-gt} more`:"";u("actors-note").textContent=s.length?e:"No actor is found.",this.changed()}key(t){if(t.stopPropagation(),t.key==="ArrowDown")this.
 shown[0]?.button.focus();else if(t.key==="Enter")this.shown[0]?.button.click();else if(t.key==="Escape"&&this.search.value)this.search.value="";else if(t.
-key==="Escape")this.open(!1),f("incidents-tab").focus();else return;t.preventDefault(),t.key==="Escape"&&this.find()}show(t,s){if(this.isOpen)for(let{
+key==="Escape")this.open(!1),u("incidents-tab").focus();else return;t.preventDefault(),t.key==="Escape"&&this.find()}show(t,s){if(this.isOpen)for(let{
 recording:e,actor:i,button:n}of this.shown){let{tracks:o}=e,a=s?.[e.index];n.ariaCurrent=a!==void 0&&o.indexOf(a,t)===i?"true":null,n.classList.toggle(
 "absent",o.trackAt(i,o.sampleAt(t))<0)}}};var E=Math.PI/2,R=class{constructor(){this.x=0,this.y=0,this.scale=6,this.up=E,this.width=1,this.height=1,this.turns=!1,this.followed=null}step(t,s,e){
 t&&(this.x=t.x,this.y=t.y);let i=this.turns&&t?t.yaw:this.turns&&this.followed!==null?this.up:E,n=Math.atan2(Math.sin(i-this.up),Math.cos(i-this.up));
@@ -81,9 +81,9 @@ setAttribute("content",this.colors.map),this.dispatchEvent(new Event("change"))}
 s,{dark:e,light:i}])=>{let n=`[data-kind="${s}"]`;return`${n} { --tone: ${e}; } [data-theme="light"] ${n} { --tone: ${i}; }`});return c.replaceSync(t.
 join(`
 `)),c}var k=new wt;document.adoptedStyleSheets=[Qt()];var ts={crossing:1.2,white:1.2,yellow:1.2,bike:.5,median:.5},Q=class{constructor({x:t,y:s,lengths:e},i,n=null){this.groups=[];let[o,a]=[0,0],r=n??new Uint8Array(
-e.length).fill(1);for(let h of r){let l=new Path2D,[d,m,u,g]=[1/0,1/0,-1/0,-1/0];for(let y=o+h;o<y;o++){for(let x=0;x<e[o];x++,a++){let[w,v]=[t[a],s[a]];
-x?l.lineTo(w-i.x,v-i.y):l.moveTo(w-i.x,v-i.y),[d,m,u,g]=[Math.min(d,w),Math.min(m,v),Math.max(u,w),Math.max(g,v)]}n&&l.closePath()}this.groups.push({path:l,
-left:d,low:m,right:u,high:g,layer:""})}}},$t=({x:c,y:t,reach:s},{left:e,low:i,right:n,high:o})=>e<c+s&&n>c-s&&i<t+s&&o>t-s,tt=class{constructor({width:t,
+e.length).fill(1);for(let h of r){let l=new Path2D,[d,m,f,g]=[1/0,1/0,-1/0,-1/0];for(let y=o+h;o<y;o++){for(let x=0;x<e[o];x++,a++){let[w,v]=[t[a],s[a]];
+x?l.lineTo(w-i.x,v-i.y):l.moveTo(w-i.x,v-i.y),[d,m,f,g]=[Math.min(d,w),Math.min(m,v),Math.max(f,w),Math.max(g,v)]}n&&l.closePath()}this.groups.push({path:l,
+left:d,low:m,right:f,high:g,layer:""})}}},$t=({x:c,y:t,reach:s},{left:e,low:i,right:n,high:o})=>e<c+s&&n>c-s&&i<t+s&&o>t-s,tt=class{constructor({width:t,
 paths:s,layers:e,layer:i,rings:n,surfaces:o},a){this.origin=a,this.width=t,this.paths=new Q(s,a).groups,this.surfaces=new Q(o,a,n).groups,this.surfaces.
 forEach((r,h)=>r.layer=e[i[h]])}get bounds(){return[...this.paths,...this.surfaces].reduce((t,s)=>[Math.min(t[0],s.left),Math.min(t[1],s.low),Math.max(
 t[2],s.right),Math.max(t[3],s.high)],[1/0,1/0,-1/0,-1/0])}draw(t,s){let{colors:e}=k;this.surfaces.length||this.drawGrid(t,s),t.lineJoin=t.lineCap="rou\
@@ -91,7 +91,7 @@ nd",t.strokeStyle=e.road,t.lineWidth=Math.max(this.width,2/s.scale);for(let i of
 "bevel";for(let i of this.surfaces)s.scale<(ts[i.layer]??0)||!$t(s,i)||(t.fillStyle=t.strokeStyle=e[i.layer==="junction"?"road":i.layer],t.fill(i.path),
 t.stroke(i.path))}drawGrid(t,s){let e=[1,5,10,50,100,500,1e3,5e3,1e4,1e5,1e6].find(a=>a*s.scale>36)??1e7,{reach:i}=s;t.beginPath();let[n,o]=[s.x-i-this.
 origin.x,s.y-i-this.origin.y];for(let a=Math.ceil((s.x-i)/e)*e;a<s.x+i;a+=e)t.rect(a-this.origin.x,o,0,2*i);for(let a=Math.ceil((s.y-i)/e)*e;a<s.y+i;a+=
-e)t.rect(n,a-this.origin.y,2*i,0);t.strokeStyle=k.colors.grid,t.lineWidth=1/s.scale,t.stroke()}};var st=class{constructor(t,s,e){this.frame=f("cameras"),this.button=f("images"),this.changed=e;let i=s.map(({letter:n})=>s.length>1?n:"");this.views=t.
+e)t.rect(n,a-this.origin.y,2*i,0);t.strokeStyle=k.colors.grid,t.lineWidth=1/s.scale,t.stroke()}};var st=class{constructor(t,s,e){this.frame=u("cameras"),this.button=u("images"),this.changed=e;let i=s.map(({letter:n})=>s.length>1?n:"");this.views=t.
 flatMap((n,o)=>n?[new kt(n,i[o])]:[]),this.frame.append(...this.views.map(({figure:n})=>n)),this.frame.hidden=this.button.hidden=!this.views.length,document.
 body.classList.toggle("with-images",!this.frame.hidden)}toggle(){this.frame.hidden=!this.frame.hidden,A("images",!this.frame.hidden),document.body.classList.
 toggle("with-images",!this.frame.hidden),this.changed()}show(t){if(!this.frame.hidden)for(let s of this.views)s.show(t)}},kt=class{constructor({camera:t,
@@ -102,14 +102,14 @@ figure=p("figure","camera","",[this.canvas,r]),this.wanted=-2,this.drawn=-1,this
 this.longest?s:-1;e!==this.wanted&&(this.wanted=e,this.absence.hidden=e>=0,this.figure.classList.toggle("blank",e<0),this.busy||this.draw())}async draw(){
 for(this.busy=!0;this.wanted>=0&&this.drawn!==this.wanted;){let t=this.wanted,s=await createImageBitmap(new Blob([mt(this.images[t])],{type:"image/web\
 p"}));this.context.drawImage(s,0,0,this.canvas.width,this.canvas.height),s.close(),this.drawn=t}this.busy=!1}};var K=3,et=class{constructor(t,s,e,i){this.recordings=t,this.pictures=s,this.open=e,this.filtered=i,this.current=-1,this.hidden=new Set,this.items=[],
-this.nothing=f("nothing"),this.scroller=f("lists");for(let n of t)this.addList(n);this.scroller.addEventListener("keydown",n=>this.key(n)),this.played=
-this.items.filter(({replayed:n})=>n).sort((n,o)=>n.start-o.start),this.starts=this.played.map(({start:n})=>n),f("incidents-count").textContent=String(
+this.nothing=u("nothing"),this.scroller=u("lists");for(let n of t)this.addList(n);this.scroller.addEventListener("keydown",n=>this.key(n)),this.played=
+this.items.filter(({replayed:n})=>n).sort((n,o)=>n.start-o.start),this.starts=this.played.map(({start:n})=>n),u("incidents-count").textContent=String(
 this.items.length),this.addFilters(),this.filter(),this.addNote()}addList(t){let{incidents:s}=t.report,e=p("ol","list");if(e.id=t.index?"other-list":"\
 list",this.recordings.length>1){let i=p("b","",t.report.source),n=p("h3","","",[T(t.letter),i]);n.append(p("span","",yt(s.length))),this.scroller.append(
 n)}for(let i of s){let n=this.item(t,i,this.items.length);this.items.push(n),e.append(n.row)}this.scroller.append(e),!s.length&&this.recordings.length>
 1&&this.scroller.append(p("p","nothing small",Ct))}addNote(){let t=this.items.filter(({replayed:n})=>!n).length,s=this.recordings.reduce((n,{report:o})=>n+
 o.omitted,0),e=[];this.recordings.every(({report:n})=>n.whole)||e.push("A long recording: the replay has the time around incidents."),t&&e.push(`${t} \
-of ${this.items.length} incidents are listed without a replay.`),s&&e.push(`${s} more are not listed.`);let i=f("note");i.textContent=e.join(" "),i.hidden=
+of ${this.items.length} incidents are listed without a replay.`),s&&e.push(`${s} more are not listed.`);let i=u("note");i.textContent=e.join(" "),i.hidden=
 !e.length}item(t,s,e){let{name:i,icon:n}=KINDS[s.kind],o=s.start!==null&&t.tracks.covers(s.start),a=p("span","badge","",[dt(n),p("span","",i)]),r=p("s\
 pan","top","",[a,p("time","",ss(s))]),h=p("span","body","",[r,p("span","text","",es(s.text)),this.meta(t,s)]),l=C("incident",[h],()=>this.open(e));l.title=
 `Play from ${K} s before it`,l.dataset.kind=s.kind,l.disabled=!o;let d=t.report.drawn&&o;(s.picture||d)&&l.prepend(this.pictures.image(t,s));let m=this.
@@ -117,7 +117,7 @@ recordings.find(g=>g!==t);return m?.report.incidents.length&&!m.has(s)&&a.append
 replayed:o,recording:t,incident:s,kind:s.kind,index:e,start:s.start??0}}meta(t,{actors:s,types:e,place:i}){let n=s.map((r,h)=>this.name(t,r,e[h]??"")),
 o=i?`x ${$(i[0],1)}  y ${$(i[1],1)} m`:"",a=n.map(({text:r,color:h})=>p("span","chip","",[P(h),p("span","",r)]));return p("span","meta","",[...a,...o?
 [p("span","place",o)]:[]])}name({tracks:t},s,e){let i=t.actors[t.indexOf(s,1/0)];return i?{text:i.label,color:i.color}:{text:s===4294967295?"no actor":
-`${e||"actor"} ${s}`,color:"#969696"}}addFilters(){let t=f("filters");for(let[s,{many:e,icon:i}]of Object.entries(KINDS)){let n=this.items.filter(r=>r.
+`${e||"actor"} ${s}`,color:"#969696"}}addFilters(){let t=u("filters");for(let[s,{many:e,icon:i}]of Object.entries(KINDS)){let n=this.items.filter(r=>r.
 kind===s).length;if(!n)continue;let o=[dt(i),p("span","",e),p("b","",String(n))],a=C("filter",o,()=>{this.hidden.delete(s)||this.hidden.add(s),a.ariaPressed=
 String(!this.hidden.has(s)),this.filter(),this.filtered()});a.dataset.kind=s,a.ariaPressed="true",t.append(a)}t.hidden=t.children.length<2}filter(){for(let{
 row:s,kind:e}of this.items)s.hidden=this.hidden.has(e);let t=this.items.some(({row:s})=>!s.hidden)||this.recordings.length>1&&!this.items.length;this.
@@ -175,12 +175,12 @@ o))}return i}differs(t,{actor:s,x:e,y:i}){if(!B(t.tracks.actors[s]))return!1;let
 Et*this.tracks.speed(n,this.time)}drawTrails(){let{ghost:t}=this,s=new Set(this.ghosts.map(({actor:e})=>t?.twin(e)));for(let e of this.ghosts)t&&this.
 drawTrail(t.tracks,e,k.colors.other,Ut);for(let e of this.shown){let{id:i,kind:n,color:o}=this.tracks.actors[e.actor];if(D.has(n)||n==="traffic light")
 continue;let a=i===this.camera.followed||s.has(e.actor);this.drawTrail(this.tracks,e,o,a?Ut:Wt)}this.context.globalAlpha=1}drawTrail(t,{actor:s,x:e,y:i,
-left:n,top:o},a,r){let{context:h,camera:l,time:d}=this,m=r*ns*l.scale;if(Math.max(-n,-o,n-l.width,o-l.height)>m)return;let u=t.path(s,d-r,d).pop();if(!u)
-return;u.push(e,i);let g=r>Wt;h.lineCap="butt",h.strokeStyle=a,h.lineWidth=Math.max(t.actors[s].kind==="walker"?.3:.6,(g?2.5:1.5)/l.scale);let y=u.length/
-2,x=Math.max(1,Math.ceil(y/os));for(let w=0;w<y-1;w+=x){let v=Math.min(y-1,w+x);h.beginPath();for(let S=w;S<=v;S++)h.lineTo(u[2*S]-this.origin.x,u[2*S+
+left:n,top:o},a,r){let{context:h,camera:l,time:d}=this,m=r*ns*l.scale;if(Math.max(-n,-o,n-l.width,o-l.height)>m)return;let f=t.path(s,d-r,d).pop();if(!f)
+return;f.push(e,i);let g=r>Wt;h.lineCap="butt",h.strokeStyle=a,h.lineWidth=Math.max(t.actors[s].kind==="walker"?.3:.6,(g?2.5:1.5)/l.scale);let y=f.length/
+2,x=Math.max(1,Math.ceil(y/os));for(let w=0;w<y-1;w+=x){let v=Math.min(y-1,w+x);h.beginPath();for(let S=w;S<=v;S++)h.lineTo(f[2*S]-this.origin.x,f[2*S+
 1]-this.origin.y);h.globalAlpha=(g?.75:.4)*(v/y)**1.5,h.stroke()}}drawPaths(t,s,e,i){let{context:n,camera:o}=this;o.apply(n,this.ratio,this.origin),n.
 lineCap="round";for(let a of t){n.strokeStyle=this.tracks.actors[a].color,n.lineWidth=3/o.scale;for(let[r,h,l,d]of[[e,i,!0,.6],[s,e,!1,.9]]){n.setLineDash(
-l?[.1,1.2]:[]),n.globalAlpha=d;for(let m of this.tracks.path(a,r,h)){n.beginPath();for(let u=0;u<m.length;u+=2)n.lineTo(m[u]-this.origin.x,m[u+1]-this.
+l?[.1,1.2]:[]),n.globalAlpha=d;for(let m of this.tracks.path(a,r,h)){n.beginPath();for(let f=0;f<m.length;f+=2)n.lineTo(m[f]-this.origin.x,m[f+1]-this.
 origin.y);n.stroke()}}}n.setLineDash([]),n.globalAlpha=1,n.setTransform(this.ratio,0,0,this.ratio,0,0)}drawCollisions(){for(let t of this.ghost?[this.
 ghost,this.recording]:[this.recording])for(let[s,e]of t.tracks.marksAt(this.time))this.drawCross(...this.camera.toScreen(s,e),.75)}drawCross(t,s,e){let{
 context:i,camera:n}=this,o=Math.max(4,.9*n.scale);i.globalAlpha=e,i.strokeStyle=k.tones.collision,i.lineWidth=Math.max(2,.3*n.scale),i.lineCap="round",
@@ -188,14 +188,14 @@ i.beginPath(),i.moveTo(t-o,s-o),i.lineTo(t+o,s+o),i.moveTo(t+o,s-o),i.lineTo(t-o
 time:e}=this;for(let i of this.ghost?[this.ghost,this.recording]:[this.recording])for(let{incident:n,start:o}of i.incidentsIn(e-ot,e+ot)){let{kind:a,place:r}=n,
 h=e-o;if(h>=ot||h<0&&a!=="collision"||!r)continue;let[l,d]=s.toScreen(...r);t.globalAlpha=1-Math.abs(h)/ot,t.lineWidth=2,t.strokeStyle=k.tones[a],t.fillStyle=
 k.tones[a]+"24",this.circle(l,d,Math.max(14,3.4*s.scale)*(h<0?1+.6*-h:1)),t.fill(),t.stroke()}t.globalAlpha=1}drawActor({actor:t,left:s,top:e,yaw:i}){
-let{context:n,camera:o}=this,{id:a,kind:r,color:h,paint:l,hero:d,shape:m}=this.tracks.actors[t],[,,u,g]=this.extent(this.recording,t),y=this.tracks.lying(
-t,this.time)??i,x=o.scale*Math.max(u,g);if(Math.max(-s,-e,s-o.width,e-o.height)>x+30)return;if(r==="traffic light"){this.drawLamp(t,s,e);return}let w=a===
+let{context:n,camera:o}=this,{id:a,kind:r,color:h,paint:l,hero:d,shape:m}=this.tracks.actors[t],[,,f,g]=this.extent(this.recording,t),y=this.tracks.lying(
+t,this.time)??i,x=o.scale*Math.max(f,g);if(Math.max(-s,-e,s-o.width,e-o.height)>x+30)return;if(r==="traffic light"){this.drawLamp(t,s,e);return}let w=a===
 o.followed||t===this.hovered,v=B(this.tracks.actors[t]);n.save(),n.translate(s,e),(w||d)&&this.drawGlow(h,Math.max(x,bt)+12);let[S,W,U]=this.outline(this.
 recording,{actor:t,heading:y},D.has(r)?2:bt,m==="walker"?3:0);n.globalAlpha=D.has(r)?.5:1,n.shadowColor=v?k.colors.shade:"transparent",[n.shadowBlur,n.
 shadowOffsetY]=[.5*U*this.ratio,.12*U*this.ratio],n.fillStyle=jt(l??h),n.fill(S),n.shadowColor="transparent";let Jt=W>Pt||m==="walker"&&W>4;v&&Jt&&Ft(
 n,m,W,U,this.tracks.lampsOf(t,this.time)),n.lineWidth=w?2:1,n.strokeStyle=w?k.colors.text:d?h:k.colors.edge,(w||d||r==="vehicle")&&n.stroke(S),n.restore()}outline(t,{
-actor:s,heading:e},i,n){let{context:o,camera:a}=this,[r,h,l,d]=this.extent(t,s),m=a.scale*Math.max(1,i/2/(a.scale*Math.max(l,d))),u=new Path2D,g=[Math.
-max(n,l*m),Math.max(n,d*m)];return o.rotate(a.up-E-e),o.translate(r*m,-h*m),Dt(u,t.tracks.actors[s].shape,...g),[u,...g]}extent({tracks:t},s){let{kind:e,
+actor:s,heading:e},i,n){let{context:o,camera:a}=this,[r,h,l,d]=this.extent(t,s),m=a.scale*Math.max(1,i/2/(a.scale*Math.max(l,d))),f=new Path2D,g=[Math.
+max(n,l*m),Math.max(n,d*m)];return o.rotate(a.up-E-e),o.translate(r*m,-h*m),Dt(f,t.tracks.actors[s].shape,...g),[f,...g]}extent({tracks:t},s){let{kind:e,
 box:i}=t.actors[s];return t.lying(s,this.time)!==null?[0,0,Math.max(Rt,i[2]),Math.max(.28,i[3])]:e==="walker"?[i[0],i[1],Math.min(.22,i[2]),Math.max(.28,
 i[3])]:i}drawGlow(t,s){let{context:e}=this,i=e.createRadialGradient(0,0,s*.4,0,0,s);i.addColorStop(0,t+(k.name==="dark"?"66":"99")),i.addColorStop(1,t+
 "00"),e.fillStyle=i,this.circle(0,0,s),e.fill()}circle(t,s,e){this.context.beginPath(),this.context.arc(t,s,e,0,7)}drawLamp(t,s,e){let{context:i,camera:n}=this,
@@ -209,9 +209,9 @@ camera:t,tracks:s}=this,e=[],i=({actor:o})=>{let{id:a,kind:r,hero:h}=s.actors[o]
 alker"?1:0},n=this.shown.map(o=>({...o,importance:i(o)}));n.sort((o,a)=>a.importance-o.importance);for(let{actor:o,left:a,top:r,importance:h}of n){if(h<
 (t.scale>3.5?1:3))break;a<0||r<0||a>t.width||r>t.height||this.label(o,a,r,e,h>3)}this.context.globalAlpha=1}label(t,s,e,i,n){let{context:o,camera:a}=this,
 {label:r,box:h}=this.tracks.actors[t];o.font=`600 12px ${N}`;let l=t===this.hovered?this.tracks.speed(t,this.time)*3.6:NaN,d=(r.length>26?`${r.slice(0,
-25)}…`:r)+(Number.isNaN(l)?"":` · ${l.toFixed(0)} km/h`),m=o.measureText(d).width/2+4,u=Math.max(m,Math.min(a.width-m,s)),g=Math.max(9,Math.max(h[2],
-h[3])*a.scale),y=v=>i.some(([S,W,U])=>Math.abs(S-u)<U+m&&Math.abs(W-v)<15),x=[e-g-8,e+g+17].filter(v=>v>=14&&v<=a.height-6),w=x.find(v=>!y(v))??(n?x[0]:
-void 0);w!==void 0&&(i.push([u,w,m]),o.globalAlpha=n?1:.8,this.text(d,u,w,k.colors.text))}text(t,s,e,i){let{context:n}=this;n.font=`600 12px ${N}`,n.textAlign=
+25)}…`:r)+(Number.isNaN(l)?"":` · ${l.toFixed(0)} km/h`),m=o.measureText(d).width/2+4,f=Math.max(m,Math.min(a.width-m,s)),g=Math.max(9,Math.max(h[2],
+h[3])*a.scale),y=v=>i.some(([S,W,U])=>Math.abs(S-f)<U+m&&Math.abs(W-v)<15),x=[e-g-8,e+g+17].filter(v=>v>=14&&v<=a.height-6),w=x.find(v=>!y(v))??(n?x[0]:
+void 0);w!==void 0&&(i.push([f,w,m]),o.globalAlpha=n?1:.8,this.text(d,f,w,k.colors.text))}text(t,s,e,i){let{context:n}=this;n.font=`600 12px ${N}`,n.textAlign=
 "center",n.lineJoin="round",n.lineWidth=4,n.strokeStyle=k.colors.halo,n.fillStyle=i,n.strokeText(t,s,e),n.fillText(t,s,e)}hover(t,s){let e=this.hovered;
 return this.hovered=t===null?-1:this.actorAt(t,s),this.canvas.classList.toggle("over",this.hovered>=0),this.hovered!==e}actorAt(t,s){let[e,i]=[-1,18];
 for(let n of this.shown){let{kind:o,box:a}=this.tracks.actors[n.actor],r=D.has(o)?6:.6*Math.max(a[2],a[3])*this.camera.scale,h=Math.hypot(n.left-t,n.top-
@@ -222,8 +222,8 @@ drawn:null}),this.observer.observe(e),e)}see(t){for(let{target:s,isIntersecting:
 k.printing)&&this.fill(t)}fill(t){let s=this.entries.get(t),e=`${k.name} ${s?.large}`;!s||s.drawn===e||(s.drawn=e,t.src=this.draw(s.recording,s.incident,
 s.large))}enlarge(t,s){let e=t&&this.entries.get(t);e&&(e.large=s,e.drawn&&this.fill(t))}draw(t,{kind:s,start:e,actors:i,place:n},o){let a=e??0,r=this.
 stage(t),{tracks:h}=t,l=i.map(w=>h.indexOf(w,a)).filter(w=>w>=0),d=i.flatMap(w=>t.poseOf(w,a)??[]).map(({x:w,y:v})=>[w,v]);n&&d.push(n),d.length||d.push(
-[0,0]);let[m,u]=[d.map(([w])=>w),d.map(([,w])=>w)],{camera:g}=r;[g.x,g.y]=[(Math.min(...m)+Math.max(...m))/2,(Math.min(...u)+Math.max(...u))/2];let y=Math.
-max(Math.max(...m)-Math.min(...m),(Math.max(...u)-Math.min(...u))*I[0]/I[1]);g.scale=I[0]/Math.min(as,Math.max(o?zt:zt*.6,1.6*y)),r.draw(a),r.drawPaths(
+[0,0]);let[m,f]=[d.map(([w])=>w),d.map(([,w])=>w)],{camera:g}=r;[g.x,g.y]=[(Math.min(...m)+Math.max(...m))/2,(Math.min(...f)+Math.max(...f))/2];let y=Math.
+max(Math.max(...m)-Math.min(...m),(Math.max(...f)-Math.min(...f))*I[0]/I[1]);g.scale=I[0]/Math.min(as,Math.max(o?zt:zt*.6,1.6*y)),r.draw(a),r.drawPaths(
 l,a-Bt,a,a+Bt);for(let w of r.shown)l.includes(w.actor)&&r.drawActor(w);s==="collision"&&n&&r.drawCross(...g.toScreen(...n),1);let x=[];for(let{actor:w,
 left:v,top:S}of o?r.shown:[])l.includes(w)&&r.label(w,v,S,x,!0);return r.canvas.toDataURL("image/webp",.85)}stage(t){let s=this.stages.get(t);if(s)return s;
 let e=document.createElement("canvas");[e.width,e.height]=I;let i=new R;[i.width,i.height]=I;let n=new F(e,[t],i,this.ground);return Object.assign(n,{
@@ -231,13 +231,13 @@ labels:!1,trails:!1,marks:!1}),this.stages.set(t,n),n}};var H=[{name:"Speed",uni
 least:4,most:12,signed:!0,always:!0},{name:"Throttle / brake",unit:"%",of:"throttle",below:"brake",digits:0,least:100,most:100,factor:100,signed:!0},{
 name:"Steering",unit:"%",of:"steer",digits:0,least:20,most:100,factor:100,signed:!0},{name:"Gap ahead",unit:"m",of:"gap",digits:1,least:20,most:100,always:!0},
 {name:"Time to collision",unit:"s",of:"ttc",digits:1,least:4,most:10},{name:"Light ahead",unit:"",of:"light",digits:0,least:1,most:1,band:!0}],rs=[1,4,
-6,8,10,12,20,30,40,50,60,80,100,120,160,200,250],j=18,xt=5,ht=class{constructor(t,s,e){this.recordings=t,this.part=s,this.frame=f("plots"),this.canvas=
-f("plot"),this.context=this.canvas.getContext("2d"),this.base=document.createElement("canvas"),this.readings=H.map(i=>this.reading(i)),this.rows=H,this.
+6,8,10,12,20,30,40,50,60,80,100,120,160,200,250],j=18,xt=5,ht=class{constructor(t,s,e){this.recordings=t,this.part=s,this.frame=u("plots"),this.canvas=
+u("plot"),this.context=this.canvas.getContext("2d"),this.base=document.createElement("canvas"),this.readings=H.map(i=>this.reading(i)),this.rows=H,this.
 scales=[],this.drawn="",this.time=0,this.followed=null,this.pointed=null,nt(this.canvas,s,()=>this.width,{drag:(i,n,o)=>e.seek(s.timeAt(o/this.width)),
 hover:i=>{this.pointed=i===null?null:s.timeAt(i/this.width),e.changed()}}),k.addEventListener("change",()=>this.refresh())}reading({name:t,unit:s}){let e=this.
 recordings.map(()=>p("output")),i=p("small"),n=e.map((a,r)=>p("span",`of-${this.recordings[r].letter}`,"",[a])),o=p("div","","",[p("dt","",t),p("dd","",
-"",[...n,p("small","",s),i])]);return f("readings").append(o),{node:o,values:e,note:i}}get isOpen(){return!this.frame.hidden}refresh(){this.drawn="",this.
-isOpen&&this.draw(this.time,this.followed)}get width(){return f("marks").clientWidth||this.canvas.clientWidth}draw(t,s){if(this.time=t,this.followed=s,
+"",[...n,p("small","",s),i])]);return u("readings").append(o),{node:o,values:e,note:i}}get isOpen(){return!this.frame.hidden}refresh(){this.drawn="",this.
+isOpen&&this.draw(this.time,this.followed)}get width(){return u("marks").clientWidth||this.canvas.clientWidth}draw(t,s){if(this.time=t,this.followed=s,
 !this.isOpen)return;let e=this.recordings.map(r=>{let h=s?r.tracks.indexOf(s[r.index],t):-1;return{recording:r,actor:h,series:h<0?null:r.motion.series(
 h)}}),i=Math.min(3,window.devicePixelRatio||1),n=e.map(({actor:r})=>r).join(),o=[this.canvas.clientWidth,this.canvas.clientHeight,this.width,this.part.
 start,this.part.stop,n,i].join();if(o!==this.drawn){this.showRows(e),this.drawn=o;for(let r of[this.canvas,this.base])r.width=Math.max(1,Math.round(this.
@@ -247,20 +247,20 @@ this.drawPointed(this.pointed),this.showValues(e,this.pointed??t)}showRows(t){le
 isNaN(o)));this.rows=H.filter(s),H.forEach((e,i)=>this.readings[i].node.hidden=!this.rows.includes(e)),this.frame.style.setProperty("--rows",String(this.
 rows.length))}color(t){return t.index?k.colors.other:k.colors.accent}left(t){return this.part.share(t)*this.width}drawBase(t,s){let e=this.base.getContext(
 "2d"),{clientWidth:i,clientHeight:n}=this.canvas,{colors:o}=k,a=this.width;e.setTransform(s,0,0,s,0,0);let r=(n-j)/this.rows.length,h=i>a+20;this.drawTimes(
-e,n),e.save(),e.beginPath(),e.rect(0,0,a,n),e.clip(),this.scales=this.rows.map((l,d)=>{let m=this.scale(l,t),[u,g]=[d*r+(h?5:18),(d+1)*r-4],y=w=>g-(Math.
-max(m[0],Math.min(m[1],w))-m[0])/(m[1]-m[0])*(g-u),x=Math.round(l.band?(u+g)/2:y(0))+.5;rt(e,o.line,0,x,a,x),d||this.drawIncidents(e,t,n);for(let w of[
-...t].reverse())w.series&&l.band?this.drawBand(e,w,(u+g)/2):w.series&&this.drawCurve(e,l,w.recording,w.series,y);return{level:y,scale:m}}),e.restore(),
+e,n),e.save(),e.beginPath(),e.rect(0,0,a,n),e.clip(),this.scales=this.rows.map((l,d)=>{let m=this.scale(l,t),[f,g]=[d*r+(h?5:18),(d+1)*r-4],y=w=>g-(Math.
+max(m[0],Math.min(m[1],w))-m[0])/(m[1]-m[0])*(g-f),x=Math.round(l.band?(f+g)/2:y(0))+.5;rt(e,o.line,0,x,a,x),d||this.drawIncidents(e,t,n);for(let w of[
+...t].reverse())w.series&&l.band?this.drawBand(e,w,(f+g)/2):w.series&&this.drawCurve(e,l,w.recording,w.series,y);return{level:y,scale:m}}),e.restore(),
 e.font=`11px ${N}`,e.fillStyle=o.quiet,e.textAlign=h?"left":"right",this.rows.forEach((l,d)=>{let m=`${l.signed?"±":""}${this.scales[d].scale[1]}`;l.
 band||e.fillText(m,h?a+8:a-2,d*r+13)})}drawIncidents(t,s,e){t.setLineDash([2,3]);for(let{recording:i,actor:n}of s){let o=i.tracks.actors[n]?.id;for(let{
 incident:a,start:r}of i.incidentsIn(this.part.start-1e-6,this.part.stop))a.actors.includes(o)&&rt(t,k.tones[a.kind],this.left(r),0,this.left(r),e-j+2,
 1.5)}t.setLineDash([])}drawTimes(t,s){let{start:e,stop:i}=this.part,o=[.1,.2,.5,1,2,5,10,15,30,60,120,300,600,900,1800,3600].find(a=>a/(i-e)*this.width>
 64)??7200;t.font=`11px ${N}`,t.textAlign="center",t.fillStyle=k.colors.quiet;for(let a=Math.ceil(e/o-1e-6);a*o<=i;a++){let r=this.left(a*o);rt(t,k.colors.
 line,Math.round(r)+.5,0,Math.round(r)+.5,s-j+2),r<this.width-14&&t.fillText(M(a*o,o<1?1:0),Math.max(o<1?18:14,r),s-4)}}scale({of:t,factor:s=1,least:e,
-most:i,signed:n},o){let a=0;for(let{series:l}of o){if(!l)continue;let[d,m]=[b(l.times,this.part.start),b(l.times,this.part.stop)];for(let u=d;u<m;u++)
-a=Math.max(a,Math.abs(l.values[t][u])||0)}let r=Math.max(e,Math.min(a*s,i)),h=rs.find(l=>l>=r-1e-9)??r;return[n?-h:0,h]}eachSample({tracks:t},s){let{times:e}=t,
+most:i,signed:n},o){let a=0;for(let{series:l}of o){if(!l)continue;let[d,m]=[b(l.times,this.part.start),b(l.times,this.part.stop)];for(let f=d;f<m;f++)
+a=Math.max(a,Math.abs(l.values[t][f])||0)}let r=Math.max(e,Math.min(a*s,i)),h=rs.find(l=>l>=r-1e-9)??r;return[n?-h:0,h]}eachSample({tracks:t},s){let{times:e}=t,
 {start:i,stop:n}=this.part,[o,a]=[Math.max(0,b(e,i)-1),Math.min(e.length,b(e,n)+1)];for(let r=o;r<a;r++)s(r,r+1<a&&t.continues(r)?r+1:-1)}drawCurve(t,s,e,i,n){
-for(let{name:o,factor:a}of Kt(s)){let r=i.values[o],[h,l]=[new Path2D,new Path2D],d=-1;this.eachSample(e,(m,u)=>{if(Number.isNaN(r[m]))return;let[g,y]=[
-this.left(i.times[m]),n(r[m]*a)];d<0&&l.moveTo(g,n(0)),d<0&&h.moveTo(g,y),h.lineTo(g,y),l.lineTo(g,y),d=u<0||Number.isNaN(r[u])?-1:m,d<0&&l.lineTo(g,n(
+for(let{name:o,factor:a}of Kt(s)){let r=i.values[o],[h,l]=[new Path2D,new Path2D],d=-1;this.eachSample(e,(m,f)=>{if(Number.isNaN(r[m]))return;let[g,y]=[
+this.left(i.times[m]),n(r[m]*a)];d<0&&l.moveTo(g,n(0)),d<0&&h.moveTo(g,y),h.lineTo(g,y),l.lineTo(g,y),d=f<0||Number.isNaN(r[f])?-1:m,d<0&&l.lineTo(g,n(
 0))}),t.fillStyle=t.strokeStyle=this.color(e),t.globalAlpha=.12,(!s.signed||s.below)&&t.fill(l),t.globalAlpha=1,t.lineWidth=1.6,t.lineJoin="round",t.stroke(
 h)}}drawBand(t,{recording:s,series:e},i){let n=i-xt+(this.recordings.length>1?(s.index-.5)*2*xt:0);this.eachSample(s,(o,a)=>{let r=e?.values.light[o]??
 NaN;if(!e||Number.isNaN(r)||a<0)return;t.fillStyle=s.report.lights[r]?.[1]??k.colors.quiet;let h=this.left(e.times[o]);t.fillRect(h,n,this.left(e.times[a])-
@@ -269,8 +269,8 @@ j+2),this.context.globalAlpha=1}drawPointed(t){let{context:s}=this;this.drawLine
 canvas.clientHeight],n=s.measureText(e).width/2+6,o=Math.max(n,Math.min(this.width-n,this.left(t)));s.fillStyle=k.colors.text,s.beginPath(),s.roundRect(
 o-n,i-j+1,2*n,j-2,4),s.fill(),s.fillStyle=k.colors.halo,s.fillText(e,o,i-5)}showValues(t,s){this.rows.forEach((e,i)=>{let{values:n,note:o}=this.readings[H.
 indexOf(e)],a=[];t.forEach(({recording:r,series:h},l)=>{let d=h?Math.max(0,b(h.times,s+1e-5)-1):0,m=h&&r.tracks.covers(s)&&!Number.isNaN(h.values[e.of][d]);
-if(h&&!h.isMeasured&&e.of!=="speed"&&a.push("not measured"),L(n[l],m?this.text(e,r,h,d):"–"),!!m){a.push(this.note(e,r,h,d));for(let{name:u,factor:g}of Kt(
-e))this.context.fillStyle=this.color(r),this.context.beginPath(),this.context.arc(this.left(s),this.scales[i].level(h.values[u][d]*g),3.2,0,7),this.left(
+if(h&&!h.isMeasured&&e.of!=="speed"&&a.push("not measured"),L(n[l],m?this.text(e,r,h,d):"–"),!!m){a.push(this.note(e,r,h,d));for(let{name:f,factor:g}of Kt(
+e))this.context.fillStyle=this.color(r),this.context.beginPath(),this.context.arc(this.left(s),this.scales[i].level(h.values[f][d]*g),3.2,0,7),this.left(
 s)>=0&&this.left(s)<=this.width&&this.context.fill()}}),L(o,[...new Set(a)].filter(Boolean).join(", "))})}text({of:t,below:s,factor:e=1,digits:i,band:n},o,a,r){
 let h=a.values[t][r];if(n)return o.report.lights[h]?.[0]??"unknown";let l=$(t==="steer"?Math.abs(h*e):h*e,i);return s?`${l} / ${$(a.values[s][r]*e,i)}`:
 l}note({of:t},s,e,i){return t==="steer"?Math.abs(e.values.steer[i])<.005?"":e.values.steer[i]<0?"left":"right":t==="light"?Number.isNaN(e.values.distance[i])?
@@ -281,19 +281,19 @@ unseen"});document.body.append(t),t.select();let s=document.execCommand("copy");
 getBoundingClientRect()),[i,n]=[Math.min(...e.map(g=>g.left)),Math.min(...e.map(g=>g.top))],[o,a]=[Math.max(...e.map(g=>g.right)),Math.max(...e.map(g=>g.
 bottom))],[r,h]=[c[0].ratio,34],l=document.createElement("canvas");[l.width,l.height]=[Math.round((o-i)*r),Math.round((a-n+h)*r)];let d=l.getContext("\
 2d",{alpha:!1});d.fillStyle=k.colors.halo,d.fillRect(0,0,l.width,l.height),c.forEach((g,y)=>d.drawImage(g.canvas,(e[y].left-i)*r,(e[y].top-n)*r)),d.setTransform(
-r,0,0,r,0,0),d.font=`13px ${N}`,d.fillStyle=k.colors.text,d.fillText(t,12,a-n+22,o-i-24);let m=await new Promise(g=>l.toBlob(g)),u=Object.assign(document.
-createElement("a"),{href:URL.createObjectURL(m),download:s});u.click(),setTimeout(()=>URL.revokeObjectURL(u.href),1e4)}var ct=class{constructor(t,s){this.frame=f("space"),this.button=f("solid"),this.sign=f("loading"),this.button.hidden=!t.viewer,document.body.classList.
+r,0,0,r,0,0),d.font=`13px ${N}`,d.fillStyle=k.colors.text,d.fillText(t,12,a-n+22,o-i-24);let m=await new Promise(g=>l.toBlob(g)),f=Object.assign(document.
+createElement("a"),{href:URL.createObjectURL(m),download:s});f.click(),setTimeout(()=>URL.revokeObjectURL(f.href),1e4)}var ct=class{constructor(t,s){this.frame=u("space"),this.button=u("solid"),this.sign=u("loading"),this.button.hidden=!t.viewer,document.body.classList.
 toggle("with-viewer",t.viewer),this.changed=s,this.shown="",location.protocol==="file:"?(this.button.disabled=!0,this.button.title="The view in 3D nee\
 ds a server: carla-recap report --serve"):this.button.title="View in 3D (V)",window.addEventListener("message",({data:e,source:i,origin:n})=>{i!==this.
 frame.contentWindow||n!==location.origin||(Number.isFinite(e.loaded)&&(this.sign.querySelector("progress").value=e.loaded),!(!e.ready&&!e.failed)&&(this.
 sign.hidden=!0,this.shown="",this.changed()))})}get isOpen(){return!this.frame.hidden}toggle(){this.button.disabled||(this.frame.src||(this.frame.src=
 "rerun/index.html",this.sign.hidden=!1),this.frame.hidden=this.isOpen,A("solid",this.isOpen),document.body.classList.toggle("solid",this.isOpen),this.
 changed())}show(t,s){if(!this.isOpen)return;let e=s&&(s.kind==="vehicle"||s.kind==="walker"),i={time:t,camera:e?`cameras/follow_${s.id}.rbl`:null};JSON.
-stringify(i)!==this.shown&&(this.shown=JSON.stringify(i),this.frame.contentWindow?.postMessage(i,location.origin))}};var qt=11,_t=31,lt=class{constructor(t,s,e,i){this.clock=t,this.part=s,this.incidents=e,this.open=i,this.slider=f("time"),this.now=f("now"),this.button=
-f("play"),this.pace=f("pace"),this.marks=f("marks"),this.covered=f("covered"),this.overview=f("overview"),this.difference=null,this.drawn="",this.slider.
-disabled=this.button.disabled=t.stop<=t.start,f("end").textContent=M(s.length),this.slider.addEventListener("input",()=>t.seek(Number(this.slider.value))),
+stringify(i)!==this.shown&&(this.shown=JSON.stringify(i),this.frame.contentWindow?.postMessage(i,location.origin))}};var qt=11,_t=31,lt=class{constructor(t,s,e,i){this.clock=t,this.part=s,this.incidents=e,this.open=i,this.slider=u("time"),this.now=u("now"),this.button=
+u("play"),this.pace=u("pace"),this.marks=u("marks"),this.covered=u("covered"),this.overview=u("overview"),this.difference=null,this.drawn="",this.slider.
+disabled=this.button.disabled=t.stop<=t.start,u("end").textContent=M(s.length),this.slider.addEventListener("input",()=>t.seek(Number(this.slider.value))),
 this.pace.addEventListener("change",()=>{t.setPace(Number(this.pace.value)),this.pace.blur()}),new O(this.overview,{drag:(n,o,a)=>s.centre(a/this.overview.
-clientWidth*s.length)}),t.addEventListener("state",()=>this.showState()),s.addEventListener("change",()=>this.showPart()),nt(f("timeline"),s,()=>this.
+clientWidth*s.length)}),t.addEventListener("state",()=>this.showState()),s.addEventListener("change",()=>this.showPart()),nt(u("timeline"),s,()=>this.
 marks.clientWidth),new ResizeObserver(()=>this.addMarks()).observe(this.marks),this.showPart(),this.showState()}share(t){return`${(100*Math.min(1,Math.
 max(0,this.part.share(t)))).toFixed(3)}%`}showPart(){let{start:t,stop:s,length:e,isWhole:i}=this.part;[this.slider.min,this.slider.max]=[String(t),String(
 s)],this.overview.hidden=i;let n=this.overview.firstElementChild;n.style.left=`${100*t/e}%`,n.style.width=`${100*(s-t)/e}%`;let o=this.clock.spans.filter(
@@ -302,8 +302,8 @@ this.part.share(r))-Math.max(0,this.part.share(a)))}%`,h})),this.difference!==nu
 a.style.left=this.share(this.difference),this.covered.append(a)}this.addMarks(),this.showTime()}addMarks(){let t=this.marks.clientWidth,{start:s,stop:e}=this.
 part,i=[t,s,e,...this.incidents.hidden].join();if(t&&i===this.drawn)return;this.drawn=i;let n=document.activeElement instanceof HTMLElement?document.activeElement.
 dataset.incident:void 0;this.marks.replaceChildren();let o=this.incidents.played.filter(a=>!a.row.hidden&&a.start>=s&&a.start<=e);for(let{index:a}of this.
-incidents.recordings){let r=o.filter(({recording:m})=>m.index===a),h=r.map(m=>this.part.share(m.start)*t),l=[],d=0;r.forEach((m,u)=>{let g=h[u+1]-h[u]<
-(qt+_t)/2,y=[l.length>1,g].map(x=>x?_t:qt);l.length&&h[u]-h[d]>=(y[0]+y[1])/2&&(this.addMark(l),l=[]),l.length||(d=u),l.push(m)}),l.length&&this.addMark(
+incidents.recordings){let r=o.filter(({recording:m})=>m.index===a),h=r.map(m=>this.part.share(m.start)*t),l=[],d=0;r.forEach((m,f)=>{let g=h[f+1]-h[f]<
+(qt+_t)/2,y=[l.length>1,g].map(x=>x?_t:qt);l.length&&h[f]-h[d]>=(y[0]+y[1])/2&&(this.addMark(l),l=[]),l.length||(d=f),l.push(m)}),l.length&&this.addMark(
 l)}n&&this.marks.querySelector(`[data-incident="${n}"]`)?.focus()}addMark(t){let s=Object.keys(KINDS).find(r=>t.some(h=>h.kind===r)),e=t.map(({index:r})=>r),
 i=t.length>1?t.length>99?"99+":String(t.length):"",n=C("mark",[i],()=>{this.open(e[(e.indexOf(this.incidents.current)+1)%e.length])}),o=t.slice(0,8).map(
 ({incident:r,start:h})=>`${M(h)} ${r.text}`),a=`${t.length} incidents; a click plays one after the other:`;n.title=[...t.length>1?[a]:[],...o,...t.length>
@@ -315,27 +315,27 @@ clock;this.button.classList.toggle("playing",t),this.button.setAttribute("aria-l
 M(t),this.slider.value=String(t),this.slider.style.setProperty("--share",this.share(t)),this.slider.setAttribute("aria-valuetext",`${t.toFixed(1)} sec\
 onds`)}};var hs=3,cs=6,ls=2,vt=-1,Mt=56,ds=2500,Vt=window.matchMedia("(max-width: 700px)"),St=class{constructor(t,s,e){this.recordings=t,this.recording=t[0],this.
 tracks=this.recording.tracks;let i=[...new Set(t.flatMap(({tracks:a})=>[...a.times]))].sort((a,r)=>a-r);this.clock=new X(Ot(t.map(({tracks:a})=>a.spans)),
-i);let{x:n,y:o}=this.tracks;this.ground=new tt(s,n.length?{x:n[0],y:o[0]}:{x:0,y:0}),this.stages=t.map((a,r)=>{let h=f(["canvas","other-canvas"][r]);return new F(
-h,[a],new R,this.ground)}),this.stage=this.stages[0],this.camera=this.stage.camera,this.help=f("help"),this.mode="",this.ends=[],this.part=new it(Math.
+i);let{x:n,y:o}=this.tracks;this.ground=new tt(s,n.length?{x:n[0],y:o[0]}:{x:0,y:0}),this.stages=t.map((a,r)=>{let h=u(["canvas","other-canvas"][r]);return new F(
+h,[a],new R,this.ground)}),this.stage=this.stages[0],this.camera=this.stage.camera,this.help=u("help"),this.mode="",this.ends=[],this.part=new it(Math.
 max(this.clock.stop,...t.map(({report:a})=>a.duration??0))),this.incidents=new et(t,new at(this.ground),a=>this.open(a),()=>this.transport.addMarks()),
 this.transport=new lt(this.clock,this.part,this.incidents,a=>this.open(a)),this.plots=new ht(t,this.part,{seek:a=>this.clock.seek(a),changed:()=>this.
 changed()}),this.space=new ct(this.recording.report,()=>this.changed()),this.images=new st(e,t,()=>this.changed()),this.jumps=-1,this.last=0,this.stale=
 !0,this.linked="",this.begun="",this.linking=this.toasting=0;for(let a of this.stages){let r=h=>{h(),this.link(a)};new O(a.canvas,{drag:(h,l)=>r(()=>a.
 camera.pan(h,l)),zoom:(h,l,d)=>r(()=>a.camera.zoom(h,l,d)),hover:(h,l)=>a.hover(h,l)&&this.changed(),click:(h,l)=>{let d=a.actorAt(h,l);d>=0&&this.follow(
 a.tracks.actors[d].id,{recording:a.recording})}})}Vt.matches&&this.togglePlots(),this.summarise(),t.length>1&&this.compare(),this.actors=new Z(t,(a,r)=>this.
-choose(a,r),()=>this.changed()),this.listen()}summarise(){let t=this.recordings.map(({report:u})=>u),[{map:s,program:e,duration:i,frames:n,version:o,kinds:a}]=t;
-document.title=`${s||"Recording"} · ${t.map(({source:u})=>u).join(" and ")}`,f("map").textContent=s||"No map name";let r=f("origin");t.length>1?this.
-recordings.forEach(({letter:u,report:g})=>{let y=g.duration===null?"":` · ${M(g.duration)}`,x=p("span","",`${g.source}${y} · ${yt(g.incidents.length)}`);
-r.append(p("span","source","",[T(u),x]))}):r.textContent=`${t[0].source} · ${ms(t[0].date)}`;let h=f("facts"),l=(u,...g)=>{h.append(p("div",u==="Acto\
-rs"?"":"minor","",[p("dt","",u),p("dd","","",g)]))};t.length===1&&(l("Duration",i===null?"unknown":M(i)),l("Frames",n.toLocaleString("en")),l("CARLA f\
-ormat",String(o)));let d=a.map(([u,g,y])=>p("span","kind","",[P(y),p("b","",String(g)),` ${u}${g===1||u==="other"?"":"s"}`]));l("Actors",...d.length?d:
-["none"]),f("program").textContent=e;let m=this.recording.report.opening?.notes??[];f("notes").append(...m.map(u=>p("li","",u))),f("notes").hidden=!m.
-length}compare(){let[t,s]=this.recordings;Lt(t,s);let{differences:e}=t.report;f("difference").textContent=`${e?.text}.`,this.transport.difference=e?.since??
-null,this.transport.showPart(),f("compare").hidden=!1,document.body.classList.add("compares"),f("other-speed-line").hidden=!1,this.setMode(e?.over||Vt.
-matches?"over":"beside")}setMode(t){if(this.recordings.length<2)return;this.mode=t;let s=t==="beside";f("other-pane").hidden=!s,f("panes").classList.toggle(
+choose(a,r),()=>this.changed()),this.listen()}summarise(){let t=this.recordings.map(({report:f})=>f),[{map:s,program:e,duration:i,frames:n,version:o,kinds:a}]=t;
+document.title=`${s||"Recording"} · ${t.map(({source:f})=>f).join(" and ")}`,u("map").textContent=s||"No map name";let r=u("origin");t.length>1?this.
+recordings.forEach(({letter:f,report:g})=>{let y=g.duration===null?"":` · ${M(g.duration)}`,x=p("span","",`${g.source}${y} · ${yt(g.incidents.length)}`);
+r.append(p("span","source","",[T(f),x]))}):r.textContent=`${t[0].source} · ${ms(t[0].date)}`;let h=u("facts"),l=(f,...g)=>{h.append(p("div",f==="Acto\
+rs"?"":"minor","",[p("dt","",f),p("dd","","",g)]))};t.length===1&&(l("Duration",i===null?"unknown":M(i)),l("Frames",n.toLocaleString("en")),l("CARLA f\
+ormat",String(o)));let d=a.map(([f,g,y])=>p("span","kind","",[P(y),p("b","",String(g)),` ${f}${g===1||f==="other"?"":"s"}`]));l("Actors",...d.length?d:
+["none"]),u("program").textContent=e;let m=this.recording.report.opening?.notes??[];u("notes").append(...m.map(f=>p("li","",f))),u("notes").hidden=!m.
+length}compare(){let[t,s]=this.recordings;Lt(t,s);let{differences:e}=t.report;u("difference").textContent=`${e?.text}.`,this.transport.difference=e?.since??
+null,this.transport.showPart(),u("compare").hidden=!1,document.body.classList.add("compares"),u("other-speed-line").hidden=!1,this.setMode(e?.over||Vt.
+matches?"over":"beside")}setMode(t){if(this.recordings.length<2)return;this.mode=t;let s=t==="beside";u("other-pane").hidden=!s,u("panes").classList.toggle(
 "two",s);for(let i of["beside","over"])A(i,i===t);this.stage.show(s?[this.recordings[0]]:this.recordings),this.ends=this.recordings.map(()=>p("span","\
-ended"));let e=this.recordings.map(({letter:i,report:n},o)=>[T(i),p("span","",n.source),this.ends[o]]);f("pane-name").replaceChildren(...s?e[0]:e.flat()),
-f("other-pane-name").replaceChildren(...s?e[1]:[]),this.link(this.stage),this.resize()}get active(){return this.mode==="beside"?this.stages:[this.stage]}get actions(){
+ended"));let e=this.recordings.map(({letter:i,report:n},o)=>[T(i),p("span","",n.source),this.ends[o]]);u("pane-name").replaceChildren(...s?e[0]:e.flat()),
+u("other-pane-name").replaceChildren(...s?e[1]:[]),this.link(this.stage),this.resize()}get active(){return this.mode==="beside"?this.stages:[this.stage]}get actions(){
 let{camera:t,clock:s,help:e,images:i,part:n,space:o,transport:a}=this;return[{id:"play",keys:["Space","k"],name:"Play or pause",run:()=>s.toggle()},{keys:[
 "←"],name:"1 second back; with Shift a tenth",run:()=>{}},{keys:["→"],name:"1 second on; with Shift a tenth",run:()=>{}},{id:"back",keys:[","],name:"\
 One frame back",run:()=>s.step(-1)},{id:"forth",keys:["."],name:"One frame on",run:()=>s.step(1)},{id:"previous",keys:["p"],name:"Previous incident",run:()=>this.
@@ -351,8 +351,8 @@ e view",run:()=>this.savePicture()},{id:"theme",keys:["d"],name:"Light or dark",
 setMode("beside")},{id:"over",keys:[],name:"Overlaid (C)",run:()=>this.setMode("over")},{keys:["c"],name:"Side by side or overlaid",run:()=>this.setMode(
 this.mode==="beside"?"over":"beside"),off:!this.mode},{id:"solid",keys:["v"],name:"View in 3D",run:()=>o.toggle(),off:o.button.hidden},{id:"keys",keys:[
 "?"],name:"Keyboard shortcuts",run:()=>e.showModal()}].filter(({off:h})=>!h)}listen(){let t={Escape:"Esc","-":"−"};for(let{id:e,keys:[i],name:n,run:o}of this.
-actions){let a=i&&(t[i]??(i.length===1?i.toUpperCase():i));if(a&&f("shortcuts").append(p("div","","",[p("dt","","",[p("kbd","",a)]),p("dd","",n)])),!e)
-continue;let r=f(e);r.addEventListener("click",o),r.textContent?.trim()||r.setAttribute("aria-label",n),r.title||=a?`${n} (${a})`:n}this.clock.addEventListener(
+actions){let a=i&&(t[i]??(i.length===1?i.toUpperCase():i));if(a&&u("shortcuts").append(p("div","","",[p("dt","","",[p("kbd","",a)]),p("dd","",n)])),!e)
+continue;let r=u(e);r.addEventListener("click",o),r.textContent?.trim()||r.setAttribute("aria-label",n),r.title||=a?`${n} (${a})`:n}this.clock.addEventListener(
 "seek",()=>this.changed()),this.clock.addEventListener("state",()=>this.changed()),this.part.addEventListener("change",()=>this.changed()),k.addEventListener(
 "change",()=>this.drawStages()),document.addEventListener("keydown",e=>this.key(e)),document.addEventListener("click",({detail:e,target:i})=>{let n=i.
 closest("button");e&&n?.blur()}),window.addEventListener("hashchange",()=>this.readLink());let s=new ResizeObserver(()=>this.resize());for(let e of this.
@@ -385,21 +385,21 @@ l*n,y:e.y+l*o,yaw:e.yaw}}changed(){this.stale||(this.stale=!0,requestAnimationFr
 active)i=n.camera.step(this.focus(n),s,e)||i;if(this.space.isOpen)this.space.show(this.clock.time,this.followedActor());else for(let n of this.active)
 n.draw(this.clock.time);this.plots.draw(this.clock.time,this.followed),this.images.show(this.clock.time),this.transport.showTime(),this.part.show(this.
 clock.time,this.clock.playing),this.actors.show(this.clock.time,this.followed),this.showFollowed(),this.showCaption(),this.showRule(),this.showEnds(),
-this.writeLink(),(this.clock.playing||i)&&this.changed()}showFollowed(){let{time:t}=this.clock,s=this.followedActor();if(f("followed").hidden=!s,f("he\
-ading").disabled=!s,!s)return;let e=(o,a)=>L(f(o),a);f("followed-color").style.background=s.color,e("followed-name",s.label),e("followed-type",[s.type||
+this.writeLink(),(this.clock.playing||i)&&this.changed()}showFollowed(){let{time:t}=this.clock,s=this.followedActor();if(u("followed").hidden=!s,u("he\
+ading").disabled=!s,!s)return;let e=(o,a)=>L(u(o),a);u("followed-color").style.background=s.color,e("followed-name",s.label),e("followed-type",[s.type||
 s.kind,s.role&&s.role!=="hero"?s.role:""].filter(Boolean).join(" · "));let i=this.followedPoses();this.recordings.forEach(({tracks:o},a)=>{let h=i[a]&&
 o.covers(t)?o.speed(o.indexOf(this.followed?.[a],t),t)*3.6:NaN;e(a?"other-speed":"speed",Number.isNaN(h)?"–":h.toFixed(0))});let n=i.length>1&&i[0]&&
 i[1]?Math.hypot(i[0].x-i[1].x,i[0].y-i[1].y):0;e("apart",n>Y?`${n.toFixed(1)} m apart`:"")}followedActor(){return this.recordings.map((s,e)=>s.actor(this.
 followed?.[e],this.clock.time)).find(s=>s!==null)??null}showCaption(){let{time:t}=this.clock,s=this.incidents.items[this.incidents.current],i=s?.replayed&&
-s.start-K-.05<=t&&t<=this.shownAround(s)[1]+.05?s:this.incidents.latestIn(t-ls-.05,t+.05),n=f("caption");if(n.hidden=!i,!i)return;let o=i.start-t,a=this.
-recordings.find(h=>h!==i.recording),r=(a&&!a.has(i.incident)?`${i.recording.letter}: `:"")+i.incident.text;L(f("caption-text"),r),L(f("caption-when"),
+s.start-K-.05<=t&&t<=this.shownAround(s)[1]+.05?s:this.incidents.latestIn(t-ls-.05,t+.05),n=u("caption");if(n.hidden=!i,!i)return;let o=i.start-t,a=this.
+recordings.find(h=>h!==i.recording),r=(a&&!a.has(i.incident)?`${i.recording.letter}: `:"")+i.incident.text;L(u("caption-text"),r),L(u("caption-when"),
 o>.05?`in ${o.toFixed(1)} s`:""),n.dataset.kind=i.kind}showRule(){let t=[1,2,5,10,20,50,100,200,500,1e3,2e3,5e3].find(s=>s*this.camera.scale>=56)??1e4;
-f("rule").style.width=`${t*this.camera.scale}px`,f("rule-length").textContent=t<1e3?`${t} m`:`${t/1e3} km`}showEnds(){this.ends.forEach((t,s)=>{let e=this.
-recordings[s].tracks.times.at(-1)??0;L(t,this.clock.time>e+.1?`ended at ${M(e)}`:"")})}say(t,s=!1){let e=f("status");e.textContent=t,e.className=s?"to\
+u("rule").style.width=`${t*this.camera.scale}px`,u("rule-length").textContent=t<1e3?`${t} m`:`${t/1e3} km`}showEnds(){this.ends.forEach((t,s)=>{let e=this.
+recordings[s].tracks.times.at(-1)??0;L(t,this.clock.time>e+.1?`ended at ${M(e)}`:"")})}say(t,s=!1){let e=u("status");e.textContent=t,e.className=s?"to\
 ast":"unseen",clearTimeout(this.toasting),s&&(this.toasting=window.setTimeout(()=>e.className="unseen",ds))}async copyLink(){let t=new URL(this.address(),
 location.href).href;this.say(await Gt(t)?"The link to this moment is copied":"The browser does not permit to copy the link",!0)}async savePicture(){if(this.
-space.isOpen)return this.say("Only the view from above can be saved",!0);let{map:t,source:s}=this.recording.report,{time:e}=this.clock,i=f("caption").
-hidden?[]:[f("caption").textContent??""],n=[t,...this.recordings.map(({report:o})=>o.source),M(e,2),...i].filter(Boolean).join(" · ");return await Ht(
+space.isOpen)return this.say("Only the view from above can be saved",!0);let{map:t,source:s}=this.recording.report,{time:e}=this.clock,i=u("caption").
+hidden?[]:[u("caption").textContent??""],n=[t,...this.recordings.map(({report:o})=>o.source),M(e,2),...i].filter(Boolean).join(" · ");return await Ht(
 this.active,n,`${s.replace(/\.\w+$/,"")}-${e.toFixed(2)}s.png`),this.say("A picture of the view is saved",!0)}readLink(){if(location.hash===this.linked)
 return;let t=new URLSearchParams(location.hash.slice(1)),s=a=>t.get(a)&&Number.isFinite(Number(t.get(a)))?Number(t.get(a)):null,[e,i,n]=[s("incident"),
 s("t"),s("follow")],o=t.get("view")??"";["beside","over"].includes(o)&&this.setMode(o),e!==null&&this.open(e-1,{play:i===null}),i!==null&&this.clock.seek(
@@ -410,5 +410,5 @@ e[i]);o-.1<=s&&s<=a+.1&&n.unshift(`incident=${i+1}`)}return t!==null&&t!==vt&&n.
 linking=window.setTimeout(()=>history.replaceState(null,"",t),250))}};function ms(c){let t=c&&new Date(c);return!t||!Number.isFinite(t.getTime())?"no \
 date":`${t.toLocaleString("en-GB",{dateStyle:"long",timeStyle:"short",timeZone:"UTC"})} UTC`}Promise.all([ft(GROUND),...RECORDINGS.map(ft)]).then(([c,
 ...t])=>{let s=new St(t.map((e,i)=>new J(i,REPORTS[i],e)),c,IMAGES);Object.assign(globalThis,{replay:s,theme:k}),s.stale=!1,s.start(),s.draw(performance.
-now()),performance.mark("recap-first-frame")}).catch(c=>{let t=f("nothing");throw t.textContent=`This page cannot be shown: ${c.message}. It needs a b\
+now()),performance.mark("recap-first-frame")}).catch(c=>{let t=u("nothing");throw t.textContent=`This page cannot be shown: ${c.message}. It needs a b\
 rowser from 2023 or later.`,t.hidden=!1,c});})();

@@ -10,6 +10,7 @@ export class Tracks {
     this.times = recording.times;
     this.spans = recording.spans;
     this.starts = this.spans.map(([start]) => start);
+    this.ends = new Set(this.starts.map((start) => countUntil(this.times, start - 1e-4) - 1)); // the last sample before each
     this.actors = recording.actors;
     this.x = recording.x;
     this.y = recording.y;
@@ -125,8 +126,8 @@ export class Tracks {
       if (last >= from && first <= to) {
         if (first !== before || !runs.length) runs.push([]);
         for (let sample = Math.max(from, first); sample <= Math.min(to, last); sample++) {
-          const row = this.row(track, sample);
-          runs[runs.length - 1].push(this.x[row], this.y[row]);
+          const [run, row] = [runs[runs.length - 1], this.row(track, sample)];
+          if (this.x[row] !== run[run.length - 2] || this.y[row] !== run[run.length - 1]) run.push(this.x[row], this.y[row]);
         }
       }
       before = last;
@@ -136,8 +137,7 @@ export class Tracks {
 
   /** Return whether a sample and the one after it are of one span. @param {number} sample */
   continues(sample) {
-    const [span, next] = [sample, sample + 1].map((each) => countUntil(this.starts, this.times[each] + 1e-4));
-    return sample + 1 < this.times.length && span === next;
+    return sample + 1 < this.times.length && !this.ends.has(sample);
   }
 
   /** Return the actor that has an id at a time, or else the first one that has it; -1 if none.

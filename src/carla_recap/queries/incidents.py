@@ -102,7 +102,7 @@ class IncidentSearch:
             start, stop = min(start for start, _ in spans), max(stop for _, stop in spans)
             for batch in self._source.batches(types, start=start, stop=stop):
                 for detector, span in zip(self._detectors, spans, strict=True):
-                    for part in within((batch,), *span):
+                    for part in within((batch,), span[0] - SAME_TIME, span[1] - SAME_TIME):
                         detector.add(part)
 
     def add(self, batch: Batch) -> None:

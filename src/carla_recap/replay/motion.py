@@ -45,6 +45,9 @@ class SceneMotion:
         ids, poses = batch.ids if ids is None else ids, batch.poses if poses is None else poses
         there = np.isin(ids, batch.ids[~batch.held])
         if not there.all():
+            carried = [id for id, actor in batch.actors.items() if actor.attached and batch.index_of(id) is None]
+            there |= np.isin(ids, carried)  # without poses of their own
+        if not there.all():
             velocities, accelerations = np.full((2, len(batch), len(ids), 3), np.nan)
             velocities[:, there] = self.velocities(batch, ids[there], poses[:, there])
             accelerations[:, there], self.accelerations = self.accelerations, accelerations

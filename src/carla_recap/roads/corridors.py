@@ -120,7 +120,7 @@ def _paths(poses: NDArray[np.void]) -> Iterator[Floats]:
     steps = np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1)
     jumps = steps > possible_step(np.diff(times))
     for part in np.split(points, np.flatnonzero(jumps) + 1):
-        path = _thinned(part)
+        path = _thinned(part) if len(part) else part
         if len(path) < 2:
             continue
         ways = np.diff(path[:, :2], axis=0)

@@ -135,7 +135,7 @@ class SensorDecoder:
         The first ones are the latest of before the start, as of then, but for packets of videos, which need those before.
         """
         earlier = (each for each in self._reader.latest_messages(self.topics, start) if kind_of(each.topic) != "video")
-        shown = (each._replace(elapsed=start) for each in earlier if each.elapsed < start)
+        shown = (each._replace(elapsed=start) for each in earlier if each.elapsed < start - SAME_TIME)
         return chain(shown, self._reader.further_messages(self.topics, start, stop))
 
     def decoded(self, message: TopicMessage) -> Decoded:

@@ -81,6 +81,12 @@ def test_values_are_in_their_range_and_differ(low, high):
     assert len(set(values)) == 30
 
 
+def test_values_of_a_list_are_as_they_are_given():
+    ranges = {"x": ParameterRange(-5.0, 5.0), "gap": (9.123456, 12.5)}
+    found = list(search(Formula(lambda x, gap: x), [1], ranges, COLLISIONS, 20))
+    assert {each.run.parameters["gap"] for each in found} == {9.123456, 12.5}
+
+
 def test_a_search_repeats_itself_and_no_run():
     one, two = (list(search(Formula(bowl), [1], RANGES, COLLISIONS, 30)) for _ in range(2))
     assert [each.run for each in one] == [each.run for each in two]

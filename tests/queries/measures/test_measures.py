@@ -16,7 +16,7 @@ from carla_recap.output.text import text
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.measures import MeasureSearch, measures, measures_over_time, motion_table, pairs, time_series
 from tests.queries.measures.conftest import Mover, straight
-from tests.samples import SAMPLES
+from tests.samples import CRASH, SAMPLES
 
 if TYPE_CHECKING:
     from carla_recap.formats.base import Reader
@@ -30,6 +30,12 @@ def of(found: Measures, actor: int = 1) -> dict[str, Any]:
 
 def values(found: Measures, actor: int = 1) -> dict[str, float]:
     return {name: row.value for name, row in of(found, actor).items()}
+
+
+def test_a_part_begins_and_ends_at_frames_whose_times_are_sums_of_steps() -> None:
+    """In the sample, the frame at 5 s is at 4.99999999999999 s."""
+    with closing(open_reader(CRASH)) as reader:
+        assert time_series(reader, 41, start=5.0, stop=5.15).time == pytest.approx([5.0, 5.05, 5.1])
 
 
 def test_of_a_car_behind_a_slower_one(drive: Drive) -> None:

@@ -20,6 +20,7 @@ from carla_recap.sim.actors.props import Prop
 from carla_recap.sim.errors import SimError
 from carla_recap.sim.geometry import Location, Rotation, Transform, Vector
 from carla_recap.sim.physics.physics_control import Gear
+from carla_recap.sim.replaying.replayer import _drive_on
 from carla_recap.sim.settings import PRESETS
 from carla_recap.sim.town.loading import load_town
 from carla_recap.sim.world import World
@@ -375,6 +376,18 @@ def test_ids_that_cannot_be_are_replaced(tmp_path: Path) -> None:
     world = new_world()
     play(world, recording_of_vehicles(tmp_path / "a.log", 0, 2**32 - 2), 1)
     assert set(world.replayer.mapping.values()) == {4, 5}
+
+
+@pytest.mark.parametrize("revolutions", [4000.0, 0.0])
+def test_a_vehicle_drives_on_in_a_gear_that_it_has(revolutions: float) -> None:
+    world = flat_world()
+    car = spawn_car(world, at(0))
+    car.physics_control = replace(car.physics_control, max_rpm=revolutions)
+    car.set_simulate_physics(False)
+    car.rows.gear[car.row] = 5  # recorded of a vehicle with more gears
+    _drive_on(car, Vector(), 0.0)
+    world.tick()
+    assert car.rows.gear[car.row] <= car.gears == 1
 
 
 def test_pedestrians_walk_whatever_the_order_of_their_ids() -> None:

@@ -100,7 +100,7 @@ class _Proposals:
 
 def _rounded(value: Any, within: Any) -> Any:
     """Return a proposed value, one that is not whole rounded to so many digits that its range has 10,000 values or more."""
-    if not isinstance(value, float):
+    if not isinstance(value, float) or not hasattr(within, "high"):  # one of a list is as it is given
         return value
     digits = _DIGITS - math.floor(math.log10(within.high - within.low))
     return min(max(round(value, digits), within.low), within.high)

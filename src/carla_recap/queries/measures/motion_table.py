@@ -216,7 +216,7 @@ class MotionCollector:
         self._known = np.array(list(self._lives), np.uint32)
         self._contacts = tuple(contacts)
         self._before, self._after = before + _CONTEXT, after + _CONTEXT
-        self._part, self.span = (start, stop), (start - self._before, stop + self._after)
+        self._part, self.span = (start - SAME_TIME, stop - SAME_TIME), (start - self._before, stop + self._after)
         self._heights = RoadHeights(actors)
         self._poses, self._velocities = SegmentBuffer(), SegmentBuffer()
         self._time = np.zeros(0)  # of the frames that these hold
@@ -228,10 +228,12 @@ class MotionCollector:
         """Add frames that have at least their transforms and velocities, and yield the tables that are complete."""
         if batch.preamble:
             return
+        most = 1  # records of a frame
         for buffer, name in zip((self._poses, self._velocities), MOTION, strict=True):
             records = batch.records(name)
             buffer.add(segments(records), len(records))
-        self._size = max(1, min(_FRAMES, _VALUES // max(records.shape[1], 1)))
+            most = max(most, records.shape[1])
+        self._size = max(1, min(_FRAMES, _VALUES // most))
         self._time = np.concatenate((self._time, batch.elapsed))
         yield from self._tables()
 

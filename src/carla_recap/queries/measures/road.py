@@ -94,7 +94,7 @@ class RoadSearch:
         *,
         start: float = -math.inf,
     ) -> None:
-        self._network, self._note, self._start = network, note, start
+        self._network, self._note, self._start = network, note, start - SAME_TIME
         self._motion = MotionCollector(actors, before=_LONGEST)
         self.lights = LightHistory(source, network)
         self._lines = StopLines(network)

@@ -84,7 +84,7 @@ def export_foxglove(
     further, clock = passed_topics(reader), LogClock(reader.header)
     names = [topic.name for topic in further]
     start, stop = player.start, player.stop + 2 * SAME_TIME
-    earlier = [each for each in reader.latest_messages(names, start) if each.elapsed < start] if names else []
+    earlier = [each for each in reader.latest_messages(names, start) if each.elapsed < start - SAME_TIME] if names else []
     passed = chain((each._replace(elapsed=start) for each in earlier), reader.further_messages(names, start, stop))
     with FoxgloveFile(destination, _description(reader, player), further, force=force) as file:
         for part in messages.scenes(progress):

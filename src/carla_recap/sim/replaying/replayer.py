@@ -409,7 +409,7 @@ def _drive_on(vehicle: Vehicle, velocity: Vector, yaw_rate: float) -> None:
     The wheels roll, and the engine turns as fast as its torque and the clutch hold it.
     """
     rows, row = vehicle.rows, vehicle.row
-    gear, own, tables = rows.gear[row], rows.table[row], rows.tables
+    gear, own, tables = min(rows.gear[row], vehicle.gears), rows.table[row], rows.tables
     vehicle.set_simulate_physics(True)
     rows.gear[row] = rows.target_gear[row] = gear
     vehicle.set_target_velocity(velocity)
@@ -425,7 +425,7 @@ def _drive_on(vehicle: Vehicle, velocity: Vector, yaw_rate: float) -> None:
     turns, most, clutch = abs(tables.ratios[own, gear] * rows.omega[row, 0]), tables.most_turns[own], tables.clutch[own]
     if turns > most:  # as no engine does
         rows.gear[row] = rows.target_gear[row] = 0
-    elif gear and clutch:
+    elif gear and clutch and turns:
         torque = rows.throttle[row] * tables.torques[own, int(turns / most * TORQUES)] - tables.damping[own, 0] * turns
         rows.engine[row] = min(max(turns + torque / clutch, 0.0), most)
     rows.engage(row)
