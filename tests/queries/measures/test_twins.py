@@ -14,6 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from carla_recap.formats import open_reader
+from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.motion import MOTION
 from carla_recap.queries.incidents import IncidentOptions, incidents
 from carla_recap.queries.measures import measures, time_series
@@ -141,12 +142,12 @@ def test_a_part_has_the_values_of_the_whole(tmp_path: Path, seed: int, one: floa
         rows = {(row.actor, row.measure): row for row in measures(reader, "all", start=start, stop=stop)}
         for id in {actor.id for actor in twin.table.actors}:
             whole, part = time_series(reader, id), time_series(reader, id, start=start, stop=stop)
-            kept = (whole.time >= start) & (whole.time < stop)
+            kept = (whole.time >= start - SAME_TIME) & (whole.time < stop - SAME_TIME)
             for name, values in part.columns().items():
                 assert values.tolist() == pytest.approx(getattr(whole, name)[kept].tolist(), abs=1e-9, nan_ok=True), name
             if (id, "gap") in rows and list(twin.table.ids).count(id) == 1:
                 assert rows[id, "gap"].value == part.gap.min()
-                assert start <= rows[id, "gap"].time < stop
+                assert start - SAME_TIME <= rows[id, "gap"].time < stop - SAME_TIME
 
 
 @settings(max_examples=EXAMPLES)

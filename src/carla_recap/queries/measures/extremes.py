@@ -141,7 +141,11 @@ class MeasureSearch:
         if not len(rows):
             return
         actors = [table.actors[row] for row in rows]
-        series = series_of(table, rows, self._others, on_paths=True)
+        kept = self._over_time.get("time_to_collision", ())
+        known = [self._rows.get(("time_to_collision", *actor.key)) for actor in actors]
+        shortest = np.array([row.value if row else math.inf for row in known])
+        shortest[[actor.id in kept for actor in actors]] = math.nan
+        series = series_of(table, rows, self._others, shortest=shortest)
         for number, actor in enumerate(actors):
             for start, stop in self._contacts.affected(actor.id, _BEFORE_CONTACT):
                 affected = (table.time >= start) & (table.time <= stop)

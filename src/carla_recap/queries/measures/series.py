@@ -47,12 +47,13 @@ def series_of(
     subjects: Indices,
     others: Callable[[ActorLife], bool] | None = None,
     *,
-    on_paths: bool = False,
+    shortest: Floats | None = None,
 ) -> MeasureSeries:
     """Return the measures of the actors in some rows, in the frames of a table, (subjects, frames); margins have no values.
 
-    With `others`, those actors alone count of which it is true. With `on_paths`, those times to collision alone count of
-    actors that also meet on the paths that they take; see `on_collision_course`.
+    With `others`, those actors alone count of which it is true. With `shortest`, those times to collision alone count of
+    actors that also meet on the paths that they take, see `on_collision_course`, and of each actor those up to its least
+    known one in s; NaN: all.
     """
     shape = len(subjects), len(table.time)
     position = np.full(len(table.ids), -1)
@@ -69,8 +70,11 @@ def series_of(
             following, distance = ahead(each)
             headways.add(position[following.one], following, distance)
         pairs, seconds = pairs.colliding(HORIZON)
-        if on_paths:
-            kept = on_collision_course(pairs, seconds)
+        if shortest is not None:
+            least = np.minimum(shortest, times.value.min(axis=1, initial=np.inf))
+            limits = np.append(np.where(np.isnan(shortest), np.inf, least), -np.inf)
+            kept = np.flatnonzero(seconds <= np.maximum(limits[position[pairs.one]], limits[position[pairs.other]]))
+            kept = kept[on_collision_course(pairs.take(kept), seconds[kept])]
             pairs, seconds = pairs.take(kept), seconds[kept]
         for each in (pairs, pairs.turned()):
             known = (position[each.one] >= 0) & counts[each.other]
