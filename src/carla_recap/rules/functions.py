@@ -93,7 +93,7 @@ def _is_valid(found: Finding) -> bool:
     """Return whether a finding has values of the right types."""
     return (
         isinstance(found.message, str)
-        and isinstance(found.passes, (Integral, np.bool_))
+        and isinstance(found.passes, (bool, np.bool_))
         and isinstance(found.applies, (bool, np.bool_))
         and isinstance(found.offences, (tuple, list))
         and all(
