@@ -99,7 +99,7 @@ class _Proposals:
 
 
 def _rounded(value: Any, within: Any) -> Any:
-    """Return a proposed value, one that is not whole rounded to so many digits that its range has 10,000 values or more."""
+    """Return a proposed value, a float of a range rounded to one of at least 10,000 values in this range."""
     if not isinstance(value, float) or not hasattr(within, "high"):  # one of a list is as it is given
         return value
     digits = _DIGITS - math.floor(math.log10(within.high - within.low))
