@@ -136,14 +136,13 @@ def test_blocks_change_nothing(monkeypatch: pytest.MonkeyPatch, every: int) -> N
     assert detected(cars, **options).finish() == whole
 
 
-def test_however_little_time_passes_few_frames_are_held(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_of_a_few_seconds_are_held(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(braking, "_BLOCK", 50)
-    monkeypatch.setattr(braking, "_MAX_REACH", 100)
     detector = BrakingDetector({1}, 6.0)
     for number in range(2000):
-        frame = Frame(number, number + 1, number * 1e-6, 1e-6, []).replace(transforms=[(1, *6 * [0.0])])
+        frame = Frame(number, number + 1, number * TICK, TICK, []).replace(transforms=[(1, *6 * [0.0])])
         detector.batch(Batch.of(frame))
-        assert len(detector._elapsed) <= 2 * (100 + 100 + 50)
+        assert len(detector._elapsed) <= 2 * (50 + 50 + 50)
 
 
 def test_frames_of_vehicles_that_come_and_go_are_collected_a_few_times(monkeypatch: pytest.MonkeyPatch) -> None:

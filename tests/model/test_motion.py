@@ -58,6 +58,15 @@ def test_the_slope_of_a_line_through_values() -> None:
     assert np.isnan(slopes[1, 3])
 
 
+@pytest.mark.parametrize("frames", [3, 50, 6000])
+def test_all_values_of_half_a_window_count(frames: int) -> None:
+    time = 3600 + np.arange(frames) / frames
+    values = (time - 3600.3) ** 3
+    near = np.abs(time - time[frames // 2]) <= 0.39
+    expected = np.polyfit(time[near] - 3600, values[near], 1)[0]
+    assert slope(time, values[None], 0.39)[0, frames // 2] == pytest.approx(expected)
+
+
 def test_a_slope_ends_where_frames_do_not_belong_together() -> None:
     time = np.arange(6) * 0.05
     values = np.array([[0.0, 1.0, 2.0, 100.0, 102.0, 104.0]])

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.motion import FIRMEST_BRAKING, LONGEST_STEP, MAX_FRAMES, counts, neighbours, runs, slope, steps_joined
+from carla_recap.model.motion import FIRMEST_BRAKING, LONGEST_STEP, counts, neighbours, runs, slope, steps_joined
 from carla_recap.model.records import CM, ActorKind
 from carla_recap.model.segment import SegmentBuffer, segments
 
@@ -38,7 +38,6 @@ _BLOCK: Final = 100_000  # records that are evaluated together, at least
 _CELLS: Final = 1 << 15  # vehicles times frames that are evaluated together, at most; more are slower
 _COLLECTED: Final = 1 << 21  # vehicles times frames that are collected together, at most: each time goes over all frames
 _REACH: Final = 2.5  # s: two of the longest steps, and a bit, are between frames that a deceleration depends on
-_MAX_REACH: Final = 5 * MAX_FRAMES  # frames, which these are at 2,000 Hz
 
 
 class Braking(NamedTuple):
@@ -150,9 +149,7 @@ class BrakingDetector:
         clock = _restarts(elapsed)
         restart = int(np.searchsorted(clock, clock[-1]))
         until = restart + int(np.searchsorted(elapsed[restart:], elapsed[-1] - _REACH))
-        until = max(until, len(elapsed) - _MAX_REACH)
         kept = restart + int(np.searchsorted(elapsed[restart:], elapsed[until] - _REACH))
-        kept = max(kept, until - _MAX_REACH)
         self._evaluate(elapsed, until)
         for buffer in (self._transforms, self._velocities):
             buffer.drop(kept)

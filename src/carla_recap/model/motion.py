@@ -17,7 +17,7 @@ from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.records import CM
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from carla_recap.util.arrays import Booleans, Floats, Indices, Integers
 
@@ -38,9 +38,8 @@ FIRMEST_BRAKING: Final = 15.0
 """The deceleration in m/s² that no brakes and tyres exceed; a collision does, and faulty records do."""
 LONGEST_STEP: Final = 1.0
 """The longest time between two frames of an actor from which its motion between them follows, in s."""
-MAX_FRAMES: Final = 1000
-"""The most frames before and after a moment of which values count: those of half a second at 2,000 Hz."""
 
+_CELLS: Final = 1 << 15  # values whose slopes are computed together, about; more are slower
 _SLACK: Final = 3.0  # a jump is longer than the recorded velocity explains by more than this factor
 
 
@@ -140,41 +139,60 @@ def runs(flags: Booleans, joined: Booleans) -> Iterator[tuple[int, int]]:
     yield from zip(np.flatnonzero(first).tolist(), np.flatnonzero(last).tolist(), strict=True)
 
 
+@np.errstate(invalid="ignore", over="ignore")  # of times and values that are not finite
 def slope(time: Floats, values: Floats, half_window: float, *, joined: Booleans | None = None) -> Floats:
     """Return the slopes of straight lines through the values around each moment; NaN where there are none.
 
     A single wrong value has little effect on such a slope. The values of `half_window` before and after a moment count, in
-    s, and the frames next to it, but at most `MAX_FRAMES` on each side. Times are in s, (frames,), and values (series,
-    frames), NaN where they are unknown. `joined` says whether each frame and the next one belong together, (frames - 1,);
-    None: if at most 1 s is between them.
+    s, and the frames next to it. Times are in s, (frames,), and values (series, frames), NaN where they are unknown.
+    `joined` says whether each frame and the next one belong together, (frames - 1,), of which the next one is later, by at
+    most 1 s; None: wherever it is.
     """
-    known = ~np.isnan(values)
-    values = np.where(known, values, 0.0)
-    count = known.astype(np.float64)
-    times, sums, squares, products = np.zeros((4, *values.shape))
-    linked = joined
-    for apart in range(1, min(MAX_FRAMES + 1, len(time))):
-        with np.errstate(invalid="ignore"):
-            seconds = time[apart:] - time[:-apart]
-            near = (seconds > 0) & (seconds <= (LONGEST_STEP if apart == 1 else half_window + SAME_TIME))
-        if joined is not None and linked is not None:
-            linked = joined if apart == 1 else linked[:-1] & joined[apart - 1 :]
-            near = linked if apart == 1 else near & linked
-        if not near.any():
-            break
-        seconds = np.where(near, seconds, 0.0)
-        both = near & known[:, apart:] & known[:, :-apart]
-        with np.errstate(invalid="ignore"):  # of infinite values
-            change = np.where(both, values[:, apart:] - values[:, :-apart], 0.0)
-        distance = np.where(both, seconds, 0.0)
-        for rows, sign in ((slice(None, -apart), 1), (slice(apart, None), -1)):
-            count[:, rows] += both
-            times[:, rows] += sign * distance
-            sums[:, rows] += sign * change
-            squares[:, rows] += distance * distance
-            products[:, rows] += distance * change
-    with np.errstate(invalid="ignore"):
-        spread = count * squares - times * times
-        slopes = np.full(values.shape, np.nan)
-        np.divide(count * products - times * sums, spread, out=slopes, where=known & (count > 1) & (spread > 0))
-    return slopes
+    seconds = np.diff(time)
+    joined = (seconds > 0) & (seconds <= LONGEST_STEP) if joined is None else joined
+    clock = np.append(0.0, np.cumsum(np.where(joined, seconds, LONGEST_STEP + half_window)))
+    before, after = neighbours(joined)
+    first = np.minimum(np.searchsorted(clock, clock - half_window - SAME_TIME), before)
+    last = np.maximum(np.searchsorted(clock, clock + half_window + SAME_TIME, side="right") - 1, after)
+    found, few = np.full(values.shape, np.nan), max(1, _CELLS // len(clock))
+    for rows in (slice(start, start + few) for start in range(0, len(values), few)):
+        row, frame = np.nonzero(~np.isnan(values[rows]))
+        until = np.append(0, np.cumsum(~np.isnan(values[rows])))
+        begin, end = (until[row * len(time) + each[frame]] for each in (first, last + 1))
+        found[rows][row, frame] = _slopes(time[frame], values[rows][row, frame], begin, end)
+    return found
+
+
+def _slopes(time: Floats, values: Floats, begin: Indices, end: Indices) -> Floats:
+    """Return the slope of a line through the values from one on and before another one, for each of n values, (n,).
+
+    The sums of 1, 2, 4 ... values from each one on make up those of any number. All are of times and values relative to
+    the first one, so that nothing is lost by rounding.
+    """
+    count = end - begin
+    sums = runs = [np.zeros(len(values)) for _ in range(4)]  # of times, values, squared times, and products of both
+    length = 1
+    while length <= count.max(initial=0):
+        is_part = count & length
+        at = np.minimum(begin, len(runs[0]) - 1)
+        moved = _moved([each[at] for each in runs], length, time[at] - time, values[at] - values)
+        sums = [each + np.where(is_part, more, 0.0) for each, more in zip(sums, moved, strict=True)]
+        begin = begin + is_part
+        fewer = max(len(values) + 1 - 2 * length, 0)
+        later = slice(length, length + fewer)
+        seconds, change = time[later] - time[:fewer], values[later] - values[:fewer]
+        moved = _moved([each[later] for each in runs], length, seconds, change)
+        runs = [each[:fewer] + more for each, more in zip(runs, moved, strict=True)]
+        length *= 2
+    times, changes, squares, products = sums
+    spread = count * squares - times * times
+    found = np.full(len(values), np.nan)
+    np.divide(count * products - times * changes, spread, out=found, where=spread > 0)
+    return found
+
+
+def _moved(sums: Sequence[Floats], count: int, seconds: Floats, change: Floats) -> tuple[Floats, ...]:
+    """Return sums for another origin, which is some seconds earlier, and less by the change."""
+    times, values, squares, products = sums
+    later, greater = times + count * seconds, values + count * change
+    return later, greater, squares + seconds * (times + later), products + seconds * greater + change * times
