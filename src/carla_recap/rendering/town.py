@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 _KEPT: Final = 4  # towns in memory
-_SOURCES: Final = ("rendering", "roads", "scene")  # the folders of the modules that a town is made by
+TOWN_SOURCES: Final = ("rendering", "roads", "scene")  # the folders of the modules that a town is made by
 _PAVEMENT: Final = (*PAVED, Material.JUNCTION)
 _SURFACES: Final = (*_PAVEMENT, Material.SIDEWALK, Material.KERB, Material.MEDIAN, Material.GROUND)
 _GROUND: Final = (*_SURFACES, Material.GRASS)
@@ -57,18 +57,20 @@ class TownMesh:
         tiles: The triangles by squares of about 50 m.
         bounds: The least and the largest corner of each tile, (tiles, 2, 3), in m.
         lights: The traffic lights of the map.
+        digest: A digest of the map; empty where there is none.
     """
 
     name: str
     tiles: list[Mesh]
     bounds: Floats
     lights: list[LightPost] = field(default_factory=list)
+    digest: bytes = b""
 
     @classmethod
-    def of_tiles(cls, name: str, tiles: list[Mesh], lights: list[LightPost] | None = None) -> TownMesh:
+    def of_tiles(cls, name: str, tiles: list[Mesh], lights: list[LightPost] | None = None, digest: bytes = b"") -> TownMesh:
         """Return a town of tiles, none of which is empty."""
         bounds = [(tile.vertices.min(axis=0), tile.vertices.max(axis=0)) for tile in tiles]
-        return cls(name, tiles, np.array(bounds, np.float64).reshape(-1, 2, 3), lights or [])
+        return cls(name, tiles, np.array(bounds, np.float64).reshape(-1, 2, 3), lights or [], digest)
 
     def ground_height(self, points: Floats) -> Floats:
         """Return the height of the ground at points, in m; NaN where there is none.
@@ -149,14 +151,14 @@ def _town_mesh(name: str, path: Path, digest: bytes, text: str | None = None) ->
             _towns.move_to_end(key)
             return _towns[key]
     with expecting(path):
-        arrays = kept(digest, "town", _SOURCES, lambda: _arrays(*build_town(read_parts(path) if text is None else text)))
+        arrays = kept(digest, "town", TOWN_SOURCES, lambda: _arrays(*build_town(read_parts(path) if text is None else text)))
     columns = [arrays[column] for column in _COLUMNS]
     if not columns[0]:
         raise FormatError(path, None, "an OpenDRIVE map was expected, and no lane is in it")
     lights = [
         LightPost(id, row[:3], row[3].item()) for id, row in zip(arrays["ids"][0].tolist(), arrays["lights"][0], strict=True)
     ]
-    town = TownMesh.of_tiles(name, [Mesh(*parts) for parts in zip(*columns, strict=True)], lights)
+    town = TownMesh.of_tiles(name, [Mesh(*parts) for parts in zip(*columns, strict=True)], lights, digest)
     with _lock:
         _towns[key] = town
         while len(_towns) > _KEPT:

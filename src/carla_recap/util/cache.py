@@ -99,7 +99,7 @@ def _unpacked(data: bytes) -> Arrays:
 
 def content_key(content: bytes, *sources: str) -> str:
     """Return the key of a map's content, for this version of the modules in some folders, which make the entry."""
-    return sha256(_digest(sources) + content).hexdigest()
+    return sha256(b"".join(map(_digest, sources)) + content).hexdigest()
 
 
 def read_entry(key: str) -> bytes | None:
@@ -168,11 +168,9 @@ def _evict(folder: Path) -> None:
 
 
 @cache
-def _digest(sources: tuple[str, ...]) -> bytes:
-    """Return a digest of the modules in folders."""
+def _digest(folder: str) -> bytes:
+    """Return a digest of the modules in a folder."""
     digest = sha256()
-    package = Path(__file__).parents[1]
-    for folder in sources:
-        for path in sorted((package / folder).rglob("*.py")):
-            digest.update(path.read_bytes())
+    for path in sorted((Path(__file__).parents[1] / folder).rglob("*.py")):
+        digest.update(path.read_bytes())
     return digest.digest()

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, NamedTuple
+from itertools import groupby
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
+from carla_recap.rendering.town import TOWN_SOURCES
 from carla_recap.roads.corridors import fresh_parts
 from carla_recap.roads.polylines import simplify
 from carla_recap.scene.materials import Material
+from carla_recap.util.cache import kept
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
 
     from carla_recap.rendering.town import TownMesh
     from carla_recap.scene.mesh import Mesh
@@ -46,6 +52,7 @@ for _number, _materials in enumerate(LAYERS.values()):
 _UPWARDS: Final = 0.3  # of the normal of a surface that is seen from above
 _GRID: Final = 100  # corners per m, to find those that triangles share
 _TOLERANCE: Final = 0.02  # m
+_SOURCES: Final = (*TOWN_SOURCES, "show/page")  # the folders of the modules that outlines are made by
 _MANY: Final = 5  # points from which an outline is simplified
 
 
@@ -81,14 +88,22 @@ def base_map(town: TownMesh | None, replays: Sequence[SampledReplay]) -> BaseMap
 
 def outlines(town: TownMesh) -> list[Outlines]:
     """Return the outlines of the surfaces of a town, by layer and tile."""
+    found = kept(town.digest, "outlines", _SOURCES, lambda: _outlines(town)) if town.digest else _outlines(town)
+    groups = groupby(zip(found["places"][0].tolist(), found["rings"], strict=True), itemgetter(0))
+    names = list(LAYERS)
+    return [Outlines(names[layer], [ring for _, ring in group]) for (layer, _), group in groups]
+
+
+def _outlines(town: TownMesh) -> dict[str, list[NDArray[Any]]]:
+    """Return the outlines as closed lines, and for each the numbers of its layer and tile, by which they are sorted."""
+    rings, places = [], []
     tiles = [_corners(tile) for tile in town.tiles]
-    found = []
-    for number, layer in enumerate(LAYERS):
-        for numbers, corners in tiles:
-            chosen = corners[numbers == number]
-            if len(chosen):
-                found.append(Outlines(layer, [ring / _GRID for ring in _rings(chosen)]))
-    return [each for each in found if each.rings]
+    for layer in range(len(LAYERS)):
+        for tile, (layers, corners) in enumerate(tiles):
+            found = [ring / _GRID for ring in _rings(corners[layers == layer])]
+            rings += found
+            places += [(layer, tile)] * len(found)
+    return {"rings": rings, "places": [np.array(places, np.int64).reshape(-1, 2)]}
 
 
 def _corners(mesh: Mesh) -> tuple[Integers, Integers]:
@@ -102,6 +117,8 @@ def _corners(mesh: Mesh) -> tuple[Integers, Integers]:
 
 def _rings(corners: Integers) -> Iterator[Floats]:
     """Yield the outlines of triangles: the edges that no other triangle has in the other direction, as closed lines."""
+    if not len(corners):
+        return
     every = corners.reshape(-1, 2)
     low = every.min(axis=0)
     width = int(np.ptp(every[:, 1])) + 1

@@ -11,7 +11,6 @@ from html import escape
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
-from urllib.request import ProxyHandler, build_opener
 
 from carla_recap.errors import FormatError, MissingExtra, RecapError, RecapWarning
 from carla_recap.model.lives import ROAD_USERS
@@ -321,6 +320,8 @@ def _add_viewer(recording: Recording, folder: Path, road_map: RoadMap | None) ->
 
 def _copy_viewer(folder: Path) -> None:
     """Copy the web viewer from Rerun's own server."""
+    from urllib.request import ProxyHandler, build_opener  # which imports much
+
     from carla_recap.show.viewer import HOST, WEB_PORT, RerunViewer
 
     opener = build_opener(ProxyHandler({}))
