@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from contextlib import ExitStack, contextmanager
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -15,13 +14,12 @@ import pytest
 from carla_recap import RecapError, open_recording
 from carla_recap.capture.observer import Observation
 from carla_recap.capture.recording import capture, frames, header_of
-from carla_recap.server import running
 from tests.capture.conftest import own_sensors, settle, spawn, started, wait_for
 from tests.cli.command import error
 from tests.waiting import PATIENCE, wait_until
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
     from pathlib import Path
 
     from carla_recap import Frame, Spawn
@@ -163,28 +161,6 @@ def test_it_ends_after_a_duration(port: int, world: carla.World, tmp_path: Path)
         wait_for(world, lambda: capture.process.poll() is not None)
         assert capture.ended().partition("a.mcap: ")[2].startswith("21 frames, 1 s, the duration has passed, ")
     assert [frame.duration for frame in frames_of(capture.path)][-2:] == [pytest.approx(0.05), -1.0]
-
-
-def test_the_end_of_the_server_completes_it(tmp_path: Path) -> None:
-    with started_after_server(tmp_path / "a.mcap") as capture:
-        said = capture.ended()
-    assert " s, the server is gone, " in said
-    assert "ERROR" not in said  # of CARLA's client, if it asked a server that is gone to destroy an actor
-    assert len(frames_of(capture.path)) > 5
-
-
-@contextmanager
-def started_after_server(path: Path) -> Iterator[Capture]:
-    """A capture whose server ends when it has seen something."""
-    with ExitStack() as stack:
-        with running() as port:
-            capture = stack.enter_context(started(path, port))
-            world = carla.Client("127.0.0.1", port).get_world()
-            spawn(world, "vehicle.tesla.model3", 0, role_name="hero")
-            wait_until(lambda: own_sensors(world))
-            begin = world.get_snapshot().frame
-            wait_until(lambda: world.get_snapshot().frame > begin + 10)
-        yield capture
 
 
 def test_a_missing_server_is_an_error() -> None:

@@ -295,7 +295,7 @@ def test_the_end_of_all_existing_sensors_completes_it(
     assert len(messages(capture.path, "imu", "imu", ImuReading)) > len(messages(capture.path, "gnss", "fix", LocationFix))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_signals_complete_it(world: carla.World, starting: Starting, number: signal.Signals) -> None:
     capture = starting(RIG)
     for _ in range(5):

@@ -43,7 +43,8 @@ def run(*arguments: object, cwd: Path | None = None, **options: Any) -> Done:
     """Run the command, with its output in pipes."""
     words = [os.fspath(_as_path(each)) for each in arguments]
     if options or _server().environment != ENVIRONMENT:
-        options = {"env": ENVIRONMENT, "stdin": subprocess.DEVNULL, "timeout": PATIENCE, "cwd": cwd, **options}
+        options = {"env": ENVIRONMENT, "timeout": PATIENCE, "cwd": cwd, **options}
+        options |= {} if options.keys() & {"input", "stdin"} else {"stdin": subprocess.DEVNULL}
         return subprocess.run([COMMAND, *words], capture_output=True, check=False, **options)
     (out, out_end), (err, err_end) = os.pipe(), os.pipe()
     command = _server().start(words, out_end, err_end, cwd)
@@ -130,5 +131,5 @@ def read_terminal(terminal: int) -> str:
             pieces.append(piece)
 
 
-def _as_path(argument: object) -> str | os.PathLike[str]:
-    return argument if isinstance(argument, os.PathLike) else str(argument)
+def _as_path(argument: object) -> str | bytes | os.PathLike[str]:
+    return argument if isinstance(argument, (bytes, os.PathLike)) else str(argument)

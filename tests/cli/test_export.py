@@ -200,7 +200,7 @@ def test_the_page_is_served_until_it_is_interrupted(tmp_path):
 
 def test_a_viewer_without_a_display_is_an_error(monkeypatch):
     environment = {name: value for name, value in ENVIRONMENT.items() if "DISPLAY" not in name}
-    done = subprocess.run([COMMAND, "view", CROSSING], env=environment, capture_output=True, timeout=PATIENCE, check=False)
+    done = run("view", CROSSING, env=environment)
     assert done.returncode == 2
     assert "--web" in the_line(done.stderr)
 
@@ -208,8 +208,7 @@ def test_a_viewer_without_a_display_is_an_error(monkeypatch):
 def test_a_missing_extra_is_an_error_in_one_line(tmp_path):
     (tmp_path / "rerun.py").write_text("raise ImportError('no rerun here')")
     environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path)}
-    command = [COMMAND, "export", CROSSING, tmp_path / "out.rrd"]
-    done = subprocess.run(command, env=environment, capture_output=True, timeout=PATIENCE, check=False)
+    done = run("export", CROSSING, tmp_path / "out.rrd", env=environment)
     assert done.returncode == 2
     assert the_line(done.stderr) == (
         "carla-recap export needs an optional dependency: pip install '.[rerun]' in a clone of carla-recap"
@@ -219,8 +218,7 @@ def test_a_missing_extra_is_an_error_in_one_line(tmp_path):
 def test_a_map_needs_no_extra(tmp_path):
     (tmp_path / "carla.py").write_text("raise ImportError('no carla here')")
     environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path), "CARLA_RECAP_MAPS": str(town("Town01").parent)}
-    command = [COMMAND, "export", carla_log(REAL), tmp_path / "out.rrd", "--duration", "0.1"]
-    done = subprocess.run(command, env=environment, capture_output=True, timeout=PATIENCE, check=False)
+    done = run("export", carla_log(REAL), tmp_path / "out.rrd", "--duration", "0.1", env=environment)
     assert done.returncode == 0
     (written,) = done.stderr.decode().splitlines()
     assert written.startswith(f"wrote {tmp_path / 'out.rrd'}: ")

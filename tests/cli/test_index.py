@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
 
-from tests.cli.command import COMMAND, ENVIRONMENT, answer, on_terminal, run, wrote
+from tests.cli.command import answer, on_terminal, run, wrote
 from tests.samples import SAMPLES
-from tests.waiting import PATIENCE
 
 pytest.importorskip("duckdb", reason="the extra `sql` is not installed")
 
@@ -129,10 +127,7 @@ def test_a_query_without_rows(index):
 
 
 def test_a_query_from_stdin(index):
-    command = [COMMAND, "sql", index, "-"]
-    done = subprocess.run(
-        command, input=b"select 1 as n", capture_output=True, env=ENVIRONMENT, timeout=PATIENCE, check=False
-    )
+    done = run("sql", index, "-", input=b"select 1 as n")
     assert done.stdout == b"n\n1\n"
 
 
@@ -152,9 +147,7 @@ def test_a_question_about_measures_that_the_index_does_not_have_is_answered_with
 @pytest.mark.parametrize("form", ["argument", "stdin"])
 def test_a_query_that_is_not_utf_8_is_an_error_in_one_line(index, form):
     query, text = ("-", b"select '\xff'") if form == "stdin" else (b"select '\xff'", b"")
-    done = subprocess.run(
-        [COMMAND, "sql", index, query], input=text, capture_output=True, env=ENVIRONMENT, timeout=PATIENCE, check=False
-    )
+    done = run("sql", index, query, input=text)
     assert (done.returncode, done.stdout) == (2, b"")
     assert done.stderr.count(b"\n") == 1
     assert b"is not UTF-8" in done.stderr
@@ -170,9 +163,7 @@ def test_a_query_that_is_not_utf_8_is_an_error_in_one_line(index, form):
 def test_stdin_without_an_end_is_an_error(index, command, message):
     arguments = [index if argument == "INDEX" else argument for argument in command]
     with Path("/dev/zero").open("rb") as zeros:
-        done = subprocess.run(
-            [COMMAND, *arguments], stdin=zeros, capture_output=True, env=ENVIRONMENT, timeout=PATIENCE, check=False
-        )
+        done = run(*arguments, stdin=zeros)
     assert (done.returncode, done.stdout, done.stderr) == (2, b"", b"carla-recap: " + message + b"\n")
 
 

@@ -83,10 +83,7 @@ def test_files_folders_and_globs_are_read_in_their_order_and_once(whole):
 
 
 def test_a_list_of_recordings_is_read_from_stdin(whole):
-    command = [COMMAND, "collisions", "-"]
-    done = subprocess.run(
-        command, input=b"runs/d.log\n\nruns/*.mcap\r\n", capture_output=True, env=ENVIRONMENT, timeout=PATIENCE, check=True
-    )
+    done = run("collisions", "-", input=b"runs/d.log\n\nruns/*.mcap\r\n")
     assert done.stdout.decode().splitlines() == lines("collisions", "runs/d.log", "runs/b.mcap")
 
 

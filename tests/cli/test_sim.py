@@ -39,7 +39,7 @@ def test_the_same_seed_makes_the_same_bytes(tmp_path, suffix):
     environment = ENVIRONMENT | {"SOURCE_DATE_EPOCH": "1767261600"}
     paths = [tmp_path / f"{name}{suffix}" for name in "ab"]
     for path in paths:
-        subprocess.run([COMMAND, "record", path, *FEW], env=environment, timeout=PATIENCE, check=True, capture_output=True)
+        assert run("record", path, *FEW, env=environment).returncode == 0
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
@@ -48,8 +48,7 @@ def test_a_seed_sets_the_date(tmp_path):
     environment = {name: value for name, value in ENVIRONMENT.items() if name != "SOURCE_DATE_EPOCH"}
     dates = []
     for options in (["--seed", "4"], []):
-        command = [COMMAND, "record", tmp_path / "a.log", *FEW, *options, "--force"]
-        subprocess.run(command, env=environment, timeout=PATIENCE, check=True, capture_output=True)
+        assert run("record", tmp_path / "a.log", *FEW, *options, "--force", env=environment).returncode == 0
         with open_recording(tmp_path / "a.log") as recording:
             dates.append(recording.header.date)
     assert dates[0] == 1767261600
@@ -89,13 +88,7 @@ def test_a_missing_map_is_an_error_with_the_folders(tmp_path):
         (tmp_path / "no", f"{tmp_path / 'no'}, which is missing"),
         (tmp_path, tmp_path),
     ):
-        done = subprocess.run(
-            [COMMAND, "record", tmp_path / "a.log", "--town", "Atlantis"],
-            env=ENVIRONMENT | {"CARLA_RECAP_MAPS": str(folder)},
-            capture_output=True,
-            timeout=PATIENCE,
-            check=False,
-        )
+        done = run("record", tmp_path / "a.log", "--town", "Atlantis", env=ENVIRONMENT | {"CARLA_RECAP_MAPS": str(folder)})
         assert the_line(done.stderr).endswith(str(told))
 
 
@@ -169,9 +162,8 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path, suffix):
 
 def test_a_missing_extra_is_an_error_in_one_line(tmp_path):
     (tmp_path / "pymunk.py").write_text("raise ModuleNotFoundError('no pymunk here')")
-    command = [COMMAND, "record", tmp_path / "a.mcap", *FEW]
     environment = ENVIRONMENT | {"PYTHONPATH": before_others(tmp_path)}
-    done = subprocess.run(command, env=environment, capture_output=True, timeout=PATIENCE, check=False)
+    done = run("record", tmp_path / "a.mcap", *FEW, env=environment)
     assert done.returncode == 2
     assert the_line(done.stderr).startswith("carla-recap record needs an optional dependency: pip install '.[sim]'")
 

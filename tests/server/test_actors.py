@@ -58,12 +58,6 @@ def test_blueprints_have_carlas_attributes(world: carla.World) -> None:
     assert len(library.filter("controller.ai.walker")) == 1
 
 
-def test_each_attribute_that_can_be_changed_has_recommended_values(world: carla.World) -> None:
-    for blueprint in world.get_blueprint_library():
-        for attribute in blueprint:
-            assert bool(attribute.recommended_values) is attribute.is_modifiable, (blueprint.id, attribute.id)
-
-
 def test_all_blueprints_can_be_spawned_and_their_attributes_read_back(client: carla.Client, world: carla.World) -> None:
     blueprints = list(world.get_blueprint_library())
     spots = [
@@ -165,14 +159,6 @@ def test_actors_are_teleported(world: carla.World) -> None:
     assert (car.get_location().x, car.get_transform().rotation.yaw) == pytest.approx((510.0, 30.0), abs=1e-3)
 
 
-def test_a_town_stays_where_it_is(inside: Inside) -> None:
-    light = inside.world.traffic_lights[0]
-    with pytest.raises(RecapError, match="belongs to the town"):
-        inside.call("set_actor_location", light.id, [0.0, 0.0, 0.0])
-    with pytest.raises(RecapError, match="belongs to the town"):
-        inside.call("destroy_actor", light.id)
-
-
 def test_velocities_are_taken_over(world: carla.World) -> None:
     car = spawn(world, at=FAR)
     car.set_target_velocity(carla.Vector3D(10.0, 0.0, 0.0))
@@ -261,14 +247,6 @@ def test_a_push_that_is_refused_leaves_nothing(inside: Inside) -> None:
     car.destroy()
 
 
-def test_an_actor_without_physics_stays(world: carla.World) -> None:
-    car = spawn(world, at=FAR)
-    car.set_simulate_physics(False)
-    car.set_target_velocity(carla.Vector3D(10.0, 0.0, 0.0))
-    ticks(world, 5)
-    assert car.get_location().x == pytest.approx(500.0)
-
-
 def test_the_dead_neither_walk_nor_drive(inside: Inside) -> None:
     places = inside.world.town.spawn_points
     car, walker = (
@@ -317,22 +295,6 @@ def test_attributes_that_no_recording_could_have_are_refused(inside: Inside) -> 
             inside.call("spawn_actor", [0, "vehicle.audi.tt", [["role_name", 4, value]]], place)
     id = inside.call("spawn_actor", [0, "vehicle.audi.tt", [["parent", 4, "x"], ["blueprint", 4, "y"]]], place)[0]
     assert "parent" not in inside.world.actors[id].attributes
-
-
-def test_a_friction_trigger_acts_on_the_tyres_of_vehicles_inside(world: carla.World) -> None:
-    blueprint = world.get_blueprint_library().find("static.trigger.friction")
-    for key, value in {"friction": "0.25", "extent_x": "500", "extent_y": "500", "extent_z": "500"}.items():
-        blueprint.set_attribute(key, value)
-    car = spawn(world, "vehicle.lincoln.mkz_2017", carla.Transform(carla.Location(600.0, 0.0, 0.5)))
-    before = [wheel.tire_friction for wheel in car.get_physics_control().wheels]
-    trigger = world.spawn_actor(blueprint, carla.Transform(carla.Location(600.0, 0.0, 0.0)))
-    world.tick()
-    assert [wheel.tire_friction for wheel in car.get_physics_control().wheels] == [0.25] * 4
-    car.set_location(carla.Location(650.0, 0.0, 0.5))
-    ticks(world, 2)
-    assert [wheel.tire_friction for wheel in car.get_physics_control().wheels] == before
-    trigger.destroy()
-    car.destroy()
 
 
 async def test_the_records_of_many_actors_keep_no_other_client_waiting(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -41,14 +41,6 @@ def camera(recordings: Path) -> int:
 # --- the recorder --------------------------------------------------------------------------------------------------------
 
 
-def test_recording(client: carla.Client, world: carla.World, tmp_path: Path) -> None:
-    path = f"{tmp_path}/recording01.log"
-    assert client.start_recorder(path) == path
-    world.tick()
-    client.stop_recorder()
-    assert "Frames: 1\n" in client.show_recorder_file_info(path, False)
-
-
 def test_simulation_playback(client: carla.Client, world: carla.World, camera: int) -> None:
     for start, duration, told in ((1.0, 2.0, "from 1 s - 3 s"), (-2.0, 0.0, "from 3 s - 5 s"), (0.0, 0.0, "from 0 s - 5 s")):
         answer = client.replay_file("recording01.log", start, duration, camera)
@@ -87,28 +79,7 @@ def test_recorded_file(client: carla.Client, camera: int) -> None:
         assert answer.endswith("\n\nFrames: 101\nDuration: 5 seconds\n")
 
 
-def test_collisions(client: carla.Client, camera: int) -> None:
-    answer = client.show_recorder_collisions("recording01.log", "v", "a")
-    assert "    Time  Types     Id Actor 1                                 Id Actor 2" in answer
-    assert "Replaying from 3 s - 5 s" in client.replay_file("col2.log", 3, 0, camera)
-
-
-def test_blocked_actors(client: carla.Client, camera: int) -> None:
-    min_time, min_distance = 2.0, 10.0
-    assert f"{camera:>7} vehicle.tesla.model3" in client.show_recorder_actors_blocked(
-        "recording01.log", min_time, min_distance
-    )
-    assert "vehicle" not in client.show_recorder_actors_blocked("col3.log", 60, 100)
-    assert "Replaying from 4 s - 5 s" in client.replay_file("col3.log", 4, 0, camera)
-
-
 # --- world and client ----------------------------------------------------------------------------------------------------
-
-
-def test_client_creation(port: int) -> None:
-    client = carla.Client("localhost", port)
-    client.set_timeout(PATIENCE)  # seconds
-    assert client.get_client_version() == client.get_server_version()
 
 
 def test_world_connection(client: carla.Client) -> None:
@@ -120,23 +91,6 @@ def test_world_connection(client: carla.Client) -> None:
     assert client.get_world().id == third.id
 
 
-def test_using_commands(client: carla.Client, world: carla.World) -> None:
-    blueprint = world.get_blueprint_library().find("vehicle.audi.tt")
-    vehicles_list = [world.spawn_actor(blueprint, place) for place in world.get_map().get_spawn_points()[:5]]
-    world.tick()
-    client.apply_batch([carla.command.DestroyActor(x) for x in vehicles_list])
-    world.tick()
-    assert not world.get_actors().filter("vehicle.*")
-
-
-def test_weather(world: carla.World) -> None:
-    weather = carla.WeatherParameters(cloudiness=80.0, precipitation=30.0, sun_altitude_angle=70.0)
-    world.set_weather(weather)
-    assert world.get_weather() == weather
-    world.set_weather(carla.WeatherParameters.WetCloudySunset)
-    assert world.get_weather() == carla.WeatherParameters.WetCloudySunset
-
-
 def test_street_lights(world: carla.World) -> None:
     lmanager = world.get_lightmanager()
     my_lights = lmanager.get_all_lights(carla.LightGroup.Building)
@@ -145,14 +99,6 @@ def test_street_lights(world: carla.World) -> None:
     lmanager.set_color(my_lights, carla.Color(255, 0, 0))
     lmanager.set_intensities(my_lights, [])
     world.tick()
-
-
-def test_vehicle_lights(world: carla.World, vehicle: carla.Vehicle) -> None:
-    current_lights = carla.VehicleLightState.NONE
-    current_lights |= carla.VehicleLightState.Position
-    vehicle.set_light_state(carla.VehicleLightState(current_lights))
-    world.tick()
-    assert vehicle.get_light_state() == carla.VehicleLightState.Position
 
 
 def test_debugging(world: carla.World, vehicle: carla.Vehicle) -> None:
@@ -184,16 +130,6 @@ def test_world_snapshots(world: carla.World, vehicle: carla.Vehicle) -> None:
 # --- synchrony and time step ---------------------------------------------------------------------------------------------
 
 
-def test_variable_time_step(world: carla.World) -> None:
-    settings = world.get_settings()
-    settings.synchronous_mode = False
-    settings.fixed_delta_seconds = None
-    world.apply_settings(settings)
-    deltas = [world.wait_for_tick().timestamp.delta_seconds for _ in range(5)]
-    assert all(0 < delta < 1 for delta in deltas)
-    assert world.get_settings().fixed_delta_seconds is None
-
-
 def test_fixed_time_step(world: carla.World) -> None:
     settings = world.get_settings()
     settings.synchronous_mode = False
@@ -216,14 +152,3 @@ def test_synchronous_mode(world: carla.World, vehicle: carla.Vehicle) -> None:
             frame = world.tick()
             assert data_queue.get(timeout=PATIENCE).frame == frame
         sensor.destroy()
-
-
-def test_waiting_for_a_tick_and_being_called_at_each(world: carla.World) -> None:
-    world.apply_settings(carla.WorldSettings(synchronous_mode=False))
-    called: queue.Queue[carla.WorldSnapshot] = queue.Queue()
-    number = world.on_tick(lambda world_snapshot: called.put(world_snapshot))
-    world_snapshot = world.wait_for_tick()
-    frames = [called.get(timeout=PATIENCE).frame for _ in range(5)]
-    assert frames == list(range(frames[0], frames[0] + 5))
-    assert abs(world_snapshot.frame - frames[0]) < 3
-    world.remove_on_tick(number)

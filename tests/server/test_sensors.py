@@ -80,18 +80,6 @@ def test_a_collision_is_told_with_whom_and_how_hard(world: carla.World) -> None:
     assert event.normal_impulse.dot(along) < -1000.0  # N s, against the way of the car
 
 
-def test_a_barrier_has_a_type_too(world: carla.World) -> None:
-    car = vehicle(world)
-    data = Data(sensor(world, "other.collision", car))
-    world.tick()
-    place = car.get_transform()
-    place.rotation.yaw += 90.0  # to the side of the road
-    car.set_transform(place)
-    car.apply_control(carla.VehicleControl(throttle=1.0))
-    event = tick_until(world, data)
-    assert event.other_actor.type_id.startswith(("static.", "traffic."))
-
-
 def test_gnss_agrees_with_the_map(world: carla.World) -> None:
     car = vehicle(world)
     data = Data(sensor(world, "other.gnss", car))
@@ -183,19 +171,6 @@ def test_sensors_send_at_once_and_then_every_sensor_tick(world: carla.World) -> 
         assert [data.get(timeout=PATIENCE).frame for _ in range(3)] == [first, first + 4, first + 8]
 
 
-def test_sensors_repeat_their_noise_in_every_episode(client: carla.Client) -> None:
-    runs = []
-    for _ in range(2):
-        world = client.reload_world(False)
-        car, _ = vehicle(world), vehicle(world, distance=15.0)
-        radar = Data(sensor(world, "other.radar", car, noise_seed="54283"))
-        gnss = Data(sensor(world, "other.gnss", car, noise_seed="54283", noise_lat_stddev="0.001"))
-        ticks(world, 5)
-        runs.append([(bytes(radar.get(timeout=PATIENCE).raw_data), gnss.get(timeout=PATIENCE).latitude) for _ in range(5)])
-    assert runs[0] == runs[1]
-    assert all(len(set(values)) > 1 for values in zip(*runs[0], strict=True))
-
-
 def test_a_sensor_can_be_stopped_and_listened_to_again(world: carla.World) -> None:
     gnss = sensor(world, "other.gnss", vehicle(world))
     assert not gnss.is_listening()
@@ -221,29 +196,6 @@ def test_sensors_are_destroyed_with_their_parent_and_others_go_on(world: carla.W
     for _ in range(10):
         of_frame(there, world.tick())
     assert gone.empty()
-
-
-def test_transforms_of_attached_actors_are_those_of_their_parent_and_their_own(world: carla.World) -> None:
-    library = world.get_blueprint_library()
-    car = vehicle(world)
-    camera = world.spawn_actor(
-        library.find("sensor.camera.rgb"),
-        carla.Transform(carla.Location(x=-6.0, z=2.5), carla.Rotation(pitch=-8.0)),
-        attach_to=car,
-        attachment_type=carla.AttachmentType.SpringArm,
-    )
-    box = world.spawn_actor(library.find("static.prop.box01"), carla.Transform(carla.Location(z=1.6)), attach_to=car)
-    bike = world.spawn_actor(library.find("vehicle.vespa.zx125"), carla.Transform(carla.Location(x=-5.0)), attach_to=car)
-    car.apply_control(carla.VehicleControl(throttle=0.7, steer=0.1))
-    for _ in range(60):
-        world.tick()
-    there = car.get_transform()
-    assert car.get_velocity().length() > 5.0
-    for actor, offset in ((camera, (-6.0, 0.0, 2.5)), (box, (0.0, 0.0, 1.6)), (bike, (-5.0, 0.0, 0.0))):
-        assert actor.get_location().distance(there.transform(carla.Location(*offset))) < 0.01
-        assert actor.parent.id == car.id
-    assert camera.get_transform().rotation.pitch == pytest.approx(there.rotation.pitch - 8.0, abs=0.1)
-    assert bike.get_velocity().distance(car.get_velocity()) < 0.01
 
 
 def test_a_subscriber_that_stops_reading_holds_up_no_other(world: carla.World, port: int) -> None:

@@ -8,7 +8,6 @@ import carla
 import pytest
 
 from carla_recap.errors import RecapError
-from carla_recap.sim.geometry import Vector
 from tests.server.client import FAR, spawn, ticks
 from tests.server.inside import Inside
 
@@ -38,19 +37,6 @@ def test_a_walker_is_put_where_the_client_leads_it(
     assert walker.get_location().x == pytest.approx(505.0, abs=1e-3)
     assert walker.get_location().y == pytest.approx(500.075 if simulated else 500.0, abs=1e-3)
     assert (walker.get_velocity().x, walker.get_velocity().y) == pytest.approx((0.0, 1.5), abs=1e-3)
-
-
-def test_pushes_have_no_effect_on_a_walker_as_it_has_no_body_in_carla() -> None:
-    inside = Inside()
-    walker = inside.world.place("walker.pedestrian.0001", inside.world.town.spawn_points[0])
-    inside.host.tick()
-    before = walker.transform
-    inside.call("set_actor_target_velocity", walker.id, [3.0, 0.0, 0.0])
-    inside.call("add_actor_impulse", walker.id, [500.0, 0.0, 0.0])
-    inside.call("add_actor_force_at_location", walker.id, [500.0, 0.0, 0.0], [0.0, 0.0, 0.0])
-    assert walker.velocity == Vector()
-    inside.host.tick()
-    assert (walker.transform, walker.velocity) == (before, Vector())
 
 
 def test_a_walker_has_no_bones(walker: carla.Walker) -> None:

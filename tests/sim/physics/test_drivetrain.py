@@ -319,15 +319,6 @@ def test_no_value_of_a_physics_control_makes_a_tick_fail(driven_by: str) -> None
         assert [BAD[row] for row in np.flatnonzero(bad)] == []
 
 
-def test_a_physics_control_that_fails_changes_nothing() -> None:
-    _, car = tesla()
-    before = car.physics_control
-    with pytest.raises(ValueError, match="unpack"):
-        change(car, {"mass": 900.0, "torque_curve": ((1.0,),)})
-    assert car.physics_control == before
-    assert car.rows.mass[car.row] == before.mass
-
-
 @pytest.mark.parametrize("speed", [0.015, 0.03])
 def test_speed_and_body_come_to_rest_together(speed: float) -> None:
     world = flat_world()

@@ -95,22 +95,6 @@ def test_vehicles_brake_from_100_within_a_plausible_distance() -> None:
         assert car.velocity.length() == 0, car
 
 
-def test_less_grip_makes_the_way_longer() -> None:
-    ways = []
-    for friction in (3.5, 0.3):
-        world = flat_world()
-        car = vehicle(world, "audi.tt")
-        control = car.physics_control
-        for wheel in control.wheels:
-            wheel.tire_friction = friction
-        car.physics_control = control
-        car.set_target_velocity(Vector(20.0))
-        car.apply_control(VehicleControl(brake=1.0))
-        world.run(10)
-        ways.append(car.transform.location.x)
-    assert ways[1] - 10 > 1.5 * (ways[0] - 10)
-
-
 @pytest.mark.parametrize("name", ["tesla.model3", "mini.cooper_s", "mercedes.sprinter", "bh.crossbike"])
 @pytest.mark.parametrize("steer", [0.1, -0.3])
 def test_at_low_speed_the_radius_is_wheelbase_by_tangent(name: str, steer: float) -> None:

@@ -378,15 +378,6 @@ def test_any_other_suffix_records_the_format_of_carla_under_that_very_name(tmp_p
     assert len(frames(tmp_path / name)) == 1
 
 
-@pytest.mark.skipif(not hasattr(resource, "prlimit"), reason="limits of other processes are Linux's")
-def test_a_full_disk_leaves_a_recording_of_any_suffix(tmp_path: Path) -> None:
-    world = flat_world()
-    path = world.start_recorder(tmp_path / "a.rec")
-    with disk_of(world, 60_000), pytest.warns(RecapWarning, match=r"File too large; the recording ends at [\d.]+ s"):
-        run_until_it_fails(world)
-    assert len(frames(path)) > 100
-
-
 @pytest.fixture
 def handed_over(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The commands that processes that write have carried out."""
@@ -512,13 +503,6 @@ def test_a_new_episode_completes_the_recording_and_can_be_recorded(tmp_path: Pat
     assert len(record(world, tmp_path / "b.log", 2)) == 2
 
 
-def test_a_world_as_a_context_completes_the_recording(tmp_path: Path) -> None:
-    with flat_world() as world:
-        world.start_recorder(tmp_path / "a.log")
-        world.tick()
-    assert len(frames(tmp_path / "a.log")) == 1
-
-
 def test_a_forgotten_world_completes_the_recording(tmp_path: Path) -> None:
     world = flat_world()
     world.start_recorder(tmp_path / "a.mcap")
@@ -550,16 +534,6 @@ def killed(end: str, batches: int = 4) -> str:
     """Return the script with an end that kills it, once whole batches have been handed over to the process that writes."""
     handed_over = f"while len(handed_over) < {batches}:\n    time.sleep(0.01)\n"
     return "".join((textwrap.dedent(_COUNTING), textwrap.dedent(_SCRIPT), handed_over, textwrap.dedent(end)))
-
-
-def test_a_process_that_is_killed_leaves_its_recording_complete_but_for_the_last_moments(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    script = killed("os.kill(os.getpid(), 9)")
-    subprocess.run(command(script, path), stderr=subprocess.PIPE)  # kept open by the process that writes
-    found = frames(path)
-    assert list(tmp_path.iterdir()) == [path]
-    assert found[-1].elapsed > 12 - 5 - 0.1
-    assert [frame.id for frame in found] == list(range(1, len(found) + 1))
 
 
 def test_ctrl_c_does_not_reach_the_process_that_writes(tmp_path: Path) -> None:
@@ -665,7 +639,9 @@ def test_a_process_that_is_killed_has_its_recording_completed_even_while_forked_
         child = int(process.stdout.readline())
         wait_until(path.exists)
         os.kill(child, signal.SIGKILL)
-    assert len(frames(path)) > 100
+    found = frames(path)
+    assert found[-1].elapsed > 12 - 5 - 0.1  # all but the last moments
+    assert [frame.id for frame in found] == list(range(1, len(found) + 1))
 
 
 def test_each_recording_has_a_process_that_ends_with_it(tmp_path: Path) -> None:
@@ -795,17 +771,6 @@ def test_a_full_disk_ends_the_recording_and_not_the_simulation(tmp_path: Path) -
         assert carla_recap.recover(partial, tmp_path / "b.mcap").frames > 100
     assert len(record(world, tmp_path / "c.mcap", 3, in_process=False)) == 3
     assert world.recorder.error is None
-
-
-@pytest.mark.skipif(not hasattr(resource, "prlimit"), reason="limits of other processes are Linux's")
-def test_what_a_full_disk_has_room_for_is_a_recording(tmp_path: Path) -> None:
-    world, path = flat_world(), tmp_path / "a.log"
-    world.start_recorder(path)
-    reason = r"has ended: .*a.log: cannot be written: File too large; the recording ends at [\d.]+ s"
-    with disk_of(world, 60_000), pytest.warns(RecapWarning, match=reason):
-        run_until_it_fails(world)
-    assert len(frames(path)) > 100
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_the_process_that_writes_may_be_killed(tmp_path: Path, handed_over: list[str]) -> None:
