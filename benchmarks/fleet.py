@@ -57,7 +57,7 @@ def index_kills(subject: Subject) -> Iterator[Line]:
             process.wait()
     lines, _, _ = _run("index", runs, index)
     left = lines[-1].rpartition(": ")[2]
-    equal = _contents(index) == _contents(expected)
+    equal = contents(index) == contents(expected)
     yield Line(f"{count:,} recordings, {KILLS} kills", f"at the end {left}", "", "equal tables", equal)
 
 
@@ -141,7 +141,8 @@ def _peak(command: list[Any]) -> int:
     return peak
 
 
-def _contents(index: Path) -> dict[str, list[str]]:
+def contents(index: Path) -> dict[str, list[str]]:
+    """Return the rows of all tables of an index as texts, in an order of their own."""
     from carla_recap import open_index
     from carla_recap.fleet.index.tables import TABLES
 

@@ -355,6 +355,7 @@ def names() -> Callable[[str], str]:
 
 def test_files_of_tests_are_named_after_them(names: Callable[[str], str]) -> None:
     assert names("tests/a/test_b.py::TestC::test_d[x-1.5]") == "tests-a-test_b-TestC-test_d-x-1.5"
+    assert names("a/b.py::test_d") != names("a-b.py::test_d")
     awkward = [names(f"test_b.py::test_d[{value}]") for value in ("a/b", "a b", "a-b", "../..", "ä\0", "x" * 4000)]
     assert len(set(awkward)) == len(awkward)
     assert all(re.fullmatch(r"[\w.-]{1,140}", name) and ".." not in name.split("-")[0] for name in awkward)

@@ -360,7 +360,8 @@ def _file_name(nodeid: str) -> str:
     """Return a name for the files of a test: that of the test, and of its module; no two tests have the same."""
     path, _, test = nodeid.partition("::")
     name = re.sub(r"[^\w.-]+", "-", f"{path.removesuffix('.py')}-{test}").strip("-.")
-    if len(name) <= _NAME and re.fullmatch(r"[\w.-]+(\[[\w.-]+\])?", test.replace("::", "-")):
+    is_plain = "-" not in path and re.fullmatch(r"[\w.-]+(\[[\w.-]+\])?", test.replace("::", "-"))
+    if len(name) <= _NAME and is_plain:
         return name
     return f"{name[:_NAME]}-{hashlib.sha256(nodeid.encode('utf-8', 'surrogatepass')).hexdigest()[:8]}"
 

@@ -36,6 +36,18 @@ def test_folders_globs_and_files_mean_recordings(folder, sources, found):
     assert names([f"{folder}{source}" for source in sources], folder) == found
 
 
+@pytest.mark.parametrize("source", ["", "/**/*.*"])
+def test_linked_folders_are_searched_once(folder, source):
+    (folder / "a-loop").symlink_to(folder)
+    (folder / "deep" / "up").symlink_to(folder / "deep")
+    (folder.with_name("beside")).mkdir(exist_ok=True)
+    (folder.with_name("beside") / "e.log").touch()
+    (folder / "linked").symlink_to(folder.with_name("beside"))
+    (folder / "a-link.log").symlink_to(folder / "a.log")
+    found = [name for name in names([f"{folder}{source}"], folder) if not name.endswith("txt")]
+    assert sorted(found) == ["a-link.log", "a.log", "b.mcap", "deep/d.LOG", "linked/e.log"]
+
+
 def test_sizes_and_times_are_those_of_the_files(folder):
     found, missing = find_sources([folder / "a.log", folder / "missing.log"])
     assert (found.size, found.modified) == (5, (folder / "a.log").stat().st_mtime)

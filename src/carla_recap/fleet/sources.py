@@ -6,6 +6,7 @@ import os
 import re
 import sys
 from dataclasses import dataclass, field
+from functools import lru_cache
 from glob import glob, has_magic
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
@@ -61,7 +62,8 @@ class SourceFile:
 def find_sources(sources: Iterable[str | Path], *, errors: Literal["raise", "yield"] = "raise") -> Iterator[SourceFile]:
     """Yield the recordings that some sources mean, in the order of these; each of them once.
 
-    A folder means all .log and .mcap files in it and below, except hidden ones; a glob, all that it matches, `**` included.
+    A folder means all .log and .mcap files in it and below, except hidden ones, those of linked folders too, each folder
+    once; a glob, all that it matches, `**` included.
     The same holds of prefixes and globs at object stores, in the order of their listing, which has sizes, times and ETags.
     A file that is named is yielded even if it does not exist: to open it says why.
 
@@ -79,9 +81,9 @@ def find_sources(sources: Iterable[str | Path], *, errors: Literal["raise", "yie
             if not source:
                 raise RecapError("'': a path or a URL was expected")
             for found in _expanded(source):
-                path = found.location if "://" in found.location else os.path.abspath(found.location)  # noqa: PTH100
-                if path not in seen:
-                    seen.add(path)
+                key = found.location if "://" in found.location else _place(found.location)
+                if key not in seen:
+                    seen.add(key)
                     yield found
         except (RecapError, OSError, ValueError) as error:  # the latter of names that are too long, or have a NUL
             if not isinstance(error, RecapError):
@@ -138,7 +140,8 @@ def _expanded(source: str) -> Iterator[SourceFile]:
         found, folder = _in_folder(path, errors), path
         expected = "a folder with .log or .mcap files was expected"
     elif has_magic(path) and not Path(path).exists():
-        matched = sorted(glob(path, recursive=True))  # noqa: PTH207 - which takes no absolute pattern
+        globbed = glob(path, recursive=True)  # noqa: PTH207 - which takes no absolute pattern
+        matched = sorted({_place(each): each for each in sorted(globbed, key=_depth, reverse=True)}.values())
         found = [each for match in matched for each in (_in_folder(match, errors) if Path(match).is_dir() else [match])]
         folder = os.path.dirname(path[: _MAGIC.search(path).start()])  # type: ignore[union-attr]  # noqa: PTH120
         expected = "a glob that matches recordings was expected"
@@ -154,16 +157,37 @@ def _expanded(source: str) -> Iterator[SourceFile]:
 
 
 def _in_folder(folder: str, errors: list[OSError]) -> list[str]:
-    """Return the recordings in a folder and below; add the errors of folders that cannot be listed."""
+    """Return the recordings in a folder and below, of linked folders last; add errors of listing."""
     found = []
     skipped = 0
-    for parent, folders, files in os.walk(folder, onerror=errors.append):
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
-        names = [name for name in files if not name.startswith(".") and Path(name).suffix.lower() in SUFFIXES]
-        found += [str(Path(parent, name)) for name in sorted(names)]
-        skipped += len(files) - len(names)
+    tops, known = [folder], set[str]()
+    for top in tops:  # which grows
+        for parent, folders, files in os.walk(top, onerror=errors.append):
+            if (place := os.path.realpath(parent)) in known:
+                folders.clear()
+                continue
+            known.add(place)
+            folders[:] = sorted(name for name in folders if not name.startswith("."))
+            tops += [path for name in folders if (path := os.path.join(parent, name)) and os.path.islink(path)]  # noqa: PTH114, PTH118
+            names = [name for name in files if not name.startswith(".") and Path(name).suffix.lower() in SUFFIXES]
+            found += [str(Path(parent, name)) for name in sorted(names)]
+            skipped += len(files) - len(names)
     log_info(__name__, "%s has %s recordings; %s other files are skipped", folder, len(found), skipped)
     return found
+
+
+@lru_cache
+def _real_folder(folder: str) -> str:
+    return os.path.realpath(folder)
+
+
+def _place(path: str) -> str:
+    """Return the path of a file in its folder itself, whatever links lead there; a link to a file stays one."""
+    return os.path.join(_real_folder(os.path.dirname(path)), os.path.basename(path))  # noqa: PTH118, PTH119, PTH120
+
+
+def _depth(path: str) -> int:
+    return path.count(os.sep)
 
 
 def _described(location: str, name: str) -> SourceFile:
