@@ -63,6 +63,10 @@ def test_velocities_are_those_of_a_loop(
         expected[rows] = velocities(rows)
         for number, row in enumerate(rows):  # of what is behind a scene, the next frame alone is known
             in_scenes[row] = velocities([each for each in rows if each <= row + 1])[number]
+            following = [*lives[lives.index(rows) + 1 :], [len(frames)]][0][0]
+            for absent in range(row + 1, [*rows, following][number + 1]):
+                if times[absent] - times[row] <= 1.0:
+                    in_scenes[absent] = in_scenes[row]
     with tempfile.TemporaryDirectory() as folder:
         path = write(Path(folder) / f"in{suffix}", script, times=times)
         with open_recording(path) as recording:

@@ -66,7 +66,7 @@ def test_from_one_life_of_an_id_to_the_next_is_no_motion(tmp_path: Path) -> None
     with carla_recap.open_recording(path) as recording:
         motion = CarrierMotion(recording, 1)
     for time in np.linspace(0, 1.1, 50):
-        assert [part.tolist() for part in motion.at(time)] == [[0, 0, 0]] * 3
+        assert [part.tolist() for part in motion.at(time)] == [[0, 0, 0]] * 4
 
 
 def test_numbers_that_are_none(tmp_path: Path) -> None:
@@ -79,5 +79,5 @@ def test_numbers_that_are_none(tmp_path: Path) -> None:
         absent = CarrierMotion(recording, 2)
     for time in times:
         assert all(np.isfinite(part).all() for part in motion.at(time))
-        assert [part.tolist() for part in absent.at(time)] == [[0, 0, 0]] * 3
+        assert [part.tolist() for part in absent.at(time)] == [[0, 0, 0]] * 4
     assert motion.at(0.25).velocity == pytest.approx((2, 0, 0), abs=1e-3)

@@ -8,7 +8,7 @@ from math import pi, radians
 import numpy as np
 import pytest
 
-from carla_recap.sensors.position import GeoReference, Gnss, Imu
+from carla_recap.sensors.position import GeoReference, Gnss, Imu, acceleration_at
 from tests.roads.towns import town
 
 ROAD = """<OpenDRIVE><header revMajor="1" revMinor="4">{}</header><road name="" length="100" id="1" junction="-1">
@@ -68,6 +68,13 @@ def test_an_imu_measures_in_its_own_axes() -> None:
     assert felt == pytest.approx([2.0, -1.0, 9.81])
     assert turning == pytest.approx([radians(90), 0.0, pi])
     assert compass == pytest.approx(pi)
+
+
+def test_a_point_beside_the_origin_has_the_acceleration_of_a_rigid_body() -> None:
+    found = acceleration_at(
+        np.array([2.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]), np.degrees([0, 0, 3]), np.degrees([0, 0, 5])
+    )
+    assert found == pytest.approx([1 - 2 * 9, 2 * 5, 0])
 
 
 def test_the_errors_of_acceleration_and_rotation_are_different_ones() -> None:

@@ -220,13 +220,17 @@ def circle(path: Path, *, velocities: bool, rate: float = 20.0) -> Path:
 
 @pytest.mark.parametrize("velocities", [True, False])
 @pytest.mark.parametrize("rate", [None, 50.0])
-def test_motion_is_that_of_the_carrier(tmp_path: Path, rate: float | None, velocities: bool) -> None:
+@pytest.mark.parametrize(("ahead", "felt"), [(0.0, (0, 5.0, 9.81)), (4.0, (-1.0, 5.0, 9.81))])
+def test_an_imu_measures_the_motion_of_its_place(
+    tmp_path: Path, ahead: float, felt: tuple[float, ...], rate: float | None, velocities: bool
+) -> None:
+    rig = SensorRig.of([spec | {"x": ahead} for spec in MOTION.to_dicts()])
     with carla_recap.open_recording(circle(tmp_path / "circle.mcap", velocities=velocities)) as recording:
-        found = list(sense(recording, MOTION, start=0.5, duration=1.0, rate=rate))
+        found = list(sense(recording, rig, start=0.5, duration=1.0, rate=rate))
     assert len(found) == (51 if rate else 21)
     for frame in found:
         inertia = frame.samples["imu"].data
-        assert inertia["acceleration"] == pytest.approx((0, 5.0, 9.81), abs=0.3)  # to the left
+        assert inertia["acceleration"] == pytest.approx(felt, abs=0.3)  # to the left, and to the centre of the circle
         assert inertia["angular_velocity"] == pytest.approx((0, 0, 0.5), abs=0.01)
         assert float(frame.samples["speed"].data) == pytest.approx(10, abs=0.05)
 

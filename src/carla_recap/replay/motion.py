@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 class SceneMotion:
     """Finds how actors move in scenes that come in order, from batch to batch.
 
-    What is behind a scene counts as far as the next frame: in a running simulation, the scenes before count alone.
+    What is behind a scene counts as far as the next frame: in a running simulation, the scenes before count alone. An actor
+    that is where it was last, since a frame has no pose of it, has its last velocity for up to 1 s.
 
     Attributes:
         accelerations: The changes of the velocities since the scene before in m/s², (scenes, ids, 3), of the latest batch;
@@ -51,6 +52,10 @@ class SceneMotion:
             velocities, accelerations = np.full((2, len(batch), len(ids), 3), np.nan)
             velocities[:, there] = self.velocities(batch, ids[there], poses[:, there])
             accelerations[:, there], self.accelerations = self.accelerations, accelerations
+            where, known = find(ids, self._ids)  # of an actor of which the frames have no pose, those of before are held
+            absent, where = np.flatnonzero(known & ~there), where[known & ~there]
+            recent = batch.time[:, None] - self._time[where] <= LONGEST_STEP
+            velocities[:, absent] = np.where(recent[..., None], self._velocities[where], np.nan)
             return np.asarray(velocities)
         rows = len(batch) + 2  # with the scene before, and the frame behind
         time, before = np.full((rows, len(ids)), np.nan), np.full((len(ids), 3), np.nan)

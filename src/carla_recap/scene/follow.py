@@ -13,7 +13,7 @@ import numpy as np
 
 from carla_recap.model.blueprints import box_of
 from carla_recap.model.frame import SAME_TIME
-from carla_recap.model.motion import possible_step
+from carla_recap.model.motion import LONGEST_STEP, possible_step
 from carla_recap.model.records import CM
 from carla_recap.replay import Player, calm_headings, level, right_handed
 from carla_recap.replay.follow import LiveChoice
@@ -37,7 +37,6 @@ CONTROLS: Final = ("throttle", "brake", "steer")
 """The recorded controls that are shown."""
 
 _SPAN: Final = 0.3  # s; the time over which an acceleration is a mean
-_LONGEST: Final = 1.0  # s; over a longer step there is no acceleration
 _STANDSTILL: Final = 0.1  # m/s
 _HELD: Final = 1.0  # s for which a brake counts as held at a standstill
 _BEFORE: Final = 1.0  # s before a part of a recording from which its numbers follow, too
@@ -129,6 +128,7 @@ class FollowedActor:
         self._path = CalmPath()
         self._accelerations = _Accelerations()
         self._pedals = _HeldPedals()
+        self._latest = np.nan, np.full(len(CONTROLS), np.nan)  # the time of the latest controls, and these
 
     def series(self, batch: SceneBatch) -> FollowedSeries:
         """Return the series of the next scenes."""
@@ -150,9 +150,17 @@ class FollowedActor:
         light, state = np.full(len(batch), NO_LIGHT), np.full(len(batch), NO_LIGHT)
         light[lit] = batch.light_states["id"][0][found[lit]]
         state[lit] = batch.light_states["state"][lit, found[lit]]
-        controls = self._records(batch, "vehicle_controls", CONTROLS)
+        controls = self._hold(batch.time, self._records(batch, "vehicle_controls", CONTROLS), np.isfinite(poses).all(axis=1))
         # A view would keep the poses of all actors, and the bytes that the times are in.
         return FollowedRecords(batch.time.copy(), poses.copy(), speed, recorded, controls, light, state, distance)
+
+    def _hold(self, time: Floats, controls: Floats, known: Booleans) -> Floats:
+        """Return controls, in frames without any the latest ones for up to 1 s, while the pose is known."""
+        times, every = np.append(self._latest[0], time), np.vstack((self._latest[1], controls))
+        latest = np.maximum.accumulate(np.where(np.isfinite(every).all(axis=1), np.arange(len(every)), 0))
+        self._latest = times[latest[-1]], every[latest[-1]]
+        held = known & (times - times[latest] <= LONGEST_STEP)[1:]
+        return np.where(held[:, None], every[latest[1:]], controls)
 
     def derive(self, records: FollowedRecords) -> FollowedSeries:
         """Return the series of scenes of which the records have been read, as many as one likes at once."""
@@ -286,7 +294,7 @@ class _Accelerations:
         last = np.arange(max(held, 1), len(times))
         first = np.clip(np.searchsorted(times, times[last] - _SPAN - SAME_TIME), 0, last - 1)
         spans = times[last] - times[first]
-        usable = (spans > 0) & (spans <= _LONGEST)
+        usable = (spans > 0) & (spans <= LONGEST_STEP)
         first, last = first[usable], last[usable]
         found = np.full(len(time), np.nan)
         found[rows[last - held]] = (speeds[last] - speeds[first]) / spans[usable]

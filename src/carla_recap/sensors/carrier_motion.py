@@ -24,9 +24,10 @@ class Motion(NamedTuple):
     velocity: Floats  # the velocity in m/s, (3,)
     acceleration: Floats  # the acceleration in m/s², (3,)
     rotation: Floats  # the angular velocity in degrees/s, (3,)
+    angular_acceleration: Floats  # its change in degrees/s², (3,)
 
 
-_REST = Motion(np.zeros(3), np.zeros(3), np.zeros(3))
+_REST = Motion(*np.zeros((4, 3)))
 
 
 class CarrierMotion:
@@ -65,10 +66,11 @@ class CarrierMotion:
             acceleration[:, 1:-1] = np.diff(np.diff(places) / seconds) / (seconds[1:] + seconds[:-1]) * 2
         known = counts(linear)
         acceleration = np.where(known[before] & known[after], rates(time, velocity, joined), acceleration)
-        for beside in (before, after):  # beside a jump and at an end, it is that of the next frame
-            acceleration = np.where(np.isnan(acceleration), acceleration[:, beside], acceleration)
         turning = np.where(np.isfinite(angular).all(axis=0), angular, turning)
-        self._motion = np.nan_to_num(np.stack((velocity.T, acceleration.T, turning.T)))
+        changes = np.stack((acceleration, rates(time, turning, joined)))
+        for beside in (before, after):  # beside a jump and at an end, they are those of the next frame
+            changes = np.where(np.isnan(changes), changes[..., beside], changes)
+        self._motion = np.nan_to_num(np.stack((velocity, changes[0], turning, changes[1])).transpose(0, 2, 1))
 
     def at(self, time: float) -> Motion:
         """Return the motion at elapsed seconds; an actor without poses is at rest."""

@@ -81,6 +81,20 @@ class Gnss:
         return self._noise.add_to(np.array(self._reference.locate(location)))
 
 
+def acceleration_at(offset: Floats, acceleration: Floats, rotation: Floats, change: Floats) -> Floats:
+    """Return the acceleration of a point of a rigid body in m/s², (3,), all in the axes of the world, as (3,).
+
+    Args:
+        offset: Where the point is, from another point of the body, in m.
+        acceleration: The acceleration of that other point in m/s².
+        rotation: The angular velocity of the body in degrees/s.
+        change: The angular acceleration in degrees/s².
+    """
+    turning = np.radians(rotation)
+    found: Floats = acceleration + np.cross(np.radians(change), offset) + np.cross(turning, np.cross(turning, offset))
+    return found
+
+
 class Imu:
     """The motion of a sensor, with the bias and the noise that its attributes ask for."""
 

@@ -38,7 +38,7 @@ from carla_recap.sensors.beams import LidarBeams, LidarReturns, RadarBeams, dete
 from carla_recap.sensors.cameras import PlacedSensor, RigCameras, camera_of
 from carla_recap.sensors.carrier_motion import CarrierMotion
 from carla_recap.sensors.options import SensingOptions
-from carla_recap.sensors.position import Gnss, Imu, geo_reference
+from carla_recap.sensors.position import Gnss, Imu, acceleration_at, geo_reference
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable, Sequence
@@ -596,8 +596,10 @@ def _imu(spec: SensorSpec) -> _Instrument:
         motion = moment.motion
         assert motion is not None
         turned = rotations(pose) * MIRROR[:, None] * MIRROR
+        offset = (pose - moment.pose)[LOCATION]
+        acceleration = acceleration_at(offset, motion.acceleration, motion.rotation, motion.angular_acceleration)
         felt, turning, compass = device.measure(
-            turned, -float(pose[YAW]), motion.acceleration * MIRROR, motion.rotation * ANGULAR_MIRROR
+            turned, -float(pose[YAW]), acceleration * MIRROR, motion.rotation * ANGULAR_MIRROR
         )
         return np.array((felt * MIRROR, turning * ANGULAR_MIRROR, compass), INERTIA)
 

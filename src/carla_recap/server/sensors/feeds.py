@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -12,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Final
 import msgpack
 import numpy as np
 
-from carla_recap.sensors.position import Gnss, Imu, geo_reference
+from carla_recap.model.motion import LONGEST_STEP
+from carla_recap.sensors.position import Gnss, Imu, acceleration_at, geo_reference
 
 if TYPE_CHECKING:
     from carla_recap.rendering.rays import RayScene
@@ -147,14 +149,21 @@ def gnss(sensor: Actor, context: FeedContext) -> Feed:
 def imu(sensor: Actor, context: FeedContext) -> Feed:
     """Return the feed of an IMU: acceleration in m/s² with gravity, rotation in rad/s, compass in radians from north.
 
-    The motion is that of the parent's origin, in the axes of the sensor.
+    The acceleration is that of the place of the sensor, as CARLA derives it, in the axes of the sensor.
     """
-    own = Imu(numbers(sensor))
+    own, clock = Imu(numbers(sensor)), sensor.episode.clock
+    before = -math.inf, np.zeros(3)
 
     def frames() -> Iterable[bytes]:
-        transform = sensor.transform
-        motion = row(sensor.acceleration), row(sensor.angular_velocity)
-        acceleration, rotation, compass = own.measure(axes(transform), transform.rotation.yaw, *motion)
+        nonlocal before
+        transform, turning = sensor.transform, row(sensor.angular_velocity)
+        passed = clock.elapsed - before[0]
+        change = (turning - before[1]) / passed if 0 < passed <= LONGEST_STEP else np.zeros(3)
+        before = clock.elapsed, turning
+        origin = transform if sensor.parent is None else sensor.parent.transform
+        offset = row(transform.location) - row(origin.location)
+        felt = acceleration_at(offset, row(sensor.acceleration), turning, change)
+        acceleration, rotation, compass = own.measure(axes(transform), transform.rotation.yaw, felt, turning)
         yield packed(acceleration.tolist(), rotation.tolist(), compass)
 
     return frames

@@ -87,31 +87,40 @@ class ViewFrames:
         return isinstance(event, Destroyed) and event.id == self._hero
 
 
-def motion_messages(batch: SceneBatch, id: int, series: FollowedSeries) -> Iterator[TopicMessages]:
-    """Yield the motion of the followed actor in the scenes of a batch in which its pose is known."""
-    actor = batch.actors.get(id)
-    type_id = None if actor is None else actor.type_id
-    values = {"elapsed": series.time, "id": np.full(len(batch), id)}
-    values |= dict(zip(_POSE, right_handed(series.poses).T, strict=True))
-    control = _records_of(batch, "vehicle_controls", id)
-    if control is not None:
-        values |= {name: control[name] for name in _CONTROL}
-        values["hand_brake"] = values["hand_brake"] != 0
-        values["shown_throttle"], values["shown_brake"] = series.pedals.T
-    known = series.known
-    moving = known & np.isfinite(series.speed)
-    accelerated = moving & np.isfinite(series.acceleration)
-    fast = values | {"speed": series.speed, "speed_kmh": series.speed * _KMH}
-    for some, columns in (
-        (known & ~moving, values),
-        (moving & ~accelerated, fast),
-        (accelerated, fast | {"acceleration": series.acceleration}),
-    ):
-        if some.any():
-            messages, rows = _followed_template(tuple(columns), type_id).messages(HERO, np.flatnonzero(some))
-            for name, column in columns.items():
-                rows[name] = column[some]
-            yield messages
+class FollowedMotion:
+    """The motion of the followed actor: its messages in the scenes in which its pose is known, and one when it vanishes."""
+
+    def __init__(self) -> None:
+        self._is_known = False  # in the last scene
+
+    def messages(self, batch: SceneBatch, id: int, series: FollowedSeries) -> Iterator[TopicMessages]:
+        """Yield the messages of a batch."""
+        vanishes = ~series.known & np.append(self._is_known, series.known[:-1])
+        self._is_known = bool(series.known[-1])
+        actor = batch.actors.get(id)
+        type_id = None if actor is None else actor.type_id
+        identity = {"elapsed": series.time, "id": np.full(len(batch), id)}
+        values = identity | dict(zip(_POSE, right_handed(series.poses).T, strict=True))
+        control = _records_of(batch, "vehicle_controls", id)
+        if control is not None:
+            values |= {name: control[name] for name in _CONTROL}
+            values["hand_brake"] = values["hand_brake"] != 0
+            values["shown_throttle"], values["shown_brake"] = series.pedals.T
+        known = series.known
+        moving = known & np.isfinite(series.speed)
+        accelerated = moving & np.isfinite(series.acceleration)
+        fast = values | {"speed": series.speed, "speed_kmh": series.speed * _KMH}
+        for some, columns in (
+            (vanishes, identity),
+            (known & ~moving, values),
+            (moving & ~accelerated, fast),
+            (accelerated, fast | {"acceleration": series.acceleration}),
+        ):
+            if some.any():
+                messages, rows = _followed_template(tuple(columns), type_id).messages(HERO, np.flatnonzero(some))
+                for name, column in columns.items():
+                    rows[name] = column[some]
+                yield messages
 
 
 class LightMessages:

@@ -147,6 +147,7 @@ class SceneMessages:
         self._town = town
         self._describer = SceneDescriber()
         self._entities = actor_entities.ActorEntities(most_bytes)
+        self._motion = followed.FollowedMotion()
         self._frames = followed.ViewFrames()
         self._lights = followed.LightMessages()
         self._text = EventText()
@@ -210,7 +211,7 @@ class SceneMessages:
         for line in self._text.lines(batch.scene(0)):
             yield _log_line(line, 0, times)
         if self._followed.id is not None:
-            yield from followed.motion_messages(batch, self._followed.id, series)
+            yield from self._motion.messages(batch, self._followed.id, series)
         yield from mark_messages(description, timestamps(times))
         rows = self._choose(batch)
         if len(rows):
