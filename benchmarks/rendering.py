@@ -57,18 +57,19 @@ def cameras(_: Subject) -> Iterator[Line]:
 
 
 def drawing_process(_: Subject) -> Iterator[Line]:
+    from carla_recap.rendering.camera import DrawnView
     from carla_recap.rendering.process import RenderProcess
 
     town, actors, poses = crowded_town()
-    camera = camera_behind(poses[0], 800, 600)
+    view = DrawnView(camera_behind(poses[0], 800, 600))
     start = timed(lambda: RenderProcess(town).close())
     yield Line("the process that draws: start to end", f"{start:.1f} s", "", "", True)
     with RenderProcess(town) as process:
-        process.draw(camera, actors)
-        one = statistics.median(timed(lambda: process.draw(camera, actors)) for _ in range(15))
+        process.draw(view, actors)
+        one = statistics.median(timed(lambda: process.draw(view, actors)) for _ in range(15))
 
         def draw_several() -> None:
-            for future in [process.submit(camera, actors) for _ in range(15)]:
+            for future in [process.submit([view], actors) for _ in range(15)]:
                 future.result()
 
         many = min(timed(draw_several) for _ in range(2)) / 15

@@ -18,6 +18,7 @@ import pytest
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering import process as process_module
+from carla_recap.rendering.camera import DrawnView
 from carla_recap.rendering.process import RenderProcess, RenderProcessEnded, RenderProcessNotStarted
 from tests.rendering.shapes import ALL, MODELS, PLANE, RGB, boxes, camera, create
 from tests.waiting import PATIENCE, wait_until
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from concurrent.futures import Future
 
-    from carla_recap.rendering.process import Images
+    from carla_recap.rendering.camera import Images
 
 BOXES = boxes((10, 0, 2), (15, 4, 1))
 
@@ -38,17 +39,17 @@ def process(driver: None) -> Iterator[RenderProcess]:
 
 
 def test_images_are_those_of_the_renderer(process: RenderProcess) -> None:
-    arguments = camera(), BOXES, ALL, None, (camera((-1, 0, 2)), BOXES)
-    images = process.draw(*arguments, without=[0x1234])
+    before, hidden = (camera((-1, 0, 2)), BOXES), frozenset((0x1234,))
+    images = process.draw(DrawnView(camera(), tuple(ALL), before, hidden), BOXES)
     with create() as renderer:
-        expected = renderer.draw(*arguments, without=[0x1234])
+        expected = renderer.draw(camera(), BOXES, ALL, None, before, without=hidden)
     assert list(images) == list(expected)
     assert all((images[kind] == expected[kind]).all() for kind in ALL)
 
 
 def test_a_function_that_returns_the_town_is_called_while_the_process_starts() -> None:
     with RenderProcess(lambda: PLANE, models=MODELS) as process, create() as renderer:
-        assert (process.draw(camera(), BOXES)[RGB] == renderer.draw(camera(), BOXES)[RGB]).all()
+        assert (process.draw(DrawnView(camera()), BOXES)[RGB] == renderer.draw(camera(), BOXES)[RGB]).all()
 
 
 def test_a_town_that_cannot_be_made_is_an_error_and_leaves_no_process() -> None:
@@ -67,58 +68,58 @@ def test_a_town_that_cannot_be_made_is_an_error_and_leaves_no_process() -> None:
 def test_pictures_of_several_sizes_come_in_their_order(process: RenderProcess) -> None:
     sizes = [(width, 40) for width in (16, 900, 33, 500)]
     order: list[int] = []
-    futures = [process.submit(replace(camera(), width=width, height=height), BOXES) for width, height in sizes]
+    futures = [process.submit([DrawnView(replace(camera(), width=width, height=height))], BOXES) for width, height in sizes]
     for width, future in zip(sizes, futures, strict=True):
         future.add_done_callback(lambda _, width=width[0]: order.append(width))
-    assert [future.result(PATIENCE)[RGB].shape[1::-1] for future in futures] == sizes
-    process.draw(camera(), BOXES)
+    assert [future.result(PATIENCE)[0][RGB].shape[1::-1] for future in futures] == sizes
+    process.draw(DrawnView(camera()), BOXES)
     assert order == [width for width, _ in sizes]
 
 
 def test_images_stay_as_they_are_when_others_are_drawn(process: RenderProcess) -> None:
-    first = process.draw(camera(), BOXES)[RGB]
+    first = process.draw(DrawnView(camera()), BOXES)[RGB]
     copy = first.copy()
-    process.draw(camera((0, 0, 9), pitch=-40), None)
+    process.draw(DrawnView(camera((0, 0, 9), pitch=-40)), None)
     assert (first == copy).all()
 
 
 def test_what_cannot_be_drawn_is_an_error_of_that_picture_alone(process: RenderProcess) -> None:
     with pytest.raises(RecapError, match="100000 x 10 pixels"):
-        process.draw(replace(camera(), width=100_000, height=10))
+        process.draw(DrawnView(replace(camera(), width=100_000, height=10)))
     broken = replace(BOXES, ids=np.zeros(7, np.uint32))
     with pytest.raises(RecapError, match="drawing has failed"):
-        process.draw(camera(), broken, without=[3])
-    assert process.draw(camera(), BOXES)[RGB].any()
+        process.draw(DrawnView(camera(), without=frozenset((3,))), broken)
+    assert process.draw(DrawnView(camera()), BOXES)[RGB].any()
 
 
 def test_a_process_that_dies_fails_its_picture_and_another_is_started(process: RenderProcess) -> None:
-    process.draw(camera(), BOXES)
+    process.draw(DrawnView(camera()), BOXES)
     pid = process.pid
     assert pid is not None
     os.kill(pid, signal.SIGKILL)
     with pytest.raises(RenderProcessEnded, match="exit code -9") as raised:
-        process.draw(camera(), BOXES)
+        process.draw(DrawnView(camera()), BOXES)
     assert "\n" not in str(raised.value)
-    assert process.draw(camera(), BOXES)[RGB].any()
+    assert process.draw(DrawnView(camera()), BOXES)[RGB].any()
     assert process.pid not in (pid, None)
 
 
-def submit_two(process: RenderProcess) -> list[Future[Images]]:
+def submit_two(process: RenderProcess) -> list[Future[list[Images]]]:
     """Submit two pictures to a process that is stopped, and return once both are sent."""
-    futures = [process.submit(replace(camera(), width=width), BOXES) for width in (32, 64)]
+    futures = [process.submit([DrawnView(replace(camera(), width=width))], BOXES) for width in (32, 64)]
     wait_until(lambda: all(future.running() for future in futures))
     return futures
 
 
 def test_a_picture_is_sent_while_another_one_is_drawn(process: RenderProcess) -> None:
-    process.draw(camera(), BOXES)
+    process.draw(DrawnView(camera()), BOXES)
     assert process.pid is not None
     os.kill(process.pid, signal.SIGSTOP)
     try:
         futures = submit_two(process)
     finally:
         os.kill(process.pid, signal.SIGCONT)
-    assert [future.result(PATIENCE)[RGB].shape[1] for future in futures] == [32, 64]
+    assert [future.result(PATIENCE)[0][RGB].shape[1] for future in futures] == [32, 64]
 
 
 def test_of_pictures_that_are_sent_only_the_first_fails_if_the_process_dies(driver: None) -> None:
@@ -129,7 +130,7 @@ def test_of_pictures_that_are_sent_only_the_first_fails_if_the_process_dies(driv
         os.kill(process.pid, signal.SIGKILL)
         with pytest.raises(RenderProcessEnded, match="exit code -9"):
             first.result(PATIENCE)
-        assert second.result(PATIENCE)[RGB].any()
+        assert second.result(PATIENCE)[0][RGB].any()
 
 
 def test_a_process_that_dies_again_is_started_again_later(driver: None, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,16 +139,16 @@ def test_a_process_that_dies_again_is_started_again_later(driver: None, monkeypa
     with RenderProcess(None, models=MODELS) as process:
         for _ in range(2):
             if process.pid is None:
-                process.draw(camera(), BOXES)  # starts another
+                process.draw(DrawnView(camera()), BOXES)  # starts another
             assert process.pid is not None
             os.kill(process.pid, signal.SIGKILL)
             with pytest.raises(RenderProcessEnded, match="exit code -9"):
-                process.draw(camera(), BOXES)
+                process.draw(DrawnView(camera()), BOXES)
         with pytest.raises(RenderProcessNotStarted, match="not started again yet"):
-            process.draw(camera(), BOXES)
+            process.draw(DrawnView(camera()), BOXES)
         assert process.pid is None
         now += 3.0
-        assert process.draw(camera(), BOXES)[RGB].any()
+        assert process.draw(DrawnView(camera()), BOXES)[RGB].any()
 
 
 def test_pauses_between_restarts_in_vain_grow(driver: None, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -161,11 +162,11 @@ def test_pauses_between_restarts_in_vain_grow(driver: None, monkeypatch: pytest.
         assert process.pid is not None
         os.kill(process.pid, signal.SIGKILL)
         with pytest.raises(RenderProcessEnded, match="exit code -9"):
-            process.draw(camera(), BOXES)
+            process.draw(DrawnView(camera()), BOXES)
         monkeypatch.setattr(process, "_start", fail)
         while now < 300.0:
             with pytest.raises(RenderProcessNotStarted):
-                process.draw(camera(), BOXES)
+                process.draw(DrawnView(camera()), BOXES)
             now += 0.5
     assert np.diff(starts).tolist() == [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0]
 
@@ -174,7 +175,7 @@ def test_closing_ends_the_process_and_cancels_what_is_not_drawn(driver: None) ->
     process = RenderProcess(PLANE, models=MODELS)
     pid = process.pid
     assert pid is not None
-    futures = [process.submit(replace(camera(), width=1600, height=1200), BOXES) for _ in range(20)]
+    futures = [process.submit([DrawnView(replace(camera(), width=1600, height=1200))], BOXES) for _ in range(20)]
     process.close()
     process.close()
     with pytest.raises(CancelledError):
@@ -183,7 +184,7 @@ def test_closing_ends_the_process_and_cancels_what_is_not_drawn(driver: None) ->
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
     with pytest.raises(RecapError, match="closed"):
-        process.draw(camera())
+        process.draw(DrawnView(camera()))
 
 
 PARENT = """

@@ -40,6 +40,12 @@ def test_a_contact_in_adjacent_frames_far_apart_is_one_line(tmp_path: Path) -> N
         assert recording.collisions().contacts == 2
 
 
+def test_another_actor_with_the_same_id_makes_another_contact(tmp_path: Path) -> None:
+    frames: list[dict[str, Any]] = [{"collisions": [(n, 1, 2, 0, 0)]} for n in range(6)]
+    frames[0]["spawned"], frames[3]["spawned"] = [spawn(1), spawn(2)], [spawn(2)]
+    assert [round(time, 1) for time, line in lines(tmp_path / "in.log", frames) if line.contact] == [0.0, 0.3]
+
+
 def test_many_spawns_and_destructions_are_counted(tmp_path: Path) -> None:
     crowd = range(10, 20)
     frames = [{}, {"spawned": [spawn(id, "walker.pedestrian.0001") for id in crowd]}, {"destroyed": list(crowd)}]

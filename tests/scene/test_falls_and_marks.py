@@ -211,6 +211,12 @@ def test_a_contact_that_goes_on_has_one_mark_until_some_seconds_after_it(batches
     assert marks(batches(frames)) == [(0.2, 1), (pytest.approx(3.0 + MARKED), 0)]
 
 
+def test_a_contact_of_another_actor_with_the_same_id_has_a_mark_of_its_own(batches):
+    frames = accident()
+    frames[HIT + 5] |= {"spawned": [spawn(WALKER, "walker.pedestrian.0002")], "collisions": [(1, CAR, WALKER, 0, 0)]}
+    assert [count for _, count in marks(batches(frames))][:2] == [1, 2]
+
+
 def test_a_walker_is_marked_at_its_feet(batches):
     shown = CollisionMarks()
     for batch in batches(accident()):

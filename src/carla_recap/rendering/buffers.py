@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from carla_recap.rendering.camera import Images
     from carla_recap.rendering.camera_view import CameraView
     from carla_recap.scene.instances import Instances
     from carla_recap.scene.mesh import Mesh
     from carla_recap.util.arrays import Floats
 
-    Images = dict[ImageKind, NDArray[Any]]
 HALO: Final = np.dtype([("center", "4f4"), ("light", "3f4")])
 """A disc of light: its centre relative to the camera and its radius in m, and its colour, from 0 to 1."""
 _HALO_RADIUS: Final = 2.6  # of the halo, in those of the lamp

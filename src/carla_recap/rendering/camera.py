@@ -5,15 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from math import radians, tan
-from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from carla_recap.errors import RecapError
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from carla_recap.scene.instances import Instances
     from carla_recap.util.arrays import Floats
+
+    Images = dict["ImageKind", NDArray[Any]]
 
 
 Quality = Literal["low", "epic"]
@@ -69,6 +73,6 @@ class DrawnView(NamedTuple):
     """What a camera draws of a moment; see `carla_recap.rendering.renderer.Renderer.draw`."""
 
     camera: Camera
-    kinds: tuple[ImageKind, ...]
+    kinds: tuple[ImageKind, ...] = (ImageKind.RGB,)
     previous: tuple[Camera, Instances | None] | None = None
     without: frozenset[int] = frozenset()

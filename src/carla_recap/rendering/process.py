@@ -26,8 +26,8 @@ import numpy as np
 
 from carla_recap.errors import MissingExtra, RecapError
 from carla_recap.rendering.buffers import image_format
-from carla_recap.rendering.camera import DrawnView, ImageKind, check_quality
-from carla_recap.rendering.renderer import LARGEST, Renderer
+from carla_recap.rendering.camera import check_quality
+from carla_recap.rendering.renderer import Renderer, check_size
 from carla_recap.scene.models import MODELS, Models, own_models
 from carla_recap.util.processes import (
     close_pipes,
@@ -40,17 +40,15 @@ from carla_recap.util.processes import (
 from carla_recap.util.signals import ignore_termination
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from carla_recap.rendering.buffers import ModelShape, TiledMesh
-    from carla_recap.rendering.camera import Camera, Quality
+    from carla_recap.rendering.camera import Camera, DrawnView, ImageKind, Images, Quality
     from carla_recap.rendering.sky import Sky
     from carla_recap.scene.instances import Instances
     from carla_recap.scene.mesh import Mesh
-
-    Images = dict[ImageKind, NDArray[Any]]
 
 PATIENCE: Final = 300.0
 """The seconds after which a picture that does not come counts as failed."""
@@ -74,11 +72,10 @@ class _Command(NamedTuple):
 
 
 class _Job(NamedTuple):
-    """Pictures to come, by view or of the only one, and what is to be drawn."""
+    """Pictures to come, by view, and what is to be drawn."""
 
-    future: Future[Any]
+    future: Future[list[Images]]
     command: _Command
-    is_single: bool
 
 
 class RenderProcessEnded(RecapError):
@@ -146,51 +143,25 @@ class RenderProcess:
         return child.process.pid if child else None
 
     def submit(
-        self,
-        camera: Camera,
-        instances: Instances | None = None,
-        kinds: Sequence[ImageKind] = (ImageKind.RGB,),
-        sky: Sky | None = None,
-        previous: tuple[Camera, Instances | None] | None = None,
-        *,
-        without: Collection[int] = (),
-    ) -> Future[Images]:
-        """Have images drawn; see `Renderer.draw`.
+        self, views: Sequence[DrawnView], instances: Instances | None = None, sky: Sky | None = None
+    ) -> Future[list[Images]]:
+        """Have images of one or several cameras at a moment drawn; see `Renderer.draw`.
 
         Returns:
-            The images to come. Its `result` raises RecapError where they could not be drawn; `add_done_callback` calls back
-            in another thread; a picture that is cancelled before its turn is not drawn.
+            The images to come, by view. Its `result` raises RecapError where they could not be drawn; `add_done_callback`
+            calls back in another thread; a picture that is cancelled before its turn is not drawn.
         """
-        kinds = tuple(kind for kind in ImageKind if kind in kinds)
-        return self._put(_Command([DrawnView(camera, kinds, previous, frozenset(without))], instances, sky), is_single=True)
-
-    def submit_views(
-        self, views: Sequence[DrawnView], instances: Instances | None, sky: Sky | None
-    ) -> Future[list[dict[ImageKind, NDArray[Any]]]]:
-        """Have images of several cameras at one moment drawn, which takes less time than to ask for each; see `submit`."""
-        return self._put(_Command(views, instances, sky), is_single=False)
-
-    def _put(self, command: _Command, *, is_single: bool) -> Future[Any]:
-        future: Future[Any] = Future()
+        future: Future[list[Images]] = Future()
         with self._lock:
             if self._is_closed:
                 future.set_exception(RecapError("the renderer is closed"))
             else:
-                self._jobs.put(_Job(future, command, is_single))
+                self._jobs.put(_Job(future, _Command(views, instances, sky)))
         return future
 
-    def draw(
-        self,
-        camera: Camera,
-        instances: Instances | None = None,
-        kinds: Sequence[ImageKind] = (ImageKind.RGB,),
-        sky: Sky | None = None,
-        previous: tuple[Camera, Instances | None] | None = None,
-        *,
-        without: Collection[int] = (),
-    ) -> Images:
-        """Draw images, and wait for them; see `Renderer.draw`."""
-        return self.submit(camera, instances, kinds, sky, previous, without=without).result()
+    def draw(self, view: DrawnView, instances: Instances | None = None, sky: Sky | None = None) -> Images:
+        """Draw images of a camera, and wait for them; see `Renderer.draw`."""
+        return self.submit([view], instances, sky).result()[0]
 
     def close(self) -> None:
         """End the process; pictures that have not been drawn are cancelled. A second call does nothing."""
@@ -237,7 +208,7 @@ class RenderProcess:
         if self._child is not None:
             self._child.close()
 
-    def _send(self, future: Future[Any], command: _Command) -> bool:
+    def _send(self, future: Future[list[Images]], command: _Command) -> bool:
         """Have a picture drawn; return false if it will not be."""
         if self._is_closed:
             if not future.cancel():
@@ -266,7 +237,7 @@ class RenderProcess:
         except Exception as error:
             job.future.set_exception(error)
         else:
-            job.future.set_result(images[0] if job.is_single else images)
+            job.future.set_result(images)
         return self._child is not None
 
 
@@ -336,7 +307,7 @@ class _Child:
     def send(self, command: _Command) -> None:
         """Have images drawn; if the process has ended, that is found when they are received."""
         for view in command.views:
-            _check_size(view.camera)
+            check_size(view.camera)
         memory = self._memories[0]
         memory.grow(_size(command.views))
         self._write(pickle.dumps((memory.descriptor, command), pickle.HIGHEST_PROTOCOL))
@@ -426,13 +397,6 @@ def _create_memory() -> int:
         return os.memfd_create("carla-recap-images")
     with tempfile.TemporaryFile() as file:
         return os.dup(file.fileno())
-
-
-def _check_size(camera: Camera) -> None:
-    """Check the width and height of the images of a camera."""
-    if not (1 <= camera.width <= LARGEST and 1 <= camera.height <= LARGEST):
-        size = f"{camera.width} x {camera.height}"
-        raise RecapError(f"an image of {size} pixels: 1 to {LARGEST} along each side can be drawn")
 
 
 def _bytes_of(kind: ImageKind, camera: Camera) -> int:

@@ -40,10 +40,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from carla_recap.rendering.buffers import ModelShape, TiledMesh
-    from carla_recap.rendering.camera import Camera, Quality
+    from carla_recap.rendering.camera import Camera, Images, Quality
     from carla_recap.scene.instances import Instances
-
-    Images = dict[ImageKind, NDArray[Any]]
 
 LARGEST: Final = 8192
 """The largest width and height of an image, in pixels."""
@@ -53,6 +51,13 @@ _SIZES: Final = 8  # image sizes whose buffers are kept
 _SHADOWED: Final = 12  # pixels: half the size of the smallest actor whose shadow has a shape
 _GRAIN: Final = 256  # pixels of the texture of surfaces and clouds
 _SKY_MAP: Final = 1024  # pixels along a side of the map of the sky
+
+
+def check_size(camera: Camera) -> None:
+    """Check the width and height of the images of a camera."""
+    if not (1 <= camera.width <= LARGEST and 1 <= camera.height <= LARGEST):
+        size = f"{camera.width} x {camera.height}"
+        raise RecapError(f"an image of {size} pixels: 1 to {LARGEST} along each side can be drawn")
 
 
 class Renderer:
@@ -179,9 +184,7 @@ class Renderer:
             RecapError: The size of the image is not between 1 and `LARGEST` pixels.
         """
         kinds = tuple(kind for kind in ImageKind if kind in kinds)
-        width, height = camera.width, camera.height
-        if not (1 <= width <= LARGEST and 1 <= height <= LARGEST):
-            raise RecapError(f"an image of {width} x {height} pixels: 1 to {LARGEST} along each side can be drawn")
+        check_size(camera)
         with self._context:
             return self._draw(valid_camera(camera), instances, kinds, sky or Sky(), previous, without, into)
 

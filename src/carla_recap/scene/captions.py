@@ -92,9 +92,9 @@ class EventText:
                 self._actors.pop(event.id, None)
 
     def _contact_lines(self, scene: Scene) -> Iterator[Line]:
-        index = scene.batch.frames.index + scene.row
+        index, new = scene.batch.frames.index + scene.row, {event.actor.id for event in scene.spawned}
         for pair, (frame, time) in list(self._touching.items()):
-            if scene.fresh or not is_same_contact(index - frame, scene.time - time):
+            if scene.fresh or not pair.isdisjoint(new) or not is_same_contact(index - frame, scene.time - time):
                 del self._touching[pair]
         for event in scene.collisions:
             pair = frozenset((event.actor1, event.actor2))

@@ -150,16 +150,16 @@ class FollowedActor:
         light, state = np.full(len(batch), NO_LIGHT), np.full(len(batch), NO_LIGHT)
         light[lit] = batch.light_states["id"][0][found[lit]]
         state[lit] = batch.light_states["state"][lit, found[lit]]
-        controls = self._hold(batch.time, self._records(batch, "vehicle_controls", CONTROLS), np.isfinite(poses).all(axis=1))
+        controls = self._hold(batch.time, self._records(batch, "vehicle_controls", CONTROLS), poses)
         # A view would keep the poses of all actors, and the bytes that the times are in.
         return FollowedRecords(batch.time.copy(), poses.copy(), speed, recorded, controls, light, state, distance)
 
-    def _hold(self, time: Floats, controls: Floats, known: Booleans) -> Floats:
+    def _hold(self, time: Floats, controls: Floats, poses: Floats) -> Floats:
         """Return controls, in frames without any the latest ones for up to 1 s, while the pose is known."""
         times, every = np.append(self._latest[0], time), np.vstack((self._latest[1], controls))
         latest = np.maximum.accumulate(np.where(np.isfinite(every).all(axis=1), np.arange(len(every)), 0))
         self._latest = times[latest[-1]], every[latest[-1]]
-        held = known & (times - times[latest] <= LONGEST_STEP)[1:]
+        held = np.isfinite(poses).all(axis=1) & (times - times[latest] <= LONGEST_STEP)[1:]
         return np.where(held[:, None], every[latest[1:]], controls)
 
     def derive(self, records: FollowedRecords) -> FollowedSeries:

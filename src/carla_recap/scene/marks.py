@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from carla_recap.model.records import NO_ACTOR
-from carla_recap.replay.events import Collided
+from carla_recap.replay.events import Collided, Spawned
 from carla_recap.replay.pose import LOCATION, right_handed
 from carla_recap.scene.appearance import look_of_present
 from carla_recap.scene.falls import is_new
@@ -43,7 +43,7 @@ class CollisionMarks:
     """The marks where actors have collided: from the first contact of two actors until some seconds after the last one."""
 
     def __init__(self) -> None:
-        self._marks: dict[tuple[int, int], _Mark] = {}  # by the two actors
+        self._marks: dict[tuple[int, ...], _Mark] = {}  # by the two actors; with a third number, of an earlier life of one
         self._before: SceneBatch | None = None
 
     @property
@@ -64,6 +64,9 @@ class CollisionMarks:
         for event in batch.events:
             if isinstance(event, Collided):
                 self._mark(event, batch)
+            elif isinstance(event, Spawned) and not batch.fresh:
+                own = event.actor.id
+                self._marks = {(*pair, 0) if own in pair[:2] else pair: mark for pair, mark in self._marks.items()}
         found = [(0, self.locations)] if self._shown() != shown else []
         while self._marks:
             rows = np.flatnonzero(batch.time >= min(mark.until for mark in self._marks.values()))
@@ -80,7 +83,7 @@ class CollisionMarks:
         for mark in self._marks.values():
             mark.until -= seconds
 
-    def _shown(self) -> list[tuple[int, int]]:
+    def _shown(self) -> list[tuple[int, ...]]:
         """Return the pairs of actors whose marks are shown: the latest ones."""
         return list(self._marks)[-MOST_MARKS:]
 

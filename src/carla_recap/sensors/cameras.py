@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -14,15 +14,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from concurrent.futures import Future
 
-    from numpy.typing import NDArray
-
+    from carla_recap.rendering.camera import Images
     from carla_recap.rendering.process import RenderProcess
     from carla_recap.replay import Scene
     from carla_recap.scene.instances import Instances
+    from carla_recap.sensors.encoding import Image
     from carla_recap.sensors.rig import SensorSpec
     from carla_recap.util.arrays import Floats, Ids
-
-    Image = NDArray[Any]
 
 _DEPTH_STEPS: Final = (1 << 24) - 1
 _FARTHEST: Final = 1000.0  # m, that depth images reach; what is farther, and the sky, has this depth
@@ -115,7 +113,7 @@ class RigCameras:
     def _drawn(self, passes: list[_Pass], instances: Instances, sky: Sky) -> Callable[[], dict[str, Image]]:
         """Have the images of some views drawn, and return what waits for them."""
         views = [DrawnView(each.camera, tuple(each.drawn), each.previous, each.hidden) for each in passes]
-        future: Future[list[dict[ImageKind, Image]]] = self._renderer.submit_views(views, instances, sky)
+        future: Future[list[Images]] = self._renderer.submit(views, instances, sky)
 
         def images() -> dict[str, Image]:
             found: dict[str, Image] = {}

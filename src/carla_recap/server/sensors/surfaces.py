@@ -12,7 +12,7 @@ import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.model.records import ActorKind
-from carla_recap.rendering.camera import Camera
+from carla_recap.rendering.camera import Camera, DrawnView
 from carla_recap.server.sensors.images import ImagesUnavailable
 
 if TYPE_CHECKING:
@@ -87,7 +87,8 @@ class DrawnImages:
         self._not_started = RenderProcessNotStarted
         self._process = RenderProcess(surfaces.mesh(town).result, quality=quality)
         try:
-            self._process.draw(*_trial())  # the first image takes the time of compiling shaders
+            camera, vehicle = _trial()
+            self._process.draw(DrawnView(camera), vehicle)  # the first image takes the time of compiling shaders
         except RenderProcessEnded:
             pass  # another is started for the next image
         except RecapError:
@@ -98,7 +99,8 @@ class DrawnImages:
         """See `ImageSource.draw`."""
         sky = self._sky(view.weather)
         try:
-            return self._process.draw(*view.scene, view.kinds, sky, view.previous, without=view.hidden)
+            camera, instances = view.scene
+            return self._process.draw(DrawnView(camera, view.kinds, view.previous, view.hidden), instances, sky)
         except self._not_started as error:
             raise ImagesUnavailable(str(error)) from None
 

@@ -6,13 +6,13 @@ import math
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from carla_recap.errors import RecapError
 from carla_recap.recording import open_recording
-from carla_recap.rendering.camera import ImageKind
+from carla_recap.rendering.camera import DrawnView, ImageKind
 from carla_recap.roads.find import plain_name
 from carla_recap.scene.ahead import NO_LIGHT, stop_points
 from carla_recap.scene.captions import incidents_around, readable_name, shown_options
@@ -31,12 +31,10 @@ from carla_recap.show.video.overlay import Captions, LightAhead, Overlay, Readin
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from numpy.typing import NDArray
-
     from carla_recap.model.lives import ActorLife
     from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import Recording
-    from carla_recap.rendering.camera import Camera
+    from carla_recap.rendering.camera import Camera, Images
     from carla_recap.rendering.process import RenderProcess
     from carla_recap.rendering.town import TownMesh
     from carla_recap.replay import Follow, Player, Scene
@@ -48,7 +46,6 @@ if TYPE_CHECKING:
 
     Town = TownMesh | Callable[[], TownMesh | None]
     Progress = Callable[[Iterable[Scene], Player], Iterable[Scene]]
-    Images = dict[ImageKind, NDArray[Any]]
 
 RATE: Final = 30.0
 """The frames per second of a video, unless they are given."""
@@ -136,9 +133,9 @@ class Film:
             instances = self._transparency.apply(camera, instances, self._followed, seconds)
         return VideoShot(camera, instances, scene, self._readings(scene, camera, index))
 
-    def finished(self, images: Future[Images], shot: VideoShot) -> Picture:
+    def finished(self, images: Future[list[Images]], shot: VideoShot) -> Picture:
         """Wait for the images of a shot, and return the picture with what is written on it."""
-        picture = images.result()[ImageKind.RGB]
+        picture = images.result()[0][ImageKind.RGB]
         if self._overlay is not None:
             self._overlay.draw(picture, shot.readings)
         return picture
@@ -270,11 +267,8 @@ def _make_renderer(town: Town | None, source: str, start: float, stop: float, su
     return RenderProcess(mesh, supersampling=supersampling)
 
 
-def submit(renderer: RenderProcess, shot: VideoShot) -> Future[Images]:
+def submit(renderer: RenderProcess, shot: VideoShot) -> Future[list[Images]]:
     """Have a picture drawn."""
     from carla_recap.rendering.sky import Sky
 
-    future: Future[Images] = renderer.submit(
-        shot.camera, shot.instances, (ImageKind.RGB,), Sky.of_weather(shot.scene.weather)
-    )
-    return future
+    return renderer.submit([DrawnView(shot.camera)], shot.instances, Sky.of_weather(shot.scene.weather))

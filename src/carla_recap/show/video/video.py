@@ -23,12 +23,13 @@ if TYPE_CHECKING:
 
     from carla_recap.queries.incidents import IncidentOptions
     from carla_recap.recording import Recording
+    from carla_recap.rendering.camera import Images
     from carla_recap.rendering.process import RenderProcess
     from carla_recap.replay import Follow
     from carla_recap.sensors.rig import SensorRig
     from carla_recap.show.video.camera_paths import VideoView
     from carla_recap.show.video.encoding import Picture, Size
-    from carla_recap.show.video.film import Images, Progress, Town, VideoShot
+    from carla_recap.show.video.film import Progress, Town, VideoShot
 
 GIF_RATE: Final = 12.5
 """The frames per second of a GIF, unless they are given."""
@@ -158,7 +159,7 @@ def export_video(
 
 def _pictures(film: Film, renderer: RenderProcess, progress: Progress | None = None) -> Iterator[Picture]:
     """Yield the pictures of a film; some are drawn ahead."""
-    waiting: deque[tuple[Future[Images], VideoShot]] = deque()
+    waiting: deque[tuple[Future[list[Images]], VideoShot]] = deque()
     for shot in film.shots(progress):
         waiting.append((submit(renderer, shot), shot))
         if len(waiting) > _AHEAD:
