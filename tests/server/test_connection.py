@@ -15,6 +15,7 @@ import pytest
 from carla_recap.errors import RecapError
 from carla_recap.server.protocol import DEFAULT
 from carla_recap.server.rpc import connection as connections
+from carla_recap.server.rpc.codec import EncodedText
 from carla_recap.server.rpc.connection import ClientConnection, ConnectionPool, connection_limit
 from carla_recap.server.rpc.registry import unregistered_call
 from carla_recap.server.rpc.structs import VehicleLightState  # noqa: TC001  (calls read annotations)
@@ -67,7 +68,7 @@ class Transport(asyncio.Transport):
 
     @property
     def replies(self) -> list[list[Any]]:
-        unpacker = msgpack.Unpacker()
+        unpacker = msgpack.Unpacker(unicode_errors="surrogateescape")
         unpacker.feed(self.written)
         return list(unpacker)
 
@@ -94,11 +95,16 @@ async def fails_late(client: Context) -> int:
     raise KeyError("late")
 
 
+async def long_text(client: Context) -> EncodedText:
+    return EncodedText("Straße\udcff", "utf-8", "surrogateescape")
+
+
 def refused(context: Context) -> None:
     raise RecapError("as it should be")
 
 
-CALLS = {handler.__name__: unregistered_call(handler) for handler in (double, broken, unfit, slow, fails_late, refused)}
+HANDLERS = (double, broken, unfit, slow, fails_late, long_text, refused)
+CALLS = {handler.__name__: unregistered_call(handler) for handler in HANDLERS}
 
 
 def connected(calls: Mapping[str, Call] = CALLS) -> tuple[ClientConnection, Transport]:
@@ -149,6 +155,11 @@ def test_an_exception_in_a_call_is_an_error_for_the_client_and_a_line_in_the_log
     assert record.levelno == logging.ERROR
     assert record.getMessage().startswith(f"{name} has failed: ")
     assert "\n" not in record.getMessage()
+
+
+def test_a_text_that_is_encoded_already_arrives_as_a_text() -> None:
+    (reply,) = replies(request(1, "long_text"))
+    assert reply == [1, 1, None, [[1, "Straße\udcff"]]]
 
 
 def test_arguments_of_newer_clients_are_ignored() -> None:

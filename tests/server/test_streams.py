@@ -4,7 +4,7 @@ import asyncio
 import struct
 
 from carla_recap.server.rpc.connection import ConnectionPool
-from carla_recap.server.streams import Streams
+from carla_recap.server.streams import Streams, framed
 
 
 class Wire(asyncio.Transport):
@@ -13,9 +13,11 @@ class Wire(asyncio.Transport):
     def __init__(self) -> None:
         super().__init__()
         self.written: list[bytes] = []
+        self.when_written = lambda: None
 
     def write(self, data: bytes) -> None:
         self.written.append(data)
+        self.when_written()
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
         pass
@@ -70,3 +72,16 @@ def test_a_silenced_stream_sends_nothing_to_new_subscribers() -> None:
     streams.silence(3)
     _, wire = subscribe(streams, 3)
     assert not wire.written
+
+
+def test_a_large_frame_is_written_in_pieces_as_the_subscriber_reads() -> None:
+    streams, frame = new_streams(), framed(bytes(range(256)) * (3 << 12))
+    subscriber, wire = subscribe(streams, 3)
+    wire.when_written = subscriber.pause_writing
+    streams.send_framed(3, frame)
+    streams.send(3, b"next")
+    assert len(wire.written[0]) == 1 << 20
+    for count in range(1, 6):
+        assert len(wire.written) == count
+        subscriber.resume_writing()
+    assert b"".join(wire.written) == bytes(frame) + framed(b"next")

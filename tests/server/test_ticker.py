@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 
 import pytest
 
@@ -41,3 +42,20 @@ async def test_a_failing_tick_is_logged_and_others_follow(
         await asyncio.sleep(0.005)
     pace.cancel()
     assert caplog.messages == messages
+
+
+async def test_calls_are_served_between_ticks_that_take_longer_than_they_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    host, pauses, sleep = Host(flat_world()), [], asyncio.sleep
+    host.apply_settings(EpisodeSettings(fixed_delta_seconds=0.002))
+    monkeypatch.setattr(host, "tick", lambda _: time.sleep(0.02))
+
+    async def pause(seconds: float) -> None:
+        pauses.append(seconds)
+        await sleep(0)
+
+    monkeypatch.setattr(asyncio, "sleep", pause)
+    pace = asyncio.create_task(Ticker(host).run())
+    while len(pauses) < 4:
+        await sleep(0)
+    pace.cancel()
+    assert min(pauses[1:4]) >= 0.002

@@ -16,6 +16,7 @@ from carla_recap.output.text import text
 from carla_recap.queries.blocked import Blocked
 from carla_recap.queries.collisions import Collisions
 from carla_recap.queries.info import Info
+from carla_recap.server.rpc.codec import EncodedText
 from carla_recap.server.rpc.registry import CallError
 from carla_recap.sim.errors import DestinationError
 from carla_recap.sim.recording.recorder import is_within, recording_path, recordings_folder
@@ -149,13 +150,13 @@ def not_found(path: Path) -> str:
     return f"File {path} not found on server\n"
 
 
-async def answer(path: Path, query: Query) -> str:
+async def answer(path: Path, query: Query) -> EncodedText:
     """Return the answer to a query; it runs in a thread, so that the world goes on meanwhile.
 
     A `RecapError` is raised if the recording is damaged, or the answer is too long.
     """
     if not path.is_file():
-        return not_found(path)
+        return _encoded(not_found(path))
     is_over = threading.Event()
     try:
         return await asyncio.to_thread(_ask, path, query, is_over)
@@ -163,23 +164,26 @@ async def answer(path: Path, query: Query) -> str:
         is_over.set()
 
 
-def _ask(path: Path, query: Query, is_over: threading.Event) -> str:
+def _ask(path: Path, query: Query, is_over: threading.Event) -> EncodedText:
     try:
         reader = open_reader(path)
     except NotARecording:
-        return NOT_A_RECORDING
-    pieces, length = [], 0
+        return _encoded(NOT_A_RECORDING)
+    found = EncodedText()
     try:
         for piece in text(query(reader)):
-            pieces.append(piece)
-            length += len(piece.encode("utf-8", "surrogateescape"))
-            if length > _LONGEST:
+            found += _encoded(piece)
+            if len(found) > _LONGEST:
                 raise CallError(f"{path}: the answer has more than {_LONGEST} bytes; `carla-recap info` gives it, too")
             if is_over.is_set():
                 break
     finally:
         reader.close()
-    return "".join(pieces)
+    return found
+
+
+def _encoded(text: str) -> EncodedText:
+    return EncodedText(text, "utf-8", "surrogateescape")
 
 
 def replaying(path: Path) -> str:

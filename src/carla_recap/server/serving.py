@@ -36,6 +36,7 @@ _SWITCH: Final = 1e-3  # s: how long a thread, such as one that opens a recordin
 _TICK: Final = 0.05  # s: the time between two ticks without a fixed time step
 _LONGEST: Final = 0.25  # s: a longer tick, because something took its time, is this long
 _BEHIND: Final = 1.0  # s: a longer delay is not made up for
+_PAUSE: Final = 0.1  # of the time that a tick took, before the next one: for calls, where ticks take longer than they last
 
 
 async def serve(
@@ -112,9 +113,10 @@ class Ticker:
         """Tick until the settings change."""
         fixed = self._host.settings.fixed_delta_seconds
         due = last = time.monotonic()
+        took = 0.0
         while not self._changed.is_set():
             due = max(due + (fixed or _TICK), time.monotonic() - _BEHIND)
-            await asyncio.sleep(due - time.monotonic())
+            await asyncio.sleep(max(due - time.monotonic(), _PAUSE * took))
             await self._host.between_batches()
             if self._changed.is_set():
                 return
@@ -123,7 +125,7 @@ class Ticker:
                 self._host.tick(fixed or min(now - last, _LONGEST))
             except Exception as error:  # the next tick may succeed
                 _LOG.error("a tick has failed: %r", error)
-            last = now
+            last, took = now, time.monotonic() - now
 
 
 def _wait_for_input(end: Callable[[], None]) -> None:

@@ -12,6 +12,8 @@ from collections import defaultdict
 from itertools import count
 from typing import TYPE_CHECKING, Final, cast
 
+import numpy as np
+
 from carla_recap.server.quirks import PendingSubscriptions
 
 if TYPE_CHECKING:
@@ -28,11 +30,20 @@ _TCP: Final = 1
 _NO_ADDRESS: Final = 0
 _STALLED: Final = 3.0  # s: a subscriber that is behind for longer is not waited for
 _BACKLOG: Final = 256 << 10  # bytes, besides the system's buffer: a subscriber that is farther behind misses frames
+_PIECE: Final = 1 << 20  # bytes of a frame that are written at once: asyncio copies what the system does not take
 
 
-def framed(*parts: bytes | memoryview) -> bytes:
+def framed(*parts: bytes | memoryview) -> bytes | memoryview:
     """Return a frame of some parts, with its length before them."""
-    return b"".join((_LENGTH.pack(sum(len(part) for part in parts)), *parts))
+    size = sum(map(len, parts))
+    parts = _LENGTH.pack(size), *parts
+    if size < _PIECE:
+        return b"".join(parts)
+    frame, at = np.empty(_LENGTH.size + size, np.uint8), 0
+    for part in parts:  # numpy lets other threads run meanwhile, as joining does not
+        frame[at : at + len(part)] = np.frombuffer(part, np.uint8)
+        at += len(part)
+    return frame.data
 
 
 class Streams:
@@ -69,7 +80,7 @@ class Streams:
         if stream in self._subscribers:
             self.send_framed(stream, framed(payload))
 
-    def send_framed(self, stream: int, frame: bytes) -> None:
+    def send_framed(self, stream: int, frame: bytes | memoryview) -> None:
         """Send what `framed` has returned to the subscribers of a stream."""
         for subscriber in tuple(self._subscribers.get(stream, ())):
             subscriber.send(frame)
@@ -164,7 +175,8 @@ class Subscriber(asyncio.Protocol):
         self._received = b""
         self._stream: int | None = None
         self._is_behind = False
-        self._next: bytes | None = None
+        self._rest = memoryview(b"")  # of the frame that is being written
+        self._next: bytes | memoryview | None = None
         self._caught_up: asyncio.Future[None] | None = None
         self._has_stalled = False
 
@@ -176,7 +188,7 @@ class Subscriber(asyncio.Protocol):
     @property
     def held(self) -> int:
         """The bytes that are kept for it."""
-        return 0 if self._transport is None else self._transport.get_write_buffer_size()
+        return 0 if self._transport is None else self._transport.get_write_buffer_size() + len(self._rest)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """See `asyncio.Protocol`."""
@@ -204,12 +216,19 @@ class Subscriber(asyncio.Protocol):
         if self._stream is not None:
             self._streams.remove(self._stream, self)
 
-    def send(self, frame: bytes) -> None:
+    def send(self, frame: bytes | memoryview) -> None:
         """Send a frame; while the subscriber is behind, only the latest one is kept."""
         if self._is_behind:
             self._next = frame
-        elif self._transport is not None and not self._transport.is_closing():
-            self._transport.write(frame)
+        else:
+            self._rest = memoryview(frame)
+            self._write()
+
+    def _write(self) -> None:
+        """Write the rest of a frame, until the subscriber is behind."""
+        while self._rest and not self._is_behind and self._transport is not None and not self._transport.is_closing():
+            piece, self._rest = self._rest[:_PIECE], self._rest[_PIECE:]
+            self._transport.write(piece)
 
     def caught_up(self) -> asyncio.Future[None] | None:
         """Return what to wait for until it has read all frames, or has stalled; None if either is the case."""
@@ -239,7 +258,8 @@ class Subscriber(asyncio.Protocol):
     def resume_writing(self) -> None:
         """See `asyncio.Protocol`."""
         self._is_behind = self._has_stalled = False
-        if self._next is not None:
+        self._write()
+        if self._next is not None and not self._is_behind:
             frame, self._next = self._next, None
             self.send(frame)
         if not self._is_behind:

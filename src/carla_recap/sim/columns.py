@@ -59,7 +59,9 @@ class StructOfArrays:
         """Remove a row; the rows behind it move up."""
         for name in self.COLUMNS:
             values: NDArray[Any] = getattr(self, name)
-            setattr(self, name, np.concatenate((values[:row], values[row + 1 :])))
+            kept = values[:-1].copy()
+            kept[row:] = values[row + 1 :]
+            setattr(self, name, kept)
         self.count -= 1
 
     def _buffer_for(self, name: str) -> NDArray[Any]:

@@ -19,7 +19,7 @@ from carla_recap.queries.collisions import collisions
 from carla_recap.queries.info import info
 from carla_recap.server import recordings
 from carla_recap.server.host import Client
-from carla_recap.server.rpc.codec import DecodeError, decoder
+from carla_recap.server.rpc.codec import DecodeError, EncodedText, decoder
 from carla_recap.server.rpc.registry import call
 from carla_recap.sim.errors import MapMissing
 from carla_recap.sim.geometry import Transform
@@ -52,20 +52,20 @@ def stop_recorder(client: Client) -> None:
 
 
 @call
-def show_recorder_file_info(client: Client, name: str, show_all: bool) -> Awaitable[str]:
+def show_recorder_file_info(client: Client, name: str, show_all: bool) -> Awaitable[EncodedText]:
     """Return the events of a recording, or all of its records."""
     return _answer(client, name, partial(info, all=show_all, compat=True))
 
 
 @call
-def show_recorder_collisions(client: Client, name: str, type1: int, type2: int) -> Awaitable[str]:
+def show_recorder_collisions(client: Client, name: str, type1: int, type2: int) -> Awaitable[EncodedText]:
     """Return the collisions between two types of actors, which are letters, as bytes."""
     letters = [chr(type & 0xFF) for type in (type1, type2)]
     return _answer(client, name, lambda reader: collisions(reader, *letters, compat=True))
 
 
 @call
-def show_recorder_actors_blocked(client: Client, name: str, min_time: float, min_distance: float) -> Awaitable[str]:
+def show_recorder_actors_blocked(client: Client, name: str, min_time: float, min_distance: float) -> Awaitable[EncodedText]:
     """Return the actors that stood still; times in s, distances in cm."""
     query = partial(blocked, min_time=min_time, min_distance=min_distance, compat=True)
     return _answer(client, name, query)
@@ -155,7 +155,7 @@ def set_replayer_ignore_spectator(client: Client, ignore: bool) -> None:
     client.host.world.set_replayer_ignore_spectator(ignore)
 
 
-async def _answer(client: Client, name: str, query: recordings.Query) -> str:
+async def _answer(client: Client, name: str, query: recordings.Query) -> EncodedText:
     async with client.queries:
         await client.host.recordings.completed()
         return await recordings.answer(client.host.recordings.find_complete(name), query)

@@ -20,6 +20,10 @@ from carla_recap.server.protocol.releases import AttributeCode, Label, Labels, R
 Convert = Callable[[Any], Any]
 
 
+class EncodedText(bytearray):
+    """A text as bytes: to encode a long one keeps all clients waiting, unless it is done in a thread, part by part."""
+
+
 class DecodeError(RecapError):
     """A received value is not of the expected type."""
 
@@ -58,7 +62,7 @@ def decoder(type: Any, release: Release) -> Convert:
 def encoder(type: Any, release: Release) -> Convert:
     """Return what converts a value of a type to one that can be packed for a release."""
     origin, inner = get_origin(type), get_args(type)
-    if type in (Any, float, int, bool, str, bytes):
+    if type in (Any, float, int, bool, str, bytes, EncodedText):
         return _as_is
     if type in (Label, Labels):
         return _encode_labels(type, release)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import struct
 from contextlib import suppress
 from inspect import isawaitable, iscoroutine
 from typing import TYPE_CHECKING, Any, Final, Protocol, cast
@@ -12,6 +13,7 @@ import msgpack
 
 from carla_recap.errors import RecapError
 from carla_recap.server.quirks import unread_bytes
+from carla_recap.server.rpc.codec import EncodedText
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator, Mapping
@@ -22,6 +24,8 @@ if TYPE_CHECKING:
 
 _LOG: Final = logging.getLogger(__name__)
 _REPLY: Final = 1
+_TEXT: Final = struct.Struct(">BI")
+_LONG_TEXT: Final = 0xDB  # of MessagePack: a text whose length has 32 bits
 _PACKER: Final = msgpack.Packer(unicode_errors="surrogateescape")  # shared: it keeps a large buffer
 _CALLS_AT_ONCE: Final = 64  # before other connections are served
 _MOST_PENDING: Final = 32  # replies of a client that are being prepared
@@ -328,7 +332,11 @@ class ClientConnection(asyncio.Protocol):
             if task.cancelled():
                 return
             try:
-                self._send([_REPLY, number, None, call.encoded(context, task.result())])
+                answer = task.result()
+                if isinstance(answer, EncodedText):
+                    self._send([_REPLY, number, None, [[1, None]]], answer)
+                else:
+                    self._send([_REPLY, number, None, call.encoded(context, answer)])
             except Exception as error:
                 self._reply_error(number, call, error, waits=waits)
 
@@ -344,10 +352,15 @@ class ClientConnection(asyncio.Protocol):
             _LOG.warning("%s: %s", call.name, text)
         self._send([_REPLY, number, None, [[call.result is None or 0, [text]]]])
 
-    def _send(self, reply: list[Any]) -> None:
+    def _send(self, reply: list[Any], text: EncodedText | None = None) -> None:
+        """Send a reply, at whose end is None instead of a text if that is given."""
         data = _PACKER.pack(reply)
+        if text is not None:
+            data = data[:-1] + _TEXT.pack(_LONG_TEXT, len(text))
         if self._transport is not None and not self._transport.is_closing():
             self._transport.write(data)
+            if text is not None:
+                self._transport.write(memoryview(text))
             if self._transport.get_write_buffer_size() > _LARGE_PART:
                 self._pool.check_memory()
 

@@ -191,7 +191,7 @@ class ImageThread:
         with suppress(RuntimeError):  # the loop has ended
             tick.loop.call_soon_threadsafe(self._done)
 
-    def _frames(self, town: Town, view: View) -> list[tuple[int, bytes]]:
+    def _frames(self, town: Town, view: View) -> list[tuple[int, bytes | memoryview]]:
         """Return the frames of a view and their streams."""
         images = self._draw(town, view)
         frames = []
@@ -254,7 +254,7 @@ class ImageThread:
             with suppress(Exception):  # it may be broken
                 old.close()
 
-    def _deliver(self, tick: _Tick, frames: list[tuple[int, bytes]]) -> None:
+    def _deliver(self, tick: _Tick, frames: list[tuple[int, bytes | memoryview]]) -> None:
         """Send frames in the event loop; wait until they are sent if none may be missed."""
         sent = asyncio.run_coroutine_threadsafe(self._send(frames, keeps_all=tick.keeps_all), tick.loop)
         while not self._is_closed and not sent.done():
@@ -262,7 +262,7 @@ class ImageThread:
                 sent.result(_POLL)
         sent.cancel()
 
-    async def _send(self, frames: list[tuple[int, bytes]], *, keeps_all: bool) -> None:
+    async def _send(self, frames: list[tuple[int, bytes | memoryview]], *, keeps_all: bool) -> None:
         for stream, frame in frames:
             self._streams.send_framed(stream, frame)
         behind = self._streams.behind(stream for stream, _ in frames) if keeps_all else []

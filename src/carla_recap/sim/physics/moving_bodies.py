@@ -87,7 +87,10 @@ class MovingBodies(StructOfArrays):
 
     def row(self, actor: int) -> int:
         """Return the row of an actor."""
-        return self._rows[actor]
+        row = self._rows[actor]
+        if row >= self.count or self.actors[row].id != actor:  # rows before it have been removed
+            row = self._rows[actor] = np.flatnonzero(self.id == actor).item()
+        return row
 
     def add(self, actor: Any, body: pymunk.Body, **values: Any) -> int:
         """Add an actor with values of its columns, and return its row."""
@@ -100,14 +103,11 @@ class MovingBodies(StructOfArrays):
 
     def remove(self, actor: int) -> pymunk.Body:
         """Remove an actor, and return the body that it had."""
-        row = self._rows[actor]
+        row = self.row(actor)
         body = self.bodies[row]
         self.plane.remove(body)
         self.remove_row(row)
-        del self.actors[row], self.bodies[row]
-        del self._rows[actor]
-        for other in self.id[row:].tolist():
-            self._rows[other] -= 1
+        del self.actors[row], self.bodies[row], self._rows[actor]
         return body
 
     def place(self, row: int, position: tuple[float, float, float], rotation: tuple[float, float, float]) -> None:
