@@ -11,6 +11,7 @@ import msgpack
 
 import carla_recap.server.calls  # noqa: F401  (registers the calls)
 from carla_recap.server.host import Client, Host
+from carla_recap.server.rpc.codec import EncodedText
 from carla_recap.server.rpc.connection import ClientConnection
 from carla_recap.server.rpc.registry import CALLS
 from carla_recap.sim.town.loading import Town, load_town
@@ -43,6 +44,8 @@ class Inside:
         answer = entry(self.client, list(arguments))
         if isinstance(answer, Coroutine):
             answer = asyncio.run(answer)
+        if isinstance(answer, EncodedText):
+            return answer.decode("utf-8", "surrogateescape")
         data = msgpack.packb(entry.encoded(self.client, answer), unicode_errors="surrogateescape")
         response = msgpack.unpackb(data, unicode_errors="surrogateescape")
         if entry.bare:

@@ -271,6 +271,25 @@ def test_0_10_has_its_own_vehicles_which_are_as_large_as_the_similar_ones() -> N
     assert inside.call("is_weather_enabled") is True
 
 
+@pytest.mark.parametrize("name", ["0.9.13", "0.9.16", "0.10.0"])
+def test_a_recording_is_as_the_release_writes_it(name: str, tmp_path: Path) -> None:
+    inside = Inside(BY_NAME[name])
+    inside.call("spawn_actor", [0, "vehicle.mini.cooper", []], PLACE)
+    path = inside.call("start_recorder", str(tmp_path / "a.log"), True)
+    for _ in range(2):
+        inside.host.tick()
+    inside.call("stop_recorder")
+    inside.host.close()
+    is_0_10 = name == "0.10.0"
+    with open_recording(path) as recording:
+        assert (recording.header.wide, recording.header.shifted) == (is_0_10, is_0_10)
+        first = next(iter(recording.frames()))
+        assert len(first["transforms"]) == 2
+        assert bool(len(first["physics"])) is not is_0_10
+    text = inside.call("show_recorder_file_info", path, True)
+    assert "Positions: 2\n" in text
+
+
 def test_the_physics_of_0_10_are_those_of_the_vehicle() -> None:
     release = BY_NAME["0.10.0"]
     encode, decode = encoder(PhysicsControl, release), decoder(PhysicsControl, release)

@@ -18,9 +18,9 @@ def frames(path: Path) -> list[Frame]:
         return list(recording.frames())
 
 
-def record(world: World, path: Path, ticks: int, *, additional_data: bool = False, in_process: bool = True) -> list[Frame]:
-    """Record some ticks, by default without another process, and return the frames."""
-    world.recorder.start(path, additional_data, in_process=in_process)
+def record(world: World, path: Path, ticks: int, *, additional_data: bool = False, **options: bool) -> list[Frame]:
+    """Record some ticks, by default without another process, and return the frames; for the options see `start`."""
+    world.recorder.start(path, additional_data, **{"in_process": True, **options})
     for _ in range(ticks):
         world.tick()
     world.stop_recorder()

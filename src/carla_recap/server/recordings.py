@@ -65,7 +65,7 @@ class Recordings:
         """Wait until the threads have ended."""
         self._thread.shutdown()
 
-    async def start(self, name: str, additional_data: bool) -> str:
+    async def start(self, name: str, additional_data: bool, *, wide: bool) -> str:
         """Begin a recording; a recording without frames has its name at once, since clients do not wait for the end.
 
         Return the absolute path, or `NOT_RECORDED` where it cannot be written to, and the reason is logged. A `RecapError`
@@ -82,7 +82,8 @@ class Recordings:
             self.stop()
         try:
             now = self._world.replayer.shows_start
-            return str(recorder.start(name, additional_data, visible=True, now=now, process=process).absolute())
+            path = recorder.start(name, additional_data, visible=True, now=now, wide=wide, process=process)
+            return str(path.absolute())
         except BaseException as error:
             discard_process(process)
             if not isinstance(error, DestinationError):

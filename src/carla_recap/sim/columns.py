@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-_LEAST: Final = 8  # rows for which there is room at least
 
 
 class _DeclaredColumn(NamedTuple):
@@ -25,8 +23,7 @@ class StructOfArrays:
     """A table with an array for each column, which allows to compute all rows at once.
 
     A subclass declares its columns by `column`, each with its value in a new row; the arrays are attributes of these names.
-    They are replaced, not changed in place, when a row is added or removed. Room is kept for further rows, so that adding
-    many copies each row a few times only.
+    They are replaced, not changed in place, when a row is added or removed.
     """
 
     COLUMNS: ClassVar[dict[str, Any]] = {}
@@ -39,7 +36,6 @@ class StructOfArrays:
 
     def __init__(self) -> None:
         self.count = 0
-        self._buffers: dict[str, NDArray[Any]] = {}
         for name, value in self.COLUMNS.items():
             setattr(self, name, np.empty((0, *np.shape(value)), np.asarray(value).dtype))
 
@@ -49,9 +45,10 @@ class StructOfArrays:
     def append_row(self, **values: Any) -> int:
         """Add a row and return its index; columns without a value get their default."""
         for name, default in self.COLUMNS.items():
-            buffer = self._buffer_for(name)
-            buffer[self.count] = values.get(name, default)
-            setattr(self, name, buffer[: self.count + 1])
+            rows: NDArray[Any] = getattr(self, name)
+            grown = np.empty((self.count + 1, *rows.shape[1:]), rows.dtype)
+            grown[:-1], grown[-1] = rows, values.get(name, default)
+            setattr(self, name, grown)
         self.count += 1
         return self.count - 1
 
@@ -63,13 +60,3 @@ class StructOfArrays:
             kept[row:] = values[row + 1 :]
             setattr(self, name, kept)
         self.count -= 1
-
-    def _buffer_for(self, name: str) -> NDArray[Any]:
-        """Return an array that begins with the rows of a column and has room for one more."""
-        array: NDArray[Any] = getattr(self, name)
-        buffer = self._buffers.get(name)
-        if buffer is None or array.base is not buffer or self.count == len(buffer):
-            buffer = np.empty((max(_LEAST, 2 * self.count), *array.shape[1:]), array.dtype)
-            buffer[: self.count] = array
-            self._buffers[name] = buffer
-        return buffer

@@ -226,21 +226,23 @@ def test_what_listeners_do_is_recorded_in_the_next_frame(tmp_path: Path) -> None
     assert counts[1:] == [(1, placed + 1), (1, placed + 2)]
 
 
-def test_poses_controls_and_velocities(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "wide"), [("a.mcap", False), ("a.mcap", True), ("a.log", True)])
+def test_poses_controls_and_velocities(tmp_path: Path, name: str, wide: bool) -> None:
     world = lit_world()
     person, hero = spawn_walker(world, at(50.0, 5.0, z=0.9)), spawn_car(world, at(20.0))
     hero.light_state = 0b1010
     hero.apply_control(VehicleControl(throttle=0.75, steer=0.125, hand_brake=False))
     person.apply_control(WalkerControl(Vector(0.0, 1.0, 0.0), 1.5))
-    last = record(world, tmp_path / "a.mcap", 20, additional_data=True)[-1]
+    last = record(world, tmp_path / name, 20, additional_data=True, wide=wide)[-1]
+    precise = 0 if wide else 1e-3
     rows = {row["id"]: row for row in named(last, "transforms")}
     assert list(rows) == [1, person.id, hero.id]
     for actor in (person, hero):
         there, row = actor.transform, rows[actor.id]
         expected = (there.location.x * 100, there.location.y * 100, there.location.z * 100)
-        assert (row["x"], row["y"], row["z"]) == pytest.approx(expected, abs=1e-3)
+        assert (row["x"], row["y"], row["z"]) == pytest.approx(expected, abs=precise, rel=1e-15)
         angles = (there.rotation.roll, there.rotation.pitch, there.rotation.yaw)
-        assert (row["roll"], row["pitch"], row["yaw"]) == pytest.approx(angles, abs=1e-4)
+        assert (row["roll"], row["pitch"], row["yaw"]) == pytest.approx(angles, abs=precise, rel=1e-15)
     (control,) = named(last, "vehicle_controls")
     assert (control["steer"], control["throttle"], control["brake"]) == (0.125, 0.75, 0)
     assert control["gear"] == hero.control.gear

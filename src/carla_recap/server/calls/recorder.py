@@ -34,14 +34,15 @@ _LOG: Final = logging.getLogger(__name__)
 async def start_recorder(client: Client, name: str, additional_data: bool = False, stop_replayer: bool = True) -> str:
     """Begin a recording and return its absolute path; an empty text where it cannot be written to.
 
-    The suffix .mcap, or none, is for MCAP; any other one is for CARLA's format. A running replay ends, as in CARLA, unless
+    The suffix .mcap, or none, is for MCAP; any other one is for CARLA's format, as the release of the client writes it. A
+    running replay ends, as in CARLA, unless
     a newer client asks to record it.
     """
     world = client.host.world
     if stop_replayer and world.replayer.is_playing:
         _LOG.warning("start_recorder: the replay of %s ends, and its actors are destroyed", world.replayer.path)
         world.stop_replayer()
-    return await client.host.recordings.start(name, additional_data)
+    return await client.host.recordings.start(name, additional_data, wide=client.release.wide)
 
 
 @call

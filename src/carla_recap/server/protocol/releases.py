@@ -46,6 +46,7 @@ class Release:
         without: Fields of structs that it does not have, each as `Struct.field`.
         structs: Its own structs for ours, where more is different: see `ChaosControl` for what each has.
         labels: Its semantic tags by ours; empty if they are the same.
+        wide: Whether its recorder writes lengths in double precision, and other packet ids of doors and wheels.
         renews_stream: Whether a client that begins an episode subscribes to a new stream of snapshots.
     """
 
@@ -59,6 +60,7 @@ class Release:
     without: frozenset[str] = frozenset()
     structs: Mapping[type, Any] = field(default_factory=dict)
     labels: tuple[int, ...] = ()
+    wide: bool = False
     renews_stream: bool = False
 
     def number(self, data: str) -> int | None:
@@ -123,6 +125,7 @@ _0_10_0: Final = replace(
     lacks=(*_0_9_15.lacks, "vehicle.*", "walker.pedestrian.000?", "walker.pedestrian.001[0-4]", "walker.pedestrian.0052"),
     adds=tuple(f"vehicle.{id}" for id in _VEHICLES_OF_0_10),
     structs={PhysicsControl: ChaosControl},
+    wide=True,
 )
 _0_9_14: Final = replace(
     _0_9_15, name="0.9.14", marker=b"get_sensor_token", without=_0_9_15.without | {"EpisodeSettings.spectator_as_ego"}

@@ -110,6 +110,7 @@ class WorldRecorder:
         visible: bool = False,
         now: bool = False,
         in_process: bool = False,
+        wide: bool = False,
         process: subprocess.Popen[bytes] | None = None,
     ) -> Path:
         """Begin a recording; one that is running is completed first, and an older one of that name replaced at the end.
@@ -123,6 +124,7 @@ class WorldRecorder:
             visible: Put a recording without frames under the name at once; else the name appears with the complete one.
             now: Record the world as it is as the first frame; else the first frame is the end of the next tick.
             in_process: Write in this process, which saves the start of another one; see `InProcessWriter`.
+            wide: Record in double precision, and without physics, as CARLA 0.10 does.
             process: The process that writes, of `start_process`, which takes a moment; by default, it is started here.
 
         Raises:
@@ -134,8 +136,8 @@ class WorldRecorder:
             self.stop()
             self.error = None
             path = self._destination(name, force=force)
-            header = Header(self.episode.town.name, self.date, parameters=self._parameters)
-            sampler = WorldSampler(self.episode, additional_data=additional_data)
+            header = Header(self.episode.town.name, self.date, wide=wide, shifted=wide, parameters=self._parameters)
+            sampler = WorldSampler(self.episode, additional_data=additional_data, wide=wide)
             format = path.suffix.lower() if path.suffix.lower() in SUFFIXES else _LOG
             if in_process:
                 self._writer = InProcessWriter(path, header, force=force, format=format, visible=visible)

@@ -8,6 +8,7 @@ The records, their times, their units and the order of the packets are those of 
 - Boxes are recorded of actors that have one; CARLA records boxes without size around sensors, too.
 - The platform's clock is the simulated one, so that a recording depends on nothing but the seed and the steps.
 - Wheels, bikers and bones are not recorded: their packets are present, and empty.
+- In double precision, as of CARLA 0.10, no physics is recorded: the records there are memory images of the engine.
 """
 
 from __future__ import annotations
@@ -45,14 +46,17 @@ SECONDS: Final = 5.0
 class WorldSampler:
     """Samples an episode at the end of each tick; the actors that it contains at first are spawned in the first frame.
 
+    With `wide`, records are in double precision, as of CARLA 0.10.
+
     Attributes:
         count: The number of snapshots.
         elapsed: The time from the first snapshot to the latest one, in s.
     """
 
-    def __init__(self, episode: Episode, *, additional_data: bool) -> None:
+    def __init__(self, episode: Episode, *, additional_data: bool, wide: bool = False) -> None:
         self._episode = episode
         self._additional = additional_data
+        self._wide = wide
         self.count = 0
         self.elapsed = 0.0
         self._collisions = 0
@@ -68,7 +72,7 @@ class WorldSampler:
         first = self._introduction(actors)
         first["parented"] = [(actor.id, actor.parent.id) for actor in actors if actor.parent is not None]
         first["doors"] = [(v.id, door, True) for v in episode.vehicles.actors for door in sorted(v.open_doors)]
-        self._first = _packed(first)
+        self._first = self._packed(first)
         for packet in self._first.values():
             _ = packet.payload  # data that no record can hold is an error now, and not in the first tick
 
@@ -84,9 +88,9 @@ class WorldSampler:
         return self._add(self._events(), delta)
 
     def _add(self, events: TickEvents, delta: float) -> SnapshotBatch:
-        happened = _packed(self._records(events))
+        happened = self._packed(self._records(events))
         if self._batch is None:
-            happened = _joined(self._first, happened)
+            happened = self._joined(self._first, happened)
         else:
             self._batch.timestamps[-1].duration = delta
             self.elapsed += delta
@@ -121,6 +125,7 @@ class WorldSampler:
             others=[actor.id for actor in others.actors],
             lights=episode.signals.id.tolist(),
             additional_data=self._additional,
+            wide=self._wide,
         )
         owners = {"vehicles": episode.vehicles, "walkers": episode.walkers, "signals": episode.signals, "others": others}
         self._sources = [(owners[owner], name) for owner, name in self._actors.columns]
@@ -186,6 +191,21 @@ class WorldSampler:
         self._weather = weather
         return [astuple(weather)]
 
+    # --- packets ------------------------------------------------------------------------------------------------------
+
+    def _packed(self, records: RecordsByType) -> dict[str, Packet]:
+        types = TYPES[self._wide]
+        return {
+            name: Packet(types[name].id, types[name], records=types[name].records(rows))
+            for name, rows in records.items()
+            if rows and not types[name].opaque
+        }
+
+    def _joined(self, first: dict[str, Packet], then: dict[str, Packet]) -> dict[str, Packet]:
+        """Join the packets of each type; those that only one side has stay as they are."""
+        both = self._packed({name: [*first[name].records, *then[name].records] for name in first.keys() & then.keys()})
+        return first | then | both
+
 
 class _OtherActors:
     """Actors that are neither vehicles nor walkers, which have no arrays of their own."""
@@ -197,17 +217,3 @@ class _OtherActors:
     def poses(self) -> NDArray[np.float64]:
         """Their poses, (n, 6)."""
         return np.array([pose(transform) for transform in transforms(self.actors)]).reshape(-1, 6)
-
-
-def _packed(records: RecordsByType) -> dict[str, Packet]:
-    return {
-        name: Packet(TYPES[name].id, TYPES[name], records=TYPES[name].records(rows))
-        for name, rows in records.items()
-        if rows
-    }
-
-
-def _joined(first: dict[str, Packet], then: dict[str, Packet]) -> dict[str, Packet]:
-    """Join the packets of each type; those that only one side has stay as they are."""
-    both = _packed({name: [*first[name].records, *then[name].records] for name in first.keys() & then.keys()})
-    return first | then | both

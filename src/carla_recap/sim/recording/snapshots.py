@@ -1,6 +1,7 @@
 """Batches of snapshots of a world, and the frames of a recording that they become: later, without the world.
 
-A batch is what is sent to the process that writes the recording: columns of float32 for a set of actors that stays the same.
+A batch is what is sent to the process that writes the recording: columns for a set of actors that stays the same, in the
+precision of the recording.
 """
 
 from __future__ import annotations
@@ -15,21 +16,23 @@ import numpy as np
 from carla_recap.model.batch import Batch, ConstantColumn, PackedColumn
 from carla_recap.model.frame import LAST_FRAME_DURATION, Packet
 from carla_recap.model.layout import EMPTY_LIST, Framing, pack
-from carla_recap.model.records import CM_PER_M, FRAME_END, ORDER, UE4
+from carla_recap.model.records import CM_PER_M, FRAME_END, ORDER, UE4, UE5
 from carla_recap.replay.selection import numbers
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
+
+    from carla_recap.model.records import RecordType
 
     Array = NDArray[np.void]
     Columns = dict[tuple[str, str], NDArray[Any]]
 
-TYPES: Final = {UE4[id].name: UE4[id] for id in ORDER}
-"""The record types in the order in which CARLA writes their packets."""
-_SLOTS: Final = {name: slot for slot, name in enumerate(TYPES)}
-_END: Final = Packet(FRAME_END, UE4[FRAME_END], b"")
+TYPES: Final = tuple({table[id].name: table[id] for id in ORDER} for table in (UE4, UE5))
+"""The record types in the order in which CARLA writes their packets: those of UE4, and those of UE5, which are wide."""
+_SLOTS: Final = {name: slot for slot, name in enumerate(TYPES[0])}
+_ENDS: Final = [Packet(FRAME_END, table[FRAME_END], b"") for table in (UE4, UE5)]
 _ROLL_PITCH_YAW: Final = [2, 0, 1]
 """Their indices in the rotations of `MovingBodies`."""
 COLUMNS: Final = {
@@ -48,9 +51,8 @@ COLUMNS: Final = {
     ("others", "poses"): ("transforms", ""),
 }
 """Columns of a world, and the record type and field of each; no field where the values are converted."""
-_REAL: Final = np.dtype(np.float32)
-_DTYPES: Final = {column: UE4.named(type).dtype[field] if field else _REAL for column, (type, field) in COLUMNS.items()}
-"""The precision of records, which is less than that of a world."""
+_DTYPES: Final = [{column: types[type].dtype[field or "x"] for column, (type, field) in COLUMNS.items()} for types in TYPES]
+"""The precision of records, which is less than that of a world where they are not wide."""
 _IN_CM: Final = "position"
 
 
@@ -80,7 +82,8 @@ class SnapshotBatch:
         self._actors = actors
         self._length = length
         self._columns: Columns = {
-            key: np.empty((length, *column.shape), _DTYPES[key]) for key, column in zip(actors.columns, columns, strict=True)
+            key: np.empty((length, *column.shape), _DTYPES[actors.wide][key])
+            for key, column in zip(actors.columns, columns, strict=True)
         }
 
     def __getstate__(self) -> tuple[Any, ...]:
@@ -120,7 +123,7 @@ class ActorSet:
     """The actors of a world as long as none comes or goes, as ids; `columns` are those of the world that are recorded.
 
     Those with poses are in the order in which they were spawned; the others are those among them that are neither vehicles
-    nor walkers.
+    nor walkers. `wide` records have double precision.
     """
 
     def __init__(
@@ -132,7 +135,9 @@ class ActorSet:
         others: list[int],
         lights: list[int],
         additional_data: bool,
+        wide: bool,
     ) -> None:
+        self.wide = wide
         indices = {id: index for index, id in enumerate(with_pose)}
         self._indices = [indices[id] for id in (*vehicles, *walkers, *others)]
         self._ids = {
@@ -152,7 +157,7 @@ class ActorSet:
         for has_events, group in groupby(range(len(timestamps)), key=lambda index: bool(timestamps[index].events)):
             indices = list(group)
             for part in [[index] for index in indices] if has_events else [indices]:
-                yield _batch(timestamps, part, packets)
+                yield _batch(timestamps, part, [*packets, _ENDS[self.wide]])
 
     def _packets(self, timestamps: list[Timestamp], columns: Columns) -> list[Packet | PackedColumn | None]:
         """Return the packets of all frames, in the order of `TYPES`; None for those that only events have."""
@@ -164,9 +169,13 @@ class ActorSet:
             arrays[name]["seconds"][:, 0] = seconds
         packets: list[Packet | PackedColumn | None] = list(self._empty_packets)
         for name, template in templates.items():
-            type, size = TYPES[name], template.itemsize
+            type, size = self._types[name], template.itemsize
             packets[_SLOTS[name]] = PackedColumn(type.id, type, size, template.view(np.uint8).data, 0, size, len(template))
         return packets
+
+    @property
+    def _types(self) -> Mapping[str, RecordType]:
+        return TYPES[self.wide]
 
     @property
     def _clocks(self) -> list[str]:
@@ -179,14 +188,14 @@ class ActorSet:
             Packet(type.id, type, EMPTY_LIST, type.records([]))
             if type.always and (self._additional or not type.additional)
             else None
-            for type in TYPES.values()
+            for type in self._types.values()
         ]
 
     @cached_property
     def _templates(self) -> dict[str, Array]:
         """Payloads by type with the number and the ids of the records, which all frames share."""
-        templates = {name: _template(name, "id", ids) for name, ids in self._ids.items() if ids}
-        return templates | {name: _template(name, "seconds", [0.0]) for name in self._clocks}
+        templates = {name: _template(self._types[name], "id", ids) for name, ids in self._ids.items() if ids}
+        return templates | {name: _template(self._types[name], "seconds", [0.0]) for name in self._clocks}
 
     def _fill(self, arrays: dict[str, Array], columns: Columns) -> None:
         poses = [
@@ -207,7 +216,7 @@ class ActorSet:
 
 def _batch(timestamps: list[Timestamp], indices: list[int], packets: list[Packet | PackedColumn | None]) -> Batch:
     """Return consecutive frames: one, or several without events."""
-    packets = [*packets, _END]
+    packets = list(packets)
     for name, packet in timestamps[indices[0]].events.items():
         packets[_SLOTS[name]] = packet
     start, stop = indices[0], indices[-1] + 1
@@ -225,9 +234,8 @@ def _batch(timestamps: list[Timestamp], indices: list[int], packets: list[Packet
     )
 
 
-def _template(name: str, field: str, values: Sequence[float]) -> Array:
+def _template(type: RecordType, field: str, values: Sequence[float]) -> Array:
     """Return a payload as an array of length one: its count, if it has one, and its records with one field filled in."""
-    type = TYPES[name]
     records = np.zeros(len(values), type.dtype)
     records[field] = values
     count = [("count", "<u2")] if type.framing is Framing.LIST else []
