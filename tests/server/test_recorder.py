@@ -592,7 +592,7 @@ def test_clients_are_served_while_a_recording_is_completed(
         "load_new_episode": ["", True, 0],
     }[ending]
 
-    async def run() -> str:
+    async def run() -> bytes:
         client = client_inside(host)
         await CALLS["start_recorder"](client, [str(path), False])
         host.tick()
@@ -601,10 +601,10 @@ def test_clients_are_served_while_a_recording_is_completed(
         answer = CALLS[ending](client, arguments)
         task = asyncio.ensure_future(answer) if asyncio.iscoroutine(answer) else asyncio.sleep(0)
         await asyncio.gather(task, completing.serve_others(host))
-        info: str = await CALLS["show_recorder_file_info"](client, [str(path), False])
+        info: bytes = await CALLS["show_recorder_file_info"](client, [str(path), False])
         return info
 
-    assert "Frames: 1\n" in asyncio.run(run())
+    assert b"Frames: 1\n" in asyncio.run(run())
     host.close()
 
 
@@ -635,7 +635,7 @@ def test_a_recording_that_cannot_be_completed_is_logged_and_others_can_be_asked_
     def fail() -> None:
         raise OSError("lost")
 
-    async def run() -> str:
+    async def run() -> bytes:
         client = client_inside(host)
         await CALLS["start_recorder"](client, [str(tmp_path / "ends.mcap"), False])
         host.tick()
@@ -643,10 +643,10 @@ def test_a_recording_that_cannot_be_completed_is_logged_and_others_can_be_asked_
         host.world.recorder._finish = fail
         CALLS["stop_recorder"](client, [])
         writer.close()
-        info: str = await CALLS["show_recorder_file_info"](client, [str(recordings / "drive.mcap"), False])
+        info: bytes = await CALLS["show_recorder_file_info"](client, [str(recordings / "drive.mcap"), False])
         return info
 
-    assert "Frames: 80\n" in asyncio.run(run())
+    assert b"Frames: 80\n" in asyncio.run(run())
     assert "a recording could not be completed: lost" in caplog.messages
     host.close()
 

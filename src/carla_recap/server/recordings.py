@@ -65,7 +65,7 @@ class Recordings:
         """Wait until the threads have ended."""
         self._thread.shutdown()
 
-    async def start(self, name: str, additional_data: bool, *, wide: bool) -> str:
+    async def start(self, name: str, additional_data: bool, *, wide: bool = False) -> str:
         """Begin a recording; a recording without frames has its name at once, since clients do not wait for the end.
 
         Return the absolute path, or `NOT_RECORDED` where it cannot be written to, and the reason is logged. A `RecapError`
