@@ -244,7 +244,7 @@ class Recording:
         return self.reader.frames(start=start, stop=stop)
 
     def frame_at(self, elapsed: float) -> Frame:
-        """Return the last frame that begins at or before a time, found by index; after the end, the last one of all.
+        """Return the last frame before the first one that begins later than a time; after the end, the last one of all.
 
         Args:
             elapsed: The time, in s.

@@ -72,14 +72,14 @@ def expected_images(
 
 
 def frames_within(frames: list[twin.FoundFrame], start: float, stop: float) -> list[int]:
-    """The positions of the frames from a time on, until the first one after these at another or later."""
+    """The positions of the frames from the first one at a time or later, until the first one at another or later."""
     found: list[int] = []
     is_late, has_begun = False, False
     for position, frame in enumerate(frames):
         is_early = start > -math.inf and not frame.elapsed >= start
         has_begun = has_begun or not is_early
         is_late = is_late or (has_begun and frame.elapsed >= stop and stop < math.inf)
-        if not (is_early or is_late):
+        if has_begun and not is_late:
             found.append(position)
     return found
 
@@ -137,10 +137,10 @@ def test_frames_are_those_found_a_packet_at_a_time(
                 part = [image(frame) for frame in reader.frames(names, sparse=sparse, start=start, stop=stop)]
                 inside = frames_within(whole.frames, start - SAME_TIME, stop - SAME_TIME)
                 assert part == [each for each in expected if each[0] in inside]
-                earlier = [n for n, frame in enumerate(whole.frames) if frame.elapsed <= stop + SAME_TIME]
+                later = [n for n, frame in enumerate(whole.frames) if frame.elapsed > stop + SAME_TIME]
                 at = reader.frame_at(stop)
-                every = expected_images(reader, whole.frames, None, sparse=False)
-                assert (at and image(at)) == (every[earlier[-1]] if earlier else None)
+                every = [None, *expected_images(reader, whole.frames, None, sparse=False)]
+                assert (at and image(at)) == every[later[0] if later else -1]
         with closing(LogReader(path, lenient=True)) as reader:
             frames = twin.read_leniently(data, head, types_of(reader))
             found = [image(frame) for frame in reader.frames(names)]

@@ -120,8 +120,10 @@ FRAMES = st.fixed_dictionaries(
 )
 
 
-def build(path: Path, header: Header, frames: list[dict[str, Any]], *, preamble: bool = False) -> Path:
-    """Write a recording as only some builds write it."""
+def build(
+    path: Path, header: Header, frames: Sequence[Script], *, preamble: bool = False, times: Sequence[float] = ()
+) -> Path:
+    """Write a recording as only some builds write it, or with any times."""
     with create_writer(path, header) as writer:
         for place, frame in enumerate(frames):
             table = header.table
@@ -130,7 +132,7 @@ def build(path: Path, header: Header, frames: list[dict[str, Any]], *, preamble:
                 for name, rows in frame.items()
             ]
             before = preamble and place == 0
-            elapsed = 0.0 if before else place - preamble
+            elapsed = times[place] if times else 0.0 if before else float(place - preamble)
             writer.write(
                 Frame(
                     place, 0 if before else place + 1 - preamble, elapsed, 0.0 if before else 1.0, packets, preamble=before

@@ -9,11 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from carla_recap import open_recording
+from carla_recap.model.frame import Header
 from carla_recap.model.records import NO_ACTOR
 from carla_recap.replay import Player
+from carla_recap.replay.cursor import Cursor
 from carla_recap.replay.events import Collided, Destroyed, Parented, Spawned
 from carla_recap.replay.player import LiveScenes
-from tests.replay.scripts import FRAMES, light, pose, spawn, state, velocity, write, x_of
+from tests.replay.scripts import FRAMES, build, light, pose, spawn, state, velocity, x_of
+from tests.samples import warnings_ignored
 
 if TYPE_CHECKING:
     from carla_recap.replay import Scene
@@ -209,6 +212,19 @@ def test_poses_are_searched_far_back(record: Record) -> None:
     assert [x_of(Player(record(*frames), start=170.5).tick(0), id) for id in (1, 2, 3, 4)] == [700, 0, 5, 6]
 
 
+def test_frames_without_a_pose_of_an_actor_are_searched_once(record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = [{"transforms": [pose(2)]} for _ in range(200)]
+    frames[0] |= {"spawned": [spawn(1), spawn(2)]}
+    player, searched, search = Player(record(*frames)), list[float](), Cursor._last_records
+    monkeypatch.setattr(Cursor, "_last_records", lambda self, *part: searched.append(part[2]) or search(self, *part))
+    least = []
+    for time in (150, 100, 170):
+        player.at(time)
+        least.append(min(searched, default=None))
+        searched.clear()
+    assert least == [0, None, 150]
+
+
 def test_light_states_of_other_actors_hold_in_their_frame_only(record: Record) -> None:
     recording = record({"light_states": [light(5, 1)]}, {"light_states": [light(6, 1)]}, {})
     assert [scene.light_states["id"].tolist() for scene in Player(recording).scenes()] == [[5], [6], []]
@@ -291,14 +307,17 @@ def test_actors_attached_to_each_other(record: Record) -> None:
     time=st.floats(0, 1),
     ticks=st.integers(1, 6),
     tick=st.sampled_from([0.5, 7.0]),
+    second=st.integers(1, 8),
     ignore_hero=st.booleans(),
     smooth=st.booleans(),
 )
 def test_seeking_gives_the_same_scene_as_playing(
-    tmp_path_factory: pytest.TempPathFactory, kind: str, frames, time, ticks, tick, ignore_hero, smooth
+    tmp_path_factory: pytest.TempPathFactory, kind: str, frames, time, ticks, tick, second, ignore_hero, smooth
 ) -> None:
-    path = write(tmp_path_factory.mktemp("any") / f"any{kind}", frames, tick=tick)
-    with open_recording(path) as recording:
+    """Also if the clock begins again at 0, with the frame `second`."""
+    times = [tick * (index % second if index < 2 * second else index - second) for index in range(len(frames))]
+    path = build(tmp_path_factory.mktemp("any") / f"any{kind}", Header("Town01", 0), frames, times=times)
+    with open_recording(path) as recording, warnings_ignored():
 
         def new_player(start: float = 0.0) -> Player:
             return Player(recording, start=start, ignore_hero=ignore_hero, smooth=smooth)

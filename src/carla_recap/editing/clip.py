@@ -38,10 +38,10 @@ def clip(
 ) -> Extent:
     """Write part of a recording as a recording of its own.
 
-    The first frame is the one at or before the start, the last one that at or before the end. Elapsed times and frame
+    The first frame is the one at the start, the last one that at the end; see `Recording.frame_at`. Elapsed times and frame
     numbers begin at 0 and at 1; the date is that of the first frame, in whole seconds. Actors keep their ids.
 
-    Frames before the start are left out, also where the clock of the source jumps back to before the start.
+    If the clock of the source goes back to before the start in between, it does so in the clip, to times below 0.
 
     The first frame contains, besides its own records, the state that earlier frames have left: for every actor its spawn
     (with its pose at that time), parent, box, volume, physics and open doors, the states and times of traffic lights, the

@@ -42,6 +42,7 @@ class InitialState:
     def __init__(self, source: Reader) -> None:
         self.source = source
         self._table = source.header.table
+        self._cursor = Cursor(source, self._new_state)
         self._rewind()
 
     @property
@@ -149,9 +150,8 @@ class InitialState:
         own = set(array(frame[name])["id"].tolist())
         if own.issuperset(set(self._state.lasting(name).tolist()) - new):
             return np.empty(0, self._table.named(name).dtype)
-        cursor = Cursor(self.source, self._new_state)
-        cursor.seek(frame.elapsed)
-        return _without(cursor.state.latest[name].records, own)
+        self._cursor.go_to(frame)
+        return _without(self._cursor.state.latest[name].records, own)
 
 
 def _spawned(frame: Frame) -> set[int]:

@@ -105,7 +105,8 @@ class Reader:
     ) -> Iterator[Batch]:
         """Yield the frames in batches of frames that are alike, with elapsed seconds from `start` to before `stop`.
 
-        A frame within `SAME_TIME` of either counts as being at it. With names of record types, frames hold the packets of
+        A frame within `SAME_TIME` of either counts as being at it. All frames in between are among them, also those whose
+        clock goes back: parts that meet have each frame once. With names of record types, frames hold the packets of
         these alone, and no empty ones; None: all packets. With `sparse`, frames that hold no packet of these are left out;
         in MCAP, durations may be unknown (NaN) then. A `FormatError` says where the file contradicts its format.
         """
@@ -121,7 +122,10 @@ class Reader:
         raise NotImplementedError
 
     def frame_at(self, elapsed: float) -> Frame | None:
-        """Return the last frame that begins at or before a time in seconds, or within `SAME_TIME` of it; else None."""
+        """Return the frame before the first one that begins later than `SAME_TIME` after a time in seconds; None if none is.
+
+        So a frame whose clock is behind an earlier one's counts as at the time of that one.
+        """
         raise NotImplementedError
 
     def frames_by_index(self, indexes: Iterable[int], types: Collection[str]) -> Iterator[Frame] | None:

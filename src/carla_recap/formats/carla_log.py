@@ -99,18 +99,20 @@ class LogReader(Reader):
     def _batches(self, types: Collection[str] | None, start: float, stop: float, *, sparse: bool) -> Iterator[Batch]:
         names = None if types is None else frozenset(self.header.table.named(name).name for name in types)
         first = (0, self._start) if start == -math.inf else self._first_at(start)
-        if first is not None:  # the first frame at the stop, after which the clock may go back, may hold no wanted packet
+        if start > -math.inf and sparse:
+            sparse = bool((np.diff(np.frombuffer(self._indexed()[0])) >= 0).all())
+        if (
+            first is not None
+        ):  # the first frame of the part, or at its stop, may hold no wanted packet if the clock goes back
             yield from map(self._batch, self._runs(*first, names, sparse=sparse and stop == math.inf))
 
     def frame_at(self, elapsed: float) -> Frame | None:
-        """Return the last frame that begins at or before a time; see `Reader.frame_at`."""
+        """Return the frame at a time; see `Reader.frame_at`."""
         self.check_open()
         times, offsets = self._indexed()
-        earlier = np.flatnonzero(np.frombuffer(times) <= elapsed + SAME_TIME)
-        if not len(earlier):
-            return None
-        position = int(earlier[-1])
-        return self._frame_from(position, offsets[position], None)
+        later = np.flatnonzero(np.frombuffer(times) > elapsed + SAME_TIME)
+        position = (int(later[0]) if len(later) else len(times)) - 1
+        return None if position < 0 or math.isnan(elapsed) else self._frame_from(position, offsets[position], None)
 
     def frames_by_index(self, indexes: Iterable[int], types: Collection[str]) -> Iterator[Frame] | None:
         """Return the frames at some indexes, if all frames have been read before; see `Reader.frames_by_index`."""

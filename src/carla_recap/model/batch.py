@@ -263,18 +263,33 @@ def equal_rows(rows: NDArray[Any], columns: NDArray[np.intp], masks: NDArray[Any
     return equal
 
 
+class Part:
+    """The frames from one elapsed time on (-inf: all), until the first one at or after another (inf: all), in s.
+
+    Frames between these two are in it, even if their clock goes back to before the first. Batches are given in file order.
+    """
+
+    def __init__(self, start: float, stop: float) -> None:
+        self._start, self._stop = start, stop
+        self._begun = start == -np.inf
+        self.ended = False
+
+    def of(self, batch: Batch) -> Batch:
+        """Return the frames of a batch that are in it."""
+        first, stop = 0, 0 if self.ended else len(batch)
+        if stop and self._stop < np.inf and len(late := np.flatnonzero(batch.elapsed >= self._stop)):
+            stop, self.ended = int(late[0]), True
+        if stop and not self._begun:
+            reached = np.flatnonzero(batch.elapsed[:stop] >= self._start)
+            self._begun, first = bool(len(reached)), int(reached[0]) if len(reached) else stop
+        return batch if stop - first == len(batch) else batch[first:stop]
+
+
 def within(batches: Iterable[Batch], start: float, stop: float) -> Iterator[Batch]:
-    """Yield the frames from one elapsed time on (-inf: all), until the first one at or after another (inf: all), in s."""
+    """Yield the frames of a `Part`, in batches."""
+    part = Part(start, stop)
     for batch in batches:
-        part, last = batch, False
-        if stop < np.inf:
-            late = np.flatnonzero(batch.elapsed >= stop)
-            if len(late):
-                part, last = batch[: int(late[0])], True
-        if start != -np.inf and not (part.elapsed >= start).all():
-            edges = np.flatnonzero(np.diff(np.concatenate(([False], part.elapsed >= start, [False])))).tolist()
-            yield from (part[first:end] for first, end in zip(edges[::2], edges[1::2], strict=True))
-        elif len(part):
-            yield part
-        if last:
+        if len(found := part.of(batch)):
+            yield found
+        if part.ended:
             return

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, ClassVar
 
-from carla_recap.model.batch import within
+from carla_recap.model.batch import Part
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.lives import HERO, find_actor
 from carla_recap.queries import Answer
@@ -100,10 +100,11 @@ class IncidentSearch:
         if types := self.types:
             spans = [detector.span or (self._options.start, self._options.stop) for detector in self._detectors]
             start, stop = min(start for start, _ in spans), max(stop for _, stop in spans)
+            parts = [Part(start - SAME_TIME, stop - SAME_TIME) for start, stop in spans]
             for batch in self._source.batches(types, start=start, stop=stop):
-                for detector, span in zip(self._detectors, spans, strict=True):
-                    for part in within((batch,), span[0] - SAME_TIME, span[1] - SAME_TIME):
-                        detector.add(part)
+                for detector, part in zip(self._detectors, parts, strict=True):
+                    if len(found := part.of(batch)):
+                        detector.add(found)
 
     def add(self, batch: Batch) -> None:
         """Process frames, with at least transforms, velocities, spawns and destructions, and for roads states of lights."""

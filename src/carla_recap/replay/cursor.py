@@ -12,7 +12,6 @@ from carla_recap.errors import RecapError
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.segment import segments
 from carla_recap.replay.events import Collided, Event, Parented, Spawned
-from carla_recap.replay.selection import array
 from carla_recap.replay.state import EVENTS, ReplayState
 
 if TYPE_CHECKING:
@@ -35,8 +34,10 @@ class Cursor:
     """Reads forward, one frame ahead, and seeks by the recording's index.
 
     Attributes:
-        frame: The last frame at or before the time, or within `SAME_TIME` of it; before the first frame, the first.
-        next: The frame after it; None after the last one.
+        frame: The frame before `next`; before the first frame, the first.
+        next: The first frame later than `SAME_TIME` after the time; None after the last one.
+        time: The elapsed seconds of `frame`, or of an earlier frame, if the clock has gone back.
+        behind: How many frames have been read whose clock was behind `time`.
         state: The state after all frames until `frame`.
         events: The events that were not taken yet.
         observer: Is called with each batch that is read.
@@ -54,9 +55,13 @@ class Cursor:
         self._row = 0  # of `next` in its batch
         self._ahead: Batch | None = None  # the batch after it, if it has been read
         self._ends: list[int] | None = None  # of the segments of the batch: rows, ascending
+        self.time = -math.inf
+        self.behind = 0
         self.state = new_state()
         self.events: list[Event] = []
         self._frame_events: list[Event] = []
+        # By type and life, the record that was the latest one before a time, if there was any.
+        self._known: dict[tuple[str, int, float], tuple[float, NDArray[np.void] | None]] = {}
         self.observer: Callable[[Batch], object] | None = None
 
     def advance(self, time: float) -> None:
@@ -92,6 +97,7 @@ class Cursor:
         frames = batch if end - start == len(batch) else batch[start:end]
         latest = self.state.apply_batch(frames)
         self.frame, self._frame_events = frames.frame(-1), []
+        self.time = self.frame.elapsed
         self._row = end
         self._read_next()
         return frames, latest
@@ -102,13 +108,19 @@ class Cursor:
         Raises:
             RecapError: The recording has no frames.
         """
-        if not self._opened or not -SAME_TIME <= time - self.frame.elapsed < _NEAR:
+        if not self._opened or not -SAME_TIME <= time - self.time < _NEAR:
             self._jump(time)
         self.advance(time)
         actors = self.state.actors.values()
         self.events = [Spawned(actor.spawned_at, actor) for actor in actors]
         self.events += [Parented(actor.spawned_at, actor.id, actor.parent) for actor in actors if actor.parent is not None]
         self.events += [event for event in self._frame_events if isinstance(event, Collided)]
+
+    def go_to(self, frame: Frame) -> None:
+        """Go to a frame of the recording."""
+        self._jump(frame.elapsed)
+        while self.next is not None and self.next.index <= frame.index:
+            self._enter(self.next)
 
     def take_events(self) -> tuple[Event, ...]:
         """Return the events since the last call."""
@@ -118,6 +130,8 @@ class Cursor:
     def _enter(self, frame: Frame) -> None:
         """Make `next` the current frame."""
         self.frame = frame
+        self.behind += frame.elapsed < self.time - SAME_TIME
+        self.time = max(self.time, frame.elapsed)
         self._frame_events = self.state.apply(frame)
         self.events += self._frame_events
         self._row += 1
@@ -137,11 +151,13 @@ class Cursor:
 
     def _jump(self, time: float) -> None:
         found = self._reader.frame_at(time)
+        if found is not None and math.isnan(found.elapsed):
+            found = None
         start, since = -math.inf if found is None else found.elapsed, -math.inf
         if self._opened and self.next is not None and self.frame.elapsed + 2 * SAME_TIME < self.next.elapsed < start:
             since = self.next.elapsed  # the state is built up on from the current frame
         else:
-            self.state = self._new_state()
+            self.state, self.time = self._new_state(), -math.inf
         if found is not None:
             for frame in self._reader.frames(EVENTS, sparse=True, start=since, stop=start):
                 self.state.apply(frame)
@@ -156,18 +172,40 @@ class Cursor:
 
     def _recall(self, name: str, found: Frame) -> None:
         """Search earlier frames for the records of a type that a frame lacks; most recordings have all in each."""
-        actors = self.state.actors
+        actors, now = self.state.actors, found.elapsed
         missing = set(self.state.lasting(name).tolist()) - set(found[name]["id"].tolist())
-        stop, width = found.elapsed, _LOOK_BACK
-        recalled: dict[int, NDArray[np.void]] = {}
-        while missing and stop > (earliest := min(actors[id].spawned_at for id in missing)):
-            start = max(stop - width, earliest)
-            for frame in self._reader.frames((name,), start=start, stop=stop):
-                records = array(frame[name])
-                for row, id in enumerate(records["id"].tolist()):
-                    if id in missing and frame.elapsed >= actors[id].spawned_at:
-                        recalled[id] = records[row : row + 1]
-            missing -= recalled.keys()
+        since: dict[int, float] = {}
+        recalled: dict[int, NDArray[np.void] | None] = {}
+        for id in missing:
+            spawned = actors[id].spawned_at
+            since[id], recalled[id] = self._known.get((name, id, spawned), (spawned, None))
+            if not math.isfinite(spawned) or (recalled[id] is not None and since[id] > now):
+                since[id], recalled[id] = spawned if math.isfinite(spawned) else -math.inf, None
+        stop, width = now, _LOOK_BACK
+        while missing := {id for id in missing if since[id] < stop}:
+            earliest = min(since[id] for id in missing)
+            start = max(stop - width, earliest) if math.isfinite(stop) and earliest > -math.inf else -math.inf
+            last = self._last_records(name, missing, start, stop)
+            recalled |= last
+            missing -= last.keys()
             stop, width = start, width * _WIDER
-        if recalled:
-            self.state.latest[name].recall(np.concatenate(list(recalled.values())))
+        for id, record in recalled.items():
+            if since[id] <= now:
+                self._known[name, id, actors[id].spawned_at] = now, record
+        kept = [record for record in recalled.values() if record is not None]
+        if kept:
+            self.state.latest[name].recall(np.concatenate(kept))
+
+    def _last_records(self, name: str, ids: set[int], start: float, stop: float) -> dict[int, NDArray[np.void] | None]:
+        """Return the last records of some ids in a part of the recording; None for one that is spawned after its last."""
+        last: dict[int, NDArray[np.void] | None] = {}
+        wanted = np.array(list(ids), np.uint32)
+        for batch in self._reader.batches((name, "spawned"), start=start, stop=stop):
+            is_spawning = any(column.type is not None and column.type.name == "spawned" for column in batch.columns)
+            for part in (batch[row : row + 1] for row in range(len(batch))) if is_spawning else (batch,):
+                if is_spawning:
+                    last |= {spawn.id: None for spawn in part.frame(0)["spawned"] if spawn.id in ids}
+                for segment in segments(part.records(name)):
+                    for row in np.flatnonzero(np.isin(segment.ids, wanted)).tolist():
+                        last[segment.ids.item(row)] = segment.records[-1, row : row + 1].copy()
+        return last

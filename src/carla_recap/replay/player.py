@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import warnings
 from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from carla_recap.errors import RecapError
+from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.model.batch import Batch
 from carla_recap.model.frame import SAME_TIME
 from carla_recap.model.records import UE4
@@ -50,6 +51,7 @@ class Player:
     Poses are interpolated between the frame at or before a moment and the next one: locations linearly, and each angle by
     the shortest rotation. (CARLA's own replay is one frame late.) An actor that jumps, disappears or is replaced until the
     next frame keeps its pose; so do all actors in the last frame. Before the first frame, the first one is shown.
+    Frames whose clock is behind an earlier frame's count as at the time of that one.
 
     Args:
         source: The recording; it must stay open.
@@ -254,6 +256,9 @@ class Player:
             self._finished = True
         self._time = time
         self._cursor.advance(time)
+        if self._finished and (self._cursor.behind or (time >= self.total and self._cursor.next is not None)):
+            message = "the clock goes back; frames behind an earlier one are not shown, as in CARLA's replays"
+            warnings.warn(f"{self.reader.location}: {message}", RecapWarning, stacklevel=2)
         return self._scene()
 
     def _scene(self) -> Scene:
@@ -264,8 +269,8 @@ class Player:
         time = self._time
         part = 0.0
         if following is not None and self.smooth and self._time_factor < FAST:
-            length = following.elapsed - frame.elapsed
-            part = (time - frame.elapsed) / length if length > 0 else 0.0
+            length = following.elapsed - cursor.time
+            part = (time - cursor.time) / length if length > 0 else 0.0
             part = part if 0 <= part <= 1 else 0.0
         poses, lights = self._interpolator.at(frame, following, state, part), state.latest["light_states"].records
         return Scene(self._batch(np.array([time]), Batch.of(frame), poses[None], lights[None]))

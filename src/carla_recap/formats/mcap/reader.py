@@ -88,13 +88,14 @@ class McapReader(Reader):
         return self._read_metadata(schema.EXTENT_METADATA) or {}
 
     def _batches(self, types: Collection[str] | None, start: float, stop: float, *, sparse: bool) -> Iterator[Batch]:
-        sparse = sparse and (stop == math.inf or self._steady)  # else the clock may go back after the stop
+        # If the clock goes back, the first frame of the part, or at its stop, may hold no wanted packet.
+        sparse = sparse and (self._steady or (start == -math.inf and stop == math.inf))
         wanted = self._channels.wanted(types, frames=not sparse)
         selection = ReadSelection(wanted, types is None, sparse, start, stop)
         return self._assemble(self._chunks(wanted, start, stop), selection)
 
     def frame_at(self, elapsed: float) -> Frame | None:
-        """Return the last frame that begins at or before a time; see `Reader.frame_at`."""
+        """Return the frame at a time; see `Reader.frame_at`."""
         elapsed += SAME_TIME
         found = None
         wanted = self._channels.wanted((), frames=True)
@@ -107,12 +108,15 @@ class McapReader(Reader):
                 # Of a chunk that begins at that very nanosecond, the frame may still come later.
                 chunks = chunks[max(sum(chunk.start < time for chunk in chunks) - 1, 0) :]
         for batch in self._assemble(chunks, ReadSelection(wanted)):
-            earlier = np.flatnonzero(batch.elapsed <= elapsed)
-            if len(earlier):
-                found = batch.frame(int(earlier[-1]))
-        if found is None:
+            later = np.flatnonzero(batch.elapsed > elapsed)
+            count = int(later[0]) if len(later) else len(batch)
+            if count:
+                found = batch.frame(count - 1)
+            if count < len(batch):
+                break
+        if found is None or math.isnan(elapsed):
             return None
-        for frame in self.frames(start=found.elapsed):
+        for frame in self.frames(start=-math.inf if math.isnan(found.elapsed) else found.elapsed):
             if frame.index == found.index:
                 return frame
         raise FormatError(self.location, None, f"frame {found.id} is in no chunk of its time: the index is wrong")
