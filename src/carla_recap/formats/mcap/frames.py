@@ -141,6 +141,7 @@ class FrameAssembler:
         self._lenient = lenient
         self._runs: list[MessageRun] = []  # of frames that may have further messages, in the order of the file
         self._plans: dict[tuple[bytes, bytes], _Plan] = {}
+        self._stop = 0  # the position behind the last frame so far
 
     def add(self, chunk: ChunkIndex, data: bytes) -> None:
         """Take in the messages of a chunk, or raise `FormatError`."""
@@ -174,6 +175,10 @@ class FrameAssembler:
         self._runs = rest
         for runs in _of_same_frames(ready):
             first = runs[0]
+            if first.sequence < self._stop and not self._lenient:
+                text = f"messages of frame {first.sequence} come after those of frame {self._stop - 1}"
+                raise FormatError(self._location, None, f"{text}; 'carla-recap recover' saves what it can")
+            self._stop = first.sequence + first.number
             alone = len(runs) == 1 and first.number > 1 and not self._selection.sparse
             if alone and (batch := self._alike(first)) is not None:
                 yield batch
@@ -214,7 +219,8 @@ class FrameAssembler:
                     return None
         except ValueError:
             return None
-        return None if plan.preamble else Batch(run.sequence, heads["frame"], heads["elapsed"], heads["duration"], columns)
+        is_plain = not plan.preamble and slots.keys() == {self._channels.frames}
+        return None if not is_plain else Batch(run.sequence, heads["frame"], heads["elapsed"], heads["duration"], columns)
 
     def _frame(self, index: int, found: list[Found]) -> Frame:
         """Return the frame of some messages."""
@@ -232,9 +238,18 @@ class FrameAssembler:
                 packets.append(step)
             elif messages := waiting.get(step):
                 packets.append(self._raw_packet(messages) if step == raw else self._packet(step, messages.pop()))
+        if not self._lenient and (fault := self._fault(index, plan, waiting)):
+            raise FormatError(self._location, None, f"frame {id} {fault}; 'carla-recap recover' saves what it can")
         if len(packets) < len(plan.steps) and not (elapsed < read.start or elapsed >= read.stop < math.inf):
             self._warn(id)
         return Frame(index, id, elapsed, duration, packets, preamble=plan.preamble)
+
+    def _fault(self, index: int, plan: _Plan, left: dict[int, list[memoryview]]) -> str:
+        """Return how a frame contradicts what it says of itself, in words, given the messages that are in no packet."""
+        left[self._channels.frames].pop()
+        if any(left.values()):
+            return "has messages that are not among its packets"
+        return "has no start, and is not the first one" if plan.preamble and index else ""
 
     def _frame_of_messages(self, index: int, found: list[Found]) -> Frame:
         """Return a frame without its own message, which is not read, or lost."""

@@ -179,10 +179,10 @@ class McapReader(Reader):
         return FurtherTopics(self._source, self._summary, own, matched, schema.LogClock(self.header), self._opened)
 
     def _listed(self, type: RecordType, count: float) -> list[Any] | None:
-        """Return the rows of a part of the digest; None if some are missing, as if another program left them out."""
+        """Return the rows of a part of the digest; None if some are missing, or have no checksum, as of another program."""
         rows = list[Any]()
         try:
-            for message in self._messages(type.topic):
+            for message in self._messages(type.topic, checked=True):
                 rows += decode_records(type, bytes(message))
                 if len(rows) > count:
                     break
@@ -190,12 +190,16 @@ class McapReader(Reader):
             raise FormatError(self.location, None, str(error)) from None
         return rows if len(rows) == count else None
 
-    def _messages(self, topic: str) -> Iterator[memoryview]:
-        """Yield the messages of a topic that belong to no frame."""
+    def _messages(self, topic: str, *, checked: bool = False) -> Iterator[memoryview]:
+        """Yield the messages of a topic that belong to no frame; `checked`: those with a checksum alone."""
         self._source.check_open()
         channel = self._channels.of(topic)
         chunks = self._chunks({channel}) if channel in self._channels.specs else []
-        for chunk, records in zip(chunks, self._opened(chunks), strict=True):
+        spans = [(chunk.offset, chunk.length) for chunk in chunks]
+        for chunk, data in zip(chunks, self._source.read_ranges(spans, "a chunk"), strict=True):
+            records = self._open(chunk, data)
+            if checked and not schema.CHUNK.unpack_from(data, schema.RECORD.size)[3]:
+                continue
             yield from channel_messages(self.location, chunk, records, channel)
 
     # --- what the file says of itself ----------------------------------------------------------------------------------
