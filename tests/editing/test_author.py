@@ -108,7 +108,7 @@ def test_the_default_date_is_now(tmp_path):
         ({"transforms": np.zeros(65_536, UE4[6].dtype)}, "65536 records, but a packet counts at most 65535"),
         ({"spawned": [(1, 2)]}, "spawned: "),
         ({"platform_time": "noon"}, "platform_time: "),
-        ({"platform_time": [1, 2]}, "platform_time: 2 records, but a packet has one"),
+        ({"platform_time": [1, 2]}, "platform_time: expected one record, found 2"),
     ],
     ids=lambda value: str(value)[:40],
 )

@@ -141,6 +141,9 @@ def test_records_can_be_replaced():
     assert other["transforms"]["id"].tolist() == [8]
     assert (other.index, other.id, other.elapsed, other.duration) == (3, 4, 1.5, 0.5)
     assert frame["transforms"]["id"].tolist() == [7]
+    timed = other.replace(platform_time=1.5)
+    assert [packet.id for packet in timed.packets] == [2, 5, 6, 14, 1]
+    assert [packet.id for packet in timed.replace(platform_time=[]).packets] == [2, 5, 6, 1]
 
 
 def test_physics_of_ue5_cannot_be_replaced():

@@ -94,6 +94,7 @@ _LINES: Final = 20_000_000  # that are read at most
 _LONGEST: Final = 1_000  # characters of an id, a kind, a blueprint or a role
 _LARGEST: Final = float(np.finfo(np.float32).max) * (1 + 1e-9)  # that a recording can hold, which may have been rounded
 _STANDSTILL: Final = 0.02  # m, and m/s; a shorter step and a lower velocity have no direction
+_GAP: Final = 1.0  # s; an object that is missing for longer, in frames of others, has disappeared
 _HEIGHT: Final = 1.5  # m; of a box whose height is not given
 _IDS: Final = NO_ACTOR  # ids from here on are replaced
 
@@ -403,7 +404,10 @@ class _ImportedTracks:
             moment = moments[counts.argmax()]
             raise RecapError(f"{path}: {most} objects at {moment:g} s; a recording has at most {MAX_COUNT} at a time")
         self._ids = _actor_ids(self._names)
-        self._first, self._last = order[edges[:-1]], order[edges[1:] - 1]
+        self._first = order[edges[:-1]]
+        track, frame = of_row[order], np.searchsorted(moments, time[order])
+        missing = (np.diff(time[order]) > _GAP) & (np.diff(frame) > 1) | (np.diff(track) != 0)
+        self._begins, self._ends = order[np.append(True, missing)], order[np.append(missing, True)]
         yaw = self._numbers.setdefault("yaw", np.full(len(time), np.nan))
         unknown = np.isin(np.arange(len(self._names)), of_row[np.isnan(yaw)]) & (np.diff(edges) > 1)
         for number in np.flatnonzero(unknown).tolist():
@@ -453,10 +457,11 @@ class _ImportedTracks:
         blueprint = blueprint or _PROP
         return blueprint, _ACTOR_KINDS.get(blueprint.partition(".")[0], ActorKind.OTHER)
 
-    def _spawn(self, number: int) -> Spawn:
-        """Return the spawn of an object, where its first row is."""
-        row, name, id = self._first[number].item(), self._names[number], self._ids[number].item()
-        blueprint, kind = self._looks(row)
+    def _spawn(self, row: int) -> Spawn:
+        """Return the spawn of the object of a row, where that is."""
+        number = int(self._texts["id"][1][row])
+        name, id = self._names[number], self._ids[number].item()
+        blueprint, kind = self._looks(self._first[number].item())
         role = HERO if name == self._hero else self._text("role_name", row)
         given = {"role_name": role} if role else {}
         if name != str(id):
@@ -491,19 +496,18 @@ class _ImportedTracks:
         moving["angular_z"] = self._yaw_rates[order][known]
         velocities = _by_moment(_records("velocities", moving), time[order][known], moments)
         boxes = {number: box for number in range(len(self._names)) if (box := self._box(number))}
-        begins, ends = time[self._first], time[self._last]
-        order = np.argsort(begins, kind="stable")
-        spawned = _by_moment(order, begins[order], moments)
-        order = np.argsort(ends, kind="stable")
-        destroyed = _by_moment(_records("destroyed", {"id": self._ids[order]}), ends[order], moments)
+        begins = self._begins[np.argsort(time[self._begins], kind="stable")]
+        spawned = _by_moment(begins, time[begins], moments)
+        ends = self._ends[np.argsort(time[self._ends], kind="stable")]
+        destroyed = _by_moment(_records("destroyed", {"id": self._ids[of_row[ends]]}), time[ends], moments)
         additional = has_velocities or bool(boxes)
         with create_recording(destination, map_name=map_name, date=date, additional_data=additional) as recorder:
             gone: Records = []
             for moment in moments.tolist():
                 records = {"transforms": next(transforms), "velocities": next(velocities), "destroyed": gone}
                 new = next(spawned).tolist()
-                records["spawned"] = [self._spawn(number) for number in new]
-                records["bounding_boxes"] = [boxes[number] for number in new if number in boxes]
+                records["spawned"] = [self._spawn(row) for row in new]
+                records["bounding_boxes"] = [boxes[number] for number in of_row[new].tolist() if number in boxes]
                 recorder.add_frame(moment, **{name: each for name, each in records.items() if len(each)})
                 gone = next(destroyed)
             return recorder.extent

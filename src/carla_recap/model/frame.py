@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal, overload
 import numpy as np
 
 from carla_recap.errors import FormatError, RecapWarning
-from carla_recap.model.layout import Buffer, PayloadError, Records, pack, unpack
+from carla_recap.model.layout import Buffer, Framing, PayloadError, Records, pack, unpack
 from carla_recap.model.records import FRAME_END, ORDER, UE4, UE5, Bones, Physics, RecordType, Spawn, Table, WheelSet
 
 if TYPE_CHECKING:
@@ -193,23 +193,26 @@ class Frame:
     def replace(self, **records: Any) -> Frame:
         """Return this frame with other records of some types; see `RecordType.records` for the forms they may have.
 
+        Of a clock, which has one record, none leaves its packet out.
+
         Raises:
             RecordError: Records do not fit their type.
         """
         table = UE5 if any(p.type is not None and p.type.wide for p in self.packets) else UE4
-        new: dict[int, Packet] = {}
+        new: dict[int, Packet | None] = {}
         for name, values in records.items():
             type = table.named(name)
             found = type.records(values)
-            new[type.id] = Packet(type.id, type, pack(type, found), found)
-        packets: list[Packet] = []
+            is_left_out = type.framing is Framing.SINGLE and not len(found)
+            new[type.id] = None if is_left_out else Packet(type.id, type, pack(type, found), found)
+        packets, left = list[Packet](), dict(new)
         for packet in self.packets:
             if packet.id not in new:
                 packets.append(packet)
-            elif new[packet.id] not in packets:  # of several packets of a type, the first one is replaced
-                packets.append(new[packet.id])
-        for packet in new.values():
-            if packet not in packets:
+            elif (replaced := left.pop(packet.id, None)) is not None:  # of several packets of a type, the first one
+                packets.append(replaced)
+        for packet in left.values():
+            if packet is not None:
                 later = (*ORDER[ORDER.index(packet.id) + 1 :], FRAME_END)
                 packets.insert(next((n for n, other in enumerate(packets) if other.id in later), len(packets)), packet)
         return Frame(self.index, self.id, self.elapsed, self.duration, packets, preamble=self.preamble)

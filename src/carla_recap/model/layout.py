@@ -335,7 +335,7 @@ def pack(type: PacketType, records: Records) -> bytes:
         return b""
     if type.framing is Framing.SINGLE and isinstance(records, np.ndarray):
         if len(records) != 1:
-            raise RecordError(f"{type.name}: {len(records)} records, but a packet has one")
+            raise RecordError(f"{type.name}: expected one record, found {len(records)}")
         return records.tobytes()
     if len(records) > MAX_COUNT:
         raise RecordError(f"{type.name}: {len(records)} records, but a packet counts at most {MAX_COUNT}")

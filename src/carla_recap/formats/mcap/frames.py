@@ -154,6 +154,9 @@ class FrameAssembler:
                 self._allowance -= messages
                 if held > MESSAGES_LIMIT:
                     raise self._too_much(chunk)
+                if chunk.channels and not chunk.channels.issuperset(slot[0] for slot in run.slots):
+                    text = "a chunk has messages of channels that it has not in the index: the index is wrong"
+                    raise FormatError(self._location, chunk.offset, text)
                 if slots := tuple(slot for slot in run.slots if slot[0] in wanted):
                     self._runs.append(run._replace(slots=slots))
         except BrokenRecords as error:
