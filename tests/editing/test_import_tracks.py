@@ -47,7 +47,7 @@ def test_a_table_becomes_a_recording(table):
         assert (other.spawned_at, other.destroyed_at, other.is_hero) == (0.5, None, True)
 
 
-@pytest.mark.parametrize(("until", "lives"), [(1.0, [(0, None)]), (1.5, [(0, 0.5), (1.5, None)])])
+@pytest.mark.parametrize(("until", "lives"), [(1.0, [(0, 1.5)]), (1.5, [(0, 0.5), (1.5, None)])])
 def test_an_object_that_is_missing_for_long_disappears(table, until, lives):
     others = "".join(f"{time},8,0,0,,\n" for time in (0, 0.5, 1, 1.5))
     with table(f"time,id,x,y,length,width\n0,7,1,2,4,2\n{until},7,2,2,4,2\n" + others) as recording:

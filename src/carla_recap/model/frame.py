@@ -211,10 +211,9 @@ class Frame:
                 packets.append(packet)
             elif (replaced := left.pop(packet.id, None)) is not None:  # of several packets of a type, the first one
                 packets.append(replaced)
-        for packet in left.values():
-            if packet is not None:
-                later = (*ORDER[ORDER.index(packet.id) + 1 :], FRAME_END)
-                packets.insert(next((n for n, other in enumerate(packets) if other.id in later), len(packets)), packet)
+        for packet in filter(None, left.values()):
+            later = (*ORDER[ORDER.index(packet.id) + 1 :], FRAME_END)
+            packets.insert(next((n for n, other in enumerate(packets) if other.id in later), len(packets)), packet)
         return Frame(self.index, self.id, self.elapsed, self.duration, packets, preamble=self.preamble)
 
     def items(self) -> Iterator[tuple[str, Records]]:
