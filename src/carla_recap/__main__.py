@@ -5,7 +5,11 @@ Until the commands are imported, Ctrl-C ends the process as any other program, w
 
 from __future__ import annotations
 
+import os
 import signal
+
+# The matrices here are small: a thread for each core, which numpy starts otherwise, makes commands slower.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def main() -> None:

@@ -82,8 +82,8 @@ _PIXELS_AHEAD: Final = 1 << 25  # of the images of these moments: 128 MB of byte
 _USUAL_STEP: Final = 0.05  # s between two frames
 _LONGEST: Final = 10.0  # s between two samples, for which rays are cast
 _RAY_KINDS: Final = ("lidar", "semantic_lidar", "radar")
-_RAYS_OF_A_PART: Final = 1 << 14  # cast by one thread at a time
-_MOST_THREADS: Final = 8  # that cast rays; more wait for Python's lock
+_RAYS_OF_A_PART: Final = 1 << 16  # cast by one thread at a time
+_MOST_THREADS: Final = 3  # that cast rays; more wait for Python's lock
 
 
 @dataclass(frozen=True, eq=False)
