@@ -55,7 +55,8 @@ def jpeg(image: Image, quality: int = QUALITY) -> bytes:
         from simplejpeg import encode_jpeg  # unlike Pillow, it lets other threads run
     except ImportError:
         raise MissingExtra("an image of a camera", _EXTRA) from None
-    return encode_jpeg(bgrx(image), quality, "BGRX", "420", fastdct=False)
+    encoded: bytes = encode_jpeg(bgrx(image), quality, "BGRX", "420", fastdct=False)
+    return encoded
 
 
 def webp(image: Image, quality: int) -> bytes:
