@@ -63,13 +63,8 @@ class ScreenshotTaker:
 
     @property
     def state(self) -> ViewerState:
-        """The state of the viewer.
-
-        Raises:
-            RecapError: The viewer does not answer.
-        """
-        with self._process.answering():
-            return self._client.get_state()
+        """The state of the viewer."""
+        return self._client.get_state()
 
     def take(self, time: float) -> bytes:
         """Take a picture.
@@ -81,13 +76,12 @@ class ScreenshotTaker:
             A PNG.
 
         Raises:
-            RecapError: The viewer does not answer, or cannot draw the scene.
+            RecapError: The viewer cannot draw the scene.
         """
         from carla_recap.show.rerun.stream import SIM_TIME
 
-        with self._process.answering():
-            self._client.set_time(SIM_TIME, duration=float(time), play_state="paused")
-            picture = self._settled_picture()
+        self._client.set_time(SIM_TIME, duration=float(time), play_state="paused")
+        picture = self._settled_picture()
         for view in self.state.views:
             for report in view.reports:
                 if report.severity == "error":
@@ -108,6 +102,6 @@ class ScreenshotTaker:
     def _loaded(self) -> ViewerState | None:
         try:
             state = self.state
-        except RecapError:
+        except (OSError, RuntimeError):
             return None  # it does not accept connections yet
         return state if state.active_recording and state.views and not state.loading else None

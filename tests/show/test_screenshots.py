@@ -84,13 +84,11 @@ def test_a_file_that_the_viewer_cannot_load_is_an_error(tmp_path, temporary, mon
         ScreenshotTaker(cut).__enter__()
 
 
-def test_a_viewer_that_hangs_is_killed(crossing_rrd, temporary, home, monkeypatch):
+def test_a_viewer_that_hangs_is_killed(crossing_rrd, temporary, monkeypatch):
+    monkeypatch.setattr(viewer, "_GRACE", 0.1)
     with ScreenshotTaker(crossing_rrd) as screenshots:
         pid = screenshots._process.pid
-        monkeypatch.setattr(viewer, "TIMEOUT", 0.5)
         os.kill(pid, signal.SIGSTOP)
-        with time_limit(), pytest.raises(RecapError, match="the Rerun viewer does not answer"):
-            screenshots.take(21)
     assert not runs(pid)
 
 

@@ -130,11 +130,6 @@ class GroundBuffers:
         self.triangles = context.buffer(triangles.astype(np.uint32).tobytes() or bytes(12))
         self.commands = context.buffer(reserve=max(self._commands.nbytes, 20))
 
-    @property
-    def buffers(self) -> tuple[Any, ...]:
-        """The buffers to release."""
-        return self.vertices, self.triangles, self.commands
-
     def visible(self, view: CameraView) -> NDArray[np.uint32]:
         """Return the draw commands of the tiles in view, the nearest first."""
         rows = np.flatnonzero(view.sees_boxes(self.bounds))
@@ -158,11 +153,6 @@ class ModelBuffers:
         self.triangles = context.buffer(mesh.triangles.astype(np.uint32).tobytes() or bytes(12))
         self._instances = context.buffer(reserve=shaders.INSTANCE.itemsize * 64, dynamic=True)
         self._previous = context.buffer(reserve=shaders.PREVIOUS.itemsize * 64, dynamic=True)
-
-    @property
-    def buffers(self) -> tuple[Any, ...]:
-        """The buffers to release."""
-        return self._vertices, self.triangles, self._instances, self._previous
 
     def contents(self, program: Any) -> list[tuple[Any, ...]]:
         """Return the buffers with their formats for a program: vertices, instances, and their previous poses."""

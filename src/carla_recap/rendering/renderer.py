@@ -129,31 +129,9 @@ class Renderer:
 
     def close(self) -> None:
         """Release everything; a second call does nothing."""
-        if self._context is None:
-            return
-        with self._context:
-            for array in self._arrays.values():
-                array.release()
-            for targets in self._targets.values():
-                targets.release()
-            for program in self._programs.values():
-                program.release()
-            for buffer in (
-                self._frame,
-                self._materials,
-                self._corners,
-                self._noise,
-                self._clouds,
-                self._sky_map,
-                self._halos,
-                *self._ground.buffers,
-            ):
-                buffer.release()
-            for model in self._models.values():
-                for buffer in model.buffers:
-                    buffer.release()
-        self._context.release()
-        self._context = None
+        if self._context is not None:
+            self._context.release()  # and with it all that it has
+            self._context = None
 
     def draw(
         self,

@@ -6,9 +6,8 @@ import os
 import re
 import subprocess
 import sys
-import threading
 import time
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final, Self, TypeVar
@@ -22,7 +21,7 @@ from carla_recap.util.processes import terminate
 from carla_recap.util.signals import unwind_on_termination
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
     from types import TracebackType
 
     from carla_recap.formats.base import Reader
@@ -122,24 +121,6 @@ class RerunViewer:
         """Check that it is running."""
         if self._process.poll() is not None:
             raise self._failure()
-
-    @contextmanager
-    def answering(self) -> Iterator[None]:
-        """Guard requests to the viewer: without an answer within `TIMEOUT`, it is killed; its client has no timeout."""
-        watchdog = threading.Timer(TIMEOUT, self._process.kill)
-        watchdog.daemon = True
-        watchdog.start()
-        try:
-            yield
-        except (OSError, RuntimeError) as error:
-            if watchdog.finished.is_set():
-                raise RecapError(f"the Rerun viewer does not answer within {TIMEOUT:g} s") from None
-            with suppress(subprocess.TimeoutExpired):
-                self._process.wait(_PAUSE)
-            self.check()
-            raise RecapError(f"the Rerun viewer answers: {str(error).partition(' (')[0]}") from None
-        finally:
-            watchdog.cancel()
 
     def _start(self, folder: Path) -> subprocess.Popen[bytes]:
         """Start it with a folder for its log and for its temporary files, which it does not remove."""
