@@ -210,8 +210,11 @@ def index(work: Path, _: ExitStack) -> Killed:
         if not path.exists():
             return []
         found = contents(path)
-        names = [name for name in TABLES if not set(found[name]) <= set(whole[name]) or (is_complete and found != whole)]
-        return [f"the tables {', '.join(names)} differ"] if names else []
+        others = [f"{name} has {row[:300]}" for name in TABLES for row in set(found[name]) - set(whole[name])]
+        if is_complete:
+            others += [f"{name} lacks {row[:300]}" for name in TABLES for row in set(whole[name]) - set(found[name])]
+            others += [f"{name} has rows twice" for name in TABLES if len(found[name]) > len(whole[name])]
+        return others
 
     return Killed((*command, folder / "index.duckdb"), folder, check, True, partial(check, is_complete=True), (0, 2))
 

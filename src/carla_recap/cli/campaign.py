@@ -9,7 +9,7 @@ import os
 import sys
 from collections import Counter
 from contextlib import ExitStack, closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
@@ -24,13 +24,12 @@ from carla_recap.cli.parameter_types import NUMBER, POSITIVE
 if TYPE_CHECKING:
     from collections.abc import Generator, Sequence
 
-    from distributed import Client
-
     from carla_recap.fleet.campaign import Campaign, FinishedRun
     from carla_recap.fleet.campaign.plan import ParameterRange, Value
     from carla_recap.fleet.campaign.report import CampaignRow
     from carla_recap.fleet.campaign.results import Scoring
     from carla_recap.fleet.check import CheckedRecording
+    from carla_recap.fleet.engine import Processes
     from carla_recap.queries.measures import Measure
     from carla_recap.rules.rule_sets import RuleSet
 
@@ -85,31 +84,8 @@ _SHOWN: Final = 5  # of the worst runs, and of failed ones
 @options.road_map
 @options.json
 @options.csv
-def campaign(
-    function: str | None,
-    script: str | None,
-    out: str,
-    seeds: str,
-    params: tuple[str, ...],
-    town: str | None,
-    jobs: int | None,
-    dask: str | None,
-    rules_file: str | None,
-    routes_file: str | None,
-    route_id: str | None,
-    from_drive: bool,
-    measure: str | None,
-    is_search: bool,
-    minimize: str | None,
-    maximize: str | None,
-    count: int,
-    report: str | None,
-    pages: int,
-    road_map: str | None,
-    form: str | None,
-    keep_going: bool,
-    **how: Any,
-) -> NoReturn:
+@options.gathered("request", lambda: CampaignRequest)
+def campaign(request: CampaignRequest, **how: Any) -> NoReturn:
     """Run a simulation with many seeds and parameters, each run a recording, and compare them.
 
     FUNCTION is called as function(world, NAME=VALUE) with a World that is recorded. Recordings that are in DIR are not made
@@ -122,37 +98,28 @@ def campaign(
     from carla_recap.sim import load_town
 
     context = click.get_current_context()
-    if (function is None) == (script is None):
+    if (request.function is None) == (request.script is None):
         raise click.UsageError("either FILE.py:FUNCTION or --serve SCRIPT.py was expected.", context)
-    if is_search and (minimize is None) == (maximize is None):
+    if request.is_search and (request.minimize is None) == (request.maximize is None):
         raise click.UsageError("--search needs either --minimize or --maximize.", context)
-    if not is_search and (minimize or maximize):
+    if not request.is_search and request.objective:
         raise click.UsageError("--minimize and --maximize go with --search.", context)
-    objective = minimize or maximize
-    compared = result_named(measure or objective or "time_to_collision")
-    scoring = _scoring(routes_file, route_id, road_map, from_drive=from_drive)
+    compared = result_named(request.measure or request.objective or "time_to_collision")
+    scoring = request.scoring()
     if compared is SCORE and scoring is None:
         raise click.UsageError("a score needs --route or --from-drive.", context)
-    rules = None if rules_file is None else loaded_rules(rules_file)
-    if town is not None:
-        load_town(town)  # whose error would be that of each run
-    values = _parameters(params, is_search=is_search)
-    made = Campaign(
-        function=_function(function, script, [*values]),
-        out=out,
-        town=town,
-        jobs=jobs,
-        scoring=scoring,
-        **how,
-    )
+    rules = None if request.rules_file is None else loaded_rules(request.rules_file)
+    if how["town"] is not None:
+        load_town(how["town"])  # whose error would be that of each run
+    values = _parameters(request.params, is_search=request.is_search)
+    made = Campaign(function=_function(request, [*values]), out=request.out, jobs=request.jobs, scoring=scoring, **how)
     rows: list[CampaignRow] = []
     with ExitStack() as stack:
-        client = stack.enter_context(cluster(dask))
-        made = replace(made, client=client)
-        total, runs = _runs(made, seeds, values, (objective, maximize is not None, count) if objective else None)
-        folder = _folder_of_report(report, out)
+        processes: Processes = {"jobs": request.jobs, "client": stack.enter_context(cluster(request.dask))}
+        total, runs = _runs(replace(made, client=processes["client"]), request, values)
+        folder = request.folder_of_report()
         try:
-            most = math.inf if keep_going else max(_workers(jobs, client), 2)
+            most = math.inf if request.keep_going else max(_workers(processes), 2)
             for finished in _watched(stack.enter_context(closing(runs)), total, most):
                 rows.append(row_of(finished))  # noqa: PERF401 - the rows so far are counted if it is interrupted
         except (KeyboardInterrupt, SystemExit):
@@ -162,10 +129,10 @@ def campaign(
             raise RecapError("no runs were made")
         checked: dict[str, CheckedRecording] = {}
         if rules is not None:
-            rows, checked = _judged(rows, rules, road_map, jobs, client)
+            rows, checked = _judged(rows, rules, request.road_map, processes)
         if folder is not None:
-            rows = _reported(rows, checked, folder, compared, pages, road_map, jobs, client, function or str(script))
-    _show(rows, compared, form, folder)
+            rows = _reported(rows, checked, folder, compared, request, processes)
+    _show(rows, compared, request.form)
     failed, broken = sum(row.error is not None for row in rows), sum(bool(row.broken) for row in rows)
     there = sum(row.was_there for row in rows)
     note(
@@ -175,30 +142,61 @@ def campaign(
     sys.exit(BAD_INPUT if failed else _BROKEN if broken else 0)
 
 
-def _scoring(routes_file: str | None, route_id: str | None, road_map: str | None, *, from_drive: bool) -> Scoring | None:
-    from carla_recap.fleet.campaign.results import Scoring
-    from carla_recap.queries.score import read_routes
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignRequest:
+    """The arguments and options of the command that are not passed on to `Campaign` as they are."""
 
-    context = click.get_current_context()
-    if routes_file is not None and from_drive:
-        raise click.UsageError("either --route or --from-drive was expected.", context)
-    if routes_file is None and route_id is not None:
-        raise click.UsageError("--route-id goes with --route.", context)
-    if routes_file is not None:
-        return Scoring(tuple(read_routes(routes_file)), route_id, road_map)
-    return Scoring(None, road_map=road_map) if from_drive else None
+    function: str | None
+    script: str | None
+    out: str
+    seeds: str
+    params: tuple[str, ...]
+    jobs: int | None
+    dask: str | None
+    rules_file: str | None
+    routes_file: str | None
+    route_id: str | None
+    from_drive: bool
+    measure: str | None
+    is_search: bool
+    minimize: str | None
+    maximize: str | None
+    count: int
+    report: str | None
+    pages: int
+    road_map: str | None
+    form: str | None
+    keep_going: bool
 
+    @property
+    def objective(self) -> str | None:
+        """The name of what a search minimizes or maximizes."""
+        return self.minimize or self.maximize
 
-def _folder_of_report(report: str | None, out: str) -> Path | None:
-    """Return the folder of pages, which is made; None if the recordings go to an object store, and none was given."""
-    from carla_recap.formats.sources import is_remote
-    from carla_recap.util.files import make_folder
+    def scoring(self) -> Scoring | None:
+        """Return how the recordings are scored; None if they are not."""
+        from carla_recap.fleet.campaign.results import Scoring
+        from carla_recap.queries.score import read_routes
 
-    if report is None and is_remote(out):
-        return None
-    folder = Path(report or out)
-    make_folder(folder)
-    return folder
+        context = click.get_current_context()
+        if self.routes_file is not None and self.from_drive:
+            raise click.UsageError("either --route or --from-drive was expected.", context)
+        if self.routes_file is None and self.route_id is not None:
+            raise click.UsageError("--route-id goes with --route.", context)
+        if self.routes_file is not None:
+            return Scoring(tuple(read_routes(self.routes_file)), self.route_id, self.road_map)
+        return Scoring(None, road_map=self.road_map) if self.from_drive else None
+
+    def folder_of_report(self) -> Path | None:
+        """Return the folder of pages, which is made; None if the recordings go to an object store, and none was given."""
+        from carla_recap.formats.sources import is_remote
+        from carla_recap.util.files import make_folder
+
+        if self.report is None and is_remote(self.out):
+            return None
+        folder = Path(self.report or self.out)
+        make_folder(folder)
+        return folder
 
 
 def _parameters(params: Sequence[str], *, is_search: bool) -> dict[str, Sequence[Value] | ParameterRange]:
@@ -218,46 +216,44 @@ def _parameters(params: Sequence[str], *, is_search: bool) -> dict[str, Sequence
     return found
 
 
-def _function(function: str | None, script: str | None, names: Sequence[str]) -> Any:
+def _function(request: CampaignRequest, names: Sequence[str]) -> Any:
     from carla_recap.errors import RecapError
     from carla_recap.fleet.campaign.plan import check_keywords
     from carla_recap.util.functions import function_in
 
-    if function is not None:
-        found, keywords = function_in(function)
+    if request.function is not None:
+        found, keywords = function_in(request.function)
         check_keywords(keywords, names)
         return found
-    if not Path(str(script)).is_file():
-        raise RecapError(f"{script}: is no file; a script for CARLA's client was expected")
-    return script
+    if not Path(str(request.script)).is_file():
+        raise RecapError(f"{request.script}: is no file; a script for CARLA's client was expected")
+    return request.script
 
 
 def _runs(
-    made: Campaign,
-    seeds: str,
-    values: dict[str, Sequence[Value] | ParameterRange],
-    objective: tuple[str, bool, int] | None,
+    made: Campaign, request: CampaignRequest, values: dict[str, Sequence[Value] | ParameterRange]
 ) -> tuple[int, Generator[FinishedRun]]:
     """Return the number of runs, and a generator of them."""
     from carla_recap.fleet.campaign.plan import ParameterRange, parse_seeds, planned
 
-    numbers = parse_seeds(seeds)
-    if objective is not None:
+    seeds, count = parse_seeds(request.seeds), request.count
+    if request.objective is not None:
         from carla_recap.fleet.campaign.results import result_named
         from carla_recap.fleet.campaign.search import search
 
-        name, is_maximized, count = objective
-        return count, search(made, numbers, values, result_named(name), count, is_maximized=is_maximized)
+        objective = result_named(request.objective)
+        return count, search(made, seeds, values, objective, count, is_maximized=request.maximize is not None)
     fixed = {name: given for name, given in values.items() if not isinstance(given, ParameterRange)}
-    runs = list(planned(numbers, fixed, made.folder.location))
+    runs = list(planned(seeds, fixed, made.folder.location))
     return len(runs), made.run(runs)
 
 
-def _workers(jobs: int | None, client: Client | None) -> int:
+def _workers(processes: Processes) -> int:
     from carla_recap.fleet.cluster import workers_of
     from carla_recap.fleet.engine import processors
 
-    return jobs or processors() if client is None else workers_of(client)
+    client = processes["client"]
+    return processes["jobs"] or processors() if client is None else workers_of(client)
 
 
 def _watched(runs: Generator[FinishedRun], total: int, most: float) -> Generator[FinishedRun]:
@@ -290,7 +286,7 @@ def _watched(runs: Generator[FinishedRun], total: int, most: float) -> Generator
 
 
 def _judged(
-    rows: Sequence[CampaignRow], rules: RuleSet, road_map: str | None, jobs: int | None, client: Client | None
+    rows: Sequence[CampaignRow], rules: RuleSet, road_map: str | None, processes: Processes
 ) -> tuple[list[CampaignRow], dict[str, CheckedRecording]]:
     from carla_recap.cli.progress import SourcesBar
     from carla_recap.fleet.campaign.report import judged
@@ -298,7 +294,7 @@ def _judged(
     found: list[CampaignRow] = []
     checked: dict[str, CheckedRecording] = {}
     with SourcesBar("checking", len(rows)) as bar:
-        for row, verdicts in judged(rows, rules, road_map=road_map, jobs=jobs, client=client):
+        for row, verdicts in judged(rows, rules, road_map=road_map, **processes):
             found.append(row)
             if verdicts is not None:
                 checked[row.recording] = verdicts
@@ -314,22 +310,20 @@ def _reported(
     checked: dict[str, CheckedRecording],
     folder: Path,
     measure: Measure,
-    pages: int,
-    road_map: str | None,
-    jobs: int | None,
-    client: Client | None,
-    title: str,
+    request: CampaignRequest,
+    processes: Processes,
 ) -> list[CampaignRow]:
     """Write the pages, the index and the rows into a folder; return the rows with the paths of their pages."""
     from carla_recap.fleet.campaign.page import campaign_page
     from carla_recap.fleet.campaign.report import INDEX, PAGE, RUNS, with_pages, write_campaign_index, write_runs
     from carla_recap.util.files import WholeFile
 
-    rows, warnings = with_pages(rows, folder, measure, pages, checked=checked, road_map=road_map, jobs=jobs)
+    road_map = request.road_map
+    rows, warnings = with_pages(rows, folder, measure, request.pages, checked=checked, road_map=road_map, jobs=request.jobs)
     for line in warnings:
         warn(line)
     if any(row.error is None for row in rows):
-        reason = write_campaign_index(rows, folder / INDEX, road_map=road_map, jobs=jobs, client=client)
+        reason = write_campaign_index(rows, folder / INDEX, road_map=road_map, **processes)
         if reason is not None:
             warn(reason)
         else:
@@ -337,12 +331,13 @@ def _reported(
     write_runs(rows, folder / RUNS)
     wrote(folder / RUNS)
     with WholeFile(folder / PAGE) as file:
+        title = request.function or str(request.script)
         file.write(campaign_page(rows, folder, measure, title).encode("utf-8", "backslashreplace"))
     wrote(folder / PAGE)
     return rows
 
 
-def _show(rows: Sequence[CampaignRow], measure: Measure, form: str | None, folder: Path | None) -> None:
+def _show(rows: Sequence[CampaignRow], measure: Measure, form: str | None) -> None:
     """Print all rows as JSON or CSV, or the worst ones."""
     from carla_recap.fleet.campaign.report import runs_as_json, worst_first
     from carla_recap.fleet.campaign.results import crash_text

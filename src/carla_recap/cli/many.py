@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from carla_recap.cli.progress import SourcesBar
     from carla_recap.fleet.answers import Form, Query, RecordingAnswer
+    from carla_recap.fleet.engine import Processes
     from carla_recap.fleet.sources import SourceFile
 
 _PAGE: Final = 200  # rows of a table
@@ -51,15 +52,15 @@ class SourcesRequest:
     dask: str | None  # the address of a Dask scheduler; None: processes of this machine read them
 
     @contextmanager
-    def opened(self, title: str) -> Iterator[tuple[Iterable[SourceFile], Client | None, SourcesBar]]:
-        """Yield the recordings, the client of a Dask cluster, if any, and a progress bar.
+    def opened(self, title: str) -> Iterator[tuple[Iterable[SourceFile], Processes, SourcesBar]]:
+        """Yield the recordings, which processes read them, and a progress bar.
 
         Signals end the `with` block; see `watched`, too.
         """
         with cluster(self.dask) as client:
             found, bar = watched(self.sources, title)
             with bar:
-                yield found, client, bar
+                yield found, {"jobs": self.jobs, "client": client}, bar
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,8 +87,8 @@ class QueryRequest(SourcesRequest):
         from carla_recap.fleet.answers import answers
 
         with ExitStack() as stack:
-            found, client, bar = stack.enter_context(self.opened("reading"))
-            given = stack.enter_context(closing(answers(query, self.shape, found, jobs=self.jobs, client=client)))
+            found, processes, bar = stack.enter_context(self.opened("reading"))
+            given = stack.enter_context(closing(answers(query, self.shape, found, **processes)))
             try:
                 code = _print(given, self.shape, bar, self.max_rows)
             except BrokenPipeError:

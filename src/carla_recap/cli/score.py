@@ -134,8 +134,8 @@ def score(
         prepare_file(junit)
     outcomes: list[Outcome[Score]] = []
     with ExitStack() as stack:
-        found, client, bar = stack.enter_context(request.opened("scoring"))
-        scored = score_sources(found, routes, wanted, route_id=route_id, jobs=request.jobs, client=client)
+        found, processes, bar = stack.enter_context(request.opened("scoring"))
+        scored = score_sources(found, routes, wanted, route_id=route_id, **processes)
         given = stack.enter_context(closing(scored))
         messages = Messages(bar)
         for outcome in given:

@@ -19,11 +19,10 @@ from carla_recap.util.files import size_of
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Mapping
 
-    from distributed import Client
-
     from carla_recap.exports import ExportFormat
     from carla_recap.fleet.datasets import WritePart
     from carla_recap.fleet.destinations import Write
+    from carla_recap.fleet.engine import Processes
     from carla_recap.fleet.outcomes import Outcome, WrittenFile
     from carla_recap.fleet.sources import SourceFile
 
@@ -100,8 +99,8 @@ class WriteRequest(SourcesRequest):
         write = write if models is None else partial(_with_models, models, write)
         folder = DestinationFolder(self.destination, suffix, force=self.force, newer=self.newer)
 
-        def outcomes(found: Iterable[SourceFile], client: Client | None) -> Generator[Outcome[WrittenFile]]:
-            return write_files(write, found, folder, jobs=self.jobs, client=client)
+        def outcomes(found: Iterable[SourceFile], processes: Processes) -> Generator[Outcome[WrittenFile]]:
+            return write_files(write, found, folder, **processes)
 
         self._run(outcomes, title, folder.skipped, _say)
 
@@ -114,10 +113,8 @@ class WriteRequest(SourcesRequest):
         write = write if models is None else partial(_with_models, models, write)
         parts: list[WrittenFile] = []
 
-        def outcomes(found: Iterable[SourceFile], client: Client | None) -> Generator[Outcome[WrittenFile]]:
-            return write_dataset(
-                write, found, self.destination, form, split=split, force=self.force, jobs=self.jobs, client=client
-            )
+        def outcomes(found: Iterable[SourceFile], processes: Processes) -> Generator[Outcome[WrittenFile]]:
+            return write_dataset(write, found, self.destination, form, split=split, force=self.force, **processes)
 
         def say() -> None:
             frames, seconds = sum(part.frames or 0 for part in parts), sum(part.seconds or 0.0 for part in parts)
@@ -128,7 +125,7 @@ class WriteRequest(SourcesRequest):
 
     def _run(
         self,
-        write: Callable[[Iterable[SourceFile], Client | None], Generator[Outcome[WrittenFile]]],
+        write: Callable[[Iterable[SourceFile], Processes], Generator[Outcome[WrittenFile]]],
         title: str,
         skipped: list[str],
         take: Callable[[WrittenFile], object],
@@ -139,7 +136,7 @@ class WriteRequest(SourcesRequest):
         `take` is called with what is written of each, and `end` when all is; the files that are skipped grow meanwhile.
         """
         written, failed, hints = 0, list[dict[str, str]](), dict[str, None]()
-        with self.opened(title) as (found, client, bar), closing(write(found, client)) as outcomes:
+        with self.opened(title) as (found, processes, bar), closing(write(found, processes)) as outcomes:
             messages = Messages(bar)
             for outcome in outcomes:
                 messages.add(outcome.source.location, outcome.warnings, outcome.error)

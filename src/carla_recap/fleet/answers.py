@@ -14,9 +14,9 @@ from carla_recap.fleet.outcomes import one_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
+    from typing import Unpack
 
-    from distributed import Client
-
+    from carla_recap.fleet.engine import Processes
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.formats.base import Reader
     from carla_recap.model.frame import Extent, Header
@@ -44,14 +44,14 @@ class RecordingAnswer:
 
 
 def answers(
-    query: Query, form: Form, sources: Iterable[SourceFile], *, jobs: int | None = None, client: Client | None = None
+    query: Query, form: Form, sources: Iterable[SourceFile], **processes: Unpack[Processes]
 ) -> Generator[RecordingAnswer]:
     """Yield the answers to a query for many recordings, in their order, as soon as they are known.
 
     The query is a function of a module, or a partial of one. See `map_sources`, too.
     """
     function = partial(_answer, query, form)
-    for outcome in map_sources(function, sources, jobs=jobs, client=client):
+    for outcome in map_sources(function, sources, **processes):
         answer = outcome.value
         if answer is None:
             yield RecordingAnswer(outcome.source, error=outcome.error, warnings=outcome.warnings)

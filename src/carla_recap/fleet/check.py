@@ -16,9 +16,9 @@ from carla_recap.util.text import readable, visible
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable
+    from typing import Unpack
 
-    from distributed import Client
-
+    from carla_recap.fleet.engine import Processes
     from carla_recap.fleet.sources import SourceFile
 
 WORST_FIRST: Final[tuple[Status, ...]] = ("error", "fail", "pass")
@@ -80,11 +80,10 @@ def check_sources(
     rules: RuleSet,
     *,
     road_map: str | None = None,
-    jobs: int | None = None,
-    client: Client | None = None,
+    **processes: Unpack[Processes],
 ) -> Generator[CheckedRecording]:
     """Yield many recordings with the verdicts on them, in their order; see `carla_recap.rules.rule_sets.check`."""
-    for outcome in map_sources(partial(_checked, rules, road_map), sources, jobs=jobs, client=client):
+    for outcome in map_sources(partial(_checked, rules, road_map), sources, **processes):
         if outcome.value is None:
             error = visible((outcome.error or "it cannot be read").removeprefix(f"{outcome.source.location}: "))
             yield CheckedRecording(outcome.source.location, tuple(unreadable(rules, error)), warnings=outcome.warnings)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from carla_recap.exports import ExportFormat
-    from carla_recap.fleet.engine import Sources
+    from carla_recap.fleet.engine import Processes, Sources
     from carla_recap.fleet.outcomes import Outcome
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.sensors.options import SensingKeywords
@@ -127,8 +127,7 @@ def write_dataset(
     *,
     split: Mapping[str, float] | None = None,
     force: bool = False,
-    jobs: int | None = None,
-    client: Client | None = None,
+    **processes: Unpack[Processes],
 ) -> Generator[Outcome[WrittenFile]]:
     """Yield what is written of each of many recordings, or the error, in their order; behind them, the dataset appears.
 
@@ -141,8 +140,8 @@ def write_dataset(
         splits = splits_of(names.values(), split or {TRAIN: 1.0})
         parts = []
         writing = partial(_write_part, write, below)
-        jobs = jobs or (processors() if len(found) > 1 else 1)
-        with closing(write_files(writing, found, place, jobs=jobs, client=client)) as outcomes:
+        processes["jobs"] = processes.get("jobs") or (processors() if len(found) > 1 else 1)
+        with closing(write_files(writing, found, place, **processes)) as outcomes:
             for outcome in outcomes:
                 if outcome.value is not None:
                     path = place.file_of(outcome.source)

@@ -19,9 +19,9 @@ from carla_recap.util.log import log_info
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+    from typing import Unpack
 
-    from distributed import Client
-
+    from carla_recap.fleet.engine import Processes
     from carla_recap.fleet.outcomes import Outcome, WrittenFile
     from carla_recap.fleet.sources import SourceFile
 
@@ -173,25 +173,20 @@ def _modified_below(prefix: str) -> dict[str, float]:
 
 
 def write_files(
-    write: Write,
-    sources: Iterable[SourceFile],
-    folder: DestinationFolder,
-    *,
-    jobs: int | None = None,
-    client: Client | None = None,
+    write: Write, sources: Iterable[SourceFile], folder: DestinationFolder, **processes: Unpack[Processes]
 ) -> Generator[Outcome[WrittenFile]]:
     """Yield what is written for each of many recordings, or the error, in their order.
 
     Of recordings of one name, the first that can be written is; the others come behind all recordings, with an error.
     """
-    if client is not None and not is_remote(folder.location):
+    if processes.get("client") is not None and not is_remote(folder.location):
         folder.location = os.path.abspath(folder.location)  # noqa: PTH100
     plain = DestinationFolder(folder.location, folder.suffix, folder.force, folder.newer)
     function, given = partial(_write_one, write, plain), dict[str, str]()
     try:
         while sources:
             planned = folder.planned(sources, given)
-            with closing(map_sources(function, planned, jobs=jobs, client=client)) as outcomes:
+            with closing(map_sources(function, planned, **processes)) as outcomes:
                 for outcome in outcomes:
                     path = folder.file_of(outcome.source)
                     if outcome.value is None and given.get(path) == outcome.source.location:

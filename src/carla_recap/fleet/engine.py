@@ -7,7 +7,7 @@ import warnings
 from functools import partial
 from itertools import chain
 from time import monotonic
-from typing import TYPE_CHECKING, Final, Literal, TypeVar
+from typing import TYPE_CHECKING, Final, Literal, TypedDict, TypeVar, Unpack
 
 from carla_recap.errors import RecapError, RecapWarning
 from carla_recap.fleet.outcomes import Outcome, outcome_of
@@ -26,6 +26,14 @@ if TYPE_CHECKING:
     Sources = str | Path | Iterable[str | Path]
 
 T = TypeVar("T")
+
+
+class Processes(TypedDict, total=False):
+    """Which processes read many recordings; see `map_sources`."""
+
+    jobs: int | None
+    client: Client | None
+
 
 _PATIENCE: Final = 0.3  # s of reading in this process after which worker processes, which start in that time, are worthwhile
 _MOST: Final = 32  # worker processes, or four for each processor if these are more
@@ -123,7 +131,7 @@ def open_recordings(sources: Sources, *, errors: Literal["raise", "warn"] = "rai
 
 
 def map_recordings(
-    function: Callable[[Recording], T], sources: Sources, *, jobs: int | None = None, client: Client | None = None
+    function: Callable[[Recording], T], sources: Sources, **processes: Unpack[Processes]
 ) -> Iterator[Outcome[T]]:
     """Yield what a function returns for each of many recordings, or its error, in their order, as soon as it is known.
 
@@ -135,15 +143,14 @@ def map_recordings(
             a module, or a `functools.partial` of one. What it returns must be picklable. Its `RecapError` is the outcome's
             error, as are those of recordings that cannot be opened; others are raised.
         sources: Files, folders, globs and URLs of recordings, or one of them.
-        jobs: The number of processes; 1: this process alone; None: as many as there are processors, if it is worthwhile.
-        client: Dask's client, whose cluster is used instead of processes of this machine. Its workers have to see the
-            recordings.
+        processes: `jobs`, the number of processes; 1: this process alone; None: as many as there are processors, if it is
+            worthwhile. Or `client`, Dask's client, whose cluster is used instead. Its workers have to see the recordings.
 
     Raises:
         RecapError: The worker processes do not start, or the cluster is gone.
     """
     found = find_sources(as_list(sources), errors="yield")
-    return map_sources(partial(_call, function), found, jobs=jobs, client=client)
+    return map_sources(partial(_call, function), found, **processes)
 
 
 def as_list(sources: Sources) -> Iterable[str | Path]:

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import Unpack
 
-    from distributed import Client
-
+    from carla_recap.fleet.engine import Processes
     from carla_recap.fleet.outcomes import Outcome
     from carla_recap.fleet.sources import SourceFile
     from carla_recap.queries.score import Infraction, Score
@@ -62,11 +61,10 @@ def score_sources(
     options: ScoreOptions,
     *,
     route_id: str | None = None,
-    jobs: int | None = None,
-    client: Client | None = None,
+    **processes: Unpack[Processes],
 ) -> Generator[Outcome[Score], None, None]:
     """Yield the scores of many recordings, in their order, by routes of files; None: the driven path of each vehicle."""
-    return map_sources(partial(_scored, routes, route_id, options), sources, jobs=jobs, client=client)
+    return map_sources(partial(_scored, routes, route_id, options), sources, **processes)
 
 
 def _scored(routes: Sequence[Route] | None, route_id: str | None, options: ScoreOptions, source: SourceFile) -> Score:

@@ -19,11 +19,11 @@ from carla_recap.util.files import WholeFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from distributed import Client
+    from typing import Unpack
 
     from carla_recap.fleet.campaign import FinishedRun
     from carla_recap.fleet.check import CheckedRecording
+    from carla_recap.fleet.engine import Processes
     from carla_recap.queries.measures import Measure
     from carla_recap.rules.rule_sets import RuleSet
 
@@ -84,18 +84,13 @@ def row_of(finished: FinishedRun) -> CampaignRow:
 
 
 def judged(
-    rows: Sequence[CampaignRow],
-    rules: RuleSet,
-    *,
-    road_map: str | None = None,
-    jobs: int | None = None,
-    client: Client | None = None,
+    rows: Sequence[CampaignRow], rules: RuleSet, *, road_map: str | None = None, **processes: Unpack[Processes]
 ) -> Iterator[tuple[CampaignRow, CheckedRecording | None]]:
     """Yield rows with the rules that their recordings break, each with the verdicts; None for a run without a recording."""
     from carla_recap.fleet.sources import find_sources
 
     there = [row.recording for row in rows if row.error is None]
-    checked = check_sources(find_sources(there), rules, road_map=road_map, jobs=jobs, client=client)
+    checked = check_sources(find_sources(there), rules, road_map=road_map, **processes)
     for row in rows:
         if row.error is not None:
             yield row, None
@@ -167,14 +162,14 @@ def runs_as_json(rows: Iterable[CampaignRow]) -> str:
 
 
 def write_campaign_index(
-    rows: Sequence[CampaignRow], path: Path, *, road_map: str | None, jobs: int | None, client: Client | None
+    rows: Sequence[CampaignRow], path: Path, *, road_map: str | None, **processes: Unpack[Processes]
 ) -> str | None:
     """Write the index of the recordings, and of no others; return why it is not written, if it is not."""
     from carla_recap.fleet.index.writing import write_index
 
     there = [row.recording for row in rows if row.error is None]
     try:
-        write_index(there, path, measures=True, road_map=road_map, prune=True, jobs=jobs, client=client)
+        write_index(there, path, measures=True, road_map=road_map, prune=True, **processes)
     except MissingExtra:
         return "no index is written: it needs the extra sql"
     except RecapError as error:
